@@ -1,0 +1,79 @@
+"""What a probe keeps between frames, and how a frame's details enter it (paper, section 4.2).
+
+State: L (radiance), the accumulated depth panorama and the accumulated blending weight. Depth is distance along the
+ray in metres; where nothing was seen yet it is `UNSEEN_DEPTH` x D_max, farther than anything in the volume, so that
+whatever is seen first comes in.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.conventions import panorama_solid_angles
+from roomlight.kernels.blend import accumulate_rows
+from roomlight.threads import shard
+
+CLOSER_M: Final = 0.25
+"""A newly seen surface replaces what was seen before only if it is closer by this much (the paper's 0.25 m)."""
+UNSEEN_DEPTH: Final = 4.0
+"""In units of D_max; the volume's diagonal is 3.2 D_max."""
+
+
+@dataclass(frozen=True)
+class PanoramaState:
+    """One probe's memory; the arrays are updated in place. Float32; [H, 2H, 3], [H, 2H], [H, 2H]."""
+
+    radiance: Float[np.ndarray, "h w 3"]
+    depth_m: Float[np.ndarray, "h w"]
+    seen: Float[np.ndarray, "h w"]
+
+    @classmethod
+    def fresh(cls, height: int, depth_max_m: float) -> "PanoramaState":
+        """Nothing seen yet."""
+        shape = (height, 2 * height)
+        return cls(
+            np.zeros((*shape, 3), np.float32),
+            np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32),
+            np.zeros(shape, np.float32),
+        )
+
+    def coverage(self) -> float:
+        """Share of the sphere that was observed, by solid angle, in [0, 1]."""
+        return float((self.seen * panorama_solid_angles(self.seen.shape[0])).sum() / (4 * np.pi))
+
+
+def accumulate(
+    state: PanoramaState,
+    *,
+    hdr: Float[np.ndarray, "h w 3"],
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    weight: Float[np.ndarray, "h w"],
+) -> None:
+    """Blend one frame into the state, in place.
+
+    With L_M the weight after the conservative rule, L~ the detail, L. the HDR panorama from the SGLV:
+    L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
+    D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame saw nothing.
+    """
+    arguments = (state.radiance, state.depth_m, state.seen, hdr, detail, detail_depth_m, weight, np.float32(CLOSER_M))
+    shard(lambda start, stop: accumulate_rows(*arguments, start, stop), state.seen.shape[0])
+
+
+def accumulate_reference(
+    state: PanoramaState,
+    *,
+    hdr: Float[np.ndarray, "h w 3"],
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    weight: Float[np.ndarray, "h w"],
+) -> None:
+    """Readable twin of `accumulate`, equation by equation in NumPy."""
+    closer = state.depth_m - detail_depth_m >= CLOSER_M
+    blend = np.maximum(weight - ~closer, 0)
+    held = (1 - state.seen[..., None]) * hdr + state.seen[..., None] * state.radiance
+    state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * held
+    state.depth_m[:] = blend * detail_depth_m + (1 - blend) * state.depth_m
+    state.seen[:] = np.minimum(state.seen + blend, 1)

@@ -1,0 +1,125 @@
+"""Pinhole cameras and rigid poses.
+
+Frames: camera x right, y up, z backward; world y up; poses camera-to-world. Units: metres and pixels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+
+@dataclass(frozen=True)
+class Intrinsics:
+    """A pinhole camera for an image of `width` x `height` pixels; pixel centres are at half integers."""
+
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        """Refuse values that no lens has: an error here names the field and the value."""
+        for name in ("fx", "fy"):
+            value = getattr(self, name)
+            if not np.isfinite(value) or value <= 0:
+                raise ValueError(f"focal length {name} must be positive and finite, got {value}")
+        for name, size in (("cx", self.width), ("cy", self.height)):
+            value = getattr(self, name)
+            if not np.isfinite(value) or not -size <= value <= 2 * size:
+                raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
+        if self.width < 1 or self.height < 1:
+            raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
+
+    def resized(self, width: int, height: int) -> "Intrinsics":
+        """The same camera for the same view resampled to another pixel size (K scales with the size ratio)."""
+        sx, sy = width / self.width, height / self.height
+        return Intrinsics(self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height)
+
+    def rays(self) -> Float[np.ndarray, "{self.height} {self.width} 3"]:
+        """Camera-frame rays through the pixel centres, scaled so that z = -1: `depth * ray` is the point seen."""
+        x = (np.arange(self.width, dtype=np.float32) + 0.5 - self.cx) / self.fx
+        y = -(np.arange(self.height, dtype=np.float32) + 0.5 - self.cy) / self.fy
+        rays = np.empty((self.height, self.width, 3), np.float32)
+        rays[..., 0] = x
+        rays[..., 1] = y[:, None]
+        rays[..., 2] = -1.0
+        return rays
+
+    def project(
+        self, points_camera: Float[np.ndarray, "*shape 3"]
+    ) -> tuple[Float[np.ndarray, "*shape 2"], Float[np.ndarray, "*shape"]]:
+        """Image coordinates (column, row; pixel centres at half integers) and z-depth of camera-frame points.
+
+        Points at or behind the camera plane (depth <= 0) get coordinates of NaN.
+        """
+        depth = -points_camera[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            column = self.cx + self.fx * points_camera[..., 0] / depth
+            row = self.cy - self.fy * points_camera[..., 1] / depth
+        xy = np.stack([column, row], axis=-1)
+        xy[depth <= 0] = np.nan
+        return xy, depth
+
+
+def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Return the pose as a clean float64 rigid transform, or raise ValueError saying what is wrong with it.
+
+    Rounding in text files is repaired (nearest rotation by SVD); NaN, inf, mirror images, scales and shears are
+    not: they are lost tracking or a misread convention.
+    """
+    matrix = np.asarray(camera_to_world, np.float64)
+    if matrix.shape != (4, 4):
+        raise ValueError(f"a pose is a 4 x 4 matrix, got shape {matrix.shape}")
+    if not np.isfinite(matrix).all():
+        raise ValueError("the pose holds NaN or infinity (lost tracking)")
+    if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
+        raise ValueError(f"the pose's last row is {matrix[3].tolist()}, not 0 0 0 1")
+    u, scale, vt = np.linalg.svd(matrix[:3, :3])
+    rotation = u @ vt
+    if np.linalg.det(rotation) < 0:
+        raise ValueError("the pose's rotation is a mirror image (determinant -1)")
+    if np.abs(scale - 1).max() > 0.02:
+        raise ValueError(f"the pose's rotation has scales {scale.round(4).tolist()}, not 1 1 1")
+    clean = np.eye(4)
+    clean[:3, :3] = rotation
+    clean[:3, 3] = matrix[:3, 3]
+    return clean
+
+
+def rigid_inverse(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+    """Inverse of a rigid transform (rotation transposed; no matrix inversion)."""
+    rotation = transform[:3, :3].T
+    inverse = np.eye(4)
+    inverse[:3, :3] = rotation
+    inverse[:3, 3] = -rotation @ transform[:3, 3]
+    return inverse
+
+
+def pose_from_quaternion(
+    quaternion_xyzw: Float[np.ndarray, "4"], translation: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    """Rigid 4 x 4 transform from a quaternion (x, y, z, w; any length but zero) and a translation in metres."""
+    q = np.asarray(quaternion_xyzw, np.float64)
+    norm = np.linalg.norm(q)
+    if not np.isfinite(norm) or norm < 1e-6:
+        raise ValueError(f"quaternion {q.tolist()} has no direction (lost tracking)")
+    x, y, z, w = q / norm
+    pose = np.eye(4)
+    pose[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    pose[:3, 3] = translation
+    return pose
+
+
+def transform_points(
+    transform: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*shape 3"]
+) -> Float[np.ndarray, "*shape 3"]:
+    """Apply a rigid transform to points; computed in the points' own precision."""
+    matrix = transform.astype(points.dtype)
+    return points @ matrix[:3, :3].T + matrix[:3, 3]

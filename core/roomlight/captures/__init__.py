@@ -1,0 +1,23 @@
+"""Recorded captures: readers that stream RGB-D frames with poses, and writers.
+
+`open_capture` finds the format by its files; every reader hands out `roomlight.frame.Frame` in RoomLight's
+conventions (world y up, camera x right, y up, z backward, camera-to-world, metres), converted once, here.
+"""
+
+from roomlight.captures.capture import Capture, ProbeTruth, SkippedFrame
+from roomlight.captures.native import CaptureWriter
+from roomlight.captures.opening import FORMATS, open_capture
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
+
+__all__ = [
+    "FORMATS",
+    "Capture",
+    "CaptureOptions",
+    "CaptureWriter",
+    "ProbeTruth",
+    "RecordedFrame",
+    "SkippedFrame",
+    "open_capture",
+    "write_stray_scanner",
+]

@@ -1,0 +1,72 @@
+"""The recursion over a probe's panoramas in PyTorch: the conservative rule, blending and accumulation.
+
+The differentiable twin of `roomlight.blend`, for training. Panoramas are [batch, channel, H, 2H], world-aligned, linear
+radiance; depths are distances from the probe, all in one unit, which is also the unit of the rule's margin.
+"""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+
+class Panorama(NamedTuple):
+    """What a probe remembers: L^i, the accumulated depth and the accumulated blending weight."""
+
+    radiance: Float[Tensor, "b 3 h w"]
+    depth: Float[Tensor, "b 1 h w"]
+    weight: Float[Tensor, "b 1 h w"]
+
+
+def blend(
+    hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], weight: Float[Tensor, "b 1 h w"]
+) -> Float[Tensor, "b 3 h w"]:
+    """L = L_dot (1 - L_M) + L_tilde L_M: the single-view panorama."""
+    return hdr * (1 - weight) + ldr * weight
+
+
+def first_panorama(
+    hdr: Float[Tensor, "b 3 h w"],
+    ldr: Float[Tensor, "b 3 h w"],
+    depth: Float[Tensor, "b 1 h w"],
+    *,
+    weight: Float[Tensor, "b 1 h w"],
+    unseen_depth: float,
+) -> Panorama:
+    """State after frame 0: the recursion from nothing seen (weight 0, depth `unseen_depth` everywhere)."""
+    return Panorama(blend(hdr, ldr, weight), weight * depth + (1 - weight) * unseen_depth, weight)
+
+
+def conservative(
+    weight: Float[Tensor, "b 1 h w"],
+    depth: Float[Tensor, "b 1 h w"],
+    accumulated_depth: Float[Tensor, "b 1 h w"],
+    *,
+    margin: float = 0.25,
+) -> Float[Tensor, "b 1 h w"]:
+    """L_M = max(L_M - 1(D_hat - D < margin), 0): seen detail stays unless the new surface is clearly closer.
+
+    0.25 is the paper's margin.
+    """
+    not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
+    return torch.relu(weight - not_closer)
+
+
+def accumulate(
+    state: Panorama,
+    hdr: Float[Tensor, "b 3 h w"],
+    ldr: Float[Tensor, "b 3 h w"],
+    *,
+    depth: Float[Tensor, "b 1 h w"],
+    weight: Float[Tensor, "b 1 h w"],
+) -> Panorama:
+    """State after one more frame (eqs. videoBlend, depthAccu, maskAccu); `weight` went through `conservative`."""
+    # eq. videoBlend: L^i = L_M L_tilde + (1 - L_M) ((1 - L_hat_M) L_dot + L_hat_M L^{i-1})
+    kept = (1 - state.weight) * hdr + state.weight * state.radiance
+    radiance = weight * ldr + (1 - weight) * kept
+    # eq. depthAccu
+    accumulated_depth = weight * depth + (1 - weight) * state.depth
+    # eq. maskAccu
+    accumulated_weight = (state.weight + weight).clamp(max=1.0)
+    return Panorama(radiance, accumulated_depth, accumulated_weight)

@@ -1,0 +1,128 @@
+"""Checkpoint files: weights with what is needed to build and to judge them.
+
+One `torch.save` of {"format": 1, "form", "config", "state", "card"}. The card is the training's record in plain JSON
+values (steps, seed, data, scores); a card with steps = 0 says that the weights are untrained.
+"""
+
+import json
+import pickle
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from roomlight.errors import ModelError, OutputError
+from roomlight.images import write_whole
+from roomlight_model.config import FORMS, Form, ModelConfig
+from roomlight_model.networks import SingleModel, VideoModel, build
+
+FORMAT = 1
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """A loaded checkpoint; the model is on the CPU and in evaluation mode."""
+
+    form: Form
+    config: ModelConfig
+    model: SingleModel | VideoModel
+    card: dict[str, object]
+
+
+def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mapping[str, object]) -> None:
+    """Write a checkpoint, whole or not at all. Raises OutputError; ModelError for a card that is not JSON."""
+    try:
+        json.dumps(dict(card))
+    except (TypeError, ValueError) as error:
+        raise ModelError(f"the training card must hold JSON values only ({error})") from error
+    buffer = BytesIO()
+    torch.save(
+        {
+            "format": FORMAT,
+            "form": model.form,
+            "config": model.config.to_dict(),
+            "state": {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()},
+            "card": dict(card),
+        },
+        buffer,
+    )
+    if path.is_dir():
+        raise OutputError(f"{path}: is a folder; give the name of a checkpoint file")
+    write_whole(path, buffer.getvalue())
+
+
+def save_untrained(path: Path, form: Form, config: ModelConfig, *, seed: int = 0) -> None:
+    """Write a checkpoint of freshly initialised weights (card: steps 0), the same for the same seed."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(seed)
+        model = build(form, config)
+    save_checkpoint(path, model, card={"steps": 0, "seed": seed})
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read a checkpoint without running any code in it. Raises ModelError, naming the file and what is wrong."""
+    raw = _read(path)
+    if not isinstance(raw, dict) or raw.get("format") is None:
+        raise ModelError(f"{path}: not a RoomLight checkpoint (it has no 'format')")
+    if raw["format"] != FORMAT:
+        raise ModelError(f"{path}: checkpoint format {raw['format']!r}; this version reads format {FORMAT}")
+    missing = [key for key in ("form", "config", "state", "card") if key not in raw]
+    if missing:
+        raise ModelError(f"{path}: the checkpoint lacks {', '.join(missing)}; it was not written whole")
+    form, card, state = raw["form"], raw["card"], raw["state"]
+    if form not in FORMS:
+        raise ModelError(f"{path}: the checkpoint's form is {form!r}, not one of {', '.join(FORMS)}")
+    if not isinstance(card, dict) or not isinstance(state, dict):
+        raise ModelError(f"{path}: the checkpoint's card and state must be mappings")
+    try:
+        config = ModelConfig.from_dict(raw["config"])
+    except ModelError as error:
+        raise ModelError(f"{path}: {error}") from error
+    model = build(form, config)
+    _check_state(path, state, model.state_dict())
+    model.load_state_dict(state)
+    return Checkpoint(form, config, model.eval(), card)
+
+
+def _read(path: Path) -> object:
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror or error})") from error
+    if not zipfile.is_zipfile(BytesIO(data)):
+        raise ModelError(f"{path}: not a PyTorch checkpoint, or a truncated one")
+    try:
+        return torch.load(BytesIO(data), weights_only=True, map_location="cpu")
+    except (
+        pickle.UnpicklingError,
+        RuntimeError,
+        EOFError,
+        KeyError,
+        ValueError,
+        zipfile.BadZipFile,
+    ) as error:
+        reason = str(error).strip().split("\n")[0] or type(error).__name__
+        raise ModelError(f"{path}: does not load as a checkpoint of plain tensors ({reason})") from error
+
+
+def _check_state(path: Path, given: Mapping[object, object], wanted: Mapping[str, Tensor]) -> None:
+    """Say in one line what does not fit: PyTorch's own message lists every tensor."""
+    missing, extra = sorted(set(wanted) - set(given)), sorted(str(name) for name in set(given) - set(wanted))
+    if missing or extra:
+        raise ModelError(
+            f"{path}: the weights do not fit the configuration: {len(missing)} missing ({missing[:1]}), "
+            f"{len(extra)} unknown ({extra[:1]})"
+        )
+    for name, tensor in wanted.items():
+        value = given[name]
+        if not isinstance(value, Tensor) or value.shape != tensor.shape or not value.is_floating_point():
+            shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
+            raise ModelError(
+                f"{path}: weight {name} is {shape}, the configuration asks for {tuple(tensor.shape)}"
+            )
+        if not torch.isfinite(value).all():
+            raise ModelError(f"{path}: weight {name} holds NaN or infinity; the training diverged")

@@ -1,0 +1,93 @@
+"""Building blocks of both networks: convolutions in 3D and on panoramas, resizing, the convolutional GRU.
+
+Chosen so that a graph exports and runs well in ONNX Runtime: every convolution has a bias (onnxscript writes
+Conv3d without one with a wrong shape), sizes grow by Resize and never by a transposed convolution.
+"""
+
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn import functional
+
+LEAK = 0.1
+"""Slope of the leaky ReLU below 0. At 8 to 16 channels a plain ReLU that dies takes a tenth of the layer with it."""
+
+
+def conv3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Conv3d:
+    """A 3D convolution; kernel 3 (or 1) keeps the size, kernel 4 with stride 2 halves it, rounding down."""
+    conv = nn.Conv3d(inputs, outputs, kernel, stride, padding=(kernel - 1) // 2, bias=True)
+    _initialise(conv)
+    return conv
+
+
+class PanoramaConv(nn.Module):
+    """A 2D convolution on panoramas: columns wrap around, rows are zero-padded at the poles."""
+
+    def __init__(self, inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> None:
+        """Kernel 3 (or 1) keeps the size, kernel 4 with stride 2 halves it."""
+        super().__init__()
+        self.wrap = (kernel - 1) // 2
+        self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding=(self.wrap, 0), bias=True)
+        _initialise(self.conv)
+
+    def forward(self, image: Float[Tensor, "b _ h w"]) -> Float[Tensor, "b _ _h _w"]:
+        """Wrap the columns, then convolve."""
+        if self.wrap:
+            image = torch.cat([image[..., -self.wrap :], image, image[..., : self.wrap]], dim=-1)
+        return self.conv(image)
+
+
+def block3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, groups: int = 0) -> nn.Sequential:
+    """Convolution, group normalisation where `groups` > 0, leaky ReLU."""
+    layers: list[nn.Module] = [conv3d(inputs, outputs, kernel=kernel, stride=stride)]
+    if groups:
+        layers.append(nn.GroupNorm(groups, outputs))
+    return nn.Sequential(*layers, nn.LeakyReLU(LEAK))
+
+
+def block2d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Sequential:
+    """Panorama convolution and leaky ReLU."""
+    return nn.Sequential(PanoramaConv(inputs, outputs, kernel=kernel, stride=stride), nn.LeakyReLU(LEAK))
+
+
+def resize_volume(volume: Float[Tensor, "b c _z _y _x"], size: Sequence[int]) -> Float[Tensor, "b c z y x"]:
+    """Trilinear resize to an explicit size: halving rounds down (15 -> 7), so a factor of 2 would not come back.
+
+    Measured in ONNX Runtime to the full volume, 16 channels: trilinear 7 ms, nearest 36 ms (no fast path in 3D).
+    """
+    return functional.interpolate(volume, size=tuple(size), mode="trilinear", align_corners=False)
+
+
+def resize_panorama(image: Float[Tensor, "b c _h _w"], size: Sequence[int]) -> Float[Tensor, "b c h w"]:
+    """Nearest resize: unlike bilinear it knows no border, so the result turns with the panorama."""
+    return functional.interpolate(image, size=tuple(size), mode="nearest")
+
+
+class ConvGRU(nn.Module):
+    """A gated recurrent unit (Cho et al. 2014) whose matrices are convolutions, in 2D or 3D.
+
+    The candidate is a tanh and the new state a convex mix of the old one and the candidate. With features in
+    (-1, 1), as the encoders give them, a state that starts as a feature stays in (-1, 1) however long a session.
+    """
+
+    def __init__(self, gates: nn.Module, candidate: nn.Module) -> None:
+        """Take the two convolutions: `gates` 2C -> 2C and `candidate` 2C -> C."""
+        super().__init__()
+        self.gates = gates
+        self.candidate = candidate
+
+    def forward(
+        self, hidden: Float[Tensor, "b c *space"], feature: Float[Tensor, "b c *space"]
+    ) -> Float[Tensor, "b c *space"]:
+        """h^i from h^{i-1} and f^i."""
+        keep, reset = torch.sigmoid(self.gates(torch.cat([hidden, feature], dim=1))).chunk(2, dim=1)
+        candidate = torch.tanh(self.candidate(torch.cat([reset * hidden, feature], dim=1)))
+        return keep * hidden + (1 - keep) * candidate
+
+
+def _initialise(conv: nn.Conv2d | nn.Conv3d) -> None:
+    nn.init.kaiming_normal_(conv.weight, a=LEAK)
+    if conv.bias is not None:
+        nn.init.zeros_(conv.bias)

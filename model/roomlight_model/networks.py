@@ -1,0 +1,182 @@
+"""The whole models: SingleModel for one image, VideoModel for sequences (paper, network section and its figure).
+
+The renderer and the partial mesh stand between the 3D and the 2D networks, so each model has two halves: a trainer
+calls the first, renders panoramas at its probes, and calls the second. Shapes carry a batch dimension throughout.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, first_panorama
+from roomlight_model.blend import (
+    SINGLE_PANELS,
+    UNSEEN_DEPTH,
+    VIDEO_PANELS,
+    BlendDecoder,
+    BlendEncoder,
+    BlendGRU,
+    single_panels,
+    video_panels,
+)
+from roomlight_model.config import ModelConfig
+from roomlight_model.sg import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
+
+
+class SGState(NamedTuple):
+    """What the 3D recursion hands to the next frame."""
+
+    h0: Float[Tensor, "b c0 z0 y0 x0"]
+    h1: Float[Tensor, "b c1 z1 y1 x1"]
+    volume: SGVolume
+
+
+class Observation(NamedTuple):
+    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m."""
+
+    hdr: Float[Tensor, "b 3 h w"]
+    ldr: Float[Tensor, "b 3 h w"]
+    mask: Float[Tensor, "b 1 h w"]
+    depth: Float[Tensor, "b 1 h w"]
+
+
+class BlendState(NamedTuple):
+    """What the 2D recursion of one probe hands to the next frame."""
+
+    h0: Float[Tensor, "b c0 h0 w0"]
+    h1: Float[Tensor, "b c1 h1 w1"]
+    panorama: Panorama
+
+
+class SingleModel(nn.Module):
+    """Single-view prediction: SGEncoder, SGDecoder, BlendEncoder, BlendDecoder."""
+
+    form = "single"
+
+    def __init__(self, config: ModelConfig) -> None:
+        """Build the four networks."""
+        super().__init__()
+        self.config = config
+        self.sg_encoder = SGEncoder(config.sg)
+        self.sg_decoder = SGDecoder(config.sg, recurrent=False)
+        self.blend_encoder = BlendEncoder(config.blend, panels=SINGLE_PANELS)
+        self.blend_decoder = BlendDecoder(config.blend)
+
+    def forward(self, volume: Float[Tensor, "b 5 z y x"]) -> SGVolume:
+        """V = SGDecoder(SGEncoder(V_tilde)): the lighting volume of an initial volume."""
+        f0, f1 = self.sg_encoder(volume)
+        return self.sg_decoder(f0, f1, volume)
+
+    def blend(
+        self, hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], mask: Float[Tensor, "b 1 h w"]
+    ) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
+        """(L, L_M) at a probe from the rendered HDR panorama, the partial LDR one and its mask."""
+        f0, f1 = self.blend_encoder(single_panels(hdr, ldr, mask))
+        weight = self.blend_decoder(f0, f1, mask)
+        return blend(hdr, ldr, weight), weight
+
+
+class VideoModel(nn.Module):
+    """Recurrent prediction; frame 0 goes through the single-view networks, which it holds too."""
+
+    form = "video"
+
+    def __init__(self, config: ModelConfig) -> None:
+        """Build the single-view networks, the recurrent encoder-decoders and the four GRUs."""
+        super().__init__()
+        self.config = config
+        self.single = SingleModel(config)
+        self.sg_encoder = SGEncoder(config.sg)
+        self.sg_gru0 = SGGRU(config.sg.channels, gate_kernel=config.sg.fine_gate_kernel)
+        self.sg_gru1 = SGGRU(4 * config.sg.channels)
+        self.sg_decoder = SGDecoder(config.sg, recurrent=True)
+        self.blend_encoder = BlendEncoder(config.blend, panels=VIDEO_PANELS)
+        self.blend_gru0 = BlendGRU(config.blend.channels)
+        self.blend_gru1 = BlendGRU(4 * config.blend.channels)
+        self.blend_decoder = BlendDecoder(config.blend)
+
+    def warm_start(self) -> None:
+        """Copy the single-view weights into the recurrent networks, as the paper trains them (two thirds less time).
+
+        What the single-view form does not have (V_u, the panels of memory and depth, the GRUs) keeps its start.
+        """
+        self.sg_encoder.load_state_dict(self.single.sg_encoder.state_dict())
+        self.blend_decoder.load_state_dict(self.single.blend_decoder.state_dict())
+        _copy_rows(self.sg_decoder, self.single.sg_decoder)
+        _copy_panels(self.blend_encoder, self.single.blend_encoder)
+
+    def forward(self, volumes: Float[Tensor, "b t 5 z y x"]) -> list[SGVolume]:
+        """Lighting volumes of all frames of a sequence, whose initial volumes share the first frame's grid."""
+        state = self.start(volumes[:, 0])
+        predicted = [state.volume]
+        for index in range(1, volumes.shape[1]):
+            state = self.step(volumes[:, index], state)
+            predicted.append(state.volume)
+        return predicted
+
+    def start(self, volume: Float[Tensor, "b 5 z y x"]) -> SGState:
+        """Frame 0: the single-view networks; their features become the hidden states."""
+        f0, f1 = self.single.sg_encoder(volume)
+        return SGState(f0, f1, self.single.sg_decoder(f0, f1, volume))
+
+    def step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
+        """Frame i > 0."""
+        f0, f1 = self.sg_encoder(volume)  # eq. 3dRNN
+        h0 = self.sg_gru0(state.h0, f0)
+        h1 = self.sg_gru1(state.h1, f1)
+        current = self.sg_decoder(h0, h1, volume)  # eq. 3dMerge
+        return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes))
+
+    def blend_start(self, seen: Observation) -> BlendState:
+        """Frame 0 at a probe: single-view blending; its features become the hidden states."""
+        f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
+        weight = self.single.blend_decoder(f0, f1, seen.mask)
+        panorama = first_panorama(seen.hdr, seen.ldr, seen.depth, weight=weight, unseen_depth=UNSEEN_DEPTH)
+        return BlendState(f0, f1, panorama)
+
+    def blend_step(self, seen: Observation, state: BlendState, *, margin: float) -> BlendState:
+        """Frame i > 0 at a probe; `margin` is the conservative rule's 0.25 in units of depth_max_m."""
+        panels = video_panels(
+            state.panorama.radiance,
+            seen.hdr,
+            seen.ldr,
+            mask=seen.mask,
+            depth=seen.depth,
+            accumulated_depth=state.panorama.depth,
+        )
+        f0, f1 = self.blend_encoder(panels)
+        h0 = self.blend_gru0(state.h0, f0)
+        h1 = self.blend_gru1(state.h1, f1)
+        weight = self.blend_decoder(h0, h1, seen.mask)
+        weight = conservative(weight, seen.depth, state.panorama.depth, margin=margin)
+        panorama = accumulate(state.panorama, seen.hdr, seen.ldr, depth=seen.depth, weight=weight)
+        return BlendState(h0, h1, panorama)
+
+
+def build(form: str, config: ModelConfig) -> SingleModel | VideoModel:
+    """The model of a form, with fresh weights."""
+    return SingleModel(config) if form == "single" else VideoModel(config)
+
+
+def _copy_rows(video: SGDecoder, single: SGDecoder) -> None:
+    """Copy a decoder into one with more heads: V_u is the last row and keeps its start."""
+    own, given = video.state_dict(), single.state_dict()
+    with torch.no_grad():
+        for name, value in given.items():
+            own[name][: len(value)].copy_(value)
+
+
+def _copy_panels(video: BlendEncoder, single: BlendEncoder) -> None:
+    """Copy an encoder of 8 panels into one of 13: HDR, LDR and masks sit at 3..11 there, the others start at 0."""
+    own, given = video.state_dict(), single.state_dict()
+    shared: Sequence[int] = range(3, 3 + SINGLE_PANELS)
+    with torch.no_grad():
+        for name, value in given.items():
+            if own[name].shape == value.shape:
+                own[name].copy_(value)
+            else:
+                own[name].zero_()
+                own[name][:, list(shared)] = value

@@ -1,0 +1,154 @@
+"""The 3D networks: SGEncoder, SGDecoder with its clearing and update volume, and SGGRU (paper, network section).
+
+Volumes are [batch, channel, z, y, x] in the session's volume frame. The input's channels are c (3, linear
+radiance), alpha and e (-1 where the depth map says the voxel is empty, else 0).
+"""
+
+import math
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from roomlight_model.config import SGConfig
+from roomlight_model.layers import ConvGRU, block3d, conv3d, resize_volume
+
+MAX_LOG_RADIANCE = 10.0
+"""Heads of c and w are cut off at e^10 = 22,026 x white: their sum still fits a half float (65,504)."""
+
+MAX_LOG_SHARPNESS = 7.0
+"""lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, just over a pixel of a 120-row panorama."""
+
+_START = {"alpha": -3.0, "c": math.log(0.3), "w": math.log(0.05), "sharpness": math.log(8.0)}
+"""Head biases at the start: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts as straight up
+in the volume frame, where rooms have their lamps, which also keeps its normalisation away from 0 / 0."""
+
+
+class SGVolume(NamedTuple):
+    """A spherical Gaussian lighting volume, and the update volume where a recurrent decoder made it."""
+
+    alpha: Float[Tensor, "b z y x"]
+    lobes: Float[Tensor, "b z y x 10"]
+    """c (3), w (3), lambda (1), s (3); the serving kernel's layout."""
+    update: Float[Tensor, "b z y x"] | None = None
+    """V_u: the share of the previous volume that is kept."""
+
+
+class SGEncoder(nn.Module):
+    """V_f0, V_f1 = SGEncoder(c, alpha, e): features at half and at an eighth of the resolution, in (-1, 1)."""
+
+    def __init__(self, config: SGConfig) -> None:
+        """Build the layers of the paper's figure at the configured width."""
+        super().__init__()
+        width = config.channels
+        groups = 8 if config.norm == "group" else 0
+        self.half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))
+        self.eighth = nn.Sequential(
+            block3d(width, 2 * width, kernel=4, stride=2, groups=groups),
+            block3d(2 * width, 2 * width, groups=groups),
+            block3d(2 * width, 4 * width, kernel=4, stride=2, groups=groups),
+            block3d(4 * width, 4 * width, groups=groups),
+            conv3d(4 * width, 4 * width),
+        )
+
+    def forward(
+        self, volume: Float[Tensor, "b 5 z y x"]
+    ) -> tuple[Float[Tensor, "b c0 z0 y0 x0"], Float[Tensor, "b c1 z1 y1 x1"]]:
+        """(f0, f1) of an initial volume."""
+        radiance, rest = volume[:, :3], volume[:, 3:]
+        # the loss compares log(L + 1); a lamp at 100 x white must not drown the walls
+        volume = torch.cat([torch.log1p(torch.relu(radiance)), rest], dim=1)
+        f0 = torch.tanh(self.half(volume))
+        f1 = torch.tanh(self.eighth(f0))
+        return f0, f1
+
+
+class SGDecoder(nn.Module):
+    """V_c, V_alpha, V_w, V_lambda, V_s (and V_u) = SGDecoder(V_f0, V_f1), cleared by V_x (1 + V_e)."""
+
+    def __init__(self, config: SGConfig, *, recurrent: bool) -> None:
+        """`recurrent` adds the head of the update volume V_u."""
+        super().__init__()
+        self.spherical_gaussians = config.spherical_gaussians
+        self.recurrent = recurrent
+        width, full = config.channels, config.full_channels
+        groups = 8 if config.norm == "group" else 0
+        self.eighth = block3d(4 * width, 2 * width, groups=groups)
+        self.room = nn.Linear(4 * width, 2 * width)
+        self.quarter = nn.Sequential(
+            block3d(2 * width, 2 * width, groups=groups), block3d(2 * width, 2 * width, groups=groups)
+        )
+        self.half = nn.Sequential(block3d(3 * width, width), block3d(width, full))
+        self.full = nn.Sequential(*(block3d(full, full) for _ in range(config.full_layers)))
+        self.heads = _heads(full, spherical_gaussians=config.spherical_gaussians, recurrent=recurrent)
+
+    def forward(
+        self,
+        f0: Float[Tensor, "b c0 z0 y0 x0"],
+        f1: Float[Tensor, "b c1 z1 y1 x1"],
+        volume: Float[Tensor, "b 5 z y x"],
+    ) -> SGVolume:
+        """The predicted volume; of `volume`, the encoder's input, only the size and e are used."""
+        # global view: every voxel hears the mean of the whole volume, for one matrix product
+        room = self.room(f1.mean(dim=(2, 3, 4)))[:, :, None, None, None]
+        x = self.eighth(f1) + room
+        x = self.quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
+        x = self.half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
+        x = self.full(resize_volume(x, volume.shape[2:]))
+        return self._activate(self.heads(x), volume[:, 4:])
+
+    def _activate(self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"]) -> SGVolume:
+        if raw.dtype in (torch.bfloat16, torch.float16):  # autocast: exp of a bf16 keeps two digits
+            raw = raw.float()
+        keep = 1 + empty  # V_x = V_x (1 + V_e) for every x
+        alpha = torch.sigmoid(raw[:, :1]) * keep
+        radiance = torch.exp(raw[:, 1:4].clamp(max=MAX_LOG_RADIANCE)) * keep
+        if self.spherical_gaussians:
+            intensity = torch.exp(raw[:, 4:7].clamp(max=MAX_LOG_RADIANCE))
+            sharpness = torch.exp(raw[:, 7:8].clamp(max=MAX_LOG_SHARPNESS))
+            axis = raw[:, 8:11]
+            axis = axis / torch.sqrt((axis * axis).sum(dim=1, keepdim=True) + 1e-12)
+            gaussian = torch.cat([intensity, sharpness, axis], dim=1) * keep
+        else:
+            gaussian = torch.zeros_like(radiance[:, :1]).expand(-1, 7, -1, -1, -1)
+        lobes = torch.cat([radiance, gaussian], dim=1).permute(0, 2, 3, 4, 1)  # [b, z, y, x, 10]
+        update = torch.sigmoid(raw[:, -1]) if self.recurrent else None
+        return SGVolume(alpha[:, 0], lobes, update)
+
+
+class SGGRU(ConvGRU):
+    """V_h^i = SGGRU(V_h^{i-1}, V_f^i) on either level of features."""
+
+    def __init__(self, channels: int, *, gate_kernel: int = 3) -> None:
+        """Gates of kernel 1 cut SGGRU_0 to under half; what they gate sees its neighbours all the same."""
+        super().__init__(
+            conv3d(2 * channels, 2 * channels, kernel=gate_kernel), conv3d(2 * channels, channels)
+        )
+
+
+def merge(
+    current: SGVolume, alpha_previous: Float[Tensor, "b z y x"], lobes_previous: Float[Tensor, "b z y x 10"]
+) -> SGVolume:
+    """V_x^i = V_x^i (1 - V_u^i) + V_u^i V_x^{i-1} for every x; `current` is cleared already."""
+    if current.update is None:
+        raise ValueError("only a recurrent decoder's volume can be merged: it has no update volume")
+    update = current.update
+    alpha = current.alpha * (1 - update) + update * alpha_previous
+    share = update[..., None]
+    lobes = current.lobes * (1 - share) + share * lobes_previous
+    return SGVolume(alpha, lobes, update)
+
+
+def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.Conv3d:
+    """All heads as one 1 x 1 x 1 convolution on shared features: alpha, c(3) [, w(3), lambda, s(3)] [, u]."""
+    bias = [_START["alpha"], *[_START["c"]] * 3]
+    if spherical_gaussians:
+        bias += [*[_START["w"]] * 3, _START["sharpness"], 0.0, 1.0, 0.0]
+    if recurrent:
+        bias += [0.0]
+    heads = nn.Conv3d(channels, len(bias), 1, bias=True)
+    nn.init.normal_(heads.weight, std=0.1 / math.sqrt(channels))
+    with torch.no_grad():
+        heads.bias.copy_(torch.tensor(bias))  # pyright: ignore[reportOptionalMemberAccess]
+    return heads

@@ -1,0 +1,1 @@
+"""The session engine: ONNX Runtime, NumPy and numba only; never PyTorch."""

@@ -1,0 +1,65 @@
+"""What a lighting model must do for a session: turn volumes into an SGLV, and a probe's views into HDR and weight.
+
+Two kinds stand behind it: `classical` (no networks) and `networks` (ONNX graphs). A backend holds one session's
+state; what sessions share (loaded graphs) lives outside it.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.blend import PanoramaState
+from roomlight.mesh import PartialPanorama
+from roomlight.sglv import Far, Sglv
+from roomlight.volume import VolumeGrid
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """For one probe and frame: the HDR panorama (L., everywhere) and the raw blending weight L_M (0 where unseen)."""
+
+    hdr: Float[np.ndarray, "h w 3"]
+    weight: Float[np.ndarray, "h w"]
+
+
+class ProbeMemory(Protocol):
+    """A backend's own memory of one probe (2D hidden states); opaque to the session."""
+
+
+class Backend(Protocol):
+    """One session's lighting model."""
+
+    name: str
+    far: Far
+    """How rays that leave the volume end (see `roomlight.sglv`)."""
+
+    def start(self, grid: VolumeGrid) -> None:
+        """The volume's frame is known: make the state."""
+        ...
+
+    def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
+        """Where the frame's initial volume is to be written (bound to the graphs, no copy)."""
+        ...
+
+    def update(self) -> Sglv:
+        """Take the volume in the buffer as the next frame's; return the SGLV after it."""
+        ...
+
+    def new_probe(self) -> ProbeMemory:
+        """Memory for a probe that has seen nothing."""
+        ...
+
+    def estimate(
+        self,
+        memory: ProbeMemory,
+        state: PanoramaState,
+        *,
+        rendered: Float[np.ndarray, "h w 3"],
+        transmittance: Float[np.ndarray, "h w"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Estimate:
+        """Light of one probe before this frame's details are blended into `state`."""
+        ...

@@ -1,0 +1,141 @@
+"""A model directory: the ONNX graphs that `roomlight export` writes, checked and loaded once, shared by all sessions.
+
+`model.json` names the form, the configuration, the training card and each graph's digest. Forms: `single` has
+single_{sg_encoder,sg_decoder,blend_encoder,blend_decoder}; `video` has these for its first frame and
+video_{sg_encoder,sg_gru,sg_decoder,blend_encoder,blend_gru,blend_decoder}.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import onnxruntime as ort
+from jaxtyping import Float
+
+from roomlight.errors import ModelError
+from roomlight_server.providers import Provider, open_graph, resolve_provider
+
+Form = Literal["single", "video"]
+FORMAT: Final = 1
+SINGLE_GRAPHS: Final = ("single_sg_encoder", "single_sg_decoder", "single_blend_encoder", "single_blend_decoder")
+VIDEO_GRAPHS: Final = (
+    "video_sg_encoder",
+    "video_sg_gru",
+    "video_sg_decoder",
+    "video_blend_encoder",
+    "video_blend_gru",
+    "video_blend_decoder",
+)
+SHIPPED: Final = Path(__file__).parent / "weights"
+"""Trained weights that come with the package: one directory a form."""
+
+
+class Graph:
+    """One loaded graph, run on buffers that stay where they are."""
+
+    def __init__(self, session: ort.InferenceSession, name: str) -> None:
+        """Read the static shapes of inputs and outputs."""
+        self._session = session
+        self.name = name
+        self.inputs = {node.name: tuple(node.shape) for node in session.get_inputs()}
+        self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
+        for key, shape in (self.inputs | self.outputs).items():
+            if not all(isinstance(size, int) for size in shape):
+                raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
+
+    def new_outputs(self) -> dict[str, Float[np.ndarray, "..."]]:
+        """Zeroed buffers for every output."""
+        return {name: np.zeros(shape, np.float32) for name, shape in self.outputs.items()}
+
+    def bind(
+        self, inputs: dict[str, Float[np.ndarray, "..."]], outputs: dict[str, Float[np.ndarray, "..."]]
+    ) -> "BoundGraph":
+        """Fix the buffers once: every later run reads and writes them in place, without a copy."""
+        binding = self._session.io_binding()
+        for wanted, given, bind in (
+            (self.inputs, inputs, binding.bind_ortvalue_input),
+            (self.outputs, outputs, binding.bind_ortvalue_output),
+        ):
+            if wanted.keys() != given.keys():
+                raise ModelError(f"graph {self.name} has {sorted(wanted)}, the engine gives {sorted(given)}")
+            for name, array in given.items():
+                if array.size != int(np.prod(wanted[name])):
+                    raise ModelError(f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}")
+                shaped = array.reshape(wanted[name])
+                if not np.shares_memory(shaped, array):
+                    raise ModelError(f"graph {self.name}: the buffer for {name} is not contiguous")
+                bind(name, ort.OrtValue.ortvalue_from_numpy(shaped))
+        return BoundGraph(self._session, binding, (*inputs.values(), *outputs.values()))
+
+
+@dataclass(frozen=True)
+class BoundGraph:
+    """A graph with its buffers; `arrays` keeps them alive, because ONNX Runtime holds addresses alone."""
+
+    session: ort.InferenceSession
+    binding: ort.IOBinding
+    arrays: tuple[Float[np.ndarray, "..."], ...]
+
+    def run(self) -> None:
+        """Run once on the bound buffers."""
+        self.session.run_with_iobinding(self.binding)
+
+
+@dataclass(frozen=True)
+class LightingGraphs:
+    """A loaded model directory."""
+
+    path: Path
+    form: Form
+    card: dict[str, Any]
+    provider: Literal["cpu", "openvino"]
+    graphs: dict[str, Graph]
+
+    @property
+    def volume_shape(self) -> tuple[int, int, int]:
+        """(z, y, x) of the volumes the graphs were exported for."""
+        z, y, x = self.graphs["single_sg_encoder"].inputs["volume"][-3:]
+        return z, y, x
+
+    @property
+    def panorama_height(self) -> int:
+        """Height of the panoramas the blending graphs were exported for."""
+        return self.graphs["single_blend_encoder"].inputs["panels"][-2]
+
+
+def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: bool = False) -> LightingGraphs:
+    """Load and check a model directory.
+
+    Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the weights were
+    never trained and `allow_untrained` does not say that this is meant.
+    """
+    index_path = path / "model.json"
+    try:
+        index = json.loads(index_path.read_text())
+    except OSError as error:
+        raise ModelError(f"{index_path}: cannot be read ({error.strerror}); a model directory comes from `roomlight export`") from error
+    except ValueError as error:
+        raise ModelError(f"{index_path}: is not JSON ({error})") from error
+    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
+        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
+    form: Form = index["form"]
+    card: dict[str, Any] = dict(index.get("card") or {})
+    if not card.get("steps") and not allow_untrained:
+        raise ModelError(
+            f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), their light would be noise; "
+            "pass --allow-untrained if that is what you want"
+        )
+    resolved = resolve_provider(provider)
+    graphs: dict[str, Graph] = {}
+    for name in SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ()):
+        file = path / f"{name}.onnx"
+        entry = index.get("graphs", {}).get(name)
+        if entry is None or not file.is_file():
+            raise ModelError(f"{file}: missing; export the checkpoint again")
+        if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
+            raise ModelError(f"{file}: is not the graph that {index_path.name} names (digest differs); export again")
+        graphs[name] = Graph(open_graph(file, resolved), name)
+    return LightingGraphs(path, form, card, resolved, graphs)

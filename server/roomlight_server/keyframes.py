@@ -1,0 +1,80 @@
+"""A bounded store of keyframes, chosen for coverage: what a probe first asked about late is caught up from.
+
+Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.mesh import FrameMesh
+from roomlight.volume import VolumeGrid
+
+DEFAULT_KEYFRAMES: Final = 24
+"""With its tree a keyframe takes about 6 MB; 24 of them cover two turns around a room at 58 degrees of view."""
+WORTH_KEEPING: Final = 0.04
+"""A frame enters if this share of its cells is in no keyframe yet: 4 % is a turn of about 2.5 degrees."""
+_CELL: Final = 2
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame's mesh and the cells it covers."""
+
+    index: int
+    mesh: FrameMesh
+    cells: Bool[np.ndarray, "cells"]
+
+
+class KeyframeStore:
+    """At most `capacity` keyframes, in order of time; the one that covers least on its own makes room."""
+
+    def __init__(self, grid: VolumeGrid, capacity: int = DEFAULT_KEYFRAMES) -> None:
+        """An empty store for frames of this volume."""
+        if capacity < 1:
+            raise ValueError(f"a keyframe store holds at least 1 frame, asked for {capacity}")
+        self._grid = grid
+        self.capacity = capacity
+        self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
+        self._keyframes: list[Keyframe] = []
+
+    def __len__(self) -> int:
+        """Keyframes held."""
+        return len(self._keyframes)
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        """Keyframes in order of time, as they are now: offers during a catch-up do no harm."""
+        return iter(tuple(self._keyframes))
+
+    def offer(self, index: int, mesh: FrameMesh) -> bool:
+        """Keep the frame if it shows something new; returns whether it was kept."""
+        cells = self._cells_of(mesh.vertices[mesh.known])
+        total = int(cells.sum())
+        if total == 0 or int((cells & (self._counts == 0)).sum()) < WORTH_KEEPING * total:
+            return False
+        self._keyframes.append(Keyframe(index, mesh, cells))
+        self._counts += cells
+        if len(self._keyframes) > self.capacity:
+            alone = [int((key.cells & (self._counts == 1)).sum()) for key in self._keyframes]
+            dropped = self._keyframes.pop(int(np.argmin(alone)))
+            self._counts -= dropped.cells
+            return dropped.index != index
+        return True
+
+    def covered_cells(self) -> int:
+        """Cells that at least one keyframe shows."""
+        return int((self._counts > 0).sum())
+
+    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "cells"]:
+        grid = self._grid
+        local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
+        cells = ((local - grid.lower_m) / (grid.voxel_m * _CELL)).astype(np.int64)
+        shape = [-(-n // _CELL) for n in grid.shape]
+        inside = ((local >= grid.lower_m) & (local < grid.upper_m)).all(axis=-1)
+        x, y, z = cells[inside].T
+        covered = np.zeros(len(self._counts), bool)
+        covered[(z * shape[1] + y) * shape[2] + x] = True
+        return covered

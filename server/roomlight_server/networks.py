@@ -1,0 +1,170 @@
+"""The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
+
+Single view: every frame is encoded and decoded alone. Video: the first frame goes through the single-view graphs and
+its features become the hidden states (h = f); from then on encoder, GRU, decoder, and the decoder merges with the
+SGLV before by V_u. Every state has two buffers, and each frame's graphs read one and write the other: nothing is copied.
+"""
+
+from dataclasses import dataclass, field
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.blend import PanoramaState
+from roomlight.errors import ModelError
+from roomlight.mesh import PartialPanorama
+from roomlight.sglv import Far, Sglv
+from roomlight.volume import VolumeGrid
+from roomlight_server.backend import Estimate, ProbeMemory
+from roomlight_server.graphs import BoundGraph, LightingGraphs
+
+Arrays = dict[str, Float[np.ndarray, "..."]]
+
+
+class NetworkBackend:
+    """One session's state on shared graphs."""
+
+    far: Far = "boundary"
+
+    def __init__(self, graphs: LightingGraphs) -> None:
+        """States are allocated when the first frame has fixed the volume."""
+        self._graphs = graphs
+        self.name = graphs.form
+
+    def start(self, grid: VolumeGrid) -> None:
+        """Allocate and bind the 3D states."""
+        g = self._graphs.graphs
+        if tuple(grid.shape) != self._graphs.volume_shape:
+            raise ModelError(
+                f"{self._graphs.path}: exported for volumes of {self._graphs.volume_shape}, this session's is {grid.shape}"
+            )
+        self._volume = np.zeros((5, *grid.shape), np.float32)
+        self._frames = 0
+        sglv = [g["single_sg_decoder"].new_outputs() for _ in range(2)]
+        self._sglv = [Sglv(grid, out["alpha"], out["lobes"]) for out in sglv]
+        features = g["single_sg_encoder"].new_outputs()
+        self._first = [
+            g["single_sg_encoder"].bind({"volume": self._volume}, features),
+            g["single_sg_decoder"].bind({**features, "volume": self._volume}, sglv[0]),
+        ]
+        self._next: list[list[BoundGraph]] = []
+        if self._graphs.form == "video":
+            hidden = [{"h0": features["f0"], "h1": features["f1"]}]  # after the first frame, h = f
+            hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
+            fresh = g["video_sg_encoder"].new_outputs()
+            encode = g["video_sg_encoder"].bind({"volume": self._volume}, fresh)
+            for old, new in ((0, 1), (1, 0)):
+                h_next = {f"{key}_next": array for key, array in hidden[new].items()}
+                before = {"alpha_previous": sglv[old]["alpha"], "lobes_previous": sglv[old]["lobes"]}
+                self._next.append(
+                    [
+                        encode,
+                        g["video_sg_gru"].bind({**hidden[old], **fresh}, h_next),
+                        g["video_sg_decoder"].bind({**hidden[new], **before, "volume": self._volume}, sglv[new]),
+                    ]
+                )
+
+    def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
+        """The encoder's bound input."""
+        return self._volume
+
+    def update(self) -> Sglv:
+        """Run this frame's graphs on the volume in the buffer."""
+        if self._frames == 0 or self._graphs.form == "single":
+            steps, result = self._first, self._sglv[0]
+        else:
+            turn = (self._frames - 1) % 2
+            steps, result = self._next[turn], self._sglv[1 - turn]
+        for step in steps:
+            step.run()
+        self._frames += 1
+        return result
+
+    def new_probe(self) -> ProbeMemory:
+        """2D hidden states for one probe, bound."""
+        return _ProbeNetworks(self._graphs)
+
+    def estimate(
+        self,
+        memory: ProbeMemory,
+        state: PanoramaState,
+        *,
+        rendered: Float[np.ndarray, "h w 3"],
+        transmittance: Float[np.ndarray, "h w"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Estimate:
+        """HDR: the SGLV as rendered. Weight: the blending network's."""
+        del transmittance
+        assert isinstance(memory, _ProbeNetworks)
+        return Estimate(rendered, memory.weigh(state, rendered, partial, depth_max_m))
+
+
+@dataclass
+class _ProbeNetworks:
+    """One probe's blending graphs with their buffers; panoramas of other heights are resampled for the weights alone."""
+
+    graphs: LightingGraphs
+    frames: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        g = self.graphs.graphs
+        self._height = self.graphs.panorama_height
+        shape = (self._height, 2 * self._height)
+        self._mask = np.zeros((1, 1, *shape), np.float32)
+        self._weight = np.zeros((1, 1, *shape), np.float32)
+        self._panels8 = np.zeros((1, 8, *shape), np.float32)
+        features = g["single_blend_encoder"].new_outputs()
+        self._first = [
+            g["single_blend_encoder"].bind({"panels": self._panels8}, features),
+            g["single_blend_decoder"].bind({**features, "mask": self._mask}, {"weight": self._weight}),
+        ]
+        self._next: list[list[BoundGraph]] = []
+        if self.graphs.form == "video":
+            self._panels13 = np.zeros((1, 13, *shape), np.float32)
+            hidden = [{"h0": features["f0"], "h1": features["f1"]}]
+            hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
+            fresh = g["video_blend_encoder"].new_outputs()
+            encode = g["video_blend_encoder"].bind({"panels": self._panels13}, fresh)
+            for old, new in ((0, 1), (1, 0)):
+                h_next = {f"{key}_next": array for key, array in hidden[new].items()}
+                self._next.append(
+                    [
+                        encode,
+                        g["video_blend_gru"].bind({**hidden[old], **fresh}, h_next),
+                        g["video_blend_decoder"].bind({**hidden[new], "mask": self._mask}, {"weight": self._weight}),
+                    ]
+                )
+
+    def weigh(
+        self,
+        state: PanoramaState,
+        rendered: Float[np.ndarray, "h w 3"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Float[np.ndarray, "h w"]:
+        """The raw blending weight L_M for this frame, 0 where the frame saw nothing."""
+        mask = partial.mask.astype(np.float32)
+        first = self.frames == 0 or self.graphs.form == "single"
+        panels = [rendered, partial.radiance, mask, 1 - mask]
+        if not first:
+            panels = [state.radiance, *panels, partial.depth_m / depth_max_m, state.depth_m / depth_max_m]
+        target = (self._panels8 if first else self._panels13)[0]
+        channel = 0
+        for panel in panels:
+            for plane in np.moveaxis(np.atleast_3d(panel), -1, 0):
+                target[channel] = self._resample(plane, self._height)
+                channel += 1
+        self._mask[0, 0] = self._resample(mask, self._height)
+        for step in self._first if first else self._next[(self.frames - 1) % 2]:
+            step.run()
+        self.frames += 1
+        return self._resample(self._weight[0, 0], mask.shape[0]) * mask
+
+    @staticmethod
+    def _resample(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "h2 w2"]:
+        if plane.shape[0] == height:
+            return plane
+        interpolation = cv2.INTER_AREA if plane.shape[0] > height else cv2.INTER_LINEAR
+        return cv2.resize(np.ascontiguousarray(plane), (2 * height, height), interpolation=interpolation)

@@ -1,0 +1,279 @@
+"""One stream of frames and the light it reveals: the engine's only door.
+
+    session = Session(SessionOptions(model="classical"))
+    for frame in open_capture(path):
+        session.push(frame)
+    light = session.light_at((0.2, -0.1, 0.5))
+
+Positions are world metres, y up. Light is relative linear RGB (see `roomlight.conventions`). A session is not
+thread-safe: its owner serialises the calls.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.blend import PanoramaState, accumulate
+from roomlight.depth import UnknownDepth, with_unknown_depth
+from roomlight.errors import ModelError, ProbeError
+from roomlight.frame import Frame
+from roomlight.mesh import FrameMesh
+from roomlight.sglv import Sglv, check_position, render_panorama
+from roomlight.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
+from roomlight_server.backend import Backend, ProbeMemory
+from roomlight_server.classical import CLIPPED_GAIN, ClassicalBackend
+from roomlight_server.graphs import SHIPPED, LightingGraphs, load_graphs
+from roomlight_server.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
+from roomlight_server.networks import NetworkBackend
+from roomlight_server.providers import Provider
+
+ModelName = Literal["auto", "classical", "single", "video"]
+Position = tuple[float, float, float]
+WORKING_SIZE = (320, 240)
+"""Frames are brought to this size (width, height), the paper's: a panorama pixel of 1.5 degrees covers eight of them."""
+
+
+@dataclass(frozen=True)
+class SessionOptions:
+    """How a session works; see each field.
+
+    model:          auto = the best trained weights that are there (video, then single), else classical.
+    weights:        a model directory of `roomlight export` instead of the shipped weights.
+    height:         of the panoramas (width is twice that).
+    keyframes:      how many frames are kept to catch up probes that are first asked about late.
+    unknown_depth:  how pixels without depth enter (see `roomlight.depth`).
+    """
+
+    model: ModelName = "auto"
+    weights: Path | None = None
+    provider: Provider = "auto"
+    allow_untrained: bool = False
+    height: int = 120
+    keyframes: int = DEFAULT_KEYFRAMES
+    unknown_depth: UnknownDepth = "rim"
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that make no panorama."""
+        if not 16 <= self.height <= 2048:
+            raise ValueError(f"panorama height must be 16 to 2048 pixels, got {self.height}")
+
+
+@dataclass(frozen=True)
+class Light:
+    """The light at one point: panorama float32 [H, 2H, 3], `observed` [H, 2H] in [0, 1] (1 = seen, 0 = inferred)."""
+
+    position: Position
+    panorama: Float[np.ndarray, "h w 3"]
+    observed: Float[np.ndarray, "h w"]
+    coverage: float
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """What one frame did: milliseconds by stage, whether it became a keyframe, each tracked probe's coverage."""
+
+    index: int
+    stage_ms: dict[str, float]
+    keyframe: bool
+    coverage: tuple[float, ...]
+
+
+@dataclass(frozen=True)
+class _Probe:
+    position: Position
+    state: PanoramaState
+    memory: ProbeMemory
+
+
+@dataclass
+class _Clock:
+    stage_ms: dict[str, float] = field(default_factory=dict[str, float])
+
+    @contextmanager
+    def stage(self, name: str):
+        began = time.perf_counter()
+        yield
+        self.stage_ms[name] = self.stage_ms.get(name, 0.0) + (time.perf_counter() - began) * 1e3
+
+
+def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
+    """The graphs that these options mean; None is the classical model. Load once, share between sessions.
+
+    Raises ModelError if a form is asked for whose weights are not there, or do not have it.
+    """
+    if options.model == "classical":
+        return None
+    if options.weights is not None:
+        graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
+        if options.model == "video" and graphs.form == "single":
+            raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
+        return replace(graphs, form="single") if options.model == "single" else graphs
+    for form in ("video", "single"):
+        if options.model in ("auto", form) and (SHIPPED / form / "model.json").is_file():
+            return load_graphs(SHIPPED / form, provider=options.provider)
+    if options.model == "auto":
+        return None
+    raise ModelError(
+        f"model '{options.model}': no trained weights come with this version; give --weights DIR (from `roomlight export`) "
+        "or use --model classical"
+    )
+
+
+class Session:
+    """A stream's whole state: SGLV, hidden states, tracked probes, keyframes."""
+
+    def __init__(self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None) -> None:
+        """Begin empty. `graphs` are shared ones, already loaded; without them the options decide. Raises ModelError."""
+        self.options = options or SessionOptions()
+        chosen = graphs or choose_graphs(self.options)
+        self._backend: Backend = NetworkBackend(chosen) if chosen else ClassicalBackend()
+        self._shape = chosen.volume_shape if chosen else VOLUME_SHAPE
+        self._grid: VolumeGrid | None = None
+        self._sglv: Sglv | None = None
+        self._latest: FrameMesh | None = None
+        self._keyframes: KeyframeStore | None = None
+        self._latest_is_keyframe = False
+        self._probes: list[_Probe] = []
+        self._waiting: list[Position] = []
+        self.frames = 0
+
+    @property
+    def model(self) -> str:
+        """The model in use: classical, single or video."""
+        return self._backend.name
+
+    @property
+    def grid(self) -> VolumeGrid | None:
+        """The volume's frame; None before the first frame."""
+        return self._grid
+
+    @property
+    def sglv(self) -> Sglv | None:
+        """The lighting volume after the last frame; None before the first. Overwritten by the next frame."""
+        return self._sglv
+
+    @property
+    def keyframes(self) -> int:
+        """Keyframes held."""
+        return len(self._keyframes) if self._keyframes else 0
+
+    def track(self, position: Position) -> int:
+        """Follow a position from now on, caught up from the keyframes; returns its handle. Raises ProbeError."""
+        x, y, z = check_position(position).tolist()
+        if self._sglv is None:  # the volume's size, and so the probe's memory, comes with the first frame
+            self._waiting.append((x, y, z))
+            return len(self._waiting) - 1
+        self._probes.append(self._new_probe((x, y, z)))
+        return len(self._probes) - 1
+
+    def push(self, frame: Frame) -> FrameReport:
+        """Take the next frame. Raises FrameError if it cannot be used; the session is then as before."""
+        clock = _Clock()
+        with clock.stage("prepare"):
+            frame = with_unknown_depth(frame.resized(*WORKING_SIZE), self.options.unknown_depth)
+            if isinstance(self._backend, ClassicalBackend):
+                frame = replace(frame, image=np.where(frame.clipped[..., None], CLIPPED_GAIN * frame.image, frame.image))
+            grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
+        if self._grid is None:
+            self._backend.start(grid)
+            self._keyframes = KeyframeStore(grid, self.options.keyframes)
+            self._grid = grid
+        assert self._keyframes is not None
+        with clock.stage("volume"):
+            far = self.options.unknown_depth != "drop"
+            initial_volume(grid, frame, far_unknown=far, out=self._backend.volume_buffer())
+        with clock.stage("sglv"):
+            self._sglv = self._backend.update()
+        with clock.stage("mesh"):
+            self._latest = FrameMesh(frame)
+            self._latest.build()
+        with clock.stage("keyframes"):
+            self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)
+        while self._waiting:
+            self._probes.append(self._fresh_probe(self._waiting.pop(0)))
+        for probe in self._probes:
+            with clock.stage("render"):
+                rendered = self._render(probe)
+            self._observe(probe, self._latest, rendered, clock)
+        self.frames += 1
+        coverage = tuple(probe.state.coverage() for probe in self._probes)
+        return FrameReport(frame.index, clock.stage_ms, self._latest_is_keyframe, coverage)
+
+    def light(self, handle: int) -> Light:
+        """The light at a tracked position, as of the last frame."""
+        if not 0 <= handle < len(self._probes):
+            state = "no frame has been pushed yet" if self._waiting else f"this session tracks {len(self._probes)}"
+            raise ProbeError(f"no light for tracked probe {handle}: {state}")
+        return self._light_of(self._probes[handle])
+
+    def light_at(self, position: Position) -> Light:
+        """The light at any position, seen through the keyframes and the last frame. Raises ProbeError before the first frame."""
+        if self._sglv is None:
+            raise ProbeError(f"no light at {position} yet: push a frame first")
+        x, y, z = check_position(position).tolist()
+        return self._light_of(self._new_probe((x, y, z)))
+
+    def lights(self) -> Sequence[Light]:
+        """The light at every tracked position, in order of their handles."""
+        return [self._light_of(probe) for probe in self._probes]
+
+    def _fresh_probe(self, position: Position) -> _Probe:
+        assert self._grid is not None
+        state = PanoramaState.fresh(self.options.height, self._grid.depth_max_m)
+        return _Probe(position, state, self._backend.new_probe())
+
+    def _new_probe(self, position: Position) -> _Probe:
+        """A probe that has seen what the keyframes and the last frame show."""
+        assert self._keyframes is not None
+        assert self._latest is not None
+        probe = self._fresh_probe(position)
+        rendered = self._render(probe)
+        clock = _Clock()
+        for keyframe in self._keyframes:
+            self._observe(probe, keyframe.mesh, rendered, clock)
+        if not self._latest_is_keyframe:
+            self._observe(probe, self._latest, rendered, clock)
+        return probe
+
+    def _render(self, probe: _Probe) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+        assert self._sglv is not None
+        return render_panorama(self._sglv, probe.position, height=self.options.height, far=self._backend.far)
+
+    def _observe(
+        self,
+        probe: _Probe,
+        mesh: FrameMesh,
+        rendered: tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]],
+        clock: _Clock,
+    ) -> None:
+        assert self._grid is not None
+        with clock.stage("partial"):
+            partial = mesh.look_from(np.asarray(probe.position), height=self.options.height)
+        with clock.stage("blend"):
+            radiance, transmittance = rendered
+            estimate = self._backend.estimate(
+                probe.memory,
+                probe.state,
+                rendered=radiance,
+                transmittance=transmittance,
+                partial=partial,
+                depth_max_m=self._grid.depth_max_m,
+            )
+            accumulate(
+                probe.state,
+                hdr=estimate.hdr,
+                detail=partial.radiance,
+                detail_depth_m=partial.depth_m,
+                weight=estimate.weight,
+            )
+
+    def _light_of(self, probe: _Probe) -> Light:
+        state = probe.state
+        return Light(probe.position, state.radiance.copy(), state.seen.copy(), state.coverage())
+
