@@ -1,15 +1,14 @@
-"""Spheres lit by a panorama: the balls shown beside results, the rendering loss, and the three-sphere
-metrics.
+"""Spheres lit by a panorama: shown beside results, and compared by the rendering loss and sphere metrics.
 
 A ball is seen orthographically along `view` (a world direction, from the camera toward the ball), world +Y
 up in the picture; image row 0 is the top. Radiance is linear. Materials:
 
-| name    | what                                                                                                 |
-|---------|------------------------------------------------------------------------------------------------------|
-| mirror  | perfect reflection                                                                                   |
-| glossy  | the paper's rendering layer: diffuse albedo 0.8 plus a GGX lobe (Karis 2013), roughness 0.2, F0 0.05 |
-| matte   | matte silver: a white GGX conductor of roughness 0.5, energy-conserving                              |
-| diffuse | white Lambertian: irradiance / pi                                                                    |
+| name    | what                                                                                             |
+|---------|--------------------------------------------------------------------------------------------------|
+| mirror  | perfect reflection                                                                               |
+| glossy  | the paper's rendering layer: diffuse albedo 0.8 + GGX lobe (Karis 2013), roughness 0.2, F0 0.05  |
+| matte   | matte silver: a white GGX conductor of roughness 0.5, energy-conserving                          |
+| diffuse | white Lambertian: irradiance / pi                                                                |
 
 A mirror, matte or diffuse ball in a constant panorama has exactly that constant everywhere (white furnace).
 """
@@ -29,22 +28,31 @@ Material = Literal["mirror", "glossy", "matte", "diffuse"]
 GLOSSY_ALBEDO: Final = 0.8
 GLOSSY_ROUGHNESS: Final = 0.2
 GLOSSY_F0: Final = 0.05
-"""Reflectance at normal incidence; the paper gives none, this is the value of its authors' public renderers."""
+"""Reflectance at normal incidence: not in the paper; 0.05 is in its authors' public renderers."""
 MATTE_ROUGHNESS: Final = 0.5
 
-_GLOSSY_SAMPLES: Final = (
-    64  # against dense integration: 0.4 % of the ball's mean off, see tests/core/test_balls.py
-)
+_GLOSSY_SAMPLES: Final = 64  # rms 0.5 % of the mean off dense integration in a real room
 _MIRROR_STRATA: Final = (
     4  # 4 x 4 rays a pixel: a pixel of a 64-px ball spans 3.6 degrees of a 1.5-degree panorama
 )
-_MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide
-_DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine
+_MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide: rms 1.2 % off, same room
+_DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine: rms 0.4 % off, same room
 _LOOKUP_COLUMNS: Final = 4096  # cv2.remap takes maps of fewer than 32768 rows and columns
 
 
+def view_toward(
+    camera_to_world: Float[np.ndarray, "4 4"], position: tuple[float, float, float]
+) -> tuple[float, float, float]:
+    """The world direction in which a camera sees a ball at `position`; its axis if it stands there."""
+    line = np.asarray(position, np.float64) - camera_to_world[:3, 3]
+    if np.linalg.norm(line) < 0.01:
+        line = -camera_to_world[:3, 2]
+    x, y, z = line.tolist()
+    return x, y, z
+
+
 class BallRenderer:
-    """Renders balls of one size for one view; what depends on the panorama's height is kept after its first use."""
+    """Renders balls of one size for one view; what depends on a panorama's height is kept after first use."""
 
     def __init__(self, view: tuple[float, float, float], *, size: int = 64) -> None:
         """`view`: world direction the camera looks along (any length but 0); `size`: pixels across."""
@@ -88,7 +96,7 @@ class BallRenderer:
     def render(
         self, panorama: Float[np.ndarray, "h w 3"], material: Material
     ) -> Float[np.ndarray, "{self.size} {self.size} 3"]:
-        """The ball's picture in linear radiance; the rim's colours continue outside the mask (use `coverage`)."""
+        """The ball's picture, linear; the rim's colours go on outside the mask (blend by `coverage`)."""
         image = np.zeros((self.size, self.size, 3), np.float32)
         image[self.mask] = self.pixels(panorama, material)
         rim = cv2.dilate(image, np.ones((3, 3), np.uint8))
@@ -111,7 +119,7 @@ class BallRenderer:
         key = (material, rows)
         if key not in self._dense:
             self._dense[key] = self._dense_weights(material, rows)
-        return self._dense[key] @ _shrink(panorama, rows).reshape(-1, 3)
+        return self._dense[key] @ resize_panorama(panorama, rows).reshape(-1, 3)
 
     def _grid(self, strata: int) -> tuple[Float[np.ndarray, "s s"], Float[np.ndarray, "s s"]]:
         ticks = (np.arange(self.size * strata, dtype=np.float64) + 0.5) / (self.size * strata) * 2 - 1
@@ -139,7 +147,7 @@ class BallRenderer:
         return self._reflect(self._normals(x, y))
 
     def _dense_weights(self, material: Material, rows: int) -> Float[np.ndarray, "n d"]:
-        """Weight of each pixel of a panorama of `rows` rows in each ball pixel; each ball pixel's sum to 1."""
+        """Weight of each pixel of a panorama of `rows` rows in each ball pixel; each row sums to 1."""
         light = panorama_directions(rows).reshape(-1, 3)
         solid_angle = np.broadcast_to(panorama_solid_angles(rows), (rows, 2 * rows)).reshape(-1)
         n_l = np.maximum(self.normals @ light.T, 0)  # [n, d]
@@ -162,7 +170,7 @@ class BallRenderer:
         level = panorama
         for lookup in self._glossy[height]:
             if lookup.rows < level.shape[0]:
-                level = _shrink(level, lookup.rows)
+                level = resize_panorama(level, lookup.rows)
             lookup.add_to(lobe, level)
         return lobe
 
@@ -248,11 +256,20 @@ class _Lookup:
             image[:, channel] += np.bincount(self.pixel, self.weight * read[:, channel], len(image))
 
 
-def _shrink(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
-    """Area mean weighted by solid angle: radiance times steradians is kept."""
+def resize_panorama(
+    panorama: Float[np.ndarray, "h w 3"], rows: int
+) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
+    """The panorama with another number of rows; as it is (not a copy) when it has them already.
+
+    Smaller: the area mean weighted by solid angle, so that the light it sheds is kept. Larger: bilinear,
+    wrapping.
+    """
     height = panorama.shape[0]
     if rows == height:
         return panorama
+    if rows > height:
+        directions = panorama_directions(rows).reshape(-1, 3)
+        return _Lookup.of(directions, height)(panorama.astype(np.float32)).reshape(rows, 2 * rows, 3)
     solid_angle = np.broadcast_to(panorama_solid_angles(height), (height, 2 * height))
     target = (2 * rows, rows)
     energy = cv2.resize(panorama * solid_angle[..., None], target, interpolation=cv2.INTER_AREA)
@@ -260,7 +277,7 @@ def _shrink(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np.ndarray
 
 
 def _ggx(n_h: Float[np.ndarray, "*shape"], alpha: float) -> Float[np.ndarray, "*shape"]:
-    """GGX (Trowbridge-Reitz) distribution of half vectors, with alpha = roughness squared as in Karis 2013."""
+    """GGX (Trowbridge-Reitz) distribution of half vectors; alpha is roughness squared as in Karis 2013."""
     return alpha**2 / (np.pi * (n_h * n_h * (alpha**2 - 1) + 1) ** 2)
 
 

@@ -19,7 +19,7 @@ from roomlight.frame import Frame
 Position = tuple[float, float, float]
 
 SUPERSAMPLING = 2
-"""Points are splatted into a z-buffer this many times finer, and then averaged: point samples alias otherwise."""
+"""Points are splatted into a z-buffer this many times finer, then averaged: point samples alias otherwise."""
 
 
 class MeanColour:
@@ -47,7 +47,7 @@ class MeanColour:
 
 @dataclass
 class _View:
-    """The z-buffer of one position: nearest distance (inf = unseen) and its colour, and the frames splatted so far."""
+    """The z-buffer of one position: nearest distance (inf = unseen), its colour, and the frames splatted."""
 
     distance_m: Float[np.ndarray, " n"]
     colour: Float[np.ndarray, "n 3"]

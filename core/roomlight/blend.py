@@ -1,8 +1,8 @@
 """What a probe keeps between frames, and how a frame's details enter it (paper, section 4.2).
 
-State: L (radiance), the accumulated depth panorama and the accumulated blending weight. Depth is distance along the
-ray in metres; where nothing was seen yet it is `UNSEEN_DEPTH` x D_max, farther than anything in the volume, so that
-whatever is seen first comes in.
+State: L (radiance), the accumulated depth panorama and the accumulated blending weight. Depth is distance
+along the ray in metres; where nothing was seen yet it is `UNSEEN_DEPTH` x D_max, farther than anything in the
+volume, so that whatever is seen first comes in.
 """
 
 from dataclasses import dataclass
@@ -16,9 +16,19 @@ from roomlight.kernels.blend import accumulate_rows
 from roomlight.threads import shard
 
 CLOSER_M: Final = 0.25
-"""A newly seen surface replaces what was seen before only if it is closer by this much (the paper's 0.25 m)."""
+"""A newly seen surface replaces what was seen before only if it is this much closer (the paper's value)."""
 UNSEEN_DEPTH: Final = 4.0
 """In units of D_max; the volume's diagonal is 3.2 D_max."""
+
+
+
+def farthest_depth_m(depth_max_m: float) -> float:
+    """Surfaces beyond this are taken to be here: a little nearer than "unseen", so that they too come in.
+
+    Without it a session that begins with a close-up (small D_max) would never show the rest of its room.
+    """
+    unseen_m = UNSEEN_DEPTH * depth_max_m
+    return min(0.8 * unseen_m, unseen_m - 2 * CLOSER_M)
 
 
 @dataclass(frozen=True)
@@ -58,7 +68,16 @@ def accumulate(
     L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
     D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame saw nothing.
     """
-    arguments = (state.radiance, state.depth_m, state.seen, hdr, detail, detail_depth_m, weight, np.float32(CLOSER_M))
+    arguments = (
+        state.radiance,
+        state.depth_m,
+        state.seen,
+        hdr,
+        detail,
+        detail_depth_m,
+        weight,
+        np.float32(CLOSER_M),
+    )
     shard(lambda start, stop: accumulate_rows(*arguments, start, stop), state.seen.shape[0])
 
 

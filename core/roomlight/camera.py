@@ -34,12 +34,12 @@ class Intrinsics:
             raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
 
     def resized(self, width: int, height: int) -> "Intrinsics":
-        """The same camera for the same view resampled to another pixel size (K scales with the size ratio)."""
+        """The same camera for the same view resampled to another pixel size (K scales with the ratio)."""
         sx, sy = width / self.width, height / self.height
         return Intrinsics(self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height)
 
     def rays(self) -> Float[np.ndarray, "{self.height} {self.width} 3"]:
-        """Camera-frame rays through the pixel centres, scaled so that z = -1: `depth * ray` is the point seen."""
+        """Camera-frame rays through the pixel centres with z = -1: `depth * ray` is the point seen."""
         x = (np.arange(self.width, dtype=np.float32) + 0.5 - self.cx) / self.fx
         y = -(np.arange(self.height, dtype=np.float32) + 0.5 - self.cy) / self.fy
         rays = np.empty((self.height, self.width, 3), np.float32)
@@ -67,8 +67,8 @@ class Intrinsics:
 def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
     """Return the pose as a clean float64 rigid transform, or raise ValueError saying what is wrong with it.
 
-    Rounding in text files is repaired (nearest rotation by SVD); NaN, inf, mirror images, scales and shears are
-    not: they are lost tracking or a misread convention.
+    Rounding in text files is repaired (nearest rotation by SVD); NaN, inf, mirror images, scales and shears
+    are not: they are lost tracking or a misread convention.
     """
     matrix = np.asarray(camera_to_world, np.float64)
     if matrix.shape != (4, 4):
@@ -101,7 +101,7 @@ def rigid_inverse(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4
 def pose_from_quaternion(
     quaternion_xyzw: Float[np.ndarray, "4"], translation: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """Rigid 4 x 4 transform from a quaternion (x, y, z, w; any length but zero) and a translation in metres."""
+    """Rigid 4 x 4 transform from a quaternion (x, y, z, w; any length but zero) and metres."""
     q = np.asarray(quaternion_xyzw, np.float64)
     norm = np.linalg.norm(q)
     if not np.isfinite(norm) or norm < 1e-6:

@@ -20,7 +20,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 OPENCV_TO_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Right-multiply a camera-to-world pose given in OpenCV axes (x right, y down, z forward) by this to get ours."""
+"""Right-multiply a camera-to-world pose given in OpenCV axes (x right, y down, z forward) by this to get
+ours."""
 
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Rec. 709 luminance weights of linear RGB."""

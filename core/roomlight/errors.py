@@ -14,7 +14,8 @@ Every message says what was wrong, with which value, and what to do.
 
 
 class RoomLightError(Exception):
-    """Base of all errors that RoomLight raises on purpose; the command line prints them without a traceback."""
+    """Base of all errors that RoomLight raises on purpose; the command line prints them without a
+    traceback."""
 
 
 class CaptureError(RoomLightError):

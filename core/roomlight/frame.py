@@ -10,7 +10,7 @@ from roomlight.camera import Intrinsics, check_rigid
 from roomlight.errors import FrameError
 
 CLIPPED_SRGB8 = 250
-"""An 8-bit value from here up is taken as clipped: JPEG ringing and sensor noise keep true white below 255."""
+"""An 8-bit value from here up is taken as clipped: JPEG ringing and noise keep true white below 255."""
 
 
 @dataclass(frozen=True)
@@ -18,7 +18,7 @@ class Frame:
     """RGB-D with a pose, in RoomLight's conventions.
 
     image:            linear RGB radiance, float32 [h, w, 3], relative to the session's reference exposure.
-    clipped:          bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least the one given.
+    clipped:          bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least this.
     depth_m:          z-depth in metres, float32 [dh, dw], 0 = unknown; same view as the image, any size.
     intrinsics:       of the image (depth's are the same, resized).
     camera_to_world:  rigid 4 x 4, float64.
@@ -49,7 +49,8 @@ class Frame:
             raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is no depth map")
         if abs(depth_width / depth_height - width / height) > 0.03 * width / height:
             raise FrameError(
-                f"{name}: depth of {depth_width} x {depth_height} has another aspect than the image of {width} x {height}"
+                f"{name}: depth of {depth_width} x {depth_height} has another aspect than the image "
+                f"of {width} x {height}"
             )
         try:
             clean = check_rigid(self.camera_to_world)
@@ -60,8 +61,8 @@ class Frame:
     def resized(self, max_width: int, max_height: int) -> "Frame":
         """This frame with image and depth brought into a box, aspect kept; never enlarged.
 
-        Colour is averaged by area in linear light; depth takes the nearest sample, because a mean across an edge
-        is a surface that does not exist.
+        Colour is averaged by area in linear light; depth takes the nearest sample, because a mean across an
+        edge is a surface that does not exist.
         """
         height, width = self.image.shape[:2]
         scale = min(1.0, max_width / width, max_height / height)
@@ -69,11 +70,17 @@ class Frame:
         image, clipped = self.image, self.clipped
         if (new_width, new_height) != (width, height):
             image = cv2.resize(image, (new_width, new_height), interpolation=cv2.INTER_AREA)
-            share = cv2.resize(clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA)
+            share = cv2.resize(
+                clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA
+            )
             clipped = share >= 0.5
         depth = self.depth_m
         if depth.shape[0] > new_height or depth.shape[1] > new_width:
             depth = cv2.resize(depth, (new_width, new_height), interpolation=cv2.INTER_NEAREST_EXACT)
         return replace(
-            self, image=image, clipped=clipped, depth_m=depth, intrinsics=self.intrinsics.resized(new_width, new_height)
+            self,
+            image=image,
+            clipped=clipped,
+            depth_m=depth,
+            intrinsics=self.intrinsics.resized(new_width, new_height),
         )

@@ -3,20 +3,23 @@
 Colour comes in as linear RGB; depth as metres. Every failure is an `ImageError` that names the file.
 """
 
+import contextlib
+import os
 import struct
+import tempfile
 from pathlib import Path
 
 import cv2
 import numpy as np
 import OpenEXR
-from jaxtyping import Bool, Float, Shaped
+from jaxtyping import Bool, Float, Shaped, UInt8
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.errors import ImageError, OutputError
 from roomlight.frame import CLIPPED_SRGB8
 
 MAX_PIXELS = 64_000_000
-"""Largest image decoded (8192 x 7812): phones give up to 48 megapixels; beyond this a header is a bomb or a lie."""
+"""Largest image decoded (8192 x 7812): phones give up to 48 megapixels; a header beyond this is a bomb."""
 
 
 def read_bytes(path: Path) -> bytes:
@@ -44,7 +47,7 @@ def decode_colour(data: bytes, name: str) -> tuple[Float[np.ndarray, "h w 3"], B
         return image, np.zeros(image.shape[:2], bool)
     encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR)
     rgb = np.ascontiguousarray(encoded[..., ::-1])
-    return srgb8_to_linear(rgb), (rgb >= CLIPPED_SRGB8).any(axis=-1)
+    return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
 
 
 def read_colour(path: Path) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
@@ -56,13 +59,24 @@ def decode_depth(data: bytes, name: str, *, unit_m: float) -> Float[np.ndarray, 
     """Depth in metres (0 = unknown) from a 16-bit PNG in units of `unit_m`, or a float EXR in metres."""
     if data[:4] == b"\x76\x2f\x31\x01":
         depth = _decode_exr(data, name)[..., 0]
+        depth[depth >= 65504] = 0.0  # half's largest value and infinity both stand for "nothing hit"
     else:
         raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
         if raw.ndim != 2 or raw.dtype != np.uint16:
-            raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
+            raise ImageError(
+                f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}"
+            )
         depth = raw.astype(np.float32) * np.float32(unit_m)
         depth[raw == 65535] = 0.0
     return clean_depth(depth)
+
+
+def decode_grey8(data: bytes, name: str) -> UInt8[np.ndarray, "h w"]:
+    """An 8-bit grey image as it is stored: masks and confidence levels."""
+    raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
+    if raw.ndim != 2 or raw.dtype != np.uint8:
+        raise ImageError(f"{name}: must be an 8-bit grey image, this is {raw.dtype} with shape {raw.shape}")
+    return raw
 
 
 def clean_depth(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
@@ -80,12 +94,16 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     """An equirectangular HDR panorama (EXR or HDR), float32 linear RGB, W = 2H."""
     image, _ = read_colour(path)
     if image.shape[1] != 2 * image.shape[0]:
-        raise ImageError(f"{path}: a panorama is twice as wide as high, this is {image.shape[1]} x {image.shape[0]}")
+        raise ImageError(
+            f"{path}: a panorama is twice as wide as high, this is {image.shape[1]} x {image.shape[0]}"
+        )
     return image
 
 
-def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
-    """Write linear RGB as a half-float, ZIP-compressed EXR; whole or not at all (a temporary file is renamed).
+def write_exr(
+    path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None
+) -> None:
+    """Write linear RGB as a half-float, ZIP-compressed EXR; whole or not at all (as `write_whole`).
 
     Values beyond half's range are clipped to 65504, the largest half, so that no infinity reaches a renderer.
     """
@@ -98,7 +116,8 @@ def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[s
         OpenEXR.File(header, {"RGB": np.ascontiguousarray(half)}).write(str(temporary))
         temporary.replace(path)
     except (OSError, RuntimeError) as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it may never have been made
+            temporary.unlink()
         raise OutputError(f"{path}: cannot be written ({error})") from error
 
 
@@ -121,14 +140,17 @@ def write_whole(path: Path, data: bytes) -> None:
         temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # it may never have been made
+            temporary.unlink()
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "..."]:
     width, height = peek_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
+        raise ImageError(
+            f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read"
+        )
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
@@ -136,7 +158,9 @@ def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray
     if image is None:  # pyright: ignore[reportUnnecessaryComparison]  (OpenCV's own stub leaves the None out)
         raise ImageError(f"{name}: does not decode; the file is truncated or damaged")
     if image.shape[:2] not in ((height, width), (width, height)):  # EXIF may turn a JPEG
-        raise ImageError(f"{name}: its header says {width} x {height} but {image.shape[1]} x {image.shape[0]} decoded")
+        raise ImageError(
+            f"{name}: its header says {width} x {height} but {image.shape[1]} x {image.shape[0]} decoded"
+        )
     return image
 
 
@@ -188,16 +212,16 @@ def _decode_exr(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
     """RGB (or a single channel thrice) of an EXR's bytes, float32, NaN and negative values set to 0."""
     width, height = _exr_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
+        raise ImageError(
+            f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read"
+        )
     path = Path(name)
     own_copy = None
     if not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
-        import tempfile
-
-        handle = tempfile.NamedTemporaryFile(suffix=".exr", delete=False)
-        handle.write(data)
-        handle.close()
-        own_copy = path = Path(handle.name)
+        handle, own_name = tempfile.mkstemp(suffix=".exr")
+        os.close(handle)
+        own_copy = path = Path(own_name)
+        own_copy.write_bytes(data)
     try:
         with OpenEXR.File(str(path)) as file:
             channels = {key: np.asarray(channel.pixels) for key, channel in file.channels().items()}
@@ -206,6 +230,12 @@ def _decode_exr(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
     finally:
         if own_copy is not None:
             own_copy.unlink(missing_ok=True)
+    if any(
+        pixels.shape[:2] != (height, width) or pixels.dtype.kind not in "fu" for pixels in channels.values()
+    ):
+        raise ImageError(
+            f"{name}: the EXR is deep, subsampled or damaged; plain half or float channels are read"
+        )
     for key in ("RGB", "RGBA"):
         if key in channels:
             return _finite(np.ascontiguousarray(channels[key][..., :3], np.float32), name)

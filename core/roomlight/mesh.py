@@ -1,4 +1,4 @@
-"""The partial mesh of one frame and what a probe sees of it: LDR panorama, mask and depth panorama (paper, 4.1, 4.2).
+"""The partial mesh of one frame, and what a probe sees of it: LDR panorama, mask, depth (paper, 4.1, 4.2).
 
 Vertices are depth pixels in world metres; a triangle never crosses a depth edge. Ray traced with Embree.
 """
@@ -18,19 +18,20 @@ from roomlight.frame import Frame
 from roomlight.threads import shard
 
 EDGE_RATIO = 1.08
-"""Neighbouring vertices farther apart in depth than this ratio are two surfaces. At a vertex every 0.36 degrees a
-plane must be seen at under 5 degrees of grazing to reach it; sofa edges against walls are at 1.2 and more."""
+"""Neighbouring vertices farther apart in depth than this ratio are two surfaces. At a vertex every 0.36
+degrees a plane must be seen at under 5 degrees of grazing to reach it; sofa edges against walls are at 1.2
+and more."""
 MAX_VERTICES = 160 * 120
-"""Vertices of a mesh at most: building Embree's tree over 153k triangles takes 126 ms, over 38k 14 ms, and a panorama of
-120 x 240 has 1.5 degrees a pixel."""
+"""Vertices of a mesh at most: building Embree's tree over 153k triangles takes 126 ms, over 38k 14 ms, and a
+panorama of 120 x 240 has 1.5 degrees a pixel."""
 
 
 @dataclass(frozen=True)
 class PartialPanorama:
     """What a probe sees of one frame's mesh.
 
-    radiance: [H, 2H, 3] linear RGB, 0 where unseen;  mask: [H, 2H] seen;  depth_m: [H, 2H] distance along the ray
-    in metres, 0 where unseen;  clipped: [H, 2H] the seen pixel was saturated in its frame.
+    radiance: [H, 2H, 3] linear RGB, 0 where unseen;  mask: [H, 2H] seen;  depth_m: [H, 2H] distance along the
+    ray in metres, 0 where unseen;  clipped: [H, 2H] the seen pixel was saturated in its frame.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
@@ -59,7 +60,10 @@ class FrameMesh:
         self._scene: EmbreeScene | None = None
 
     def build(self) -> None:
-        """Build Embree's tree now (14 ms) rather than in the first look; one ray is fired, because the build is lazy and unlocked."""
+        """Build Embree's tree now (14 ms) rather than in the first look.
+
+        One ray is fired, because the build is lazy and unlocked.
+        """
         if self._scene is None and len(self.faces):
             scene = EmbreeScene()
             TriangleMesh(scene, self.vertices, self.faces)
@@ -105,8 +109,8 @@ class FrameMesh:
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
-    """Two triangles a quad of a depth grid, counter-clockwise seen from the camera, where no corner is unknown and no
-    two corners lie across a depth edge (`EDGE_RATIO`)."""
+    """Two triangles a quad of a depth grid, counter-clockwise seen from the camera, where no corner is
+    unknown and no two corners lie across a depth edge (`EDGE_RATIO`)."""
     height, width = depth.shape
     index = np.arange(height * width, dtype=np.int32).reshape(height, width)
     a, b, c, d = index[:-1, :-1], index[1:, :-1], index[:-1, 1:], index[1:, 1:]  # a c / b d
@@ -119,10 +123,10 @@ def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
 def _vertex_grid(
     depth_m: Float[np.ndarray, "h w"], max_vertices: int
 ) -> tuple[Float[np.ndarray, "gh gw"], Float[np.ndarray, "gh gw 2"]]:
-    """Every n-th depth sample (never a mean: that would be a surface between two) and its (u, v) in the image."""
+    """Every n-th depth sample (a mean would be a surface between two) and its (u, v) in the image."""
     height, width = depth_m.shape
     stride = 1
-    while (height // stride) * (width // stride) > max_vertices:
+    while len(range(stride // 2, height, stride)) * len(range(stride // 2, width, stride)) > max_vertices:
         stride += 1
     rows, columns = np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride)
     u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)

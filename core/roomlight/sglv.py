@@ -1,11 +1,13 @@
-"""The spherical Gaussian lighting volume and its ray tracing at any point (paper, section 3, equations 1 and 2).
+"""The spherical Gaussian lighting volume and its ray tracing at any point (paper, section 3).
 
-Frame: the volume's (see `roomlight.volume`); directions s of the lobes too. A voxel holds colour c(3), opacity
-alpha, and one lobe: weight w(3), bandwidth lambda, unit direction s(3). Radiance is relative linear RGB.
+Frame: the volume's (see `roomlight.volume`); directions s of the lobes too. A voxel holds colour c(3),
+opacity alpha, and one lobe: weight w(3), bandwidth lambda, unit direction s(3). Radiance is relative linear
+RGB.
 
-Samples stand at t = t_enter + (i + 0.5) step along a ray, one voxel side apart, until the ray leaves the volume
-(122 at most across its diagonal, hence the default of 128). What is left of a ray there takes the values at
-the exit point (`far="boundary"`), so that the volume's shell acts as distant light; `far="none"` is equation 1 alone.
+Samples stand at t = t_enter + (i + 0.5) step along a ray, one voxel side apart, until the ray leaves the
+volume (122 at most across its diagonal, hence the default of 128). What is left of a ray there takes the
+values at the exit point (`far="boundary"`), so that the volume's shell acts as distant light; `far="none"` is
+equation 1 alone.
 """
 
 from dataclasses import dataclass
@@ -29,7 +31,7 @@ MAX_SAMPLES = 128
 
 @dataclass(frozen=True)
 class Sglv:
-    """A lighting volume: alpha float32 [z, y, x] and lobes float32 [z, y, x, 10]; contiguous, bound to the graphs."""
+    """Alpha float32 [z, y, x] and lobes float32 [z, y, x, 10]; contiguous, bound to the graphs."""
 
     grid: VolumeGrid
     alpha: Float[np.ndarray, "z y x"]
@@ -52,7 +54,9 @@ def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarr
     """The position as float64, or ProbeError if it is not three finite numbers within 1 km of the origin."""
     position = np.asarray(position_world, np.float64)
     if position.shape != (3,) or not np.isfinite(position).all() or np.abs(position).max() > 1000:
-        raise ProbeError(f"probe position {position_world} must be three finite numbers in metres, within 1 km")
+        raise ProbeError(
+            f"probe position {position_world} must be three finite numbers in metres, within 1 km"
+        )
     return position
 
 
@@ -64,8 +68,8 @@ def render_rays(
     samples: int = MAX_SAMPLES,
     step_m: float | None = None,
     far: Far = "boundary",
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
-    """Radiance [n, 3] along unit world directions from a world position (metres), and each ray's residual transmittance.
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Radiance [n, 3] along unit world directions from a world position (metres), and each ray's remainder.
 
     A ray that misses the volume (position outside) gets radiance 0 and transmittance 1.
     """
@@ -96,7 +100,7 @@ def render_rays(
 def render_panorama(
     sglv: Sglv, position_world: tuple[float, float, float], *, height: int = 120, far: Far = "boundary"
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """HDR panorama [H, 2H, 3] at a world position, and the residual transmittance [H, 2H] (1 = saw nothing)."""
+    """HDR panorama [H, 2H, 3] at a world position, and what is left of each ray [H, 2H] (1 = saw nothing)."""
     radiance, transmittance = render_rays(sglv, position_world, _directions(height), far=far)
     return radiance.reshape(height, 2 * height, 3), transmittance.reshape(height, 2 * height)
 
@@ -109,7 +113,7 @@ def render_rays_reference(
     samples: int = MAX_SAMPLES,
     step_m: float | None = None,
     far: Far = "boundary",
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     """Readable twin of `render_rays`: equations 1 and 2 in float64 NumPy, no early exit."""
     grid = sglv.grid
     step = grid.edge_m if step_m is None else step_m
@@ -141,7 +145,7 @@ def render_rays_reference(
 
 
 def _trilinear(sglv: Sglv, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 11"]:
-    """(alpha, c, w, lambda, s) at points of the volume frame; beyond the outermost centres the values are held."""
+    """(alpha, c, w, lambda, s) at points of the volume frame; held beyond the outermost centres."""
     grid = sglv.grid
     counts = np.array(grid.shape[::-1])
     index = np.clip((points - grid.lower_m) / grid.voxel_m - 0.5, 0, counts - 1)
@@ -151,7 +155,9 @@ def _trilinear(sglv: Sglv, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
     result = np.zeros((len(points), 1 + LOBE_CHANNELS))
     for corner in range(8):
         bits = [(corner >> axis) & 1 for axis in range(3)]
-        weight = np.prod([fraction[:, a] if bit else 1 - fraction[:, a] for a, bit in enumerate(bits)], axis=0)
+        weight = np.prod(
+            [fraction[:, a] if bit else 1 - fraction[:, a] for a, bit in enumerate(bits)], axis=0
+        )
         i, j, k = (high[:, a] if bit else low[:, a] for a, bit in enumerate(bits))
         result[:, 0] += weight * sglv.alpha[k, j, i]
         result[:, 1:] += weight[:, None] * sglv.lobes[k, j, i]

@@ -1,7 +1,8 @@
-"""The lighting volume's frame and its initialisation from one RGB-D frame (paper, section 4.1 and its volume table).
+"""The lighting volume's frame, and its initialisation from one RGB-D frame (paper, 4.1 and its volume table).
 
-Frame: the volume's axes are the first camera's (x right, y up, z backward), its origin is that camera's centre.
-Arrays are [z, y, x]; voxel (k, j, i) has its centre at `lower + (index + 0.5) * voxel`. Units: metres.
+Frame: the volume's axes are the first camera's (x right, y up, z backward), its origin is that camera's
+centre. Arrays are [z, y, x]; voxel (k, j, i) has its centre at `lower + (index + 0.5) * voxel`. Units:
+metres.
 """
 
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ VOLUME_SHAPE: Final = (64, 60, 84)
 _RANGE: Final = np.array([[-1.1, 1.1], [-0.8, 0.8], [-1.2, 0.5]])
 """Extent along x, y, z in units of the first frame's greatest depth (the paper's table)."""
 DEPTH_MAX_QUANTILE: Final = 0.995
-"""D_max is this quantile of the known depth: one stray pixel of a sensor must not blow the whole volume up."""
+"""D_max is this quantile of the known depth: one stray pixel must not blow the whole volume up."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +86,11 @@ class VolumeGrid:
 
 
 def initial_volume(
-    grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True, out: Float[np.ndarray, "5 z y x"] | None = None
+    grid: VolumeGrid,
+    frame: Frame,
+    *,
+    far_unknown: bool = True,
+    out: Float[np.ndarray, "5 z y x"] | None = None,
 ) -> Float[np.ndarray, "5 z y x"]:
     """Initial volume of one frame: colour c (3), opacity alpha, emptiness e (paper, section 4.1), float32.
 
@@ -93,9 +98,10 @@ def initial_volume(
     alpha = clip(4((z - D)/v + 1), 0, 1) in front of the surface and clip(4((D - z)/v + 5), 0, 1) behind it,
     c = alpha C, e = -1 where (D - z)/v > 3. Outside the frustum everything is 0.
 
-    Pixels without depth (windows, far walls) enter with D = where their ray leaves the volume, less one voxel, and
-    claim no emptiness (e = 0): they are mostly the brightest light of the room. `far_unknown=False` drops them,
-    for comparison. `out` is written in place when given (the session's bound buffer).
+    Pixels without depth (windows, far walls) enter with D = where their ray leaves the volume, less one
+    voxel, and claim no emptiness (e = 0): they are mostly the brightest light of the room.
+    `far_unknown=False` drops them, for comparison. `out` is written in place when given (the session's bound
+    buffer).
     """
     volume = np.empty((5, *grid.shape), np.float32) if out is None else out
     camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
@@ -118,7 +124,9 @@ def initial_volume(
     return volume
 
 
-def initial_volume_reference(grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True) -> Float[np.ndarray, "5 z y x"]:
+def initial_volume_reference(
+    grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True
+) -> Float[np.ndarray, "5 z y x"]:
     """Readable twin of `initial_volume` in plain NumPy, equation by equation."""
     camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
     centres = grid.centres_m()
@@ -158,7 +166,7 @@ def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -
 
 def _bilinear_known(
     depth_m: Float[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, "n"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
     """Bilinear depth over the known samples alone, and the share of the weight that was known."""
     corners, weights = _corners(depth_m.shape[1], depth_m.shape[0], uv)
     total, share = np.zeros(len(uv)), np.zeros(len(uv))
@@ -182,12 +190,14 @@ def _corners(
 
 
 def _exit_depth(
-    grid: VolumeGrid, camera: Float[np.ndarray, "3"], points: Float[np.ndarray, "n 3"], depth: Float[np.ndarray, "n"]
-) -> Float[np.ndarray, "n"]:
+    grid: VolumeGrid,
+    camera: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "n 3"],
+    depth: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
     """z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
     direction = points - camera
     with np.errstate(divide="ignore", invalid="ignore"):
         wall = np.where(direction > 0, grid.upper_m, grid.lower_m)
         reach = np.where(np.abs(direction) > 1e-9, (wall - camera) / direction, np.inf)
     return depth * reach.min(axis=-1)
-

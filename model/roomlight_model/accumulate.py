@@ -1,7 +1,7 @@
 """The recursion over a probe's panoramas in PyTorch: the conservative rule, blending and accumulation.
 
-The differentiable twin of `roomlight.blend`, for training. Panoramas are [batch, channel, H, 2H], world-aligned, linear
-radiance; depths are distances from the probe, all in one unit, which is also the unit of the rule's margin.
+The differentiable twin of `roomlight.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
+linear; depths are distances from the probe, all in one unit, which is also that of the rule's margin.
 """
 
 from typing import NamedTuple
@@ -47,7 +47,7 @@ def conservative(
 ) -> Float[Tensor, "b 1 h w"]:
     """L_M = max(L_M - 1(D_hat - D < margin), 0): seen detail stays unless the new surface is clearly closer.
 
-    0.25 is the paper's margin.
+    0.25 is the paper's margin; `roomlight.blend` takes it in metres.
     """
     not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
     return torch.relu(weight - not_closer)
@@ -61,7 +61,7 @@ def accumulate(
     depth: Float[Tensor, "b 1 h w"],
     weight: Float[Tensor, "b 1 h w"],
 ) -> Panorama:
-    """State after one more frame (eqs. videoBlend, depthAccu, maskAccu); `weight` went through `conservative`."""
+    """State after one more frame (eqs. videoBlend, depthAccu, maskAccu); the rule is applied to `weight`."""
     # eq. videoBlend: L^i = L_M L_tilde + (1 - L_M) ((1 - L_hat_M) L_dot + L_hat_M L^{i-1})
     kept = (1 - state.weight) * hdr + state.weight * state.radiance
     radiance = weight * ldr + (1 - weight) * kept

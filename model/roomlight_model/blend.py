@@ -1,6 +1,6 @@
 """The 2D blending networks over panoramas: BlendEncoder, BlendDecoder, BlendGRU (paper, network section).
 
-Panoramas are [batch, channel, H, 2H], world-aligned; every layer treats the left and right edge as neighbours.
+Panoramas are [batch, channel, H, 2H], world-aligned; to every layer the left and right edge are neighbours.
 Radiance arrives linear; depth in units of the volume's depth_max_m.
 """
 
@@ -18,8 +18,8 @@ VIDEO_PANELS = 13
 """Video input: previous L (3), HDR (3), LDR (3), mask, 1 - mask, depth, accumulated depth."""
 
 UNSEEN_DEPTH = 4.0
-"""Accumulated depth, in units of depth_max_m, where nothing was seen yet: behind everything in the volume, so the
-conservative rule never holds back the first sight of a surface."""
+"""Accumulated depth, in units of depth_max_m, where nothing was seen yet: behind everything in the volume, so
+the conservative rule never holds back the first sight of a surface."""
 
 _RADIANCE_CHANNELS = {SINGLE_PANELS: 6, VIDEO_PANELS: 9}
 
@@ -32,8 +32,8 @@ class BlendEncoder(nn.Module):
         super().__init__()
         width = config.channels
         self.radiance_channels = _RADIANCE_CHANNELS[panels]
-        self.half = nn.Sequential(block2d(panels, width, kernel=4, stride=2), PanoramaConv(width, width))
-        self.eighth = nn.Sequential(
+        self.at_half = nn.Sequential(block2d(panels, width, kernel=4, stride=2), PanoramaConv(width, width))
+        self.at_eighth = nn.Sequential(
             block2d(width, 2 * width, kernel=4, stride=2),
             block2d(2 * width, 2 * width),
             block2d(2 * width, 4 * width, kernel=4, stride=2),
@@ -45,10 +45,10 @@ class BlendEncoder(nn.Module):
     ) -> tuple[Float[Tensor, "b c0 h0 w0"], Float[Tensor, "b c1 h1 w1"]]:
         """(F0, F1) of the stacked panoramas, radiance channels first."""
         count = self.radiance_channels
-        # HDR and LDR in the same logarithm, as the loss compares them: where they agree, their difference is 0
+        # HDR and LDR in the same logarithm, the loss's: where they agree, their difference is 0
         panels = torch.cat([torch.log1p(torch.relu(panels[:, :count])), panels[:, count:]], dim=1)
-        f0 = torch.tanh(self.half(panels))
-        f1 = torch.tanh(self.eighth(f0))
+        f0 = torch.tanh(self.at_half(panels))
+        f1 = torch.tanh(self.at_eighth(f0))
         return f0, f1
 
 
@@ -59,11 +59,11 @@ class BlendDecoder(nn.Module):
         """Build the layers at the configured width."""
         super().__init__()
         width, full = config.channels, config.full_channels
-        self.eighth = block2d(4 * width, 2 * width)
+        self.at_eighth = block2d(4 * width, 2 * width)
         self.room = nn.Linear(4 * width, 2 * width)
-        self.quarter = block2d(2 * width, 2 * width)
-        self.half = nn.Sequential(block2d(3 * width, width), block2d(width, full))
-        self.full = block2d(full, full)
+        self.at_quarter = block2d(2 * width, 2 * width)
+        self.at_half = nn.Sequential(block2d(3 * width, width), block2d(width, full))
+        self.at_full = block2d(full, full)
         self.head = nn.Conv2d(full, 1, 1, bias=True)
 
     def forward(
@@ -74,10 +74,10 @@ class BlendDecoder(nn.Module):
     ) -> Float[Tensor, "b 1 h w"]:
         """The blending weight."""
         room = self.room(f1.mean(dim=(2, 3)))[:, :, None, None]
-        x = self.eighth(f1) + room
-        x = self.quarter(resize_panorama(x, [size // 2 for size in f0.shape[2:]]))
-        x = self.half(torch.cat([resize_panorama(x, f0.shape[2:]), f0], dim=1))
-        x = self.full(resize_panorama(x, mask.shape[2:]))
+        x = self.at_eighth(f1) + room
+        x = self.at_quarter(resize_panorama(x, [size // 2 for size in f0.shape[2:]]))
+        x = self.at_half(torch.cat([resize_panorama(x, f0.shape[2:]), f0], dim=1))
+        x = self.at_full(resize_panorama(x, mask.shape[2:]))
         return torch.sigmoid(self.head(x)) * mask
 
 

@@ -5,7 +5,7 @@ Volumes are [z, y, x]; panoramas are H x 2H. Why each default is what it is stan
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field, fields
-from typing import Literal, TypeVar, get_args
+from typing import Any, Literal, TypeVar, get_args
 
 from roomlight.errors import ModelError
 
@@ -44,7 +44,8 @@ class SGConfig:
             raise ModelError(f"channels must be a positive multiple of 4, got {self.channels}")
         if self.full_channels < 1 or self.full_layers < 1:
             raise ModelError(
-                f"full_channels and full_layers must be positive, got {self.full_channels} and {self.full_layers}"
+                f"full_channels and full_layers must be positive, "
+                f"got {self.full_channels} and {self.full_layers}"
             )
         if self.norm not in ("group", "none"):
             raise ModelError(f"norm must be 'group' or 'none', got {self.norm!r}")
@@ -86,7 +87,7 @@ class ModelConfig:
 
     @staticmethod
     def from_dict(values: object) -> "ModelConfig":
-        """Read what `to_dict` wrote; a missing field takes its default, an unknown or misfit one is a ModelError."""
+        """Read what `to_dict` wrote; missing fields take defaults, unknown or misfit ones are refused."""
         parts = _mapping(values, "the configuration")
         unknown = set(parts) - {"sg", "blend"}
         if unknown:
@@ -109,12 +110,12 @@ def _mapping(values: object, name: str) -> Mapping[str, object]:
 
 
 def _read(part: type[_Part], values: object, name: str) -> _Part:
-    given = dict(_mapping(values, f"the configuration's {name!r}"))
+    given: dict[str, Any] = dict(_mapping(values, f"the configuration's {name!r}"))
     defaults = part()
     unknown = set(given) - {entry.name for entry in fields(part)}
     if unknown:
         raise ModelError(
-            f"the configuration's {name!r} has unknown fields {sorted(unknown)}; it was written by another version"
+            f"the configuration's {name!r} has unknown fields {sorted(unknown)}, of another version"
         )
     for key, value in given.items():
         wanted = getattr(defaults, key)

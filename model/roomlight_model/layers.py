@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 LEAK = 0.1
-"""Slope of the leaky ReLU below 0. At 8 to 16 channels a plain ReLU that dies takes a tenth of the layer with it."""
+"""Slope of the leaky ReLU below 0: of 8 to 16 channels, one plain ReLU that dies is a tenth of the layer."""
 
 
 def conv3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Conv3d:
@@ -53,9 +53,9 @@ def block2d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> n
 
 
 def resize_volume(volume: Float[Tensor, "b c _z _y _x"], size: Sequence[int]) -> Float[Tensor, "b c z y x"]:
-    """Trilinear resize to an explicit size: halving rounds down (15 -> 7), so a factor of 2 would not come back.
+    """Trilinear resize to an explicit size: halving rounds down (15 -> 7), a factor of 2 would not come back.
 
-    Measured in ONNX Runtime to the full volume, 16 channels: trilinear 7 ms, nearest 36 ms (no fast path in 3D).
+    Measured in ONNX Runtime to the full volume, 16 channels: trilinear 7 ms, nearest 36 (no fast path in 3D).
     """
     return functional.interpolate(volume, size=tuple(size), mode="trilinear", align_corners=False)
 
@@ -69,7 +69,7 @@ class ConvGRU(nn.Module):
     """A gated recurrent unit (Cho et al. 2014) whose matrices are convolutions, in 2D or 3D.
 
     The candidate is a tanh and the new state a convex mix of the old one and the candidate. With features in
-    (-1, 1), as the encoders give them, a state that starts as a feature stays in (-1, 1) however long a session.
+    [-1, 1], as the encoders give them, a state that starts as a feature stays there however long a session.
     """
 
     def __init__(self, gates: nn.Module, candidate: nn.Module) -> None:

@@ -1,10 +1,9 @@
-"""The whole models: SingleModel for one image, VideoModel for sequences (paper, network section and its figure).
+"""The whole models: SingleModel for one image, VideoModel for sequences (paper, network section).
 
-The renderer and the partial mesh stand between the 3D and the 2D networks, so each model has two halves: a trainer
-calls the first, renders panoramas at its probes, and calls the second. Shapes carry a batch dimension throughout.
+The renderer and the partial mesh stand between the 3D and the 2D networks, so each model has two halves: a
+trainer calls the first, renders panoramas at its probes, and calls the second. Shapes have a batch dimension.
 """
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
@@ -99,9 +98,10 @@ class VideoModel(nn.Module):
         self.blend_decoder = BlendDecoder(config.blend)
 
     def warm_start(self) -> None:
-        """Copy the single-view weights into the recurrent networks, as the paper trains them (two thirds less time).
+        """Copy the single-view weights into the recurrent networks: where the paper's video training begins.
 
-        What the single-view form does not have (V_u, the panels of memory and depth, the GRUs) keeps its start.
+        What the single-view form does not have: V_u and the GRUs keep their start, the panels of memory and
+        depth begin at 0.
         """
         self.sg_encoder.load_state_dict(self.single.sg_encoder.state_dict())
         self.blend_decoder.load_state_dict(self.single.blend_decoder.state_dict())
@@ -109,7 +109,7 @@ class VideoModel(nn.Module):
         _copy_panels(self.blend_encoder, self.single.blend_encoder)
 
     def forward(self, volumes: Float[Tensor, "b t 5 z y x"]) -> list[SGVolume]:
-        """Lighting volumes of all frames of a sequence, whose initial volumes share the first frame's grid."""
+        """Lighting volumes of all frames of a sequence; its initial volumes share the first frame's grid."""
         state = self.start(volumes[:, 0])
         predicted = [state.volume]
         for index in range(1, volumes.shape[1]):
@@ -170,13 +170,12 @@ def _copy_rows(video: SGDecoder, single: SGDecoder) -> None:
 
 
 def _copy_panels(video: BlendEncoder, single: BlendEncoder) -> None:
-    """Copy an encoder of 8 panels into one of 13: HDR, LDR and masks sit at 3..11 there, the others start at 0."""
+    """Copy an encoder of 8 panels into one of 13: HDR, LDR and masks sit at 3..10 there, the rest is 0."""
     own, given = video.state_dict(), single.state_dict()
-    shared: Sequence[int] = range(3, 3 + SINGLE_PANELS)
     with torch.no_grad():
         for name, value in given.items():
             if own[name].shape == value.shape:
                 own[name].copy_(value)
             else:
                 own[name].zero_()
-                own[name][:, list(shared)] = value
+                own[name][:, 3 : 3 + SINGLE_PANELS] = value

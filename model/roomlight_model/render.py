@@ -1,7 +1,7 @@
 """SGLV ray tracing in PyTorch: the differentiable twin of `roomlight.sglv`, for training (paper, section 3).
 
-Frame: the volume's, in metres, for origins, directions and lobe axes. Plain `grid_sample` over all samples at once: it
-keeps [N, samples, 11] values for the backward pass, so give it a training step's subset of rays, not whole panoramas.
+Frame: the volume's, in metres, for origins, directions and lobe axes. Plain `grid_sample` over all samples at
+once: it keeps [N, samples, 11] values for the backward pass, so give it a training step's subset of rays.
 """
 
 from typing import Literal
@@ -30,8 +30,8 @@ def render_rays(
 
     `lower_m` is the volume's lower corner and `voxel_m` a voxel's edges, both (x, y, z). Samples stand at
     t_enter + (i + 0.5) step_m inside the volume (`step_m` is the mean edge unless given), at most `samples`.
-    far="boundary" gives what is left of a ray the values at its exit point; far="none" adds nothing. A ray that
-    misses has radiance 0 and transmittance 1.
+    far="boundary" gives what is left of a ray the values at its exit point; far="none" adds nothing. A ray
+    that misses has radiance 0 and transmittance 1.
     """
     volume = torch.cat([alpha[None], lobes.permute(3, 0, 1, 2)])[None]  # [1, 11, z, y, x]
     size = voxel_m * torch.tensor(alpha.shape[::-1], dtype=voxel_m.dtype, device=voxel_m.device)

@@ -1,4 +1,4 @@
-"""The 3D networks: SGEncoder, SGDecoder with its clearing and update volume, and SGGRU (paper, network section).
+"""The 3D networks: SGEncoder, SGDecoder with clearing and update volume, SGGRU (paper, network section).
 
 Volumes are [batch, channel, z, y, x] in the session's volume frame. The input's channels are c (3, linear
 radiance), alpha and e (-1 where the depth map says the voxel is empty, else 0).
@@ -18,11 +18,11 @@ MAX_LOG_RADIANCE = 10.0
 """Heads of c and w are cut off at e^10 = 22,026 x white: their sum still fits a half float (65,504)."""
 
 MAX_LOG_SHARPNESS = 7.0
-"""lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, just over a pixel of a 120-row panorama."""
+"""lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
 
 _START = {"alpha": -3.0, "c": math.log(0.3), "w": math.log(0.05), "sharpness": math.log(8.0)}
-"""Head biases at the start: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts as straight up
-in the volume frame, where rooms have their lamps, which also keeps its normalisation away from 0 / 0."""
+"""Head biases at the start: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts straight
+up in the volume frame, where rooms have their lamps; that also keeps its normalisation from 0 / 0."""
 
 
 class SGVolume(NamedTuple):
@@ -36,15 +36,15 @@ class SGVolume(NamedTuple):
 
 
 class SGEncoder(nn.Module):
-    """V_f0, V_f1 = SGEncoder(c, alpha, e): features at half and at an eighth of the resolution, in (-1, 1)."""
+    """V_f0, V_f1 = SGEncoder(c, alpha, e): features at half and an eighth of the resolution, in [-1, 1]."""
 
     def __init__(self, config: SGConfig) -> None:
         """Build the layers of the paper's figure at the configured width."""
         super().__init__()
         width = config.channels
         groups = 8 if config.norm == "group" else 0
-        self.half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))
-        self.eighth = nn.Sequential(
+        self.at_half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))
+        self.at_eighth = nn.Sequential(
             block3d(width, 2 * width, kernel=4, stride=2, groups=groups),
             block3d(2 * width, 2 * width, groups=groups),
             block3d(2 * width, 4 * width, kernel=4, stride=2, groups=groups),
@@ -59,8 +59,8 @@ class SGEncoder(nn.Module):
         radiance, rest = volume[:, :3], volume[:, 3:]
         # the loss compares log(L + 1); a lamp at 100 x white must not drown the walls
         volume = torch.cat([torch.log1p(torch.relu(radiance)), rest], dim=1)
-        f0 = torch.tanh(self.half(volume))
-        f1 = torch.tanh(self.eighth(f0))
+        f0 = torch.tanh(self.at_half(volume))
+        f1 = torch.tanh(self.at_eighth(f0))
         return f0, f1
 
 
@@ -74,13 +74,13 @@ class SGDecoder(nn.Module):
         self.recurrent = recurrent
         width, full = config.channels, config.full_channels
         groups = 8 if config.norm == "group" else 0
-        self.eighth = block3d(4 * width, 2 * width, groups=groups)
+        self.at_eighth = block3d(4 * width, 2 * width, groups=groups)
         self.room = nn.Linear(4 * width, 2 * width)
-        self.quarter = nn.Sequential(
+        self.at_quarter = nn.Sequential(
             block3d(2 * width, 2 * width, groups=groups), block3d(2 * width, 2 * width, groups=groups)
         )
-        self.half = nn.Sequential(block3d(3 * width, width), block3d(width, full))
-        self.full = nn.Sequential(*(block3d(full, full) for _ in range(config.full_layers)))
+        self.at_half = nn.Sequential(block3d(3 * width, width), block3d(width, full))
+        self.at_full = nn.Sequential(*(block3d(full, full) for _ in range(config.full_layers)))
         self.heads = _heads(full, spherical_gaussians=config.spherical_gaussians, recurrent=recurrent)
 
     def forward(
@@ -92,10 +92,10 @@ class SGDecoder(nn.Module):
         """The predicted volume; of `volume`, the encoder's input, only the size and e are used."""
         # global view: every voxel hears the mean of the whole volume, for one matrix product
         room = self.room(f1.mean(dim=(2, 3, 4)))[:, :, None, None, None]
-        x = self.eighth(f1) + room
-        x = self.quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
-        x = self.half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
-        x = self.full(resize_volume(x, volume.shape[2:]))
+        x = self.at_eighth(f1) + room
+        x = self.at_quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
+        x = self.at_half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
+        x = self.at_full(resize_volume(x, volume.shape[2:]))
         return self._activate(self.heads(x), volume[:, 4:])
 
     def _activate(self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"]) -> SGVolume:

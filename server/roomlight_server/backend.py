@@ -1,7 +1,7 @@
-"""What a lighting model must do for a session: turn volumes into an SGLV, and a probe's views into HDR and weight.
+"""What a lighting model does for a session: volumes into an SGLV, a probe's views into HDR and weight.
 
-Two kinds stand behind it: `classical` (no networks) and `networks` (ONNX graphs). A backend holds one session's
-state; what sessions share (loaded graphs) lives outside it.
+Two kinds stand behind it: `classical` (no networks) and `networks` (ONNX graphs). A backend holds one
+session's state; what sessions share (loaded graphs) lives outside it.
 """
 
 from dataclasses import dataclass
@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import PanoramaState
+from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -18,7 +19,7 @@ from roomlight.volume import VolumeGrid
 
 @dataclass(frozen=True)
 class Estimate:
-    """For one probe and frame: the HDR panorama (L., everywhere) and the raw blending weight L_M (0 where unseen)."""
+    """For one probe and frame: the HDR panorama L. (everywhere) and the raw weight L_M (0 where unseen)."""
 
     hdr: Float[np.ndarray, "h w 3"]
     weight: Float[np.ndarray, "h w"]
@@ -37,6 +38,10 @@ class Backend(Protocol):
 
     def start(self, grid: VolumeGrid) -> None:
         """The volume's frame is known: make the state."""
+        ...
+
+    def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
+        """The frame as this model wants it: `depth_m` is the depth to use, `frame.depth_m` still the sensor's."""
         ...
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:

@@ -1,4 +1,4 @@
-"""A model directory: the ONNX graphs that `roomlight export` writes, checked and loaded once, shared by all sessions.
+"""A model directory: the ONNX graphs of `roomlight export`, checked and loaded once, shared by all sessions.
 
 `model.json` names the form, the configuration, the training card and each graph's digest. Forms: `single` has
 single_{sg_encoder,sg_decoder,blend_encoder,blend_decoder}; `video` has these for its first frame and
@@ -20,7 +20,12 @@ from roomlight_server.providers import Provider, open_graph, resolve_provider
 
 Form = Literal["single", "video"]
 FORMAT: Final = 1
-SINGLE_GRAPHS: Final = ("single_sg_encoder", "single_sg_decoder", "single_blend_encoder", "single_blend_decoder")
+SINGLE_GRAPHS: Final = (
+    "single_sg_encoder",
+    "single_sg_decoder",
+    "single_blend_encoder",
+    "single_blend_decoder",
+)
 VIDEO_GRAPHS: Final = (
     "video_sg_encoder",
     "video_sg_gru",
@@ -44,7 +49,9 @@ class Graph:
         self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
         for key, shape in (self.inputs | self.outputs).items():
             if not all(isinstance(size, int) for size in shape):
-                raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
+                raise ModelError(
+                    f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes"
+                )
 
     def new_outputs(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Zeroed buffers for every output."""
@@ -63,7 +70,9 @@ class Graph:
                 raise ModelError(f"graph {self.name} has {sorted(wanted)}, the engine gives {sorted(given)}")
             for name, array in given.items():
                 if array.size != int(np.prod(wanted[name])):
-                    raise ModelError(f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}")
+                    raise ModelError(
+                        f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}"
+                    )
                 shaped = array.reshape(wanted[name])
                 if not np.shares_memory(shaped, array):
                     raise ModelError(f"graph {self.name}: the buffer for {name} is not contiguous")
@@ -109,33 +118,48 @@ class LightingGraphs:
 def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: bool = False) -> LightingGraphs:
     """Load and check a model directory.
 
-    Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the weights were
-    never trained and `allow_untrained` does not say that this is meant.
+    Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the
+    weights were never trained and `allow_untrained` does not say that this is meant.
     """
     index_path = path / "model.json"
     try:
         index = json.loads(index_path.read_text())
     except OSError as error:
-        raise ModelError(f"{index_path}: cannot be read ({error.strerror}); a model directory comes from `roomlight export`") from error
+        raise ModelError(
+            f"{index_path}: cannot be read ({error.strerror}); "
+            "a model directory comes from `roomlight export`"
+        ) from error
     except ValueError as error:
         raise ModelError(f"{index_path}: is not JSON ({error})") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
-        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
+    if (
+        not isinstance(index, dict)
+        or index.get("format") != FORMAT
+        or index.get("form") not in ("single", "video")
+    ):
+        raise ModelError(
+            f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video"
+        )
     form: Form = index["form"]
-    card: dict[str, Any] = dict(index.get("card") or {})
+    card, entries = index.get("card") or {}, index.get("graphs") or {}
+    if not isinstance(card, dict) or not isinstance(entries, dict):
+        raise ModelError(
+            f"{index_path}: its card or its list of graphs is damaged; export the checkpoint again"
+        )
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
-            f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), their light would be noise; "
-            "pass --allow-untrained if that is what you want"
+            f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
+            "their light would be noise; pass --allow-untrained if that is what you want"
         )
     resolved = resolve_provider(provider)
     graphs: dict[str, Graph] = {}
     for name in SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ()):
         file = path / f"{name}.onnx"
-        entry = index.get("graphs", {}).get(name)
-        if entry is None or not file.is_file():
+        entry = entries.get(name)
+        if not isinstance(entry, dict) or not file.is_file():
             raise ModelError(f"{file}: missing; export the checkpoint again")
         if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
-            raise ModelError(f"{file}: is not the graph that {index_path.name} names (digest differs); export again")
+            raise ModelError(
+                f"{file}: is not the graph that {index_path.name} names (digest differs); export again"
+            )
         graphs[name] = Graph(open_graph(file, resolved), name)
     return LightingGraphs(path, form, card, resolved, graphs)

@@ -1,6 +1,7 @@
 """A bounded store of keyframes, chosen for coverage: what a probe first asked about late is caught up from.
 
-Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh.
+Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; vertices
+outside the volume count in the cell of its shell that is nearest.
 """
 
 from collections.abc import Iterator
@@ -14,7 +15,7 @@ from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid
 
 DEFAULT_KEYFRAMES: Final = 24
-"""With its tree a keyframe takes about 6 MB; 24 of them cover two turns around a room at 58 degrees of view."""
+"""With its tree a keyframe takes about 6 MB; 24 cover two turns around a room at 58 degrees of view."""
 WORTH_KEEPING: Final = 0.04
 """A frame enters if this share of its cells is in no keyframe yet: 4 % is a turn of about 2.5 degrees."""
 _CELL: Final = 2
@@ -26,7 +27,7 @@ class Keyframe:
 
     index: int
     mesh: FrameMesh
-    cells: Bool[np.ndarray, "cells"]
+    cells: Bool[np.ndarray, " cells"]
 
 
 class KeyframeStore:
@@ -68,13 +69,14 @@ class KeyframeStore:
         """Cells that at least one keyframe shows."""
         return int((self._counts > 0).sum())
 
-    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, "cells"]:
+    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
         grid = self._grid
         local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
-        cells = ((local - grid.lower_m) / (grid.voxel_m * _CELL)).astype(np.int64)
         shape = [-(-n // _CELL) for n in grid.shape]
-        inside = ((local >= grid.lower_m) & (local < grid.upper_m)).all(axis=-1)
-        x, y, z = cells[inside].T
+        # What lies outside counts in the shell's nearest cell: a session that begins with a close-up has a
+        # small volume, and the room around it must still be remembered.
+        cells = (local - grid.lower_m) / (grid.voxel_m * _CELL)
+        x, y, z = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
         covered = np.zeros(len(self._counts), bool)
         covered[(z * shape[1] + y) * shape[2] + x] = True
         return covered

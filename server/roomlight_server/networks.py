@@ -1,11 +1,12 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
-Single view: every frame is encoded and decoded alone. Video: the first frame goes through the single-view graphs and
-its features become the hidden states (h = f); from then on encoder, GRU, decoder, and the decoder merges with the
-SGLV before by V_u. Every state has two buffers, and each frame's graphs read one and write the other: nothing is copied.
+Single view: every frame is encoded and decoded alone. Video: the first frame goes through the single-view
+graphs and its features become the hidden states (h = f); from then on encoder, GRU, decoder, and the decoder
+merges with the SGLV before by V_u. Every state has two buffers, and each frame's graphs read one and write
+the other: nothing is copied.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -13,6 +14,7 @@ from jaxtyping import Float
 
 from roomlight.blend import PanoramaState
 from roomlight.errors import ModelError
+from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -37,7 +39,8 @@ class NetworkBackend:
         g = self._graphs.graphs
         if tuple(grid.shape) != self._graphs.volume_shape:
             raise ModelError(
-                f"{self._graphs.path}: exported for volumes of {self._graphs.volume_shape}, this session's is {grid.shape}"
+                f"{self._graphs.path}: exported for volumes of {self._graphs.volume_shape}, "
+                f"this session's is {grid.shape}"
             )
         self._volume = np.zeros((5, *grid.shape), np.float32)
         self._frames = 0
@@ -61,9 +64,15 @@ class NetworkBackend:
                     [
                         encode,
                         g["video_sg_gru"].bind({**hidden[old], **fresh}, h_next),
-                        g["video_sg_decoder"].bind({**hidden[new], **before, "volume": self._volume}, sglv[new]),
+                        g["video_sg_decoder"].bind(
+                            {**hidden[new], **before, "volume": self._volume}, sglv[new]
+                        ),
                     ]
                 )
+
+    def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
+        """Networks see the image as the camera gave it: guessing at clipped light is what they learned."""
+        return replace(frame, depth_m=depth_m)
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
         """The encoder's bound input."""
@@ -103,7 +112,8 @@ class NetworkBackend:
 
 @dataclass
 class _ProbeNetworks:
-    """One probe's blending graphs with their buffers; panoramas of other heights are resampled for the weights alone."""
+    """One probe's blending graphs with their buffers; panoramas of other heights are resampled for the
+    weights alone."""
 
     graphs: LightingGraphs
     frames: int = field(default=0, init=False)
@@ -133,7 +143,9 @@ class _ProbeNetworks:
                     [
                         encode,
                         g["video_blend_gru"].bind({**hidden[old], **fresh}, h_next),
-                        g["video_blend_decoder"].bind({**hidden[new], "mask": self._mask}, {"weight": self._weight}),
+                        g["video_blend_decoder"].bind(
+                            {**hidden[new], "mask": self._mask}, {"weight": self._weight}
+                        ),
                     ]
                 )
 

@@ -1,4 +1,4 @@
-"""Where ONNX graphs run: the OpenVINO plugin where it is installed and knows the processor, else ONNX Runtime's own CPU provider."""
+"""Where ONNX graphs run: the OpenVINO plugin where it serves this processor, else the CPU provider."""
 
 import importlib
 import importlib.util
@@ -17,7 +17,7 @@ _PLUGIN = "onnxruntime_ep_openvino"
 
 @cache
 def openvino_device() -> "ort.OrtEpDevice | None":
-    """The OpenVINO plugin's CPU device, or None where the plugin is not installed or does not serve this processor."""
+    """The OpenVINO plugin's CPU device; None where it is not installed or does not serve this processor."""
     if importlib.util.find_spec(_PLUGIN) is None:
         return None
     plugin = importlib.import_module(_PLUGIN)
@@ -35,7 +35,11 @@ def resolve_provider(provider: Provider) -> Literal["cpu", "openvino"]:
     available = openvino_device() is not None
     if provider == "openvino" and not available:
         installed = importlib.util.find_spec(_PLUGIN) is not None
-        reason = "does not serve this processor" if installed else "is not installed (pip install 'roomlight[openvino]')"
+        reason = (
+            "does not serve this processor"
+            if installed
+            else "is not installed (pip install 'roomlight[openvino]')"
+        )
         raise ModelError(f"provider 'openvino': the plugin {_PLUGIN} {reason}; use --provider cpu")
     return "openvino" if available else "cpu"
 
@@ -50,7 +54,7 @@ def open_graph(path: Path, provider: Literal["cpu", "openvino"]) -> ort.Inferenc
     # Hidden states that decay towards zero make denormals, 100 times slower than zero.
     options.add_session_config_entry("session.set_denormal_as_zero", "1")
     if provider == "openvino":
-        # bf16 where the processor has it (AMX): 6 to 7 times the CPU provider, and stated rather than left to a default
+        # bf16 where the processor has it (AMX): 6 to 7 times the CPU provider; stated, not left to a default
         config = '{"CPU": {"INFERENCE_PRECISION_HINT": "bf16"}}'
         options.add_provider_for_devices([openvino_device()], {"load_config": config})
     try:

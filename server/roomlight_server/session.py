@@ -19,15 +19,16 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.blend import PanoramaState, accumulate
-from roomlight.depth import UnknownDepth, with_unknown_depth
+from roomlight.blend import PanoramaState, accumulate, farthest_depth_m
+from roomlight.camera import Intrinsics
+from roomlight.depth import UnknownDepth, complete_depth
 from roomlight.errors import ModelError, ProbeError
 from roomlight.frame import Frame
 from roomlight.mesh import FrameMesh
 from roomlight.sglv import Sglv, check_position, render_panorama
 from roomlight.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
 from roomlight_server.backend import Backend, ProbeMemory
-from roomlight_server.classical import CLIPPED_GAIN, ClassicalBackend
+from roomlight_server.classical import ClassicalBackend
 from roomlight_server.graphs import SHIPPED, LightingGraphs, load_graphs
 from roomlight_server.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
 from roomlight_server.networks import NetworkBackend
@@ -36,7 +37,7 @@ from roomlight_server.providers import Provider
 ModelName = Literal["auto", "classical", "single", "video"]
 Position = tuple[float, float, float]
 WORKING_SIZE = (320, 240)
-"""Frames are brought to this size (width, height), the paper's: a panorama pixel of 1.5 degrees covers eight of them."""
+"""Frames are brought to this size (width, height), the paper's: eight pixels to one of a panorama."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +67,7 @@ class SessionOptions:
 
 @dataclass(frozen=True)
 class Light:
-    """The light at one point: panorama float32 [H, 2H, 3], `observed` [H, 2H] in [0, 1] (1 = seen, 0 = inferred)."""
+    """The light at one point: panorama [H, 2H, 3], and `observed` [H, 2H]: 1 = seen, 0 = inferred."""
 
     position: Position
     panorama: Float[np.ndarray, "h w 3"]
@@ -76,7 +77,7 @@ class Light:
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What one frame did: milliseconds by stage, whether it became a keyframe, each tracked probe's coverage."""
+    """What one frame did: milliseconds by stage, whether it is a keyframe, each tracked probe's coverage."""
 
     index: int
     stage_ms: dict[str, float]
@@ -110,7 +111,9 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
     if options.model == "classical":
         return None
     if options.weights is not None:
-        graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
+        graphs = load_graphs(
+            options.weights, provider=options.provider, allow_untrained=options.allow_untrained
+        )
         if options.model == "video" and graphs.form == "single":
             raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
         return replace(graphs, form="single") if options.model == "single" else graphs
@@ -120,16 +123,18 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
     if options.model == "auto":
         return None
     raise ModelError(
-        f"model '{options.model}': no trained weights come with this version; give --weights DIR (from `roomlight export`) "
-        "or use --model classical"
+        f"model '{options.model}': no trained weights come with this version; "
+        "give --weights DIR (from `roomlight export`) or use --model classical"
     )
 
 
 class Session:
     """A stream's whole state: SGLV, hidden states, tracked probes, keyframes."""
 
-    def __init__(self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None) -> None:
-        """Begin empty. `graphs` are shared ones, already loaded; without them the options decide. Raises ModelError."""
+    def __init__(
+        self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None
+    ) -> None:
+        """Begin empty, on loaded (shared) `graphs` or on what the options name. Raises ModelError."""
         self.options = options or SessionOptions()
         chosen = graphs or choose_graphs(self.options)
         self._backend: Backend = NetworkBackend(chosen) if chosen else ClassicalBackend()
@@ -164,7 +169,7 @@ class Session:
         return len(self._keyframes) if self._keyframes else 0
 
     def track(self, position: Position) -> int:
-        """Follow a position from now on, caught up from the keyframes; returns its handle. Raises ProbeError."""
+        """Follow a position from now on, caught up; returns its handle. Raises ProbeError."""
         x, y, z = check_position(position).tolist()
         if self._sglv is None:  # the volume's size, and so the probe's memory, comes with the first frame
             self._waiting.append((x, y, z))
@@ -176,9 +181,9 @@ class Session:
         """Take the next frame. Raises FrameError if it cannot be used; the session is then as before."""
         clock = _Clock()
         with clock.stage("prepare"):
-            frame = with_unknown_depth(frame.resized(*WORKING_SIZE), self.options.unknown_depth)
-            if isinstance(self._backend, ClassicalBackend):
-                frame = replace(frame, image=np.where(frame.clipped[..., None], CLIPPED_GAIN * frame.image, frame.image))
+            frame = frame.resized(*WORKING_SIZE)
+            rim = self.options.unknown_depth == "rim"
+            frame = self._backend.prepare(frame, complete_depth(frame.depth_m) if rim else frame.depth_m)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
         if self._grid is None:
             self._backend.start(grid)
@@ -208,12 +213,16 @@ class Session:
     def light(self, handle: int) -> Light:
         """The light at a tracked position, as of the last frame."""
         if not 0 <= handle < len(self._probes):
-            state = "no frame has been pushed yet" if self._waiting else f"this session tracks {len(self._probes)}"
-            raise ProbeError(f"no light for tracked probe {handle}: {state}")
+            tracked = f"this session tracks {len(self._probes)}"
+            reason = "no frame has been pushed yet" if self._waiting else tracked
+            raise ProbeError(f"no light for tracked probe {handle}: {reason}")
         return self._light_of(self._probes[handle])
 
     def light_at(self, position: Position) -> Light:
-        """The light at any position, seen through the keyframes and the last frame. Raises ProbeError before the first frame."""
+        """The light at any position, seen through the keyframes and the last frame.
+
+        Raises ProbeError before the first frame, and for a position that is none.
+        """
         if self._sglv is None:
             raise ProbeError(f"no light at {position} yet: push a frame first")
         x, y, z = check_position(position).tolist()
@@ -255,6 +264,8 @@ class Session:
         assert self._grid is not None
         with clock.stage("partial"):
             partial = mesh.look_from(np.asarray(probe.position), height=self.options.height)
+            farthest_m = np.float32(farthest_depth_m(self._grid.depth_max_m))
+            partial = replace(partial, depth_m=np.minimum(partial.depth_m, farthest_m))
         with clock.stage("blend"):
             radiance, transmittance = rendered
             estimate = self._backend.estimate(
@@ -277,3 +288,11 @@ class Session:
         state = probe.state
         return Light(probe.position, state.radiance.copy(), state.seen.copy(), state.coverage())
 
+
+def warm_up() -> None:
+    """Compile (or load from numba's cache) every kernel a session uses, on a frame of 32 x 24 pixels."""
+    intrinsics = Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
+    grey, near = np.full((24, 32, 3), 0.5, np.float32), np.ones((24, 32), np.float32)
+    session = Session(SessionOptions(model="classical", height=16))
+    session.track((0.0, 0.0, -0.5))
+    session.push(Frame(0, grey, near < 0, near, intrinsics, np.eye(4)))

@@ -24,7 +24,6 @@ from roomlight.conventions import (
         ((1, 0, 0), (0.5, 0.5)),  # "the centre column looks along +X"
         ((0, 0, 1), (0.75, 0.5)),  # "right of it comes +Z"
         ((0, 0, -1), (0.25, 0.5)),
-        ((-1, 0, 1e-9), (1.0, 0.5)),
     ],
 )
 def test_where_the_axes_lie(direction, uv):
@@ -78,7 +77,7 @@ def test_srgb_is_its_own_inverse(value):
 
 
 def test_srgb_clips_what_a_camera_clips():
-    assert linear_to_srgb(np.array([-1.0, 7.0])).tolist() == [0.0, 1.0]
+    assert linear_to_srgb(np.array([-1.0, 7.0])) == pytest.approx([0.0, 1.0])
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 0.1))

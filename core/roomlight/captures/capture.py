@@ -1,4 +1,5 @@
-"""A capture opened for reading: frames one at a time in RoomLight's conventions, bad ones skipped and counted.
+"""A capture opened for reading: frames one at a time in RoomLight's conventions, bad ones skipped and
+counted.
 
 The formats' readers hand out `RawFrame`s in their own conventions; the one conversion of pose, the confidence
 threshold and the checks of depth and sizes are here.
@@ -8,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
@@ -21,10 +22,14 @@ from roomlight.frame import Frame
 from roomlight.images import read_panorama
 
 MAX_POSITION_M: Final = 10_000.0
-"""Farthest camera from the origin: past it float32 metres lose the millimetre, and no indoor capture goes there."""
+"""Farthest camera from the origin: past it float32 metres lose the millimetre, and no indoor capture goes
+there.
+"""
 
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
-"""The median of known depth must lie in here; rooms do, and a wrong unit (factor 1000) leaves it on either side."""
+"""The median of known depth must lie in here; rooms do, and a wrong unit (factor 1000) leaves it on either
+side.
+"""
 
 
 @dataclass(frozen=True)
@@ -40,15 +45,17 @@ class SkippedFrame:
 class ProbeTruth:
     """A measured panorama that comes with a capture: where it was taken (our world, metres) and its file.
 
-    The panorama is in `conventions`' mapping in a world whose up is +Y. For a z-up capture that is Blender's panorama
-    as it stands: the turn that brings z up to y up is the one between the two mappings.
+    The panorama is in `conventions`' mapping in a world whose up is +Y. For a z-up capture that is Blender's
+    panorama as it stands: the turn that brings z up to y up is the one between the two mappings.
     """
 
     position: tuple[float, float, float]
     panorama_path: Path | None = None
 
     def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Read the panorama, linear RGB float32 [h, 2h, 3]; ImageError when there is none or it does not decode."""
+        """Read the panorama, linear RGB float32 [h, 2h, 3]; ImageError when there is none or it does not
+        decode.
+        """
         if self.panorama_path is None:
             raise ImageError(f"the probe at {self.position} has a position but no panorama file")
         return read_panorama(self.panorama_path)
@@ -65,7 +72,7 @@ class Conventions:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """One record as stored: image decoded to linear RGB, depth in metres, pose in the format's conventions."""
+    """One record as stored: image decoded to linear RGB, depth in metres, pose as in the file."""
 
     name: str
     image: Float[np.ndarray, "h w 3"]
@@ -81,13 +88,20 @@ class RawFrame:
 ReadRecord = Callable[[int], RawFrame]
 
 
+RawProbe = tuple[Float[np.ndarray, "3"], Path | None]
+"""A probe as stored: position in the stored world, and its panorama's file."""
+
+
+@runtime_checkable  # so that a checker of annotations can look at it in the test run
 class Reader(Protocol):
-    """What a format provides. `records` gives a function from record index to `RawFrame`, for one pass in order."""
+    """What a format provides. `records` gives a function from record index to `RawFrame`, for one pass in
+    order.
+    """
 
     format: str
     conventions: Conventions
     count: int
-    probes: list[tuple[Float[np.ndarray, "3"], Path | None]]
+    probes: list[RawProbe]
 
     def name_of(self, index: int) -> str:
         """The file to name when record `index` fails."""
@@ -98,7 +112,7 @@ class Reader(Protocol):
         ...
 
     def records(self) -> AbstractContextManager[ReadRecord]:
-        """Open what one pass needs; the function given raises RoomLightError or ValueError for a bad record."""
+        """Open what a pass needs; the function given raises RoomLightError or ValueError for a bad record."""
         ...
 
 
@@ -113,6 +127,7 @@ class Capture:
     """
 
     def __init__(self, path: Path, reader: Reader, options: CaptureOptions) -> None:
+        """Made by `open_capture`; CaptureError if the reader found no record."""
         self.path = path
         self.format = reader.format
         self.skipped: list[SkippedFrame] = []
@@ -147,7 +162,8 @@ class Capture:
         return 1.0 / (step * self._options.every) if step > 1e-6 else None
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames in order; `Frame.index` counts the capture's records, so that every = 10 gives 0, 10, 20, ...
+        """Frames in order; `Frame.index` counts the capture's records, so that every = 10 gives 0, 10, 20,
+        ...
 
         A bad record is put on `skipped` and passed over. CaptureError at the end if not one was good.
         """
@@ -165,7 +181,8 @@ class Capture:
         if good == 0:
             first = skipped[0]
             raise CaptureError(
-                f"{self.path}: none of its {self.frame_count} frames can be used; the first, {first.file}: {first.reason}"
+                f"{self.path}: none of its {self.frame_count} frames can be used; "
+                f"the first, {first.file}: {first.reason}"
             )
 
     def frame_at(self, index: int) -> Frame:
@@ -174,7 +191,9 @@ class Capture:
         A video has to be decoded up to there; every other format reads just this frame.
         """
         if not 0 <= index < self._reader.count:
-            raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
+            raise FrameError(
+                f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}"
+            )
         with self._reader.records() as read:
             return self._frame(index, read)
 
@@ -209,7 +228,9 @@ class Capture:
         rigid = self._to_y_up @ rigid
         far = float(np.abs(rigid[:3, 3]).max())
         if far > MAX_POSITION_M:
-            raise ValueError(f"the pose is {far:.3g} m from the origin; this is lost tracking or another unit")
+            raise ValueError(
+                f"the pose is {far:.3g} m from the origin; this is lost tracking or another unit"
+            )
         return rigid
 
     def _checked_depth(self, raw: RawFrame) -> Float[np.ndarray, "dh dw"]:
@@ -222,7 +243,7 @@ class Capture:
         low, high = DEPTH_MEDIAN_M
         if not low <= median_m <= high:
             raise FrameError(
-                f"{raw.depth_name}: the median depth would be {median_m:.4g} m, so the depth unit looks wrong; "
+                f"{raw.depth_name}: the median depth would be {median_m:.4g} m: the depth unit looks wrong; "
                 "state it (depth_unit_m: metres for one stored unit, 0.001 for millimetres)"
             )
         if raw.confidence is None:

@@ -5,7 +5,7 @@ The message says which field and which value; `naming` puts the file in front an
 
 import json
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -16,7 +16,7 @@ from roomlight.errors import CaptureError, FrameError, RoomLightError
 
 
 @contextmanager
-def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Iterator[None]:
+def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generator[None]:
     """Turn a ValueError inside the block into `error`, with the file's name in front."""
     try:
         yield
@@ -33,7 +33,9 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
     except RecursionError as error:
         raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
-        raise CaptureError(f"{label}: is not valid JSON ({_short(error)}); the file is truncated or damaged") from error
+        raise CaptureError(
+            f"{label}: is not valid JSON ({_short(error)}); the file is truncated or damaged"
+        ) from error
     if not isinstance(value, dict):
         raise CaptureError(f"{label}: holds a {type(value).__name__} where an object with keys is expected")
     return value
@@ -107,10 +109,18 @@ def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
 
 
 def objects(value: object, what: str) -> list[dict[str, Any]]:
-    """A list of JSON objects; an entry that is none becomes an empty object and fails as a frame, by itself."""
+    """A list of JSON objects; an entry that is none becomes an empty one, which fails by itself."""
     if not isinstance(value, list):
         raise ValueError(f"{what} is {_short(value)}, not a list")
     return [item if isinstance(item, dict) else {} for item in value]
+
+
+def unit(value: object, what: str) -> float:
+    """Metres for one stored unit: from a nanometre to a kilometre."""
+    result = positive(value, what)
+    if not 1e-9 <= result <= 1e3:
+        raise ValueError(f"{what} is {result:g} m; nothing is stored in such a unit")
+    return result
 
 
 def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) -> Any:

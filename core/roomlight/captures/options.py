@@ -24,18 +24,19 @@ class CaptureOptions:
     """Overrides of a reader's defaults; None leaves the format's own.
 
     format:             force a reader, by its name in `FORMATS`.
-    camera_convention:  axes of the camera in the stored poses: opengl (y up, z backward) or opencv (y down, z forward).
-    pose_direction:     what the stored poses map.
+    camera_convention:  axes of the camera in the stored poses: opengl (y up, z backward) or opencv (y down,
+                        z forward).
+    pose_direction:     what the stored poses are: camera-to-world or world-to-camera.
     world_up:           the direction in the stored world that points up: x, y, z, -x, -y, -z or a 3-vector.
     depth_unit_m:       metres for one stored unit of depth.
     depth_key:          which of several depth maps, by its key in a transforms.json.
-    min_confidence:     depth whose confidence is below this is removed; ARKit's are 0 (low), 1 and 2, default 1.
+    min_confidence:     depth whose confidence is below this is removed; ARKit's are 0 (low), 1 and 2. Default 1.
     every, max_frames:  take every n-th record, and at most so many of them.
     """
 
     format: str | None = None
-    camera_convention: CameraConvention | None = None
-    pose_direction: PoseDirection | None = None
+    camera_convention: str | None = None
+    pose_direction: str | None = None
     world_up: str | tuple[float, float, float] | None = None
     depth_unit_m: float | None = None
     depth_key: str | None = None
@@ -46,7 +47,9 @@ class CaptureOptions:
     def __post_init__(self) -> None:
         """Refuse values that mean nothing, before any file is opened."""
         if self.camera_convention not in (None, *get_args(CameraConvention)):
-            raise CaptureError(f"camera convention {self.camera_convention!r} is neither 'opengl' nor 'opencv'")
+            raise CaptureError(
+                f"camera convention {self.camera_convention!r} is neither 'opengl' nor 'opencv'"
+            )
         if self.pose_direction not in (None, *get_args(PoseDirection)):
             raise CaptureError(
                 f"pose direction {self.pose_direction!r} is neither 'camera-to-world' nor 'world-to-camera'"
@@ -54,8 +57,10 @@ class CaptureOptions:
         if self.world_up is not None:
             up_vector(self.world_up)
         unit = self.depth_unit_m
-        if unit is not None and not (math.isfinite(unit) and unit > 0):
-            raise CaptureError(f"depth unit must be a positive number of metres, got {unit}")
+        if unit is not None and not 1e-9 <= unit <= 1e3:
+            raise CaptureError(
+                f"depth unit must be metres for one stored unit, from 1e-9 to 1000, got {unit}"
+            )
         if self.every < 1:
             raise CaptureError(f"every {self.every} frames: must be 1 or more")
         if self.max_frames is not None and self.max_frames < 1:

@@ -1,7 +1,7 @@
 """Where a capture's bytes come from: a folder or a zip archive, neither of which is trusted.
 
-A name that leads out of the folder, a file that is none (a directory, a pipe), a size that is absurd: each is an
-error that names the file, raised before its bytes are read.
+A name that leads out of the folder, a file that is none (a directory, a pipe), a size that is absurd: each
+is an error that names the file, raised before its bytes are read.
 """
 
 import stat
@@ -14,7 +14,8 @@ from typing import Final
 from roomlight.errors import CaptureError, FrameError
 
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
-"""Largest image, depth map or archive member read: a 48-megapixel float EXR is 576 MB raw, half that packed."""
+"""Largest image, depth map or archive member read: a 48-megapixel float EXR is 576 MB raw, half that packed.
+"""
 
 MAX_INDEX_BYTES: Final = 64 * 1024 * 1024
 """Largest JSON, CSV or text index read: about 100,000 frames of a transforms.json."""
@@ -27,6 +28,7 @@ class FolderSource:
     """A folder; names are relative to it, with forward slashes, and may not lead out of it."""
 
     def __init__(self, root: Path) -> None:
+        """Nothing is read yet."""
         self.root = root
         self._resolved = root.resolve()
 
@@ -48,7 +50,11 @@ class FolderSource:
                     "copy what it points to into the capture, or open the folder that holds both"
                 )
             status = full.stat()
-        except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13
+        except (
+            OSError,
+            RuntimeError,
+            ValueError,
+        ) as error:  # RuntimeError: a loop of links before Python 3.13
             reason = getattr(error, "strerror", None) or error
             raise FrameError(f"{shown}: cannot be read ({reason})") from error
         if not stat.S_ISREG(status.st_mode):
@@ -58,7 +64,9 @@ class FolderSource:
         return full
 
     def has(self, name: str) -> bool:
-        """Whether there is anything of this name (a broken link counts: it should be complained about, not missed)."""
+        """Whether there is anything of this name (a broken link counts: it should be complained about, not
+        missed).
+        """
         try:
             path = self.root / name
             return path.exists() or path.is_symlink()
@@ -90,6 +98,7 @@ class ZipSource:
     """A zip archive read in place: nothing is extracted, so that member names cannot lead anywhere."""
 
     def __init__(self, path: Path) -> None:
+        """Read the directory of members; CaptureError if this is no zip archive."""
         self.root = path
         try:
             with zipfile.ZipFile(path) as archive:
@@ -116,14 +125,26 @@ class ZipSource:
         if info is None:
             raise FrameError(f"{self.label(name)}: is not in the archive")
         if info.file_size > max_bytes:
-            raise FrameError(f"{self.label(name)}: declares {info.file_size} bytes; up to {max_bytes} are read")
+            raise FrameError(
+                f"{self.label(name)}: declares {info.file_size} bytes; up to {max_bytes} are read"
+            )
         try:
             with zipfile.ZipFile(self.root) as archive, archive.open(info) as member:
                 data = member.read(info.file_size + 1)
-        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, KeyError) as error:
+        except (
+            zipfile.BadZipFile,
+            zlib.error,
+            OSError,
+            EOFError,
+            ValueError,
+            RuntimeError,
+            KeyError,
+        ) as error:
             raise FrameError(f"{self.label(name)}: does not unpack ({error})") from error
         if len(data) != info.file_size:
-            raise FrameError(f"{self.label(name)}: unpacks to another size than the {info.file_size} bytes it declares")
+            raise FrameError(
+                f"{self.label(name)}: unpacks to another size than the {info.file_size} bytes it declares"
+            )
         if not data:
             raise FrameError(f"{self.label(name)}: the member is empty")
         return data

@@ -1,1 +1,2 @@
-"""Compiled kernels. Each stands beside a readable twin elsewhere in the package, and a test holds the two together."""
+"""Compiled kernels. Each stands beside a readable twin elsewhere in the package, and a test holds the two
+together."""

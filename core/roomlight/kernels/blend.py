@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Accumulation of one probe's panorama, in place; readable twin: `roomlight.blend.accumulate_reference`."""
 
 import numpy as np

@@ -1,17 +1,32 @@
+# pyright: reportMissingParameterType=false
 """SGLV ray marching; readable twin: `roomlight.sglv.render_rays_reference`."""
 
 import numpy as np
 from numba import njit
 
 OPAQUE = np.float32(1e-3)
-"""A ray stops when less than this of it is left: below 8-bit visibility, and the residue is handed to the last sample."""
+"""A ray stops when less than this of it is left: below 8-bit visibility, and the residue is handed to the
+last sample."""
 
 
 @njit(nogil=True, cache=True, fastmath=True)
 def march_rays(
-    alpha, lobes, origin, directions, lower, voxel, step, samples, boundary, radiance, transmittance, start, stop
+    alpha,
+    lobes,
+    origin,
+    directions,
+    lower,
+    voxel,
+    step,
+    samples,
+    boundary,
+    radiance,
+    transmittance,
+    start,
+    stop,
 ):
-    """Render rays start..stop; `origin` and `directions` in the volume frame, metres. See `roomlight.sglv`."""
+    """Render rays start..stop; `origin` and `directions` in the volume frame, metres. See
+    `roomlight.sglv`."""
     nz, ny, nx = alpha.shape
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     last_x, last_y, last_z = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)
@@ -71,8 +86,12 @@ def march_rays(
             a4, a5, a6, a7 = a0 + back, a1 + back, a2 + back, a3 + back
             weight = left
             if not at_boundary:
-                opacity = w0 * flat_alpha[a0] + w1 * flat_alpha[a1] + w2 * flat_alpha[a2] + w3 * flat_alpha[a3]
-                opacity += w4 * flat_alpha[a4] + w5 * flat_alpha[a5] + w6 * flat_alpha[a6] + w7 * flat_alpha[a7]
+                opacity = (
+                    w0 * flat_alpha[a0] + w1 * flat_alpha[a1] + w2 * flat_alpha[a2] + w3 * flat_alpha[a3]
+                )
+                opacity += (
+                    w4 * flat_alpha[a4] + w5 * flat_alpha[a5] + w6 * flat_alpha[a6] + w7 * flat_alpha[a7]
+                )
                 if opacity <= zero:
                     continue
                 weight = left * opacity

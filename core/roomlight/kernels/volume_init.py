@@ -1,4 +1,6 @@
-"""Volume initialisation, one [z] slice after the other; readable twin: `roomlight.volume.initial_volume_reference`."""
+# pyright: reportMissingParameterType=false
+"""Volume initialisation, one [z] slice after the other; readable twin:
+`roomlight.volume.initial_volume_reference`."""
 
 import numpy as np
 from numba import njit
@@ -8,7 +10,8 @@ from numba import njit
 def initialise_slices(
     image, depth_m, lens, camera_from_volume, camera, lower, voxel, edge, far_unknown, volume, start, stop
 ):
-    """Fill volume[:, start:stop]; `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` its centre in the volume frame."""
+    """Fill volume[:, start:stop]; `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` its centre in the volume
+    frame."""
     height, width = image.shape[0], image.shape[1]
     depth_height, depth_width = depth_m.shape
     rows, columns = volume.shape[2], volume.shape[3]

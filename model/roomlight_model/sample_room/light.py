@@ -38,7 +38,7 @@ class Light(Protocol):
 
 @dataclass(frozen=True)
 class Sky:
-    """The world outside: a sky with soft clouds over a line of trees and a lawn; depends on direction only."""
+    """The world outside: a sky with soft clouds over hills, trees and a lawn; depends on direction only."""
 
     scale: float = 1.0
     sun_direction: tuple[float, float, float] = (0.0, 1.0, 0.0)
@@ -50,17 +50,28 @@ class Sky:
         x, y, z = direction[:, 0], direction[:, 1], direction[:, 2]
         azimuth = np.arctan2(x, -z)
         clouds = 0.5 + 0.28 * np.sin(5 * azimuth + 9 * y) + 0.22 * np.sin(11 * azimuth - 17 * y + 1.3)
-        blue = np.array([4.6, 6.3, 8.6], np.float32)
-        white = np.array([8.6, 8.8, 8.8], np.float32)
+        blue = np.array([5.3, 7.2, 9.7], np.float32)
+        white = np.array([9.6, 9.8, 9.8], np.float32)
         haze = np.clip(1.2 - 2.2 * np.abs(y), 0.0, 1.0) * 0.6
         mix = np.clip(haze + 0.7 * clouds * np.clip(1 - y, 0, 1), 0, 1)[:, None]
         out = blue + (white - blue) * mix
-        crown = 0.05 + 0.035 * np.sin(7 * azimuth) + 0.02 * np.sin(23 * azimuth + 1) + 0.012 * np.sin(61 * azimuth)
-        leaf = 1 + 0.3 * np.sin(140 * azimuth) * np.sin(170 * y)
-        trees = np.array([0.72, 1.15, 0.5], np.float32) * leaf[:, None]
+        hills = 0.11 + 0.03 * np.sin(3 * azimuth + 0.4) + 0.012 * np.sin(11 * azimuth)
+        far = np.array([0.78, 0.98, 1.06], np.float32) * (1 - 0.6 * (y - 0.1))[:, None]
+        out = np.where((y < hills)[:, None], far, out)
+        crown = 0.03 + sum(
+            size * np.abs(np.sin(rate * azimuth + shift))
+            for size, rate, shift in ((0.06, 4.0, 0.9), (0.035, 11.0, 1.0), (0.02, 29.0, 0.0), (0.008, 83.0, 0.5))
+        )
+        leaf = (
+            1.0
+            + 0.24 * np.sin(37 * azimuth + 23 * y + 3 * np.sin(29 * y + 11 * azimuth))
+            + 0.20 * np.sin(83 * azimuth - 61 * y + 2 * np.sin(71 * azimuth + 17 * y))
+            + 0.12 * np.sin(190 * azimuth + 150 * y + 2.5 * np.sin(97 * y - 130 * azimuth))
+        )
+        trees = np.array([0.27, 0.47, 0.17], np.float32) * (leaf * (0.85 + 3 * np.clip(y, 0, 0.15)))[:, None]
         out = np.where((y < crown)[:, None], trees, out)
-        lawn = np.array([1.0, 1.5, 0.62], np.float32) * (1 + 0.15 * np.sin(60 / np.minimum(y - 0.03, -0.05)))[:, None]
-        out = np.where((y < -0.06)[:, None], lawn, out) * np.float32(self.scale)
+        lawn = np.array([0.50, 0.74, 0.27], np.float32) * (1 + 0.1 * np.sin(3 / np.minimum(y, -0.02)))[:, None]
+        out = np.where((y < -0.035)[:, None], lawn, out) * np.float32(self.scale)
         if with_sun and max(self.sun_irradiance) > 0:
             cosine = direction @ np.array(self.sun_direction, np.float32)
             disc = np.array(self.sun_irradiance, np.float32) / np.float32(np.pi * self.sun_radius_rad**2)
@@ -131,7 +142,9 @@ class GlobeLight:
         sine = np.sqrt(np.clip(1 - cosine**2, 0, 1))
         angle = 2 * np.pi * uniform[:, 1]
         side, up = frames_about(axis)
-        direction = cosine[:, None] * axis + sine[:, None] * (np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up)
+        direction = cosine[:, None] * axis + sine[:, None] * (
+            np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * up
+        )
         reach = distance * cosine - np.sqrt(np.clip(self.radius_m**2 - (distance * sine) ** 2, 0, None))
         weight = (2 * np.pi * spread)[:, None] * np.array(self.radiance, np.float32)
         return LightSamples(direction.astype(np.float32), reach.astype(np.float32), weight.astype(np.float32))

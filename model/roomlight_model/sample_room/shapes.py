@@ -158,9 +158,7 @@ def box(width: float, height: float, depth: float, *, radius: float = 0.008, ste
             offset += points.shape[0] * points.shape[1]
     vertices, normals, uv, faces = (np.concatenate(part) for part in zip(*parts, strict=True))
     vertices[:, 1] += half[1]
-    return Mesh(
-        vertices.astype(np.float32), normals.astype(np.float32), uv.astype(np.float32), faces.astype(np.int32)
-    )
+    return Mesh(vertices.astype(np.float32), normals.astype(np.float32), uv.astype(np.float32), faces.astype(np.int32))
 
 
 def cushion(width: float, height: float, depth: float, *, plump: float = 0.5, radius: float = 0.05) -> Mesh:
@@ -224,9 +222,7 @@ def rod(start: Vector, end: Vector, radius: float, end_radius: float | None = No
     x = np.cross(y, [0.0, 0.0, 1.0] if abs(y[2]) < 0.9 else [1.0, 0.0, 0.0])
     x /= np.linalg.norm(x)
     frame = np.stack([x, y, np.cross(x, y)], 1).astype(np.float32)
-    return replace(
-        mesh, vertices=mesh.vertices @ frame.T + low.astype(np.float32), normals=mesh.normals @ frame.T
-    )
+    return replace(mesh, vertices=mesh.vertices @ frame.T + low.astype(np.float32), normals=mesh.normals @ frame.T)
 
 
 def sphere(radius: float, *, rings: int = 18, segments: int = 36) -> Mesh:

@@ -54,8 +54,9 @@ def planks(rng: np.random.Generator, *, height: int, width: int, plank: int = 44
             board = wood(rng, (float(tone[0]), float(tone[1]), float(tone[2])), height=rows, width=columns)
             board[:2] *= 0.45
             board[:, :2] *= 0.45
-            low, high = max(left, 0), min(left + columns, width)
-            floor[top : top + rows, low:high] = board[:, low - left : high - left]
+            low, high = max(left, 0), max(min(left + columns, width), 0)
+            if high > low:
+                floor[top : top + rows, low:high] = board[:, low - left : high - left]
             left += columns
     return floor
 
@@ -147,7 +148,10 @@ def print_leaf(rng: np.random.Generator, *, height: int = 192, width: int = 256)
     image = _paper(height, width)
     canvas = np.ascontiguousarray(image)
     ink = srgb(48, 86, 62)
-    stem = [(int(width * (0.14 + 0.72 * t)), int(height * (0.8 - 0.55 * t + 0.1 * np.sin(4 * t)))) for t in np.linspace(0, 1, 14)]
+    stem = [
+        (int(width * (0.14 + 0.72 * t)), int(height * (0.8 - 0.55 * t + 0.1 * np.sin(4 * t))))
+        for t in np.linspace(0, 1, 14)
+    ]
     for low, high in zip(stem, stem[1:], strict=False):
         cv2.line(canvas, low, high, ink, 2, cv2.LINE_AA)
     for at, (x, y) in enumerate(stem[1:]):

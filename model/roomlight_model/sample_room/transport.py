@@ -8,7 +8,7 @@ Frames: world, y up, metres; radiance linear and relative.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 
 from roomlight.threads import shard
 from roomlight_model.sample_room.light import frames_about
@@ -19,6 +19,11 @@ F0 = 0.04
 
 CHUNK = 16384
 """Rays shaded at a time: arrays of a few MB stay in the cache, and the random numbers do not depend on the threads."""
+
+
+BRIGHTEST = np.float32(18.0)
+"""Reflected direct light of a face (pi times its radiance) is held to this: sunlit white paint has 7, and what exceeds
+it is a lamp's own socket or a rare sample beside the opening, which would leave spots on the walls."""
 
 
 @dataclass(frozen=True)
@@ -40,19 +45,20 @@ def direct_irradiance(
     scene: Scene,
     points: Float[np.ndarray, "n 3"],
     normals: Float[np.ndarray, "n 3"],
+    turn: Float[np.ndarray, "n 2"],
     *,
-    rng: np.random.Generator,
     pass_index: int = 0,
     boost: int = 1,
 ) -> Float[np.ndarray, "n 3"]:
     """Irradiance from the scene's lights; `boost` multiplies each light's shadow rays.
 
-    Passes over one pixel give the same `rng` state and count `pass_index` up, so that their samples interleave.
+    Passes over one pixel give the same random `turn` (uniform in [0, 1)) and count `pass_index` up, so that the samples
+    of all passes interleave to one low-discrepancy set.
     """
     total = np.zeros((len(points), 3), np.float32)
-    for light in scene.lights:
+    for which, light in enumerate(scene.lights):
         count = light.samples * boost
-        uniform = sequence(pass_index * count, count, rng.random((len(points), 2)))
+        uniform = sequence(pass_index * count, count, turn + which * np.array([0.382, 0.177]))
         for at in range(count):
             sample = light.sample(points, uniform[:, at])
             cosine = (normals * sample.direction).sum(1)
@@ -71,7 +77,7 @@ def bake_indirect(
     Rays that meet the back of a face started inside something and are dropped; a vertex with over a third of such rays
     lies within a solid and takes its neighbours' mean.
     """
-    direct, albedo, emission = _face_light(scene, seed, points_per_face)
+    reflected, albedo, emission = _face_light(scene, seed, points_per_face)
     seen = _gather_rays(scene, seed, rays)
     faces = len(scene.faces)
     usable = (seen <= faces).sum(1)
@@ -79,7 +85,9 @@ def bake_indirect(
     links = _links(scene)
     irradiance = np.zeros((len(scene.vertices), 3), np.float32)
     for _ in range(bounces):
-        radiosity = emission + albedo * (direct + irradiance[scene.faces].mean(1)) / np.float32(np.pi)
+        radiosity = emission + (
+            np.minimum(reflected, BRIGHTEST) + albedo * irradiance[scene.faces].mean(1)
+        ) / np.float32(np.pi)
         table = np.concatenate([radiosity, np.zeros((2, 3), np.float32)])  # then: the sky (a light), backs
         gathered = np.empty_like(irradiance)
 
@@ -96,9 +104,9 @@ def bake_indirect(
 def _face_light(
     scene: Scene, seed: int, points_per_face: int
 ) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"]]:
-    """Mean direct irradiance, albedo and gathered emission of each face, from random points on it."""
+    """Mean of reflected direct irradiance, of albedo and of gathered emission on each face, from random points on it."""
     count = len(scene.faces)
-    direct, albedo, emission = (np.zeros((count, 3), np.float32) for _ in range(3))
+    reflected, albedo, emission = (np.zeros((count, 3), np.float32) for _ in range(3))
     gathers = np.array([not one.found_by_samples for one in scene.materials])
 
     def work(start: int, stop: int) -> None:
@@ -118,14 +126,16 @@ def _face_light(
                 corner = scene.vertices[scene.faces[face]]
                 outward = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
                 surface = scene.surface(hits, -outward)
-                # One colour for light and reflectance together: a bright board in the sun is brighter than their mean.
-                received = direct_irradiance(scene, surface.position, surface.normal, rng=rng, boost=2)
-                direct[face] += received / np.float32(points_per_face)
+                received = direct_irradiance(
+                    scene, surface.position, surface.normal, rng.random((len(face), 2)), boost=2
+                )
+                # The mean of the product: a pale board in the sun gives more than the product of the means.
+                reflected[face] += surface.albedo * received / np.float32(points_per_face)
                 albedo[face] += surface.albedo / np.float32(points_per_face)
                 emission[face] += surface.emission * gathers[surface.material][:, None] / np.float32(points_per_face)
 
     shard(work, (count + CHUNK - 1) // CHUNK, pieces_per_thread=1)
-    return direct, albedo, emission
+    return reflected, albedo, emission
 
 
 def _gather_rays(scene: Scene, seed: int, rays: int) -> Int[np.ndarray, "v {rays}"]:
@@ -139,7 +149,7 @@ def _gather_rays(scene: Scene, seed: int, rays: int) -> Int[np.ndarray, "v {rays
         np.add.at(share, scene.faces[:, corner], 1.0)
     toward = pull / np.maximum(share, 1)[:, None] - scene.vertices
     # A vertex in the corner of two walls would look along both: start a little way into its own faces.
-    origins = scene.vertices + 0.2 * toward * (share > 0)[:, None] + 2 * OFFSET * scene.normals
+    origins = scene.vertices + 0.2 * toward * (share > 0)[:, None] + np.float32(2e-3) * scene.normals
     seen = np.full((count, rays), faces + 1, np.int32)
     block = max(1, (4 * CHUNK) // rays)
 
@@ -165,9 +175,6 @@ def _gather_rays(scene: Scene, seed: int, rays: int) -> Int[np.ndarray, "v {rays
     return seen
 
 
-OFFSET = np.float32(1e-3)
-
-
 def _links(scene: Scene) -> Int[np.ndarray, "e 2"]:
     """Directed edges of the mesh, each once."""
     faces = scene.faces
@@ -176,9 +183,9 @@ def _links(scene: Scene) -> Int[np.ndarray, "e 2"]:
 
 
 def _mend(
-    values: Float[np.ndarray, "v 3"], buried: Float[np.ndarray, "v"] | np.ndarray, links: Int[np.ndarray, "e 2"]
+    values: Float[np.ndarray, "v 3"], buried: Bool[np.ndarray, "v"], links: Int[np.ndarray, "e 2"]
 ) -> Float[np.ndarray, "v 3"]:
-    """Neighbours' means: for buried vertices until all are reached, then half a step for all against noise."""
+    """Neighbours' means: for buried vertices until all are reached, then two steps for all against noise."""
     count = len(values)
     values = np.where(buried[:, None], 0, values).astype(np.float64)
     known = ~buried
@@ -196,8 +203,9 @@ def _mend(
         fresh = ~known & reached
         values[fresh] = mean[fresh]
         known = known | fresh
-    mean, reached = means(np.ones(count))
-    values[reached] = 0.5 * values[reached] + 0.5 * mean[reached]
+    for _ in range(2):
+        mean, reached = means(np.ones(count))
+        values[reached] = 0.4 * values[reached] + 0.6 * mean[reached]
     return values.astype(np.float32)
 
 
@@ -206,12 +214,13 @@ def radiance(
     indirect: Indirect,
     origins: Float[np.ndarray, "n 3"],
     directions: Float[np.ndarray, "n 3"],
+    turn: Float[np.ndarray, "n 2"],
     *,
     rng: np.random.Generator,
     pass_index: int = 0,
     reflected: bool = False,
 ) -> Float[np.ndarray, "n 3"]:
-    """Radiance that arrives along unit rays. What a mirror reflection shows has no reflection of its own.
+    """Radiance that arrives along unit rays (`turn` and `pass_index` as in `direct_irradiance`). What a mirror reflection shows has no reflection of its own.
 
     The sun's disc is seen directly but not in reflections, where it would be a few white dots.
     """
@@ -222,7 +231,7 @@ def radiance(
         return out
     hits = Hits(hits.face[on], hits.u[on], hits.v[on], hits.distance_m[on], hits.from_behind[on])
     surface = scene.surface(hits, directions[on])
-    received = direct_irradiance(scene, surface.position, surface.normal, rng=rng, pass_index=pass_index)
+    received = direct_irradiance(scene, surface.position, surface.normal, turn[on], pass_index=pass_index)
     received += scene.interpolate(hits, indirect.irradiance)
     shade = surface.albedo * received / np.float32(np.pi)
     gloss = np.array([one.gloss for one in scene.materials], np.float32)[surface.material]
@@ -240,7 +249,14 @@ def radiance(
         mirror /= np.linalg.norm(mirror, axis=1, keepdims=True)
         fresnel = (gloss[glossy] * (F0 + (1 - F0) * (1 - cosine) ** 5))[:, None].astype(np.float32)
         seen = radiance(
-            scene, indirect, surface.position[glossy], mirror.astype(np.float32), rng=rng, reflected=True
+            scene,
+            indirect,
+            surface.position[glossy],
+            mirror.astype(np.float32),
+            turn[on][glossy],
+            rng=rng,
+            pass_index=pass_index,
+            reflected=True,
         )
         shade[glossy] = (1 - fresnel) * shade[glossy] + fresnel * seen
     out[on] = shade + surface.emission

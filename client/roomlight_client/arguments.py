@@ -1,0 +1,118 @@
+"""Arguments that several commands share, as typer annotations, and what they build."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from roomlight.captures import FORMATS, CaptureOptions
+from roomlight.captures.options import CameraConvention, PoseDirection
+from roomlight.depth import UnknownDepth
+from roomlight_server.providers import Provider
+from roomlight_server.session import ModelName, Position, SessionOptions
+
+_CAPTURE = "How to read the capture"
+_MODEL = "How to estimate the light"
+
+Format = Annotated[
+    str | None,
+    typer.Option("--format", rich_help_panel=_CAPTURE, help=f"Force a reader: {', '.join(sorted(FORMATS))}."),
+]
+DepthKey = Annotated[
+    str | None,
+    typer.Option(rich_help_panel=_CAPTURE, help="Which depth map of a transforms.json, e.g. depth_lidar_file_path."),
+]
+DepthUnit = Annotated[
+    float | None, typer.Option("--depth-unit", rich_help_panel=_CAPTURE, help="Metres for one stored unit of depth.")
+]
+MinConfidence = Annotated[
+    int | None, typer.Option(rich_help_panel=_CAPTURE, help="Depth with a lower confidence than this is removed.")
+]
+CameraAxes = Annotated[
+    CameraConvention | None,
+    typer.Option("--camera-convention", rich_help_panel=_CAPTURE, help="Camera axes of the stored poses."),
+]
+PoseMaps = Annotated[
+    PoseDirection | None, typer.Option("--pose-direction", rich_help_panel=_CAPTURE, help="What the stored poses map.")
+]
+WorldUp = Annotated[
+    str | None,
+    typer.Option(rich_help_panel=_CAPTURE, help="The stored world's up: x, y, z, -x, -y, -z, or three numbers X,Y,Z."),
+]
+MaxFrames = Annotated[int | None, typer.Option(rich_help_panel=_CAPTURE, help="Use at most so many frames.")]
+
+Model = Annotated[
+    ModelName,
+    typer.Option(rich_help_panel=_MODEL, help="auto: the best trained weights there are, else classical."),
+]
+Weights = Annotated[
+    Path | None, typer.Option(rich_help_panel=_MODEL, help="A model folder of `roomlight export` instead of the shipped one.")
+]
+AllowUntrained = Annotated[
+    bool, typer.Option("--allow-untrained", rich_help_panel=_MODEL, help="Accept weights that were never trained.")
+]
+Runtime = Annotated[
+    Provider, typer.Option("--provider", rich_help_panel=_MODEL, help="Where networks run: auto, cpu, openvino.")
+]
+UnknownDepthOption = Annotated[
+    UnknownDepth,
+    typer.Option("--unknown-depth", rich_help_panel=_MODEL, help="Where pixels without depth are taken to be."),
+]
+
+
+def parse_position(text: str) -> Position:
+    """X,Y,Z in metres; typer's own error otherwise."""
+    return _three(text, "a position is X,Y,Z in metres, e.g. 0.2,-0.1,-1.5")
+
+
+def parse_world_up(text: str | None) -> str | Position | None:
+    """An axis name as it is, or three numbers."""
+    return _three(text, "world up is an axis (x, -z, ...) or three numbers X,Y,Z") if text and "," in text else text
+
+
+def _three(text: str, rule: str) -> Position:
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"{rule}; got {text!r}") from None
+    return x, y, z
+
+
+def capture_options(
+    *,
+    format_name: str | None,
+    depth_key: str | None,
+    depth_unit: float | None,
+    min_confidence: int | None,
+    camera_convention: CameraConvention | None,
+    pose_direction: PoseDirection | None,
+    world_up: str | None,
+    max_frames: int | None,
+) -> CaptureOptions:
+    """The reader's options from the command line."""
+    return CaptureOptions(
+        format=format_name,
+        camera_convention=camera_convention,
+        pose_direction=pose_direction,
+        world_up=parse_world_up(world_up),
+        depth_unit_m=depth_unit,
+        depth_key=depth_key,
+        min_confidence=min_confidence,
+        max_frames=max_frames,
+    )
+
+
+def session_options(
+    *, model: ModelName, weights: Path | None, provider: Provider, allow_untrained: bool, unknown_depth: UnknownDepth, height: int
+) -> SessionOptions:
+    """The engine's options from the command line."""
+    if not 16 <= height <= 2048:
+        raise typer.BadParameter(f"--height must be 16 to 2048, got {height}")
+    return SessionOptions(
+        model=model,
+        weights=weights,
+        provider=provider,
+        allow_untrained=allow_untrained,
+        unknown_depth=unknown_depth,
+        height=height,
+    )

@@ -1,0 +1,249 @@
+"""The `roomlight` command. Commands import what they need when they run: `--help` is quick, and PyTorch is loaded by
+`export` and the comparisons of `bench` alone."""
+
+import json
+import sys
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.console import Console
+
+from roomlight import __version__
+from roomlight.errors import RoomLightError
+from roomlight_client import arguments as given
+
+app = typer.Typer(
+    name="roomlight",
+    help="HDR indoor light at any point of a room, from colour, depth and camera poses.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+bench_app = typer.Typer(help="Measure speed: every figure as a ratio within one run.", no_args_is_help=True)
+app.add_typer(bench_app, name="bench")
+
+_err = Console(stderr=True, highlight=False)
+_out = Console(highlight=False)
+
+
+@app.callback(invoke_without_command=True)
+def _root(  # pyright: ignore[reportUnusedFunction]  (typer calls it)
+    version: Annotated[bool, typer.Option("--version", help="Print the version and stop.", is_eager=True)] = False,
+) -> None:
+    if version:
+        _out.print(f"roomlight {__version__}")
+        raise typer.Exit
+
+
+@app.command()
+def replay(
+    capture: Annotated[Path, typer.Argument(help="A recorded capture: a folder, or a Record3D .r3d file.")],
+    out: Annotated[Path, typer.Option(help="Folder for panoramas, pictures and the report.")],
+    probe: Annotated[
+        list[str] | None, typer.Option(help="A point X,Y,Z in world metres (y up) to light; repeatable.")
+    ] = None,
+    probes_from_capture: Annotated[
+        bool, typer.Option("--probes-from-capture", help="Use the positions of the capture's own probes.")
+    ] = False,
+    model: given.Model = "auto",
+    weights: given.Weights = None,
+    provider: given.Runtime = "auto",
+    allow_untrained: given.AllowUntrained = False,
+    unknown_depth: given.UnknownDepthOption = "rim",
+    height: Annotated[int, typer.Option(help="Panorama height in pixels; its width is twice that.")] = 120,
+    every: Annotated[int, typer.Option(min=1, help="Process every n-th frame only.")] = 1,
+    interpolate: Annotated[
+        bool, typer.Option("--interpolate", help="With --every: also write the frames in between, interpolated.")
+    ] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what --out holds of another replay.")] = False,
+    format_name: given.Format = None,
+    depth_key: given.DepthKey = None,
+    depth_unit: given.DepthUnit = None,
+    min_confidence: given.MinConfidence = None,
+    camera_convention: given.CameraAxes = None,
+    pose_direction: given.PoseMaps = None,
+    world_up: given.WorldUp = None,
+    max_frames: given.MaxFrames = None,
+) -> None:
+    """Replay a capture: an HDR panorama per frame at each probe, a contact sheet, a video and a report."""
+    from roomlight_client.replay import ReplayOptions
+
+    options = ReplayOptions(
+        capture=given.capture_options(
+            format_name=format_name,
+            depth_key=depth_key,
+            depth_unit=depth_unit,
+            min_confidence=min_confidence,
+            camera_convention=camera_convention,
+            pose_direction=pose_direction,
+            world_up=world_up,
+            max_frames=max_frames,
+        ),
+        session=given.session_options(
+            model=model,
+            weights=weights,
+            provider=provider,
+            allow_untrained=allow_untrained,
+            unknown_depth=unknown_depth,
+            height=height,
+        ),
+        probes=tuple(given.parse_position(text) for text in probe or ()),
+        probes_from_capture=probes_from_capture,
+        every=every,
+        interpolate=interpolate,
+        overwrite=overwrite,
+    )
+    _replay_and_tell(capture, out, options)
+
+
+@app.command()
+def demo(
+    out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("roomlight-demo"),
+) -> None:
+    """Replay the small room that comes with RoomLight and say where to look. Needs no arguments and no network."""
+    from roomlight_client.demo import demo_options, sample_capture
+
+    path = sample_capture()
+    _replay_and_tell(path, out, demo_options())
+    from roomlight_client.demo import score_line
+
+    _out.print(score_line(path, out))
+
+
+@app.command(name="eval")
+def evaluate(
+    captures: Annotated[list[Path], typer.Argument(help="Captures with ground-truth probes.")],
+    predictions: Annotated[
+        Path | None, typer.Option(help="Score the panoramas that `roomlight replay` wrote here instead of the engine.")
+    ] = None,
+    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the scores as JSON.")] = None,
+    model: given.Model = "auto",
+    weights: given.Weights = None,
+    provider: given.Runtime = "auto",
+    allow_untrained: given.AllowUntrained = False,
+    unknown_depth: given.UnknownDepthOption = "rim",
+    format_name: given.Format = None,
+    depth_key: given.DepthKey = None,
+    depth_unit: given.DepthUnit = None,
+    min_confidence: given.MinConfidence = None,
+    camera_convention: given.CameraAxes = None,
+    pose_direction: given.PoseMaps = None,
+    world_up: given.WorldUp = None,
+    max_frames: given.MaxFrames = None,
+) -> None:
+    """Score light against ground-truth probes: the paper's metrics by interval, beside mean colour and warp-and-fill."""
+    from roomlight_client.scoring import run_evaluation
+
+    run_evaluation(
+        captures,
+        predictions=predictions,
+        json_out=json_out,
+        console=_out,
+        session=given.session_options(
+            model=model,
+            weights=weights,
+            provider=provider,
+            allow_untrained=allow_untrained,
+            unknown_depth=unknown_depth,
+            height=120,
+        ),
+        capture=given.capture_options(
+            format_name=format_name,
+            depth_key=depth_key,
+            depth_unit=depth_unit,
+            min_confidence=min_confidence,
+            camera_convention=camera_convention,
+            pose_direction=pose_direction,
+            world_up=world_up,
+            max_frames=max_frames,
+        ),
+    )
+
+
+@app.command()
+def export(
+    checkpoint: Annotated[Path, typer.Argument(help="A PyTorch checkpoint of RoomLight's training.")],
+    out: Annotated[Path, typer.Option(help="Model folder to write.")],
+    ort: Annotated[bool, typer.Option("--ort/--no-ort", help="Also write .ort files for phones.")] = True,
+) -> None:
+    """Export a checkpoint as verified ONNX graphs (needs the `train` extra)."""
+    try:
+        from roomlight_export.exporting import export_checkpoint
+    except ModuleNotFoundError as error:
+        raise _missing_extra(error, "train") from error
+    with _err.status("exporting and verifying the graphs") as status:
+        report = export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
+    _out.print(
+        f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
+        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX, {report.ort_bytes / 1e6:.1f} MB of .ort"
+    )
+    for network, parity in report.parity.items():
+        _out.print(
+            f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} recurrent steps "
+            f"(tolerance {report.tolerance:.0e})"
+        )
+
+
+@bench_app.command("stages")
+def bench_stages(
+    repeats: Annotated[int, typer.Option(min=1, help="Interleaved repeats of each stage.")] = 7,
+    weights: given.Weights = None,
+    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
+) -> None:
+    """Each stage beside its readable reference, the plain PyTorch way, and the roofline of this machine."""
+    from roomlight.images import write_whole
+    from roomlight_client.bench.stages import run_stages
+
+    with _err.status("measuring") as status:
+        report = run_stages(repeats=repeats, model=weights, progress=status.update)
+    _out.print(report.table())
+    if json_out:
+        write_whole(json_out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
+
+
+def _replay_and_tell(capture: Path, out: Path, options: "ReplayOptions") -> None:  # noqa: F821
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    from roomlight_client.replay import replay as run
+    from roomlight_server.session import warm_up
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=_err) as bars:
+        task = bars.add_task("compiling kernels (first run only)", total=None)
+        warm_up()
+        bars.update(task, description="replaying")
+        result = run(capture, out, options, progress=lambda done, total: bars.update(task, completed=done, total=total))
+    report = result.report
+    stages = report["stage_ms_median"]
+    _out.print(
+        f"{len(report['frames'])} frames, {len(report['probes'])} probes, model {report['model']}, "
+        f"{sum(stages.values()):.0f} ms a frame (median), {report['wall_s']:.0f} s in all"
+    )
+    for probe in report["probes"]:
+        x, y, z = probe["position"]
+        note = "  [yellow](outside the lighting volume: distant light only)[/]" if probe.get("outside_volume") else ""
+        _out.print(f"  {probe['folder']} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {probe['coverage']:.0%} of the sphere seen{note}")
+    for skipped in report["skipped"][:5]:
+        _err.print(f"[yellow]skipped[/] frame {skipped['index']}: {skipped['reason']}")
+    if len(report["skipped"]) > 5:
+        _err.print(f"[yellow]skipped[/] {len(report['skipped']) - 5} more; all are in {out / 'report.json'}")
+    _out.print(f"Look at {out / 'summary.png'} and {out / 'replay.mp4'}; the panoramas are {out / 'probe-00'}/*.exr")
+
+
+def _missing_extra(error: ModuleNotFoundError, extra: str) -> RoomLightError:
+    from roomlight.errors import ModelError
+
+    return ModelError(f"this command needs {error.name}: pip install 'roomlight[{extra}]'")
+
+
+def main() -> None:
+    """Entry point: errors of RoomLight as one line, Ctrl-C without a traceback (exit code 130)."""
+    try:
+        app()
+    except RoomLightError as error:
+        _err.print(f"[red]error:[/] {error}", soft_wrap=True)
+        sys.exit(1)
+    except KeyboardInterrupt:
+        _err.print("\nstopped; the same command continues where it was", soft_wrap=True)
+        sys.exit(130)

@@ -1,0 +1,270 @@
+"""Replay of a recorded capture through a session: one HDR panorama a frame at each probe, pictures and a report.
+
+What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last of
+all, `report.json`: a folder without it is not whole. `replay.json` is written first and says what the folder is for,
+so that the same command continues an interrupted replay and another one refuses to mix with it.
+"""
+
+import json
+import shutil
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight import __version__
+from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.errors import CaptureError, FrameError, OutputError, ProbeError
+from roomlight.frame import Frame
+from roomlight.images import write_exr, write_whole
+from roomlight.sglv import check_position
+from roomlight_client.pictures import ReplayPictures
+from roomlight_server.session import FrameReport, Light, Position, Session, SessionOptions
+
+REPORT: Final = "report.json"
+INTENT: Final = "replay.json"
+
+
+@dataclass(frozen=True)
+class ReplayOptions:
+    """What to replay and how much of it.
+
+    probes:        world positions in metres; empty = the capture's own probes if `probes_from_capture`, else one point
+                   on the first frame's optical axis, at 60 % of its median depth.
+    every:         a session frame is every n-th of the capture.
+    interpolate:   also write the frames in between, linearly interpolated in radiance (paper, section 5.2).
+    overwrite:     replace what the output folder holds of another replay.
+    """
+
+    capture: CaptureOptions = field(default_factory=CaptureOptions)
+    session: SessionOptions = field(default_factory=SessionOptions)
+    probes: tuple[Position, ...] = ()
+    probes_from_capture: bool = False
+    every: int = 1
+    interpolate: bool = False
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse steps that select nothing."""
+        if self.every < 1:
+            raise CaptureError(f"--every must be 1 or more, got {self.every}")
+        for position in self.probes:
+            check_position(position)
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Where the outputs are, and the report as written."""
+
+    out: Path
+    report: dict[str, Any]
+
+
+Progress = Callable[[int, int], None]
+"""Called with (frames done, frames in all)."""
+
+
+def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress | None = None) -> ReplayResult:
+    """Replay a capture into a folder. Raises RoomLightError; on KeyboardInterrupt what is written stays, without a report."""
+    read = options.capture
+    stride = 1 if options.interpolate else options.every
+    capture = open_capture(path, CaptureOptions(**{**vars(read), "every": read.every * stride}))
+    session = Session(options.session)
+    positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
+    intent = _intent(path, session.model, options)
+    _claim(out, intent, overwrite=options.overwrite)
+
+    began = time.perf_counter()
+    reports: list[FrameReport] = []
+    unusable: list[dict[str, Any]] = []
+    pictures: ReplayPictures | None = None
+    writer: _Writer | None = None
+    waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
+    done = 0
+    try:
+        for frame in capture:
+            computed = frame.index // read.every % options.every == 0 or not reports
+            if not computed:
+                waiting.append(frame)
+                continue
+            try:
+                if writer is None or pictures is None:
+                    positions = positions or (_point_in_view(frame),)
+                    for position in positions:
+                        session.track(position)
+                    report = session.push(frame)
+                    writer = _Writer(out, len(positions))
+                    pictures = ReplayPictures(
+                        out,
+                        positions,
+                        frame,
+                        frame_count=capture.frame_count,
+                        frames_per_second=capture.frames_per_second,
+                        truths=_truths(capture, positions),
+                        heading=f"{path.name}: light by the {session.model} model",
+                    )
+                else:
+                    report = session.push(frame)
+            except FrameError as error:
+                unusable.append({"index": frame.index, "file": frame.source, "reason": str(error)})
+                continue
+            lights = session.lights()
+            for between, mixed in writer.interpolated(waiting, frame, lights):
+                pictures.add(between, mixed)
+            waiting.clear()
+            writer.write(frame, lights)
+            pictures.add(frame, [light.panorama for light in lights])
+            reports.append(report)
+            done = frame.index // (read.every * stride) + 1
+            if progress:
+                progress(min(done, capture.frame_count), capture.frame_count)
+        if writer is None or pictures is None:
+            raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
+        for frame in waiting:  # after the last session frame: nothing to interpolate towards, the light stays
+            writer.hold(frame)
+            pictures.add(frame, [light.panorama for light in session.lights()])
+        pictures.close()
+    except BaseException as error:
+        if pictures is not None:
+            pictures.abandon(error)
+        raise
+    if progress:
+        progress(capture.frame_count, capture.frame_count)
+
+    lights = session.lights()
+    report = {
+        "complete": True,
+        "roomlight": __version__,
+        "capture": {"path": str(path), "format": capture.format, "frames": capture.frame_count},
+        "model": session.model,
+        "probes": [
+            {"position": list(light.position), "folder": f"probe-{n:02d}", "coverage": round(light.coverage, 4)}
+            | ({} if session.grid and session.grid.contains(light.position) else {"outside_volume": True})
+            for n, light in enumerate(lights)
+        ],
+        "keyframes": session.keyframes,
+        "stage_ms_median": _medians(reports),
+        "wall_s": round(time.perf_counter() - began, 3),
+        "frames": [
+            {
+                "index": r.index,
+                "keyframe": r.keyframe,
+                "coverage": [round(c, 4) for c in r.coverage],
+                "stage_ms": {k: round(v, 2) for k, v in r.stage_ms.items()},
+            }
+            for r in reports
+        ],
+        "interpolated": writer.count_interpolated,
+        "skipped": [asdict(s) for s in capture.skipped] + unusable,
+    }
+    write_whole(out / REPORT, (json.dumps(report, indent=1) + "\n").encode())
+    return ReplayResult(out, report)
+
+
+class _Writer:
+    """Panoramas to EXR, one folder a probe; a file that is there already (an interrupted run's) is kept."""
+
+    def __init__(self, out: Path, probes: int) -> None:
+        self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
+        self._before: tuple[int, list[Float[np.ndarray, "h w 3"]]] | None = None
+        self.count_interpolated = 0
+
+    def write(self, frame: Frame, lights: Sequence[Light]) -> None:
+        """One session frame."""
+        self._before = (frame.index, [light.panorama for light in lights])
+        for folder, light in zip(self._folders, lights, strict=True):
+            coverage = f"{light.coverage:.4f}"
+            self._save(folder, frame.index, light.panorama, {"roomlight:coverage": coverage})
+
+    def interpolated(
+        self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
+    ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
+        """Write and yield the frames between the last session frame and this one."""
+        if self._before is None:
+            return
+        start, panoramas = self._before
+        for middle in between:
+            share = np.float32((middle.index - start) / (frame.index - start))
+            mixed = [(1 - share) * a + share * light.panorama for a, light in zip(panoramas, lights, strict=True)]
+            self._save_interpolated(middle.index, mixed)
+            yield middle, mixed
+
+    def hold(self, frame: Frame) -> None:
+        """A frame after the last session frame: the light stays as it was."""
+        if self._before is not None:
+            self._save_interpolated(frame.index, self._before[1])
+
+    def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
+        self.count_interpolated += 1
+        for folder, panorama in zip(self._folders, panoramas, strict=True):
+            self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
+
+    @staticmethod
+    def _save(folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
+        path = folder / f"{index:06d}.exr"
+        if not path.exists():
+            write_exr(path, panorama, metadata=metadata)
+
+
+def _capture_probes(capture: Capture) -> tuple[Position, ...]:
+    if not capture.probes:
+        raise CaptureError(f"{capture.path}: --probes-from-capture, but it names no probes; give --probe X,Y,Z")
+    return tuple(probe.position for probe in capture.probes)
+
+
+def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.ndarray, "h w 3"] | None]:
+    """The capture's measured panoramas at these positions, None where it has none."""
+    measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
+    return [measured[position].panorama() if position in measured else None for position in positions]
+
+
+def _point_in_view(frame: Frame) -> Position:
+    """A point in free space that the first camera looks at: on the optical axis, at 60 % of the median depth."""
+    known = frame.depth_m[frame.depth_m > 0]
+    if known.size == 0:
+        raise ProbeError(f"{frame.source}: no depth to place a probe by; give --probe X,Y,Z")
+    point = frame.camera_to_world @ np.array([0, 0, -0.6 * float(np.median(known)), 1.0])
+    x, y, z = (round(value, 3) for value in point[:3].tolist())
+    return x, y, z
+
+
+def _intent(path: Path, model: str, options: ReplayOptions) -> dict[str, Any]:
+    """What makes two replays the same: everything but where the output goes."""
+    described = {"roomlight": __version__, "capture": str(path.resolve()), "model": model}
+    settings = asdict(options)
+    settings.pop("overwrite")
+    return json.loads(json.dumps({**described, "options": settings}, default=str))
+
+
+def _claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
+    """Take the folder for this replay, or raise OutputError if it holds something else."""
+    path = out / INTENT
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out}: is a file; --out wants a folder")
+    if path.is_file():
+        try:
+            same = json.loads(path.read_text()) == intent
+        except ValueError:
+            same = False
+        if not same and not overwrite:
+            raise OutputError(f"{out}: holds another replay (see {INTENT}); choose another --out, or --overwrite it")
+        if not same or overwrite:
+            for folder in out.glob("probe-[0-9][0-9]*"):
+                shutil.rmtree(folder)
+    elif out.is_dir() and any(out.iterdir()) and not overwrite:
+        raise OutputError(f"{out}: is not empty and not a replay's; choose another --out, or --overwrite")
+    (out / REPORT).unlink(missing_ok=True)
+    write_whole(path, (json.dumps(intent, indent=1) + "\n").encode())
+
+
+def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:
+    stages = {stage for report in reports for stage in report.stage_ms}
+    return {
+        stage: round(float(np.median([report.stage_ms.get(stage, 0.0) for report in reports])), 2)
+        for stage in sorted(stages)
+    }
+

@@ -1,0 +1,70 @@
+"""`roomlight eval`: the engine as one of the methods that `evaluate` scores, and what the command prints."""
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from jaxtyping import Float
+from rich.console import Console
+from rich.progress import Progress
+
+from roomlight.baselines import MeanColour, WarpAndFill
+from roomlight.captures import CaptureOptions
+from roomlight.frame import Frame
+from roomlight.images import write_whole
+from roomlight_client.evaluate import Estimator, evaluate
+from roomlight_client.tables import evaluation_tables
+from roomlight_server.graphs import LightingGraphs
+from roomlight_server.session import Position, Session, SessionOptions, choose_graphs, warm_up
+
+
+class EngineEstimator:
+    """A session as an estimator: positions are tracked from the first time they are asked for."""
+
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None) -> None:
+        """A fresh session; `graphs` as `choose_graphs` gave them for these options."""
+        self._session = Session(options, graphs=graphs)
+        self._handles: dict[Position, int] = {}
+        self.name = f"roomlight {self._session.model}"
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame."""
+        self._session.push(frame)
+
+    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
+        """The light after the frames so far."""
+        if position not in self._handles:
+            self._handles[position] = self._session.track(position)
+        return self._session.light(self._handles[position]).panorama
+
+
+def run_evaluation(
+    captures: Sequence[Path],
+    *,
+    predictions: Path | None,
+    json_out: Path | None,
+    console: Console,
+    session: SessionOptions,
+    capture: CaptureOptions,
+) -> None:
+    """Evaluate, print the tables, write the JSON. Raises RoomLightError."""
+    graphs = choose_graphs(session) if predictions is None else None
+
+    def estimators() -> list[Estimator]:
+        baselines: list[Estimator] = [MeanColour(), WarpAndFill()]
+        return baselines if predictions is not None else [*baselines, EngineEstimator(session, graphs)]
+
+    with Progress(console=Console(stderr=True), transient=True) as bars:
+        task = bars.add_task("compiling kernels (first run only)", total=None)
+        warm_up()
+
+        def show(name: str, done: int, total: int) -> None:
+            bars.update(task, description=f"scoring {name}", completed=done, total=total)
+
+        evaluation = evaluate(captures, estimators, options=capture, predictions=predictions, progress=show)
+    for table in evaluation_tables(evaluation, per_capture=True):
+        console.print(table)
+    if json_out:
+        write_whole(json_out, (json.dumps(evaluation.to_json(), indent=1) + "\n").encode())
+        console.print(f"scores written to {json_out}")

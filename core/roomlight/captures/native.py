@@ -1,0 +1,260 @@
+"""RoomLight's own capture layout, reader and writer.
+
+    capture.json             the index, written last
+    colour/000000.jpg        sRGB 8 bit (or linear EXR)
+    depth/000000.png         uint16 millimetres, 0 = unknown; the same view as the colour, any size
+    confidence/000000.png    optional, uint8: 0 low, 1 medium, 2 high
+    probes/00.exr            optional ground-truth panoramas, H x 2H linear RGB
+
+`capture.json`:
+
+    {"format": "roomlight-capture", "version": 1, "name": "...",
+     "frames": [{"colour": "colour/000000.jpg", "depth": "depth/000000.png",
+                 "confidence": "confidence/000000.png",
+                 "intrinsics": {"fx": .., "fy": .., "cx": .., "cy": .., "width": .., "height": ..},
+                 "camera_to_world": [[4 numbers] x 4], "timestamp_s": 0.0, "exposure": 1.0}],
+     "probes": [{"position": [x, y, z], "panorama": "probes/00.exr"}]}
+
+All is in RoomLight's conventions (`roomlight.conventions`): world y up, camera x right, y up, z backward,
+camera-to-world, pixel centres at half integers. `confidence`, `timestamp_s` and `exposure` are optional;
+`exposure` is relative to the reference exposure, and the linear radiance is divided by it.
+"""
+
+import json
+import shutil
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roomlight.camera import Intrinsics, check_rigid
+from roomlight.captures import fields
+from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_confidence, decode_depth_map
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.stray_writer import depth_to_png, encoded
+from roomlight.errors import CaptureError, FrameError, OutputError
+from roomlight.images import decode_colour, write_exr, write_whole
+
+INDEX: Final = "capture.json"
+FORMAT: Final = "roomlight-capture"
+VERSION: Final = 1
+_INTRINSICS: Final = ("fx", "fy", "cx", "cy")
+
+
+class NativeReader:
+    """Reads a folder with a `capture.json`."""
+
+    format = "roomlight"
+    conventions = Conventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        self._source = FolderSource(folder)
+        self._unit_m = options.depth_unit_m or 0.001
+        self._label = self._source.label(INDEX)
+        index = fields.parse_json(read_index(self._source, INDEX), self._label)
+        if index.get("format") != FORMAT:
+            raise CaptureError(
+                f"{self._label}: its format is {str(index.get('format'))[:40]!r}, not {FORMAT!r}"
+            )
+        if index.get("version") != VERSION:
+            raise CaptureError(
+                f"{self._label}: is version {str(index.get('version'))[:20]}; version {VERSION} is read"
+            )
+        with fields.naming(self._label, CaptureError):
+            self._frames = fields.objects(index.get("frames"), "frames")
+            self.probes = [self._probe(entry) for entry in fields.objects(index.get("probes", []), "probes")]
+        self.count = len(self._frames)
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{self._label}: lists {self.count} frames; up to {MAX_FRAMES} are read")
+
+    def name_of(self, index: int) -> str:
+        """The colour file as the index names it."""
+        name = self._frames[index].get("colour")
+        return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
+
+    def timestamps_s(self) -> list[float]:
+        """The frames' times, those without left out."""
+        return [time for frame in self._frames if (time := _time(frame)) is not None]
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Every record is a file of its own; nothing is held open."""
+        yield self._read
+
+    def _read(self, index: int) -> RawFrame:
+        entry = self._frames[index]
+        where = f"{self._label}: frame {index}"
+        with fields.naming(where, FrameError):
+            colour_name = fields.text(entry.get("colour"), "colour")
+            depth_name = fields.text(entry.get("depth"), "depth")
+            pose = fields.matrix4(entry.get("camera_to_world"), "camera_to_world")
+            exposure = fields.positive(entry.get("exposure", 1.0), "exposure")
+            if not 1e-6 <= exposure <= 1e6:
+                raise ValueError(
+                    f"exposure {exposure:g} is no camera's; it is relative to the reference exposure"
+                )
+            lens: Any = entry.get("intrinsics")
+            if not isinstance(lens, dict):
+                raise ValueError("has no intrinsics")
+            fx, fy, cx, cy = (fields.number(lens.get(key), key) for key in _INTRINSICS)
+            size = (fields.pixels(lens.get("width"), "width"), fields.pixels(lens.get("height"), "height"))
+            intrinsics = Intrinsics(fx, fy, cx, cy, *size)
+        label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
+        image, clipped = decode_colour(self._source.read(colour_name), label)
+        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        confidence = None
+        if entry.get("confidence") is not None:
+            with fields.naming(where, FrameError):
+                confidence_name = fields.text(entry["confidence"], "confidence")
+            confidence = decode_confidence(
+                self._source.read(confidence_name), self._source.label(confidence_name)
+            )
+        return RawFrame(
+            name=label,
+            image=image if exposure == 1.0 else image / np.float32(exposure),
+            clipped=clipped,
+            depth_m=depth_m,
+            depth_name=depth_label,
+            intrinsics=intrinsics,
+            pose=pose,
+            timestamp_s=_time(entry),
+            confidence=confidence,
+        )
+
+    def _probe(self, entry: dict[str, Any]) -> RawProbe:
+        position = fields.vector(entry.get("position"), 3, "a probe's position")
+        for value in position.tolist():
+            fields.number(value, "a probe's position")
+        if entry.get("panorama") is None:
+            return position, None
+        try:
+            return position, self._source.path(fields.text(entry["panorama"], "a probe's panorama"))
+        except FrameError as error:
+            raise CaptureError(f"{self._label}: a probe's panorama: {error}") from error
+
+
+class CaptureWriter:
+    """Writes a capture in the native layout, frame by frame; use it in a `with` statement.
+
+    Everything goes to a folder `.NAME.part` beside the target; `close` writes the index and renames it. Left
+    by an exception, the partial folder is removed: there is a whole capture or none.
+    """
+
+    def __init__(self, path: Path, *, name: str = "") -> None:
+        """Start writing; OutputError if `path` holds anything already or cannot be made."""
+        self.path = path
+        self._name = name or path.name
+        self._partial = path.with_name(f".{path.name}.part")
+        self._frames: list[dict[str, Any]] = []
+        self._probes: list[dict[str, Any]] = []
+        self._closed = False
+        if path.exists() and (not path.is_dir() or any(path.iterdir())):
+            raise OutputError(f"{path}: exists already; choose another folder or delete it")
+        try:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            self._partial.mkdir(parents=True)
+        except OSError as error:
+            raise OutputError(f"{self._partial}: cannot be created ({error.strerror or error})") from error
+
+    def __enter__(self) -> "CaptureWriter":
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close, or remove the partial folder after an exception."""
+        if kind is None:
+            self.close()
+        else:
+            shutil.rmtree(self._partial, ignore_errors=True)
+
+    def add(
+        self,
+        *,
+        srgb8: UInt8[np.ndarray, "h w 3"],
+        depth_m: Float[np.ndarray, "dh dw"],
+        intrinsics: Intrinsics,
+        camera_to_world: Float[np.ndarray, "4 4"],
+        timestamp_s: float | None = None,
+        confidence: UInt8[np.ndarray, "dh dw"] | None = None,
+        exposure: float | None = None,
+        jpeg_quality: int = 92,
+    ) -> None:
+        """Add a frame: sRGB 8-bit colour and z-depth in metres (0 or non-finite = unknown). OutputError if
+        it does not fit.
+
+        Quality 92 keeps a linear radiance error of about 1 % at 320 x 240 in 30 kB.
+        """
+        index = len(self._frames)
+        stem, name = f"{index:06d}", f"{self.path}: frame {index}"
+        if srgb8.shape[:2] != (intrinsics.height, intrinsics.width):
+            raise OutputError(
+                f"{name}: the image is {srgb8.shape[1]} x {srgb8.shape[0]} but its intrinsics are for "
+                f"{intrinsics.width} x {intrinsics.height}"
+            )
+        try:
+            pose = check_rigid(camera_to_world)
+        except ValueError as error:
+            raise OutputError(f"{name}: {error}") from error
+        entry: dict[str, Any] = {
+            "colour": f"colour/{stem}.jpg",
+            "depth": f"depth/{stem}.png",
+            "intrinsics": {key: float(getattr(intrinsics, key)) for key in _INTRINSICS}
+            | {"width": intrinsics.width, "height": intrinsics.height},
+            "camera_to_world": pose.tolist(),
+        }
+        jpeg = encoded(".jpg", np.ascontiguousarray(srgb8[..., ::-1]), name=name, quality=jpeg_quality)
+        write_whole(self._partial / entry["colour"], jpeg)
+        write_whole(self._partial / entry["depth"], depth_to_png(depth_m, name=name))
+        if confidence is not None:
+            entry["confidence"] = f"confidence/{stem}.png"
+            write_whole(self._partial / entry["confidence"], encoded(".png", confidence, name=name))
+        if timestamp_s is not None:
+            entry["timestamp_s"] = float(timestamp_s)
+        if exposure is not None:
+            entry["exposure"] = float(exposure)
+        self._frames.append(entry)
+
+    def add_probe(self, position: tuple[float, float, float], panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Add a ground-truth panorama (linear RGB, W = 2H, world-aligned) taken at a position in metres."""
+        if panorama.shape[1] != 2 * panorama.shape[0]:
+            raise OutputError(f"{self.path}: a panorama is twice as wide as high, this is {panorama.shape}")
+        name = f"probes/{len(self._probes):02d}.exr"
+        write_exr(self._partial / name, panorama)
+        self._probes.append({"position": [float(value) for value in position], "panorama": name})
+
+    def close(self) -> None:
+        """Write the index and give the folder its name; OutputError without a frame or where that fails."""
+        if self._closed:
+            return
+        if not self._frames:
+            shutil.rmtree(self._partial, ignore_errors=True)
+            raise OutputError(f"{self.path}: a capture needs at least one frame")
+        index = {
+            "format": FORMAT,
+            "version": VERSION,
+            "name": self._name,
+            "frames": self._frames,
+            "probes": self._probes,
+        }
+        write_whole(self._partial / INDEX, json.dumps(index).encode())
+        try:
+            self._partial.replace(self.path)
+        except OSError as error:
+            raise OutputError(f"{self.path}: cannot be written ({error.strerror or error})") from error
+        self._closed = True
+
+
+def _time(entry: dict[str, Any]) -> float | None:
+    try:
+        return fields.number(entry.get("timestamp_s"), "timestamp_s")
+    except ValueError:
+        return None

@@ -1,0 +1,206 @@
+"""Record3D: the `.r3d` archive (or its unpacked folder) and the EXR+JPG export.
+
+| what       | .r3d                                          | EXR+JPG export       |
+|------------|-----------------------------------------------|----------------------|
+| index      | `metadata`                                    | `metadata.json`      |
+| colour     | `rgbd/N.jpg`                                  | `rgb/N.jpg`          |
+| depth      | `rgbd/N.depth`: LZFSE, float32 metres, dh x dw  | `depth/N.exr`: metres |
+| confidence | `rgbd/N.conf`: LZFSE, uint8 0, 1, 2 (optional)    | none                 |
+
+N is also the row of `poses` ([qx qy qz qw px py pz]) and of `frameTimestamps`: an export may hold any subset
+of the files. Conventions: camera-to-world, OpenGL camera, world y-up (ARKit's). `K` is column-major at the
+size `w` x `h` (portrait or landscape as recorded); `perFrameIntrinsicCoeffs` ([fx, fy, cx, cy] a frame) goes
+before it. cx and cy are ARKit's, taken as they stand: pixel centres at half integers.
+"""
+
+import re
+import struct
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import liblzfse
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roomlight.camera import Intrinsics, pose_from_quaternion
+from roomlight.captures import fields
+from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_depth_map
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource, Source, ZipSource, read_index
+from roomlight.errors import CaptureError, FrameError
+from roomlight.images import clean_depth, decode_colour
+
+_COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)")
+
+
+class Record3DReader:
+    """Reads a `.r3d` archive, its unpacked folder, or an EXR+JPG export."""
+
+    format = "record3d"
+    conventions = Conventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+
+    def __init__(self, path: Path, options: CaptureOptions) -> None:
+        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        self._source: Source = FolderSource(path) if path.is_dir() else ZipSource(path)
+        self._unit_m = options.depth_unit_m or 1.0
+        self.probes: list[RawProbe] = []
+        self._packed = self._source.has("metadata")
+        index_name = "metadata" if self._packed else "metadata.json"
+        self._label = self._source.label(index_name)
+        self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
+        folder = "rgbd" if self._packed else "rgb"
+        colour = {
+            int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match
+        }
+        self._numbers = sorted(colour)
+        self._colour = [colour[number] for number in self._numbers]
+        self.count = len(self._numbers)
+        if self.count == 0:
+            raise CaptureError(f"{path}: has no {folder}/N.jpg")
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{path}: has {self.count} frames; up to {MAX_FRAMES} are read")
+        with fields.naming(self._label, CaptureError):
+            self._poses = _list(self._metadata, "poses")
+            self._times = _list(self._metadata, "frameTimestamps", needed=False)
+            self._lenses = _list(self._metadata, "perFrameIntrinsicCoeffs", needed=False)
+            self._width = fields.pixels(self._metadata.get("w"), "w")
+            self._height = fields.pixels(self._metadata.get("h"), "h")
+            column_major = fields.vector(self._metadata.get("K"), 9, "K")
+            fields.positive(float(column_major[0]), "K's fx")
+            fields.positive(float(column_major[4]), "K's fy")
+            self._lens = [float(column_major[at]) for at in (0, 4, 6, 7)]
+            self._camera(self._lens)
+            self._depth_size = self._stated_depth_size()
+
+    def name_of(self, index: int) -> str:
+        """The colour file."""
+        return self._source.label(self._colour[index])
+
+    def timestamps_s(self) -> list[float]:
+        """Times of the records, if the metadata has one for each."""
+        times = [self._time_of(number) for number in self._numbers]
+        return [time for time in times if time is not None] if None not in times else []
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Every record is a member of its own; nothing is held open."""
+        yield self._read
+
+    def _read(self, index: int) -> RawFrame:
+        number = self._numbers[index]
+        where = f"{self._label}: frame {number} ({self.name_of(index)})"
+        with fields.naming(where, FrameError):
+            if number >= len(self._poses):
+                raise ValueError(f"there is no pose for it; the metadata has {len(self._poses)}")
+            values = fields.vector(self._poses[number], 7, "the pose")
+            if not np.isfinite(values).all():
+                raise ValueError("the pose holds NaN or infinity (lost tracking)")
+            pose = pose_from_quaternion(values[:4], values[4:])
+            lens = self._lens
+            if number < len(self._lenses):
+                lens = fields.vector(self._lenses[number], 4, "perFrameIntrinsicCoeffs").tolist()
+            intrinsics = self._camera(lens)
+        image, clipped = decode_colour(self._source.read(self._colour[index]), self.name_of(index))
+        depth_name = f"rgbd/{number}.depth" if self._packed else f"depth/{number}.exr"
+        return RawFrame(
+            name=self.name_of(index),
+            image=image,
+            clipped=clipped,
+            depth_m=self._depth(depth_name),
+            depth_name=self._source.label(depth_name),
+            intrinsics=intrinsics,
+            pose=pose,
+            timestamp_s=self._time_of(number),
+            confidence=self._confidence(f"rgbd/{number}.conf"),
+        )
+
+    def _depth(self, name: str) -> Float[np.ndarray, "dh dw"]:
+        data, label = self._source.read(name), self._source.label(name)
+        if not self._packed:
+            depth_m = decode_depth_map(data, label, unit_m=1.0)
+            return depth_m * np.float32(self._unit_m)
+        height, width = self._depth_size
+        values = np.frombuffer(_unpacked(data, label, height * width * 4), "<f4").reshape(height, width)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return clean_depth(values.astype(np.float32) * np.float32(self._unit_m))
+
+    def _confidence(self, name: str) -> UInt8[np.ndarray, "dh dw"] | None:
+        if not self._packed or not self._source.has(name):
+            return None
+        height, width = self._depth_size
+        data = _unpacked(self._source.read(name), self._source.label(name), height * width)
+        return np.frombuffer(data, np.uint8).reshape(height, width)
+
+    def _camera(self, lens: list[float]) -> Intrinsics:
+        return Intrinsics(lens[0], lens[1], lens[2], lens[3], self._width, self._height)
+
+    def _stated_depth_size(self) -> tuple[int, int]:
+        """(rows, columns); ARKit's 256 x 192 in the image's orientation where the metadata does not say."""
+        portrait = self._height > self._width
+        height: Any = self._metadata.get("dh", 256 if portrait else 192)
+        width: Any = self._metadata.get("dw", 192 if portrait else 256)
+        return fields.pixels(height, "dh"), fields.pixels(width, "dw")
+
+    def _time_of(self, number: int) -> float | None:
+        if number >= len(self._times):
+            return None
+        try:
+            return fields.number(self._times[number], "the timestamp")
+        except ValueError:
+            return None
+
+
+def _list(metadata: dict[str, Any], key: str, *, needed: bool = True) -> list[Any]:
+    value = metadata.get(key)
+    if value is None and not needed:
+        return []
+    if not isinstance(value, list):
+        raise ValueError(f"{key} is missing or no list; this is no Record3D metadata with poses")
+    return value
+
+
+def _unpacked(data: bytes, label: str, size: int) -> bytes:
+    """LZFSE-compressed bytes that must unpack to `size`; what their blocks declare is checked before
+    unpacking.
+    """
+    declared = _declared_size(data)
+    if declared != size:
+        raise FrameError(f"{label}: unpacks to {declared} bytes where the metadata's size needs {size}")
+    try:
+        unpacked = liblzfse.decompress(data)
+    except (liblzfse.error, MemoryError) as error:  # damaged data makes it ask for ever larger buffers
+        raise FrameError(f"{label}: the LZFSE data is damaged ({error})") from error
+    if len(unpacked) != size:
+        raise FrameError(f"{label}: unpacks to {len(unpacked)} bytes where the metadata's size needs {size}")
+    return unpacked
+
+
+def _declared_size(data: bytes) -> int:
+    """Bytes that the blocks of an LZFSE stream say they unpack to; 0 when a block is damaged or cut off."""
+    offset = total = 0
+    try:
+        while (magic := data[offset : offset + 4]) != b"bvx$":
+            (raw,) = struct.unpack_from("<I", data, offset + 4)
+            if magic == b"bvx-":
+                offset += 8 + raw
+            elif magic == b"bvxn":
+                offset += 12 + struct.unpack_from("<I", data, offset + 8)[0]
+            elif magic == b"bvx2":
+                fields0, fields1, fields2 = struct.unpack_from("<QQQ", data, offset + 8)
+                header, literals, matches = (
+                    fields2 & 0xFFFFFFFF,
+                    (fields0 >> 20) & 0xFFFFF,
+                    (fields1 >> 40) & 0xFFFFF,
+                )
+                if header < 32:
+                    return 0
+                offset += header + literals + matches
+            else:
+                return 0
+            total += raw
+    except struct.error:
+        return 0
+    return total

@@ -1,0 +1,119 @@
+"""7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
+
+Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or some other fit's:
+`gravity-direction.txt` (three numbers) gives up as its opposite; without it the world is taken as an upright
+OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used as it stands with pixel
+centres at half integers, which is what the data set's default of 585, 585, 320, 240 for 640 x 480 means (the
+centre of the image); it comes without a size, so that it has to suit the image's.
+"""
+
+import re
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.captures import fields
+from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_depth_map, intrinsics_without_size
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.errors import CaptureError, FrameError
+from roomlight.images import decode_colour
+
+INTRINSICS: Final = "camera-intrinsics.txt"
+GRAVITY: Final = "gravity-direction.txt"
+_RECORD: Final = re.compile(r"(frame-\d{1,9})\.(color|depth|pose)\.(png|jpg|jpeg|txt)")
+_DEFAULT_K: Final = np.array([[585.0, 0.0, 320.0], [0.0, 585.0, 240.0], [0.0, 0.0, 1.0]])
+
+
+class SevenScenesReader:
+    """Reads a sequence folder of 7-Scenes."""
+
+    format = "seven-scenes"
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        self._source = FolderSource(folder)
+        self._unit_m = options.depth_unit_m or 0.001
+        self.probes: list[RawProbe] = []
+        found = [match for match in map(_RECORD.fullmatch, self._source.names()) if match]
+        self._stems = sorted({match[1] for match in found}, key=lambda stem: int(stem[6:]))
+        self._colour = {match[1]: match[0] for match in found if match[2] == "color"}
+        self.count = len(self._stems)
+        if self.count == 0:
+            raise CaptureError(f"{folder}: has no frame-XXXXXX.color.png, .depth.png and .pose.txt")
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{folder}: has {self.count} frames; up to {MAX_FRAMES} are read")
+        self._matrix = _DEFAULT_K
+        if self._source.has(INTRINSICS):
+            self._matrix = read_matrix(self._source)
+        self.conventions = Conventions("opencv", "camera-to-world", self._up())
+
+    def name_of(self, index: int) -> str:
+        """The colour file (or where it should be)."""
+        stem = self._stems[index]
+        return self._source.label(self._colour.get(stem, f"{stem}.color.png"))
+
+    def timestamps_s(self) -> list[float]:
+        """None are stored."""
+        return []
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Every record is a file of its own; nothing is held open."""
+        yield self._read
+
+    def _read(self, index: int) -> RawFrame:
+        stem = self._stems[index]
+        colour_name = self._colour.get(stem, f"{stem}.color.png")
+        depth_name, pose_name = f"{stem}.depth.png", f"{stem}.pose.txt"
+        label = self._source.label(colour_name)
+        pose_label = self._source.label(pose_name)
+        pose_data = self._source.read(pose_name, max_bytes=65536)
+        with fields.naming(pose_label, FrameError):
+            pose = fields.matrix_of_text(pose_data, 4, pose_label)
+            if not np.isfinite(pose).all():
+                raise ValueError("the pose holds NaN or infinity (lost tracking)")
+        image, clipped = decode_colour(self._source.read(colour_name), label)
+        depth_label = self._source.label(depth_name)
+        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        with fields.naming(label, FrameError):
+            intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0])
+        return RawFrame(
+            name=label,
+            image=image,
+            clipped=clipped,
+            depth_m=depth_m,
+            depth_name=depth_label,
+            intrinsics=intrinsics,
+            pose=pose,
+        )
+
+    def _up(self) -> tuple[float, float, float]:
+        if not self._source.has(GRAVITY):
+            return 0.0, -1.0, 0.0
+        label = self._source.label(GRAVITY)
+        lines = fields.parse_text(read_index(self._source, GRAVITY), label)
+        with fields.naming(label, CaptureError):
+            values = fields.numbers_of_line(" ".join(lines), 3, "gravity")
+            x, y, z = (-fields.number(value, "gravity") for value in values)
+            if x * x + y * y + z * z < 1e-12:
+                raise ValueError("gravity is zero; delete the file or state world_up")
+        return x, y, z
+
+
+def read_matrix(source: FolderSource) -> Float[np.ndarray, "3 3"]:
+    """K from `camera-intrinsics.txt`; a CaptureError if it is no camera's."""
+    label = source.label(INTRINSICS)
+    data = read_index(source, INTRINSICS)
+    with fields.naming(label, CaptureError):
+        matrix = fields.matrix_of_text(data, 3, label)
+        fields.positive(float(matrix[0, 0]), "fx")
+        fields.positive(float(matrix[1, 1]), "fy")
+        fields.positive(float(matrix[0, 2]), "cx")
+        fields.positive(float(matrix[1, 2]), "cy")
+    return matrix

@@ -1,0 +1,171 @@
+"""Stray Scanner: `rgb.mp4`, `depth/%06d.png`, `confidence/%06d.png`, `camera_matrix.csv`, `odometry.csv`.
+
+A record is a row of the odometry: `timestamp, frame, x, y, z, qx, qy, qz, qw` (newer versions add `fx, fy,
+cx, cy`), columns found by the header. `frame` numbers the video's frames and the depth files; rows, video
+frames and files may differ in number, and what lacks a partner is a bad frame.
+
+Conventions: camera-to-world, OpenCV camera, world y-up (ARKit's). Depth is uint16 millimetres (.npy in old
+exports), confidence 0, 1, 2. K is for 1920 x 1440 and is scaled to the video's size; a K whose principal
+point is nearer to the centre of the video's own size is taken as being for that. cx and cy are ARKit's,
+taken as they stand: pixel centres at half integers.
+"""
+
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import UInt8
+
+from roomlight.camera import Intrinsics, pose_from_quaternion
+from roomlight.captures import fields
+from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_confidence, decode_depth_map
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.captures.video import VideoFrames
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import CaptureError, FrameError
+from roomlight.frame import CLIPPED_SRGB8
+
+VIDEO: Final = "rgb.mp4"
+MATRIX: Final = "camera_matrix.csv"
+ODOMETRY: Final = "odometry.csv"
+COLUMNS: Final = ("timestamp", "frame", "x", "y", "z", "qx", "qy", "qz", "qw")
+MATRIX_SIZE: Final = (1920, 1440)
+"""The image size (width, height) that `camera_matrix.csv` is for, whatever size the video was written at."""
+
+MAX_VIDEO_BYTES: Final = 1 << 36
+"""64 GiB: a video is streamed, never held, so that only a nonsensical size is refused."""
+
+
+class StrayScannerReader:
+    """Reads a folder that Stray Scanner exported."""
+
+    format = "stray-scanner"
+    conventions = Conventions("opencv", "camera-to-world", (0.0, 1.0, 0.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        self._source = FolderSource(folder)
+        self._unit_m = options.depth_unit_m or 0.001
+        self.probes: list[RawProbe] = []
+        self._label = self._source.label(ODOMETRY)
+        try:
+            self._video = self._source.path(VIDEO, max_bytes=MAX_VIDEO_BYTES)
+        except FrameError as error:
+            raise CaptureError(str(error)) from error
+        matrix_label = self._source.label(MATRIX)
+        matrix_data = read_index(self._source, MATRIX)
+        with fields.naming(matrix_label, CaptureError):
+            matrix = fields.matrix_of_text(matrix_data, 3, matrix_label)
+            fields.positive(float(matrix[0, 0]), "fx")
+            fields.positive(float(matrix[1, 1]), "fy")
+            self._lens = [float(matrix[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2))]
+            _intrinsics(self._lens, MATRIX_SIZE)
+        lines = fields.parse_text(read_index(self._source, ODOMETRY), self._label)
+        rows = [[value.strip() for value in line.split(",")] for line in lines if line.strip()]
+        header = rows[0] if rows else []
+        missing = [column for column in COLUMNS if column not in header]
+        if missing:
+            raise CaptureError(f"{self._label}: its first line lacks the columns {', '.join(missing)}")
+        self._at = {column: header.index(column) for column in header}
+        self._rows = rows[1:]
+        self.count = len(self._rows)
+        if self.count > MAX_FRAMES:
+            raise CaptureError(f"{self._label}: has {self.count} rows; up to {MAX_FRAMES} are read")
+        self._has_confidence = self._source.has("confidence")
+
+    def name_of(self, index: int) -> str:
+        """The odometry and its line (the header is line 1)."""
+        return f"{self._label}: line {index + 2}"
+
+    def timestamps_s(self) -> list[float]:
+        """The odometry's times, rows that have none left out."""
+        times: list[float] = []
+        for row in self._rows:
+            try:
+                times.append(self._value(row, "timestamp"))
+            except ValueError:
+                continue
+        return times
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Holds the video open for one pass; asking for records in order decodes it once."""
+        label = self._source.label(VIDEO)
+        try:
+            video = VideoFrames(self._video, label)
+        except FrameError as error:
+            raise CaptureError(str(error)) from error
+        with video:
+            yield lambda index: self._read(index, video)
+
+    def _read(self, index: int, video: VideoFrames) -> RawFrame:
+        row = self._rows[index]
+        with fields.naming(self.name_of(index), FrameError):
+            number = self._value(row, "frame")
+            if number != int(number) or not 0 <= number <= MAX_FRAMES:
+                raise ValueError(f"frame {number:g} is no frame number")
+            number = int(number)
+            position = np.array([self._value(row, axis) for axis in "xyz"])
+            quaternion = np.array([self._value(row, axis) for axis in ("qx", "qy", "qz", "qw")])
+            pose = pose_from_quaternion(quaternion, position)
+            lens = self._lens
+            if all(name in self._at for name in ("fx", "fy", "cx", "cy")):
+                lens = [self._value(row, name) for name in ("fx", "fy", "cx", "cy")]
+        depth_name = f"depth/{number:06d}.png"
+        if not self._source.has(depth_name) and self._source.has(f"depth/{number:06d}.npy"):
+            depth_name = f"depth/{number:06d}.npy"
+        depth_label = self._source.label(depth_name)
+        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        confidence = self._confidence(number)
+        srgb8 = video.frame(number)
+        with fields.naming(f"{self._source.label(VIDEO)}: frame {number}", FrameError):
+            intrinsics = _scaled(lens, width=srgb8.shape[1], height=srgb8.shape[0])
+        return RawFrame(
+            name=f"{self._source.label(VIDEO)}: frame {number}",
+            image=srgb8_to_linear(srgb8),
+            clipped=np.max(srgb8, axis=-1) >= CLIPPED_SRGB8,
+            depth_m=depth_m,
+            depth_name=depth_label,
+            intrinsics=intrinsics,
+            pose=pose,
+            timestamp_s=self._value(row, "timestamp"),
+            confidence=confidence,
+        )
+
+    def _confidence(self, number: int) -> UInt8[np.ndarray, "ch cw"] | None:
+        if not self._has_confidence:
+            return None
+        name = f"confidence/{number:06d}.png"
+        return decode_confidence(self._source.read(name), self._source.label(name))
+
+    def _value(self, row: list[str], column: str) -> float:
+        at = self._at[column]
+        if at >= len(row):
+            raise ValueError(f"has {len(row)} values, so that {column} is missing")
+        try:
+            return fields.number(float(row[at]), column)
+        except ValueError as error:
+            raise ValueError(f"{column} is {row[at][:40]!r}, not a finite number") from error
+
+
+def _scaled(lens: list[float], *, width: int, height: int) -> Intrinsics:
+    """K at the video's size; ValueError when the video's aspect is not that of the size K is for."""
+
+    def off_centre(size: tuple[int, int]) -> float:
+        return abs(lens[2] / size[0] - 0.5) + abs(lens[3] / size[1] - 0.5)
+
+    size = min((MATRIX_SIZE, (width, height)), key=off_centre)
+    if abs(size[0] / size[1] - width / height) > 0.03 * width / height:
+        raise ValueError(
+            f"the video is {width} x {height} but {MATRIX} is for {size[0]} x {size[1]}: "
+            "another aspect, so that the intrinsics do not fit"
+        )
+    return _intrinsics(lens, size).resized(width, height)
+
+
+def _intrinsics(lens: list[float], size: tuple[int, int]) -> Intrinsics:
+    return Intrinsics(lens[0], lens[1], lens[2], lens[3], size[0], size[1])

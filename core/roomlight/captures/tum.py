@@ -1,0 +1,125 @@
+"""TUM RGB-D: `rgb.txt`, `depth.txt` (lines of `time file`) and `groundtruth.txt` (`time tx ty tz qx qy qz
+qw`).
+
+The three streams have their own clocks: each colour image takes the depth and the pose nearest in time, at
+most 0.02 s away (the data set's own tool does the same); without one it is a bad frame. Conventions:
+camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
+`camera-intrinsics.txt` (3 x 3) if there is one, else the data set's default of 525, 525, 319.5, 239.5 for
+640 x 480. It counts pixel centres at whole numbers, so that half a pixel is added here.
+"""
+
+import bisect
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roomlight.camera import pose_from_quaternion
+from roomlight.captures import fields
+from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.decoding import decode_depth_map, intrinsics_without_size
+from roomlight.captures.options import CaptureOptions
+from roomlight.captures.seven_scenes import INTRINSICS, read_matrix
+from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
+from roomlight.errors import CaptureError, FrameError
+from roomlight.images import decode_colour
+
+MAX_GAP_S: Final = 0.02
+"""Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
+
+_DEFAULT_K: Final = np.array([[525.0, 0.0, 319.5], [0.0, 525.0, 239.5], [0.0, 0.0, 1.0]])
+
+
+class TumReader:
+    """Reads a sequence folder of the TUM RGB-D benchmark."""
+
+    format = "tum"
+    conventions = Conventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
+
+    def __init__(self, folder: Path, options: CaptureOptions) -> None:
+        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        self._source = FolderSource(folder)
+        self._unit_m = options.depth_unit_m or 1 / 5000
+        self.probes: list[RawProbe] = []
+        self._colour = self._stream("rgb.txt")
+        self._depth = self._stream("depth.txt")
+        self._poses = self._stream("groundtruth.txt", most=50 * MAX_FRAMES)
+        self.count = len(self._colour)
+        for name, entries in (
+            ("rgb.txt", self._colour),
+            ("depth.txt", self._depth),
+            ("groundtruth.txt", self._poses),
+        ):
+            if not entries:
+                raise CaptureError(f"{self._source.label(name)}: lists nothing")
+        self._matrix = read_matrix(self._source) if self._source.has(INTRINSICS) else _DEFAULT_K
+
+    def name_of(self, index: int) -> str:
+        """The colour file."""
+        return self._source.label(self._colour[index][1])
+
+    def timestamps_s(self) -> list[float]:
+        """The colour images' times."""
+        return [time for time, _ in self._colour]
+
+    @contextmanager
+    def records(self) -> Generator[ReadRecord]:
+        """Every record is a file of its own; nothing is held open."""
+        yield self._read
+
+    def _read(self, index: int) -> RawFrame:
+        time_s, colour_name = self._colour[index]
+        label = self._source.label(colour_name)
+        depth_name = _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
+        pose_line = _nearest(self._poses, time_s, f"{label}: pose (groundtruth.txt)")
+        with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
+            values = fields.numbers_of_line(pose_line, 7, "the pose")
+            pose = pose_from_quaternion(np.array(values[3:]), np.array(values[:3]))
+        image, clipped = decode_colour(self._source.read(colour_name), label)
+        depth_label = self._source.label(depth_name)
+        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        with fields.naming(label, FrameError):
+            intrinsics = intrinsics_without_size(
+                self._matrix, width=image.shape[1], height=image.shape[0], shift=0.5
+            )
+        return RawFrame(
+            name=label,
+            image=image,
+            clipped=clipped,
+            depth_m=depth_m,
+            depth_name=depth_label,
+            intrinsics=intrinsics,
+            pose=pose,
+            timestamp_s=time_s,
+        )
+
+    def _stream(self, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
+        """(time, rest of the line) of each line that is no comment, in order of time."""
+        label = self._source.label(name)
+        entries: list[tuple[float, str]] = []
+        for row, line in enumerate(fields.parse_text(read_index(self._source, name), label), start=1):
+            if not line.strip() or line.lstrip().startswith("#"):
+                continue
+            with fields.naming(f"{label}: line {row}", CaptureError):
+                first, _, rest = line.strip().replace(",", " ").partition(" ")
+                try:
+                    time_s = float(first)
+                except ValueError:
+                    raise ValueError(f"starts with {first[:40]!r}, not with a time") from None
+                entries.append(
+                    (fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time"))
+                )
+        if len(entries) > most:
+            raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
+        return sorted(entries)
+
+
+def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:
+    at = bisect.bisect_left(entries, (time_s,))
+    near = min(entries[max(0, at - 1) : at + 1], key=lambda entry: abs(entry[0] - time_s))
+    gap_s = abs(near[0] - time_s)
+    if gap_s > MAX_GAP_S:
+        raise FrameError(f"{what}: the nearest in time is {gap_s:.3f} s away; at most {MAX_GAP_S} s is taken")
+    return near[1]

@@ -1,0 +1,109 @@
+"""Frames of a video by their number, decoded one after another and one in memory at a time (PyAV, FFmpeg
+inside).
+"""
+
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+
+import av
+import numpy as np
+from av.error import FFmpegError
+from av.video.frame import VideoFrame
+from jaxtyping import UInt8
+
+from roomlight.errors import FrameError
+from roomlight.images import MAX_PIXELS
+
+_UNSPECIFIED: Final = 2
+"""FFmpeg's AVCOL_SPC_UNSPECIFIED; phones write BT.709, and so it is taken."""
+
+
+class VideoFrames:
+    """The frames of an MP4's first video stream, numbered in order of presentation.
+
+    Packets are numbered by their presentation times before anything is decoded, so that a packet that does
+    not decode costs its own frame and does not shift the numbers of those after it.
+    """
+
+    def __init__(self, path: Path, label: str) -> None:
+        """Number the packets and open the decoder; FrameError if this is no readable video."""
+        self._label = label
+        self._path = path
+        try:
+            with av.open(str(path), format="mp4") as container:
+                times = {packet.pts for packet in container.demux(video=0) if packet.pts is not None}
+            self._number_of = {pts: number for number, pts in enumerate(sorted(times))}
+            self._open()
+        except (FFmpegError, OSError, ValueError, IndexError) as error:
+            raise FrameError(f"{label}: is not a readable MP4 video ({error})") from error
+
+    def _open(self) -> None:
+        self._container = av.open(str(self._path), format="mp4")
+        stream = self._container.streams.video[0]
+        if not 0 < stream.width * stream.height <= MAX_PIXELS:
+            self._container.close()
+            raise FrameError(f"{self._label}: declares {stream.width} x {stream.height} pixels")
+        stream.thread_type = "AUTO"
+        self._packets = self._container.demux(stream)
+        self._decoded: list[VideoFrame] = []
+        self._ended = False
+        self._at = -1
+
+    def __enter__(self) -> "VideoFrames":
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self._container.close()
+
+    @property
+    def count(self) -> int:
+        """Frames that the container lists."""
+        return len(self._number_of)
+
+    def frame(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        """sRGB 8-bit pixels of a frame; FrameError if the video does not have it or it does not decode."""
+        if number >= self.count:
+            raise FrameError(f"{self._label}: has {self.count} frames, so there is no frame {number}")
+        if number <= self._at:
+            self._container.close()
+            self._open()
+        while (frame := self._next()) is not None:
+            found = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
+            self._at = max(self._at, found)
+            if found == number:
+                return self._rgb(frame, number)
+            if found > number:  # the one asked for did not decode; keep this one for its own turn
+                self._decoded.insert(0, frame)
+                self._at = number
+                break
+        raise FrameError(f"{self._label}: frame {number} does not decode; the video is truncated or damaged")
+
+    def _next(self) -> VideoFrame | None:
+        while not self._decoded and not self._ended:
+            try:
+                packet = next(self._packets, None)
+            except (FFmpegError, OSError, ValueError):  # reading goes wrong: no more packets
+                packet = None
+            if packet is None:
+                self._ended = True
+                break
+            try:
+                self._decoded.extend(packet.decode())  # pyright: ignore[reportArgumentType]  (a video stream's packet)
+            except (FFmpegError, ValueError):
+                continue  # this packet is damaged; its frame is missed by its number
+        return self._decoded.pop(0) if self._decoded else None
+
+    def _rgb(self, frame: VideoFrame, number: int) -> UInt8[np.ndarray, "h w 3"]:
+        if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
+            raise FrameError(f"{self._label}: frame {number} is damaged")
+        try:
+            if frame.colorspace == _UNSPECIFIED:
+                frame = frame.reformat(format="rgb24", src_colorspace="ITU709")
+            return np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
+        except (FFmpegError, ValueError, MemoryError) as error:
+            raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error

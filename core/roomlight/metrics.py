@@ -1,0 +1,150 @@
+"""How far an estimated panorama is from the true one: the paper's metrics and the three-sphere ones.
+
+Panoramas are linear HDR radiance, float32 [h, 2h, 3], world-aligned. The paper's losses (sections 3 and 4,
+equations of L2, LR and Lsm) are sums; as in its tables, means over pixels and channels are reported here.
+They are plain pixel means, as the paper's, which counts the poles too much; `solid_angle=True` weights
+pixels by what they cover.
+"""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.balls import BallRenderer, Material
+from roomlight.conventions import panorama_solid_angles
+
+Panorama = Float[np.ndarray, "h w 3"]
+
+PAPER_INTERVALS: Final = ("[1,8)", "[8,14)", "[14,20)", "[20,26)", "[26,31]")
+"""The paper's video table: frames numbered from 1 in a sequence of 31."""
+_PAPER_STARTS: Final = (1, 8, 14, 20, 26)
+_PAPER_FRAMES: Final = 31
+
+SPHERES: Final[tuple[Material, ...]] = ("mirror", "matte", "diffuse")
+"""The three spheres of lighting estimation (LeGendre et al. 2019): mirror, matte silver, diffuse."""
+
+
+@dataclass(frozen=True)
+class Metric:
+    """A column of the results: its key in JSON, its heading, and the factor the paper prints it with."""
+
+    key: str
+    title: str
+    shown_times: float = 1.0
+
+
+METRICS: Final = (
+    Metric("log_l2", "log-L2 (1e-1)", 1e1),
+    Metric("ldr_l2", "LDR L2 (1e-2)", 1e2),
+    Metric("smoothness", "smoothness (1e-3)", 1e3),
+    Metric("render_l2", "render L2 (1e-2)", 1e2),
+    *(Metric(f"si_rmse_{sphere}", f"si-RMSE {sphere}") for sphere in SPHERES),
+    *(Metric(f"angular_deg_{sphere}", f"angular {sphere} (deg)") for sphere in SPHERES),
+)
+"""Everything measured, in the order of tables. For all of them less is better."""
+
+
+def log_l2(prediction: Panorama, truth: Panorama, *, solid_angle: bool = False) -> float:
+    """Mean of (log(1 + L) - log(1 + Lgt))^2: the paper's HDR environment map error and its training loss L2.
+
+    Radiance below 0 counts as 0. Zero exactly when the two are equal.
+    """
+    difference = np.log1p(np.maximum(prediction, 0)) - np.log1p(np.maximum(truth, 0))
+    return _mean_square(difference, solid_angle=solid_angle)
+
+
+def ldr_l2(prediction: Panorama, truth: Panorama, *, solid_angle: bool = False) -> float:
+    """Mean squared difference after clamping both to [0, 1]: the paper's LDR environment map error."""
+    return _mean_square(np.clip(prediction, 0, 1) - np.clip(truth, 0, 1), solid_angle=solid_angle)
+
+
+def smoothness(current: Panorama, previous: Panorama, *, solid_angle: bool = False) -> float:
+    """log-L2 between the estimates of consecutive frames at one point: the paper's Lsm."""
+    return log_l2(current, previous, solid_angle=solid_angle)
+
+
+def si_rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
+    """Scale-invariant RMSE of sphere pixels: after the prediction is multiplied by the one best factor (>=
+    0).
+
+    In the truth's units of radiance. A black prediction has no scale to find: its error is the truth's RMS.
+    """
+    pixels, reference = prediction.astype(np.float64), truth.astype(np.float64)
+    energy = (pixels * pixels).sum()
+    factor = max(0.0, (pixels * reference).sum() / energy) if energy > 0 else 0.0
+    return float(np.sqrt(np.mean((factor * pixels - reference) ** 2)))
+
+
+def angular_error_deg(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
+    """Mean angle between the RGB vectors of corresponding sphere pixels, in degrees: colour without
+    brightness.
+
+    Two black pixels agree (0); a black pixel against one with colour is as wrong as can be (90).
+    """
+    pixels, reference = prediction.astype(np.float64), truth.astype(np.float64)
+    # atan2 of cross and dot: arccos of the dot alone loses angles below 0.02 degrees to rounding
+    sine = np.linalg.norm(np.cross(pixels, reference), axis=-1)
+    cosine = (pixels * reference).sum(axis=-1)
+    angle = np.degrees(np.arctan2(sine, cosine))
+    black, reference_black = (~image.any(axis=-1) for image in (pixels, reference))
+    angle[black != reference_black] = 90.0
+    return float(angle.mean())
+
+
+class SphereJudge:
+    """Compares spheres lit by a prediction with those lit by one truth, whose pictures are rendered once.
+
+    `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
+    the ball only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
+    squared difference.
+    """
+
+    def __init__(self, truth: Panorama, balls: BallRenderer) -> None:
+        """`balls` says from where the spheres are seen; one renderer may serve many judges."""
+        self._balls = balls
+        self._truth = {sphere: balls.pixels(truth, sphere) for sphere in SPHERES}
+        self._glossy = np.clip(balls.pixels(truth, "glossy"), 0, 1)
+
+    def scores(self, prediction: Panorama) -> dict[str, float]:
+        """The seven sphere metrics by their keys in `METRICS`."""
+        glossy = np.clip(self._balls.pixels(prediction, "glossy"), 0, 1)
+        scores = {"render_l2": float(np.mean((glossy - self._glossy) ** 2, dtype=np.float64))}
+        for sphere in SPHERES:
+            pixels = self._balls.pixels(prediction, sphere)
+            scores[f"si_rmse_{sphere}"] = si_rmse(pixels, self._truth[sphere])
+            scores[f"angular_deg_{sphere}"] = angular_error_deg(pixels, self._truth[sphere])
+        return scores
+
+
+def intervals(frames: int) -> tuple[range, ...]:
+    """The paper's five intervals as ranges of frame positions (from 0) in a sequence of `frames`.
+
+    For 31 frames these are the paper's [1,8) [8,14) [14,20) [20,26) [26,31], counted from 0; for other
+    lengths the borders keep their share of the sequence, and in one of fewer than five frames some are
+    empty. The smoothness at position i is that of frames i and i + 1, so its last interval, [26,30], ends
+    one earlier: use `intervals(frames)` and cut at `frames - 1`.
+    """
+    if frames < 0:
+        raise ValueError(f"a sequence has 0 frames or more, not {frames}")
+    borders = [round((start - 1) / _PAPER_FRAMES * frames) for start in _PAPER_STARTS] + [frames]
+    return tuple(range(start, stop) for start, stop in pairwise(borders))
+
+
+def interval_means(values: Float[np.ndarray, " n"], frames: int) -> Float[np.ndarray, "5"]:
+    """Mean of per-frame values in each interval of a sequence of `frames`; NaN where an interval is empty.
+
+    `values` has `frames` entries, or `frames - 1` for the smoothness.
+    """
+    if len(values) not in (frames, max(0, frames - 1)):
+        raise ValueError(f"{len(values)} values do not belong to a sequence of {frames} frames")
+    parts = (values[part.start : part.stop] for part in intervals(frames))
+    return np.array([part.mean() if len(part) else np.nan for part in parts])
+
+
+def _mean_square(difference: Panorama, *, solid_angle: bool) -> float:
+    square = np.mean(difference.astype(np.float64) ** 2, axis=(1, 2))
+    weights = panorama_solid_angles(len(square))[:, 0] if solid_angle else None
+    return float(np.average(square, weights=weights))

@@ -1,0 +1,182 @@
+"""From a checkpoint to a verified model folder: `export_checkpoint`.
+
+The folder holds `model.json`, one ONNX file a graph (`roomlight_export.graphs` has names and shapes), and
+under `ort/` the same graphs in ONNX Runtime's own format for phones. It appears whole and verified, or not at
+all.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import cast
+
+from onnx import ModelProto
+
+from roomlight.errors import ModelError
+from roomlight_export.folder import MODEL_FILE, check_target, new_folder
+from roomlight_export.graphs import Graph, graphs_of
+from roomlight_export.inputs import probe_frames, room_volume
+from roomlight_export.onnx_file import OPSET, half_rounded, to_onnx
+from roomlight_export.ort_file import write_ort
+from roomlight_export.parity import (
+    TOLERANCE,
+    Parity,
+    compare_blending,
+    compare_volumes,
+    session_runner,
+    torch_runner,
+)
+from roomlight_model.checkpoint import Checkpoint, load_checkpoint
+from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_server.providers import open_graph
+
+FORMAT = 1
+RECURRENT_STEPS = 8
+"""Steps after frame 0 over which parity is checked."""
+
+
+@dataclass(frozen=True)
+class ExportReport:
+    """What was written and how near it is to PyTorch."""
+
+    out: Path
+    form: str
+    graphs: tuple[str, ...]
+    parameters: int
+    onnx_bytes: int
+    ort_bytes: int
+    tolerance: float
+    parity: dict[str, Parity]
+    """By network: "sg" and "blend"."""
+
+    @property
+    def largest_error(self) -> float:
+        """The largest difference to PyTorch over both networks, all outputs and all steps."""
+        return max(parity.largest for parity in self.parity.values())
+
+
+def export_checkpoint(
+    checkpoint: Path,
+    out: Path,
+    *,
+    ort: bool = True,
+    tolerance: float = TOLERANCE,
+    progress: Callable[[str], None] | None = None,
+) -> ExportReport:
+    """Write a verified model folder from a checkpoint; an older model folder at `out` is replaced.
+
+    `ort` also writes the `.ort` files; `progress` hears what is being done. Raises ModelError for a
+    checkpoint that does not load or a graph that differs from PyTorch by more than `tolerance`, OutputError
+    for a place that cannot be written or holds something else.
+    """
+    say = progress or _say_nothing
+    loaded = load_checkpoint(checkpoint)
+    check_target(out)
+    rounded = cast("SingleModel | VideoModel", half_rounded(loaded.model, str(checkpoint)))
+    originals = {graph.name: graph for graph in graphs_of(loaded.model)}
+    graphs = {graph.name: graph for graph in graphs_of(rounded)}
+    with new_folder(out) as folder:
+        for name, graph in graphs.items():
+            say(f"exporting {name}")
+            _write(folder / f"{name}.onnx", to_onnx(graph, metadata=_metadata(loaded, name)))
+        say(f"comparing with PyTorch over {RECURRENT_STEPS} recurrent steps")
+        parity = _verify(loaded, folder, graphs, originals)
+        _hold(parity, tolerance, checkpoint)
+        if ort:
+            (folder / "ort").mkdir()
+            for name, graph in graphs.items():
+                say(f"writing {name}.ort")
+                write_ort(folder / f"{name}.onnx", folder / "ort" / f"{name}.ort", graph, tolerance=tolerance)
+        report = ExportReport(
+            out=out,
+            form=loaded.form,
+            graphs=tuple(graphs),
+            parameters=sum(weight.numel() for weight in loaded.model.parameters()),
+            onnx_bytes=sum(path.stat().st_size for path in folder.glob("*.onnx")),
+            ort_bytes=sum(path.stat().st_size for path in folder.glob("ort/*.ort")),
+            tolerance=tolerance,
+            parity=parity,
+        )
+        _describe(folder, loaded, graphs, report)
+    return report
+
+
+def _say_nothing(_: str) -> None:
+    pass
+
+
+def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:
+    return {
+        "roomlight.format": str(FORMAT),
+        "roomlight.form": loaded.form,
+        "roomlight.graph": name,
+        "roomlight.config": json.dumps(loaded.config.to_dict()),
+        "roomlight.card": json.dumps(loaded.card),
+    }
+
+
+def _write(path: Path, model: ModelProto) -> None:
+    path.write_bytes(model.SerializeToString())
+
+
+def _verify(
+    loaded: Checkpoint, folder: Path, graphs: Mapping[str, Graph], originals: Mapping[str, Graph]
+) -> dict[str, Parity]:
+    runs = (
+        session_runner({name: open_graph(folder / f"{name}.onnx", "cpu") for name in graphs}),
+        torch_runner(graphs),
+        torch_runner(originals),
+    )
+    recurrent = loaded.form == "video"
+    shape, frames = loaded.config.sg.volume_shape, RECURRENT_STEPS + 1
+    volumes = [room_volume(shape, frame=frame) for frame in range(frames)]
+    panoramas = probe_frames(loaded.config.blend.height, frames=frames)
+    return {
+        "sg": compare_volumes(*runs, volumes=volumes, recurrent=recurrent),
+        "blend": compare_blending(*runs, frames=panoramas, recurrent=recurrent),
+    }
+
+
+def _hold(parity: Mapping[str, Parity], tolerance: float, checkpoint: Path) -> None:
+    for network, result in parity.items():
+        name, worst = max(result.error.items(), key=lambda entry: entry[1])
+        if not worst <= tolerance:
+            raise ModelError(
+                f"{checkpoint}: the exported {network} networks differ from PyTorch by {worst:.2g} in {name} "
+                f"over {result.steps} frames, more than the {tolerance:g} allowed; nothing was written"
+            )
+
+
+def _describe(folder: Path, loaded: Checkpoint, graphs: Mapping[str, Graph], report: ExportReport) -> None:
+    def entry(name: str, graph: Graph) -> dict[str, object]:
+        files = {"onnx": folder / f"{name}.onnx", "ort": folder / "ort" / f"{name}.ort"}
+        described: dict[str, object] = {
+            "inputs": {key: list(shape) for key, shape in graph.inputs.items()},
+            "outputs": {key: list(shape) for key, shape in graph.outputs.items()},
+            "sha256": _sha256(files["onnx"]),
+        }
+        if files["ort"].exists():
+            described["ort_sha256"] = _sha256(files["ort"])
+        return described
+
+    card = {
+        "format": FORMAT,
+        "form": loaded.form,
+        "config": loaded.config.to_dict(),
+        "card": loaded.card,
+        "opset": OPSET,
+        "graphs": {name: entry(name, graph) for name, graph in graphs.items()},
+        "parity": {
+            "tolerance": report.tolerance,
+            **{network: asdict(parity) for network, parity in report.parity.items()},
+        },
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
+    }
+    (folder / MODEL_FILE).write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -1,0 +1,65 @@
+"""A model folder that appears whole: written beside its place under a hidden name, then renamed."""
+
+import json
+import shutil
+import tempfile
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+
+from roomlight.errors import OutputError
+
+MODEL_FILE = "model.json"
+
+
+def check_target(out: Path) -> None:
+    """Refuse a place that cannot become a model folder, before any work. Raises OutputError.
+
+    A folder is replaced only if it is empty or is a model folder itself.
+    """
+    if out.exists() and not out.is_dir():
+        raise OutputError(f"{out}: is a file; give the name of a folder for the model")
+    if out.is_dir() and any(out.iterdir()) and not _is_model(out):
+        raise OutputError(f"{out}: holds something else than a model; choose a new folder")
+
+
+@contextmanager
+def new_folder(out: Path) -> Generator[Path]:
+    """A temporary folder beside `out`: takes its place when the block ends well, vanishes when not."""
+    target = out.absolute()
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        temporary = Path(tempfile.mkdtemp(prefix=f".{target.name}.", suffix=".part", dir=target.parent))
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from error
+    try:
+        yield temporary
+        temporary.chmod(0o755)  # mkdtemp's is for the owner only, a server may be someone else
+        _take_place(temporary, target)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from error
+    finally:
+        shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _take_place(temporary: Path, target: Path) -> None:
+    if not target.exists():
+        temporary.rename(target)
+        return
+    check_target(target)  # it may have changed in the meantime
+    old = temporary.with_suffix(".old")
+    target.rename(old)
+    try:
+        temporary.rename(target)
+    except OSError:
+        old.rename(target)
+        raise
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def _is_model(folder: Path) -> bool:
+    try:
+        described = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return False
+    return isinstance(described, dict) and "graphs" in described

@@ -1,0 +1,184 @@
+"""The graphs of a model: which network becomes which ONNX file, with its inputs and outputs.
+
+Names, shapes and order here are the interface to whatever runs the graphs. Encoders, GRUs and decoders are
+separate so that a server can keep states bound between them. Volumes are [z, y, x]; all tensors are float32.
+"""
+
+from dataclasses import dataclass
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from roomlight_model.blend import SINGLE_PANELS, VIDEO_PANELS
+from roomlight_model.layers import ConvGRU
+from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_model.sg import SGDecoder, SGVolume, merge
+
+Shape = tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Graph:
+    """One graph to export: the module and its named inputs and outputs."""
+
+    name: str
+    module: nn.Module
+    inputs: dict[str, Shape]
+    outputs: dict[str, Shape]
+
+
+class _FirstDecoder(nn.Module):
+    """The single-view decoder without batch dimension at its outputs: the renderer's layout."""
+
+    def __init__(self, decoder: SGDecoder) -> None:
+        super().__init__()
+        self.decoder = decoder
+
+    def forward(self, f0: Tensor, f1: Tensor, volume: Tensor) -> tuple[Tensor, Tensor]:
+        predicted: SGVolume = self.decoder(f0, f1, volume)
+        return predicted.alpha[0], predicted.lobes[0]
+
+
+class _MergingDecoder(nn.Module):
+    """The recurrent decoder and its merge with the previous volume."""
+
+    def __init__(self, decoder: SGDecoder) -> None:
+        super().__init__()
+        self.decoder = decoder
+
+    def forward(
+        self,
+        h0: Tensor,
+        h1: Tensor,
+        volume: Tensor,
+        alpha_previous: Float[Tensor, "z y x"],
+        lobes_previous: Float[Tensor, "z y x 10"],
+    ) -> tuple[Tensor, Tensor]:
+        merged = merge(self.decoder(h0, h1, volume), alpha_previous[None], lobes_previous[None])
+        return merged.alpha[0], merged.lobes[0]
+
+
+class _TwoGRUs(nn.Module):
+    """The GRUs of both levels in one graph: one call a frame."""
+
+    def __init__(self, gru0: ConvGRU, gru1: ConvGRU) -> None:
+        super().__init__()
+        self.gru0 = gru0
+        self.gru1 = gru1
+
+    def forward(self, h0: Tensor, h1: Tensor, f0: Tensor, f1: Tensor) -> tuple[Tensor, Tensor]:
+        return self.gru0(h0, f0), self.gru1(h1, f1)
+
+
+def graphs_of(model: SingleModel | VideoModel) -> list[Graph]:
+    """All graphs of a model: four for the single-view form; ten for the video form, those four included."""
+    if isinstance(model, VideoModel):
+        return _single_graphs(model.single) + _video_graphs(model)
+    return _single_graphs(model)
+
+
+def sample_inputs(graph: Graph) -> tuple[Tensor, ...]:
+    """Zeros of the graph's input shapes, for tracing."""
+    return tuple(torch.zeros(shape) for shape in graph.inputs.values())
+
+
+def _eighth(size: int) -> int:
+    return size // 2 // 2 // 2  # each strided convolution rounds down
+
+
+@dataclass(frozen=True)
+class _Shapes:
+    volume: Shape
+    alpha: Shape
+    lobes: Shape
+    f0: Shape
+    f1: Shape
+    panorama: Shape
+    b0: Shape
+    b1: Shape
+
+    @classmethod
+    def of(cls, model: SingleModel | VideoModel) -> "_Shapes":
+        sg, blend = model.config.sg, model.config.blend
+        panorama = (blend.height, 2 * blend.height)
+        return cls(
+            volume=(1, 5, *sg.volume_shape),
+            alpha=sg.volume_shape,
+            lobes=(*sg.volume_shape, 10),
+            f0=(1, sg.channels, *(size // 2 for size in sg.volume_shape)),
+            f1=(1, 4 * sg.channels, *(_eighth(size) for size in sg.volume_shape)),
+            panorama=panorama,
+            b0=(1, blend.channels, *(size // 2 for size in panorama)),
+            b1=(1, 4 * blend.channels, *(_eighth(size) for size in panorama)),
+        )
+
+
+def _single_graphs(model: SingleModel) -> list[Graph]:
+    at = _Shapes.of(model)
+    mask = (1, 1, *at.panorama)
+    return [
+        Graph("single_sg_encoder", model.sg_encoder, {"volume": at.volume}, {"f0": at.f0, "f1": at.f1}),
+        Graph(
+            "single_sg_decoder",
+            _FirstDecoder(model.sg_decoder),
+            {"f0": at.f0, "f1": at.f1, "volume": at.volume},
+            {"alpha": at.alpha, "lobes": at.lobes},
+        ),
+        Graph(
+            "single_blend_encoder",
+            model.blend_encoder,
+            {"panels": (1, SINGLE_PANELS, *at.panorama)},
+            {"f0": at.b0, "f1": at.b1},
+        ),
+        Graph(
+            "single_blend_decoder",
+            model.blend_decoder,
+            {"f0": at.b0, "f1": at.b1, "mask": mask},
+            {"weight": mask},
+        ),
+    ]
+
+
+def _video_graphs(model: VideoModel) -> list[Graph]:
+    at = _Shapes.of(model)
+    mask = (1, 1, *at.panorama)
+    return [
+        Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume}, {"f0": at.f0, "f1": at.f1}),
+        Graph(
+            "video_sg_gru",
+            _TwoGRUs(model.sg_gru0, model.sg_gru1),
+            {"h0": at.f0, "h1": at.f1, "f0": at.f0, "f1": at.f1},
+            {"h0_next": at.f0, "h1_next": at.f1},
+        ),
+        Graph(
+            "video_sg_decoder",
+            _MergingDecoder(model.sg_decoder),
+            {
+                "h0": at.f0,
+                "h1": at.f1,
+                "volume": at.volume,
+                "alpha_previous": at.alpha,
+                "lobes_previous": at.lobes,
+            },
+            {"alpha": at.alpha, "lobes": at.lobes},
+        ),
+        Graph(
+            "video_blend_encoder",
+            model.blend_encoder,
+            {"panels": (1, VIDEO_PANELS, *at.panorama)},
+            {"f0": at.b0, "f1": at.b1},
+        ),
+        Graph(
+            "video_blend_gru",
+            _TwoGRUs(model.blend_gru0, model.blend_gru1),
+            {"h0": at.b0, "h1": at.b1, "f0": at.b0, "f1": at.b1},
+            {"h0_next": at.b0, "h1_next": at.b1},
+        ),
+        Graph(
+            "video_blend_decoder",
+            model.blend_decoder,
+            {"h0": at.b0, "h1": at.b1, "mask": mask},
+            {"weight": mask},
+        ),
+    ]

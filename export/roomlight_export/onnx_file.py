@@ -1,0 +1,129 @@
+"""One graph to one ONNX model: static shapes, weights stored in half precision, metadata, checked.
+
+Weights are float16 initializers followed by a Cast to float32: half the download, computed in float32. ONNX
+Runtime and OpenVINO fold the Cast when a session is made.
+"""
+
+import copy
+import logging
+import warnings
+from collections.abc import Generator, Mapping
+from contextlib import contextmanager
+
+import numpy as np
+import onnx
+import torch
+from onnx import ModelProto, TensorProto, helper, numpy_helper
+from torch import nn
+
+from roomlight.errors import ModelError
+from roomlight_export.graphs import Graph, sample_inputs
+
+OPSET = 20
+"""The oldest that has all we use; what the plain CPU providers of phones and OpenVINO both read."""
+
+
+def half_rounded(module: nn.Module, name: str) -> nn.Module:
+    """A copy of a network with every weight rounded to float16 and kept in float32: what the files will hold.
+
+    Raises ModelError for a weight beyond float16's range.
+    """
+    rounded = copy.deepcopy(module).eval()
+    with torch.no_grad():
+        for key, weight in rounded.named_parameters():
+            half = weight.half().float()
+            if not torch.isfinite(half).all():
+                largest = float(weight.abs().max())
+                raise ModelError(f"{name}: weight {key} reaches {largest:g}, beyond half precision (65504)")
+            weight.copy_(half)
+    return rounded
+
+
+def to_onnx(graph: Graph, *, metadata: Mapping[str, str]) -> ModelProto:
+    """Trace a graph whose weights are `half_rounded`, store them as float16, and check the result."""
+    with _quiet():
+        program = torch.onnx.export(
+            graph.module.eval(),
+            sample_inputs(graph),
+            input_names=list(graph.inputs),
+            output_names=list(graph.outputs),
+            opset_version=OPSET,
+            dynamo=True,
+            verbose=False,
+        )
+    if program is None:
+        raise ModelError(f"{graph.name}: the exporter gave no program")
+    model = program.model_proto
+    _strip_traces(model)
+    _store_half(model)
+    for key, value in metadata.items():
+        model.metadata_props.add(key=key, value=value)
+    _check(model, graph)
+    return model
+
+
+@contextmanager
+def _quiet() -> Generator[None]:
+    """Keep the exporter's remarks from the terminal: torchvision's absence and its own deprecations."""
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
+
+
+def _strip_traces(model: ModelProto) -> None:
+    """Drop the stack traces that the exporter hangs on each node: half the bytes, and local paths."""
+    parts = [model, model.graph, *model.graph.node, *model.graph.value_info]
+    parts += [*model.graph.input, *model.graph.output, *model.graph.initializer]
+    for part in parts:
+        part.ClearField("doc_string")
+        part.ClearField("metadata_props")
+
+
+def _store_half(model: ModelProto) -> None:
+    """Store as float16 every float32 initializer that float16 holds exactly; scalars stay as they are.
+
+    Weights were rounded before tracing, so the graph computes the same as before to the last bit.
+    """
+    casts: list[onnx.NodeProto] = []
+    for tensor in model.graph.initializer:
+        if tensor.data_type != TensorProto.FLOAT:
+            continue
+        value = numpy_helper.to_array(tensor)
+        with np.errstate(over="ignore"):
+            half = value.astype(np.float16)
+        if value.size < 2 or not np.array_equal(half.astype(np.float32), value):
+            continue
+        name = tensor.name
+        tensor.CopyFrom(numpy_helper.from_array(half, f"{name}.half"))
+        casts.append(
+            helper.make_node("Cast", [f"{name}.half"], [name], name=f"{name}.cast", to=TensorProto.FLOAT)
+        )
+    nodes = list(model.graph.node)
+    del model.graph.node[:]
+    model.graph.node.extend(casts + nodes)
+
+
+def _check(model: ModelProto, graph: Graph) -> None:
+    try:
+        onnx.checker.check_model(model, full_check=True)
+    except (onnx.checker.ValidationError, onnx.shape_inference.InferenceError) as error:
+        raise ModelError(f"{graph.name}: the exported graph is not valid ONNX ({error})") from error
+    opset = {entry.domain: entry.version for entry in model.opset_import}.get("", 0)
+    if opset < OPSET:
+        raise ModelError(f"{graph.name}: exported at opset {opset}, {OPSET} or newer was asked for")
+    for kind, entries, wanted in (
+        ("input", model.graph.input, graph.inputs),
+        ("output", model.graph.output, graph.outputs),
+    ):
+        found = {
+            entry.name: tuple(int(axis.dim_value) for axis in entry.type.tensor_type.shape.dim)
+            for entry in entries
+        }
+        if found != {name: tuple(shape) for name, shape in wanted.items()}:
+            raise ModelError(f"{graph.name}: its {kind}s came out as {found}, meant were {wanted}")

@@ -1,0 +1,43 @@
+"""`.ort` files for phones: ONNX Runtime's own format at level `extended`, for its plain CPU provider.
+
+CoreML and XNNPACK have no 3D convolution, so the CPU provider it is. `extended` is the last level that does
+not depend on the machine (above it the layout is made for the exporter's own CPU). Folding the weights' Cast
+makes them float32 here: twice the ONNX file's size, for no conversion on the phone.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import onnxruntime
+
+from roomlight.errors import ModelError
+from roomlight_export.graphs import Graph
+from roomlight_export.parity import Tensors, difference, session_runner
+
+
+def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> None:
+    """Convert one ONNX file, then load the result and run both once on the same input. Raises ModelError."""
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
+    options.optimized_model_filepath = str(target)
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.save_model_format", "ORT")
+    converted = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+
+    options = onnxruntime.SessionOptions()
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.load_model_format", "ORT")
+    loaded = onnxruntime.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
+
+    inputs = _inputs(graph)
+    wanted = session_runner({graph.name: converted})(graph.name, inputs)
+    found = session_runner({graph.name: loaded})(graph.name, inputs)
+    for name, value in wanted.items():
+        worst = difference(name, found[name], value)
+        if not worst <= tolerance:
+            raise ModelError(f"{target.name}: differs from its ONNX graph by {worst:.2g} in {name}")
+
+
+def _inputs(graph: Graph) -> Tensors:
+    random = np.random.default_rng(0)
+    return {name: random.random(shape, dtype=np.float32) for name, shape in graph.inputs.items()}

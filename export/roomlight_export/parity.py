@@ -1,0 +1,149 @@
+"""Do the graphs compute what PyTorch computes? Both run the paper's recursion over the same frames.
+
+One step would not tell: a state that drifts shows only after several. The same recursion code drives ONNX
+Runtime and PyTorch, through a function that runs one graph by name.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import onnxruntime
+import torch
+
+from roomlight_export.graphs import Graph
+from roomlight_export.inputs import ProbeFrame
+
+Tensors = dict[str, np.ndarray]
+Run = Callable[[str, Tensors], Tensors]
+"""Runs the graph of that name."""
+
+TOLERANCE = 1e-3
+"""Largest difference allowed between a graph and PyTorch with the same half-rounded weights, over all steps.
+
+c, w and lambda are compared as log(1 + x), where the training loss compares them: 1e-3 is a tenth of a
+percent of the light, half an 8-bit display step. Order of summation alone gives 1e-6 to 1e-4 (the HDR heads'
+exponent multiplies it); a wrong graph (a layer's padding, a lost bias) gives 1e-2 and more.
+"""
+
+
+@dataclass(frozen=True)
+class Parity:
+    """The largest differences of one network over all steps, by output."""
+
+    steps: int
+    error: dict[str, float]
+    """ONNX Runtime against PyTorch with the same weights: held to the tolerance."""
+    rounding: dict[str, float]
+    """ONNX Runtime against PyTorch with the unrounded float32 weights: what half precision costs."""
+
+    @property
+    def largest(self) -> float:
+        """The largest entry of `error`."""
+        return max(self.error.values())
+
+
+def torch_runner(graphs: Mapping[str, Graph]) -> Run:
+    """Run graphs as PyTorch modules."""
+
+    def run(name: str, inputs: Tensors) -> Tensors:
+        graph = graphs[name]
+        with torch.inference_mode():
+            outputs = graph.module(*(torch.from_numpy(inputs[key]) for key in graph.inputs))
+        if isinstance(outputs, torch.Tensor):
+            outputs = (outputs,)
+        return {key: value.numpy() for key, value in zip(graph.outputs, outputs, strict=True)}
+
+    return run
+
+
+def session_runner(sessions: Mapping[str, onnxruntime.InferenceSession]) -> Run:
+    """Run graphs as ONNX Runtime sessions."""
+
+    def run(name: str, inputs: Tensors) -> Tensors:
+        session = sessions[name]
+        names = [output.name for output in session.get_outputs()]
+        values = session.run(names, {entry.name: inputs[entry.name] for entry in session.get_inputs()})
+        return {key: np.asarray(value) for key, value in zip(names, values, strict=True)}
+
+    return run
+
+
+def compare_volumes(
+    tested: Run, rounded: Run, original: Run, *, volumes: list[np.ndarray], recurrent: bool
+) -> Parity:
+    """Compare the 3D networks over a sequence of initial volumes; frame 0 is single-view."""
+    return _compare(
+        [_run_volumes(run, volumes, recurrent=recurrent) for run in (tested, rounded, original)], len(volumes)
+    )
+
+
+def compare_blending(
+    tested: Run, rounded: Run, original: Run, *, frames: list[ProbeFrame], recurrent: bool
+) -> Parity:
+    """Compare the 2D networks over a probe's frames. Panels are given, not accumulated from the outputs: the
+    conservative rule is a step function, and one pixel on its edge would look like an error of 1.
+    """
+    return _compare(
+        [_run_blending(run, frames, recurrent=recurrent) for run in (tested, rounded, original)], len(frames)
+    )
+
+
+def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:
+    results: list[Tensors] = []
+    state: Tensors = {}
+    for index, volume in enumerate(volumes):
+        if index == 0 or not recurrent:
+            features = run("single_sg_encoder", {"volume": volume})
+            light = run("single_sg_decoder", {**features, "volume": volume})
+            hidden = {"h0": features["f0"], "h1": features["f1"]}
+        else:
+            features = run("video_sg_encoder", {"volume": volume})
+            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features})
+            hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
+            previous = {"alpha_previous": state["alpha"], "lobes_previous": state["lobes"]}
+            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous})
+        state = {**hidden, **light}
+        results.append(state)
+    return results
+
+
+def _run_blending(run: Run, frames: list[ProbeFrame], *, recurrent: bool) -> list[Tensors]:
+    results: list[Tensors] = []
+    state: Tensors = {}
+    for index, frame in enumerate(frames):
+        if index == 0 or not recurrent:
+            features = run("single_blend_encoder", {"panels": frame.single_panels})
+            decoded = run("single_blend_decoder", {**features, "mask": frame.mask})
+            hidden = {"h0": features["f0"], "h1": features["f1"]}
+        else:
+            features = run("video_blend_encoder", {"panels": frame.video_panels})
+            updated = run("video_blend_gru", {"h0": state["h0"], "h1": state["h1"], **features})
+            hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
+            decoded = run("video_blend_decoder", {**hidden, "mask": frame.mask})
+        state = {**hidden, **decoded}
+        results.append(state)
+    return results
+
+
+def difference(name: str, first: np.ndarray, second: np.ndarray) -> float:
+    """Largest difference of one output; NaN counts as infinite. c, w, lambda of `lobes` in log(1 + x)."""
+    if name == "lobes":
+        first, second = _compress(first), _compress(second)
+    worst = float(np.abs(first - second).max())
+    return worst if np.isfinite(worst) else float("inf")
+
+
+def _compress(lobes: np.ndarray) -> np.ndarray:
+    return np.concatenate([np.log1p(lobes[..., :7]), lobes[..., 7:]], axis=-1)
+
+
+def _compare(runs: list[list[Tensors]], steps: int) -> Parity:
+    tested, rounded, original = runs
+    error: dict[str, float] = {}
+    rounding: dict[str, float] = {}
+    for step in range(steps):
+        for name, value in tested[step].items():
+            error[name] = max(error.get(name, 0.0), difference(name, value, rounded[step][name]))
+            rounding[name] = max(rounding.get(name, 0.0), difference(name, value, original[step][name]))
+    return Parity(steps, error, rounding)

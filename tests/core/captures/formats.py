@@ -1,0 +1,272 @@
+"""One synthetic room in every capture format's own bytes, built without the code under test.
+
+The room is a box with a smooth colour on its walls, seen by a 32 x 24 camera from a few poses (y-up world, OpenGL camera);
+each builder turns these poses into its format's conventions with matrices written out here.
+"""
+
+import json
+import struct
+import zipfile
+import zlib
+from dataclasses import dataclass
+from pathlib import Path
+
+import av
+import cv2
+import liblzfse
+import numpy as np
+import OpenEXR
+
+WIDTH, HEIGHT = 32, 24
+FX, FY, CX, CY = 28.0, 27.0, 16.5, 11.75
+FLIP = np.diag([1.0, -1.0, -1.0, 1.0])
+# A z-up world from a y-up one: x' = x, y' = -z, z' = y.
+Y_UP_TO_Z_UP = np.array([[1.0, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]])
+
+
+@dataclass(frozen=True)
+class View:
+    srgb8: np.ndarray  # uint8 [h, w, 3]
+    depth_m: np.ndarray  # float32 [h, w]
+    confidence: np.ndarray  # uint8 [h, w]
+    pose: np.ndarray  # [4, 4] camera-to-world, y-up, OpenGL
+    time_s: float
+
+
+def rotation(axis: str, degrees: float) -> np.ndarray:
+    c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
+    matrix = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }[axis]
+    return np.array(matrix, np.float64)
+
+
+def scene(count: int = 4) -> list[View]:
+    views = []
+    for index in range(count):
+        pose = np.eye(4)
+        pose[:3, :3] = rotation("y", 20.0 + 15 * index) @ rotation("x", -10.0 + 4 * index) @ rotation("z", 5.0)
+        pose[:3, 3] = [0.3 + 0.1 * index, 1.4 - 0.05 * index, 0.2]
+        x = (np.arange(WIDTH) + 0.5 - CX) / FX
+        y = -(np.arange(HEIGHT) + 0.5 - CY) / FY
+        rays = np.stack([*np.meshgrid(x, y), -np.ones((HEIGHT, WIDTH))], axis=-1) @ pose[:3, :3].T
+        low, high = np.array([-2.0, 0.0, -3.0]), np.array([2.5, 2.6, 2.0])
+        walls = np.where(rays > 0, high, low) - pose[:3, 3]
+        with np.errstate(divide="ignore"):
+            depth = (walls / rays).min(axis=-1)
+        points = pose[:3, 3] + depth[..., None] * rays
+        colour = 0.45 + 0.25 * np.sin(points * [0.9, 1.1, 0.7] + [0.0, 1.0, 2.0])
+        confidence = np.full((HEIGHT, WIDTH), 2, np.uint8)
+        confidence[:3, :4], confidence[3:6, :4] = 0, 1
+        depth_mm = np.rint(depth * 1000) / 1000
+        views.append(
+            View((colour * 255).astype(np.uint8), depth_mm.astype(np.float32), confidence, pose, 5.0 + index / 30)
+        )
+    return views
+
+
+def quaternion(rot: np.ndarray) -> list[float]:
+    """(x, y, z, w); the scene's rotations are all below half a turn, so that w is far from 0."""
+    w = 0.5 * np.sqrt(1 + np.trace(rot))
+    return [*(np.array([rot[2, 1] - rot[1, 2], rot[0, 2] - rot[2, 0], rot[1, 0] - rot[0, 1]]) / (4 * w)), w]
+
+
+def save(path: Path, data: bytes) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(data)
+
+
+def image(suffix: str, pixels: np.ndarray) -> bytes:
+    ordered = pixels[..., ::-1] if pixels.ndim == 3 else pixels
+    ok, data = cv2.imencode(suffix, np.ascontiguousarray(ordered), [cv2.IMWRITE_JPEG_QUALITY, 98])
+    assert ok
+    return data.tobytes()
+
+
+def millimetres(view: View, unit_m: float = 0.001) -> np.ndarray:
+    return np.rint(view.depth_m.astype(np.float64) / unit_m).astype(np.uint16)
+
+
+def exr(path: Path, channels: dict[str, np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(path))
+
+
+def nerfstudio(path: Path, views: list[View]) -> Path:
+    frames = []
+    for index, view in enumerate(views):
+        save(path / f"images/frame_{index + 1:05d}.png", image(".png", view.srgb8))
+        save(path / f"depth/frame_{index + 1:05d}.png", image(".png", millimetres(view)))
+        frames.append(
+            {
+                "file_path": f"images/frame_{index + 1:05d}.png",
+                "depth_file_path": f"depth/frame_{index + 1:05d}.png",
+                "transform_matrix": (Y_UP_TO_Z_UP @ view.pose).tolist(),
+            }
+        )
+    exr(path / "probes/00.exr", {"RGB": np.full((4, 8, 3), 0.5, np.float16)})
+    shared = {"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "w": WIDTH, "h": HEIGHT, "camera_model": "OPENCV"}
+    probes = [{"position": [0.1, -0.3, 0.2], "file_path": "probes/00.exr"}]
+    save(path / "transforms.json", json.dumps({**shared, "probes": probes, "frames": frames}).encode())
+    return path
+
+
+def nerfcapture(path: Path, views: list[View]) -> Path:
+    """As NeRFCapture and its script write it: y-up, per-frame K, colour without suffix, depth in 10 m / 65535."""
+    frames = []
+    for index, view in enumerate(views):
+        save(path / f"images/{index}.png", image(".png", view.srgb8))
+        save(path / f"images/{index}.depth.png", image(".png", millimetres(view, 10 / 65535)))
+        frames.append(
+            {
+                "file_path": f"images/{index}",
+                "depth_path": f"images/{index}.depth.png",
+                "transform_matrix": view.pose.tolist(),
+                "timestamp": view.time_s,
+                **{"fl_x": FX, "fl_y": FY, "cx": CX, "cy": CY, "w": WIDTH, "h": HEIGHT},
+            }
+        )
+    index = {"integer_depth_scale": 10 / 65535, "fl_x": 1.0, "cx": 320, "cy": 240, "frames": frames[::-1]}
+    save(path / "transforms.json", json.dumps(index).encode())
+    return path
+
+
+def seven_scenes(path: Path, views: list[View]) -> Path:
+    """World turned by 25 degrees about x, which gravity-direction.txt tells."""
+    turn = np.eye(4)
+    turn[:3, :3] = rotation("x", 25.0)
+    for index, view in enumerate(views):
+        stem = f"frame-{index * 4:06d}"
+        save(path / f"{stem}.color.jpg", image(".jpg", view.srgb8))
+        save(path / f"{stem}.depth.png", image(".png", millimetres(view)))
+        rows = turn @ view.pose @ FLIP
+        save(path / f"{stem}.pose.txt", "\n".join("\t ".join(f"{v:.10e}" for v in row) for row in rows).encode())
+    save(path / "camera-intrinsics.txt", f"{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n".encode())
+    gravity = turn[:3, :3] @ [0, -1, 0]
+    save(path / "gravity-direction.txt", "\n".join(str(value) for value in gravity).encode())
+    return path
+
+
+def video(path: Path, pictures: list[np.ndarray]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "4", "g": "2"})
+        stream.width, stream.height, stream.pix_fmt = WIDTH, HEIGHT, "yuv420p"
+        for picture in pictures:
+            frame = av.VideoFrame.from_ndarray(picture, format="rgb24")
+            container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
+        container.mux(stream.encode())
+
+
+def stray_scanner(path: Path, views: list[View]) -> Path:
+    scale = 1920 / WIDTH
+    video(path / "rgb.mp4", [view.srgb8 for view in views])
+    rows = ["timestamp, frame, x, y, z, qx, qy, qz, qw"]
+    for index, view in enumerate(views):
+        save(path / f"depth/{index:06d}.png", image(".png", millimetres(view)))
+        save(path / f"confidence/{index:06d}.png", image(".png", view.confidence))
+        pose = view.pose @ FLIP
+        values = [*pose[:3, 3], *quaternion(-pose[:3, :3] @ np.diag([-1, -1, -1]))]
+        rows.append(f"{view.time_s}, {index:06d}, " + ", ".join(str(value) for value in values))
+    save(path / "odometry.csv", ("\n".join(rows) + "\n").encode())
+    k = f"{FX * scale}, 0.0, {CX * scale}\n0.0, {FY * scale}, {CY * scale}\n0.0, 0.0, 1.0"
+    save(path / "camera_matrix.csv", k.encode())
+    return path
+
+
+def record3d_metadata(views: list[View]) -> bytes:
+    poses = [[*quaternion(view.pose[:3, :3]), *view.pose[:3, 3].tolist()] for view in views]
+    metadata = {"w": WIDTH, "h": HEIGHT, "dw": WIDTH, "dh": HEIGHT, "fps": 30, "K": [FX, 0, 0, 0, FY, 0, CX, CY, 1]}
+    return json.dumps(
+        {**metadata, "poses": poses, "frameTimestamps": [view.time_s for view in views], "cameraType": 1}
+    ).encode()
+
+
+def record3d_members(views: list[View]) -> dict[str, bytes]:
+    members = {"metadata": record3d_metadata(views)}
+    for index, view in enumerate(views):
+        members[f"rgbd/{index}.jpg"] = image(".jpg", view.srgb8)
+        members[f"rgbd/{index}.depth"] = liblzfse.compress(view.depth_m.astype("<f4").tobytes())
+        members[f"rgbd/{index}.conf"] = liblzfse.compress(view.confidence.tobytes())
+    return members
+
+
+def record3d(path: Path, views: list[View]) -> Path:
+    path = path.with_suffix(".r3d")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in record3d_members(views).items():
+            archive.writestr(name, data)
+    return path
+
+
+def record3d_export(path: Path, views: list[View]) -> Path:
+    save(path / "metadata.json", record3d_metadata(views))
+    for index, view in enumerate(views):
+        save(path / f"rgb/{index}.jpg", image(".jpg", view.srgb8))
+        exr(path / f"depth/{index}.exr", {"R": view.depth_m.astype(np.float16)})
+    return path
+
+
+def tum(path: Path, views: list[View]) -> Path:
+    """Depth 4 ms after colour, poses at 100 Hz around them; the world z-up, K with whole-number pixel centres."""
+    rgb, depth, poses = ["# color images"], ["# depth maps"], ["# timestamp tx ty tz qx qy qz qw"]
+    for view in views:
+        name = f"{view.time_s:.6f}.png"
+        save(path / "rgb" / name, image(".png", view.srgb8))
+        save(path / "depth" / name, image(".png", millimetres(view, 1 / 5000)))
+        rgb.append(f"{view.time_s:.6f} rgb/{name}")
+        depth.append(f"{view.time_s + 0.004:.6f} depth/{name}")
+        pose = Y_UP_TO_Z_UP @ view.pose @ FLIP
+        values = " ".join(str(value) for value in [*pose[:3, 3], *quaternion(pose[:3, :3])])
+        poses.append(f"{view.time_s + 0.003:.6f} {values}")
+        poses.append(f"{view.time_s + 0.013:.6f} 9 9 9 0 0 0 1")
+    for name, lines in (("rgb.txt", rgb), ("depth.txt", depth), ("groundtruth.txt", poses)):
+        save(path / name, "\n".join(lines).encode())
+    save(path / "camera-intrinsics.txt", f"{FX} 0 {CX - 0.5}\n0 {FY} {CY - 0.5}\n0 0 1\n".encode())
+    return path
+
+
+def roomlight(path: Path, views: list[View]) -> Path:
+    frames = []
+    for index, view in enumerate(views):
+        save(path / f"colour/{index:06d}.jpg", image(".jpg", view.srgb8))
+        save(path / f"depth/{index:06d}.png", image(".png", millimetres(view)))
+        save(path / f"confidence/{index:06d}.png", image(".png", view.confidence))
+        frames.append(
+            {
+                "colour": f"colour/{index:06d}.jpg",
+                "depth": f"depth/{index:06d}.png",
+                "confidence": f"confidence/{index:06d}.png",
+                "intrinsics": {"fx": FX, "fy": FY, "cx": CX, "cy": CY, "width": WIDTH, "height": HEIGHT},
+                "camera_to_world": view.pose.tolist(),
+                "timestamp_s": view.time_s,
+            }
+        )
+    exr(path / "probes/00.exr", {"RGB": np.full((4, 8, 3), 0.5, np.float16)})
+    probes = [{"position": [0.1, 0.2, 0.3], "panorama": "probes/00.exr"}]
+    index = {"format": "roomlight-capture", "version": 1, "frames": frames, "probes": probes}
+    save(path / "capture.json", json.dumps(index).encode())
+    return path
+
+
+BUILDERS = {
+    "nerfstudio": nerfstudio,
+    "nerfcapture": nerfcapture,
+    "seven-scenes": seven_scenes,
+    "stray-scanner": stray_scanner,
+    "record3d": record3d,
+    "record3d-export": record3d_export,
+    "tum": tum,
+    "roomlight": roomlight,
+}
+FORMAT_OF = {name: {"nerfcapture": "nerfstudio", "record3d-export": "record3d"}.get(name, name) for name in BUILDERS}
+
+
+def png_with_size(data: bytes, width: int, height: int) -> bytes:
+    """A PNG whose header declares another size, its checksum made to fit."""
+    header = b"IHDR" + struct.pack(">II", width, height) + data[24:29]
+    return data[:12] + header + struct.pack(">I", zlib.crc32(header)) + data[33:]

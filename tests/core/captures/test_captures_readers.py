@@ -1,0 +1,369 @@
+"""Every reader gives the same frames of the same room, in RoomLight's conventions, from that format's own bytes."""
+
+import json
+import zipfile
+from pathlib import Path
+
+import cv2
+import formats
+import numpy as np
+import pytest
+from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import CaptureError, FrameError, UnknownFormatError
+
+VIEWS = formats.scene()
+HAS_TIMES = {"nerfcapture", "stray-scanner", "record3d", "record3d-export", "tum", "roomlight"}
+HAS_CONFIDENCE = {"stray-scanner", "record3d", "roomlight"}
+
+
+@pytest.fixture(params=formats.BUILDERS)
+def built(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[str, Path]:
+    return request.param, formats.BUILDERS[request.param](tmp_path / "capture", VIEWS)
+
+
+def edit(path: Path, change) -> None:
+    index = json.loads(path.read_bytes())
+    change(index)
+    path.write_text(json.dumps(index))
+
+
+def test_every_format_gives_the_same_cameras_and_pictures(built: tuple[str, Path]) -> None:
+    name, path = built
+    capture = open_capture(path)
+    assert capture.format == formats.FORMAT_OF[name]
+    assert capture.format in FORMATS
+    frames = list(capture)
+    assert capture.skipped == []
+    assert [frame.index for frame in frames] == [0, 1, 2, 3]
+    assert capture.frame_count == len(VIEWS)
+    for frame, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
+        k = frame.intrinsics
+        np.testing.assert_allclose([k.fx, k.fy, k.cx, k.cy], [formats.FX, formats.FY, formats.CX, formats.CY], rtol=1e-9)
+        assert (k.width, k.height) == (formats.WIDTH, formats.HEIGHT)
+        # JPEG and H.264 halve the colour's resolution and round: 8 of 255 at worst on this smooth room, 2 on the mean.
+        error = np.abs(frame.image - srgb8_to_linear(view.srgb8))
+        assert error.mean() < 0.01
+        assert error.max() < 0.12
+        known = view.confidence >= 1 if name in HAS_CONFIDENCE else np.ones_like(view.confidence, bool)
+        assert not frame.depth_m[~known].any()
+        # Half floats (the EXR export) keep 11 bits: 1 mm at 2 m.
+        np.testing.assert_allclose(frame.depth_m[known], view.depth_m[known], rtol=5e-4, atol=6e-4)
+        assert frame.source.startswith(str(path))
+        if name in HAS_TIMES:
+            assert frame.timestamp_s == pytest.approx(view.time_s, abs=1e-6)
+    if name in HAS_TIMES:
+        assert capture.frames_per_second == pytest.approx(30, rel=1e-3)
+    else:
+        assert capture.frames_per_second is None
+
+
+def test_every_and_max_frames_select_records_by_their_own_index(built: tuple[str, Path]) -> None:
+    name, path = built
+    capture = open_capture(path, CaptureOptions(every=2))
+    assert capture.frame_count == 2
+    frames = list(capture)
+    assert [frame.index for frame in frames] == [0, 2]
+    np.testing.assert_allclose(frames[1].camera_to_world, VIEWS[2].pose, atol=1e-6)
+    assert np.abs(frames[1].image - srgb8_to_linear(VIEWS[2].srgb8)).mean() < 0.01
+    assert open_capture(path, CaptureOptions(every=3, max_frames=1)).frame_count == 1
+    if name in HAS_TIMES:
+        assert capture.frames_per_second == pytest.approx(15, rel=1e-3)
+
+
+def test_frames_are_had_singly_and_again(built: tuple[str, Path]) -> None:
+    _, path = built
+    capture = open_capture(path)
+    third = capture.frame_at(2)
+    assert third.index == 2
+    in_order = list(capture)
+    np.testing.assert_array_equal(third.image, in_order[2].image)
+    assert len(list(capture)) == len(in_order)
+    with pytest.raises(FrameError, match="no frame 4"):
+        capture.frame_at(4)
+
+
+def test_forcing_another_reader_is_refused_with_a_file(built: tuple[str, Path]) -> None:
+    name, path = built
+    for other in set(FORMATS) - {formats.FORMAT_OF[name]}:
+        with pytest.raises(CaptureError, match=path.stem):
+            open_capture(path, CaptureOptions(format=other))
+    assert open_capture(path, CaptureOptions(format=formats.FORMAT_OF[name])).frame_count == 4
+
+
+def test_confidence_threshold_is_the_users(built: tuple[str, Path]) -> None:
+    name, path = built
+    all_kept = next(iter(open_capture(path, CaptureOptions(min_confidence=0)))).depth_m
+    only_high = next(iter(open_capture(path, CaptureOptions(min_confidence=2)))).depth_m
+    assert all_kept.all()
+    expected = VIEWS[0].confidence >= 2 if name in HAS_CONFIDENCE else np.ones_like(all_kept, bool)
+    np.testing.assert_array_equal(only_high > 0, expected)
+    if name in HAS_CONFIDENCE:
+        with pytest.raises(CaptureError, match="confidence of 3 or more"):
+            list(open_capture(path, CaptureOptions(min_confidence=3)))
+
+
+def poses(path: Path, **options) -> list[np.ndarray]:
+    return [frame.camera_to_world for frame in open_capture(path, CaptureOptions(**options))]
+
+
+def test_overrides_of_conventions(tmp_path: Path) -> None:
+    path = formats.roomlight(tmp_path / "capture", VIEWS)
+    opencv = poses(path, camera_convention="opencv")
+    inverse = poses(path, pose_direction="world-to-camera")
+    z_up = poses(path, world_up="z")
+    vector_up = poses(path, world_up=(0.0, 0.0, 2.0))
+    for index, view in enumerate(VIEWS):
+        np.testing.assert_allclose(opencv[index], view.pose @ formats.FLIP, atol=1e-9)
+        np.testing.assert_allclose(inverse[index], np.linalg.inv(view.pose), atol=1e-9)
+        np.testing.assert_allclose(z_up[index], np.linalg.inv(formats.Y_UP_TO_Z_UP) @ view.pose, atol=1e-9)
+        np.testing.assert_allclose(vector_up[index], z_up[index], atol=1e-12)
+
+
+def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
+    name, path = built
+    unit_m = {"tum": 1 / 5000, "nerfcapture": 10 / 65535, "record3d": 1.0, "record3d-export": 1.0}.get(name, 0.001)
+    plain, doubled = (next(iter(open_capture(path, CaptureOptions(depth_unit_m=u)))) for u in (unit_m, 2 * unit_m))
+    np.testing.assert_allclose(doubled.depth_m, 2 * plain.depth_m, rtol=1e-6)
+    for factor in (1e-5, 1e4):
+        if 1e-9 <= unit_m * factor <= 1e3:
+            with pytest.raises(CaptureError, match=r"depth unit looks wrong.*depth_unit_m"):
+                list(open_capture(path, CaptureOptions(depth_unit_m=unit_m * factor)))
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"camera_convention": "maya"},
+        {"pose_direction": "both"},
+        {"world_up": "up"},
+        {"world_up": (0.0, 0.0, 0.0)},
+        {"world_up": (0.0, float("nan"), 1.0)},
+        {"depth_unit_m": 0.0},
+        {"depth_unit_m": float("nan")},
+        {"every": 0},
+        {"max_frames": 0},
+    ],
+)
+def test_options_that_mean_nothing_are_refused(options: dict) -> None:
+    with pytest.raises(CaptureError):
+        CaptureOptions(**options)
+
+
+def test_unknown_format_names_and_paths(tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("nothing")
+    for path in (tmp_path, tmp_path / "notes.txt"):
+        with pytest.raises(UnknownFormatError, match=str(path)):
+            open_capture(path)
+    with pytest.raises(UnknownFormatError, match="betamax"):
+        open_capture(tmp_path, CaptureOptions(format="betamax"))
+    with pytest.raises(CaptureError, match="no such file"):
+        open_capture(tmp_path / "missing")
+    with pytest.raises(CaptureError, match="cannot be opened"):
+        open_capture(tmp_path / ("x" * 5000))
+
+
+def test_opening_decodes_nothing_and_frames_come_before_a_late_fault(built: tuple[str, Path]) -> None:
+    name, path = built
+    if path.is_file():  # an archive: cut the last member's picture short instead
+        members = formats.record3d_members(VIEWS)
+        members["rgbd/3.jpg"] = b"no picture"
+        with zipfile.ZipFile(path, "w") as archive:
+            for member, data in members.items():
+                archive.writestr(member, data)
+    else:
+        last = {
+            "nerfstudio": "depth/frame_00004.png",
+            "nerfcapture": "images/3.depth.png",
+            "seven-scenes": "frame-000012.depth.png",
+            "stray-scanner": "depth/000003.png",
+            "record3d-export": "depth/3.exr",
+            "tum": f"depth/{VIEWS[3].time_s:.6f}.png",
+            "roomlight": "depth/000003.png",
+        }
+        (path / last[name]).unlink()
+    capture = open_capture(path)
+    frames = iter(capture)
+    for index in range(3):
+        assert next(frames).index == index
+        assert capture.skipped == []
+    assert list(frames) == []
+    assert [skipped.index for skipped in capture.skipped] == [3]
+    assert str(path) in capture.skipped[0].file
+    assert str(path) in capture.skipped[0].reason
+
+
+def test_images_are_never_read_when_opening(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    paths = [build(tmp_path / name, VIEWS) for name, build in formats.BUILDERS.items()]
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("an image was decoded on opening"))
+    assert all(isinstance(open_capture(path), Capture) for path in paths)
+
+
+# What only one format has
+
+
+def test_probes_come_in_our_world(tmp_path: Path) -> None:
+    (probe,) = open_capture(formats.nerfstudio(tmp_path / "a", VIEWS)).probes
+    np.testing.assert_allclose(probe.position, (0.1, 0.2, 0.3), atol=1e-12)  # z-up (0.1, -0.3, 0.2)
+    assert probe.panorama().shape == (4, 8, 3)
+    (native,) = open_capture(formats.roomlight(tmp_path / "b", VIEWS)).probes
+    assert native.position == (0.1, 0.2, 0.3)
+
+
+def test_transforms_world_up_key_and_unit(tmp_path: Path) -> None:
+    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+
+    def change(index: dict) -> None:
+        index["world_up"], index["depth_unit_scale_factor"] = "y", 0.002
+        for frame, view in zip(index["frames"], VIEWS, strict=True):
+            frame["transform_matrix"] = view.pose.tolist()[:3]
+
+    edit(path / "transforms.json", change)
+    frame = next(iter(open_capture(path / "transforms.json")))
+    np.testing.assert_allclose(frame.camera_to_world, VIEWS[0].pose, atol=1e-12)
+    np.testing.assert_allclose(frame.depth_m, 2 * VIEWS[0].depth_m, rtol=1e-5)
+
+
+def test_transforms_depth_key_chooses_among_several(tmp_path: Path) -> None:
+    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+    small = cv2.resize(formats.millimetres(VIEWS[0]), (16, 12), interpolation=cv2.INTER_NEAREST)
+    formats.save(path / "lidar.png", formats.image(".png", small))
+    edit(path / "transforms.json", lambda index: [f.update(depth_lidar_file_path="lidar.png") for f in index["frames"]])
+    frame = next(iter(open_capture(path, CaptureOptions(depth_key="depth_lidar_file_path"))))
+    assert frame.depth_m.shape == (12, 16)
+    with pytest.raises(CaptureError, match=r"depth_radar.*depth_file_path, depth_lidar_file_path"):
+        open_capture(path, CaptureOptions(depth_key="depth_radar"))
+
+
+def test_transforms_focal_length_from_the_angle_and_npy_depth(tmp_path: Path) -> None:
+    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+    np.save(path / "depth.npy", formats.millimetres(VIEWS[0]))
+
+    def change(index: dict) -> None:
+        for key in ("fl_x", "fl_y", "cx", "cy", "w", "h"):
+            del index[key]
+        index["camera_angle_x"] = 2 * np.arctan(0.5 * formats.WIDTH / formats.FX)
+        index["frames"][0]["depth_file_path"] = "depth.npy"
+
+    edit(path / "transforms.json", change)
+    frame = next(iter(open_capture(path)))
+    assert frame.intrinsics.fx == pytest.approx(formats.FX)
+    assert frame.intrinsics.fy == pytest.approx(formats.FX)
+    assert (frame.intrinsics.cx, frame.intrinsics.cy) == (16, 12)
+    np.testing.assert_allclose(frame.depth_m, VIEWS[0].depth_m, atol=1e-6)
+
+
+@pytest.mark.parametrize("model", ["OPENCV", "OPENCV_FISHEYE"])
+def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
+    """A plane's depth and a linear colour ramp on it stay what they are where the straightened camera looks."""
+    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+    k1 = -0.08
+    edit(path / "transforms.json", lambda index: index.update(k1=k1, camera_model=model))
+    frames = list(open_capture(path))
+    assert len(frames) == 4
+    frame, view = frames[0], VIEWS[0]
+    rays = frame.intrinsics.rays()
+    x, y = rays[..., 0], -rays[..., 1]
+    r = np.hypot(x, y)
+    bent = 1 + k1 * r**2 if model == "OPENCV" else np.arctan(r) * (1 + k1 * np.arctan(r) ** 2) / r
+    column = np.rint(formats.CX + formats.FX * x * bent - 0.5).astype(int)
+    row = np.rint(formats.CY + formats.FY * y * bent - 0.5).astype(int)
+    assert column.min() >= -1
+    assert column.max() <= formats.WIDTH  # within half a pixel of the old picture: nothing is invented
+    inside = (column >= 0) & (row >= 0) & (column < formats.WIDTH) & (row < formats.HEIGHT)
+    there = view.depth_m[row[inside], column[inside]]
+    assert np.median(np.abs(frame.depth_m[inside] - there)) < 1e-3
+
+
+def test_a_distorted_camera_model_that_is_not_read_is_said(tmp_path: Path) -> None:
+    path = formats.nerfstudio(tmp_path / "capture", VIEWS)
+    edit(path / "transforms.json", lambda index: index.update(k1=0.1, camera_model="EQUIRECTANGULAR"))
+    with pytest.raises(CaptureError, match=r"EQUIRECTANGULAR.*undistort"):
+        list(open_capture(path))
+
+
+def test_seven_scenes_defaults(tmp_path: Path) -> None:
+    """Without its two optional files: the data set's K for 640 x 480, and up = -y of an upright OpenCV camera."""
+    path = tmp_path / "capture"
+    grey = np.full((480, 640, 3), 90, np.uint8)
+    depth = np.full((480, 640), 2000, np.uint16)
+    depth[:5], depth[5:10] = 0, 65535
+    formats.save(path / "frame-000000.color.png", formats.image(".png", grey))
+    formats.save(path / "frame-000000.depth.png", formats.image(".png", depth))
+    formats.save(path / "frame-000000.pose.txt", b"1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")
+    (frame,) = open_capture(path)
+    np.testing.assert_allclose(frame.camera_to_world, np.eye(4), atol=1e-12)
+    k = frame.intrinsics
+    assert (k.fx, k.fy, k.cx, k.cy) == (585, 585, 320, 240)
+    assert not frame.depth_m[:10].any()
+    np.testing.assert_allclose(frame.depth_m[10:], 2.0)
+
+
+def test_stray_scanner_old_depth_and_new_columns(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    for file in (path / "depth").glob("*.png"):
+        np.save(file.with_suffix(".npy"), cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+        file.unlink()
+    lines = (path / "odometry.csv").read_text().splitlines()
+    lines = [lines[0] + ", fx, fy, cx, cy"] + [f"{line}, 1200, 1210, 950, 710" for line in lines[1:]]
+    (path / "odometry.csv").write_text("\n".join(lines))
+    frames = list(open_capture(path, CaptureOptions(min_confidence=0)))
+    np.testing.assert_allclose(frames[3].depth_m, VIEWS[3].depth_m, atol=1e-6)
+    assert frames[0].intrinsics.fx == pytest.approx(20.0)
+
+
+def test_stray_scanner_k_at_the_videos_own_size(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    k = f"{formats.FX}, 0, {formats.CX}\n0, {formats.FY}, {formats.CY}\n0, 0, 1\n"
+    (path / "camera_matrix.csv").write_text(k)
+    assert next(iter(open_capture(path))).intrinsics.fx == pytest.approx(formats.FX)
+
+
+def test_record3d_numbers_match_poses_not_positions(tmp_path: Path) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    for number in (0, 2):
+        (path / f"rgb/{number}.jpg").unlink()
+        (path / f"depth/{number}.exr").unlink()
+    frames = list(open_capture(path))
+    assert [frame.index for frame in frames] == [0, 1]
+    np.testing.assert_allclose(frames[1].camera_to_world, VIEWS[3].pose, atol=1e-6)
+    assert frames[0].timestamp_s == pytest.approx(VIEWS[1].time_s)
+
+
+def test_record3d_per_frame_intrinsics_and_unpacked_folder(tmp_path: Path) -> None:
+    for name, data in formats.record3d_members(VIEWS).items():
+        formats.save(tmp_path / "capture" / name, data)
+    lens = [[formats.FX + index, formats.FY, formats.CX, formats.CY] for index in range(4)]
+    edit(tmp_path / "capture/metadata", lambda index: index.update(perFrameIntrinsicCoeffs=lens))
+    frames = list(open_capture(tmp_path / "capture"))
+    assert [frame.intrinsics.fx for frame in frames] == [formats.FX + index for index in range(4)]
+
+
+def test_record3d_exr_infinity_is_unknown(tmp_path: Path) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    depth = VIEWS[0].depth_m.astype(np.float16)
+    depth[0, :3] = [np.inf, np.nan, -1]
+    formats.exr(path / "depth/0.exr", {"R": depth})
+    frame = next(iter(open_capture(path)))
+    assert not frame.depth_m[0, :3].any()
+    assert frame.depth_m[1:].all()
+
+
+def test_tum_takes_only_what_is_near_in_time(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "capture", VIEWS)
+    lines = (path / "depth.txt").read_text().splitlines()
+    time_s, name = lines[1].split()
+    lines[1] = f"{float(time_s) - 0.03} {name}"
+    (path / "depth.txt").write_text("\n".join(lines))
+    capture = open_capture(path)
+    assert [frame.index for frame in capture] == [1, 2, 3]
+    assert "depth.txt" in capture.skipped[0].reason
+
+
+def test_native_exposure_brings_radiance_to_the_reference(tmp_path: Path) -> None:
+    path = formats.roomlight(tmp_path / "capture", VIEWS)
+    edit(path / "capture.json", lambda index: index["frames"][0].update(exposure=2.0))
+    twice = next(iter(open_capture(path))).image
+    np.testing.assert_allclose(twice, open_capture(path).frame_at(0).image)
+    assert np.abs(twice - srgb8_to_linear(VIEWS[0].srgb8) / 2).mean() < 0.01

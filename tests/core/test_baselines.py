@@ -1,0 +1,148 @@
+import numpy as np
+import pytest
+
+from roomlight.baselines import MeanColour, WarpAndFill
+from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_directions
+from roomlight.errors import ProbeError
+from roomlight.frame import Frame
+
+# The six walls of a box room of 6 x 3 x 4 m about the origin, each in its own colour.
+HALF = np.array([3.0, 1.5, 2.0])
+WALLS = np.array(
+    [[0.9, 0.1, 0.1], [0.1, 0.9, 0.1], [0.1, 0.1, 0.9], [0.8, 0.8, 0.1], [0.1, 0.8, 0.8], [0.8, 0.1, 0.8]], np.float32
+)
+
+
+def cast(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance along each direction (in its own length) to the box's walls, and the wall's colour."""
+    with np.errstate(divide="ignore"):
+        reach = (np.sign(directions) * HALF - origin) / directions
+    reach[~np.isfinite(reach)] = np.inf
+    axis = reach.argmin(axis=-1)
+    distance = np.take_along_axis(reach, axis[..., None], axis=-1)[..., 0]
+    positive = np.take_along_axis(directions, axis[..., None], axis=-1)[..., 0] > 0
+    return distance, WALLS[2 * axis + positive]
+
+
+def look(position: tuple[float, float, float], yaw_deg: float, *, index: int = 0, depth_step: int = 1) -> Frame:
+    """A frame of the box room: yaw 0 looks along -z, 90 along -x."""
+    intrinsics = Intrinsics(60.0, 60.0, 60.0, 45.0, 120, 90)
+    yaw = np.radians(yaw_deg)
+    pose = np.eye(4)
+    pose[:3, :3] = [[np.cos(yaw), 0, np.sin(yaw)], [0, 1, 0], [-np.sin(yaw), 0, np.cos(yaw)]]
+    pose[:3, 3] = position
+    rays = intrinsics.rays().astype(np.float64) @ pose[:3, :3].T  # one unit of these is one metre of z-depth
+    depth, colour = cast(pose[:3, 3], rays)
+    depth = depth.astype(np.float32)[depth_step // 2 :: depth_step, depth_step // 2 :: depth_step]
+    return Frame(index, colour, np.zeros((90, 120), bool), depth, intrinsics, pose)
+
+
+def truth(position: tuple[float, float, float], height: int) -> np.ndarray:
+    return cast(np.array(position), panorama_directions(height).astype(np.float64))[1]
+
+
+def interior(panorama: np.ndarray) -> np.ndarray:
+    """Pixels whose neighbours are on the same wall: where walls meet, a pixel is a mixture."""
+    same = np.ones(panorama.shape[:2], bool)
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        same &= (np.roll(panorama, step, axis=axis) == panorama).all(axis=-1)
+    return same
+
+
+@pytest.mark.parametrize("position", [(0.0, 0.0, 0.0), (0.7, -0.4, -1.1)])
+@pytest.mark.parametrize("depth_step", [1, 3])
+def test_warping_recovers_what_the_camera_sees(position: tuple[float, float, float], depth_step: int) -> None:
+    method = WarpAndFill(height=30)
+    method.push(look((0.5, 0.2, 1.0), 20.0, depth_step=depth_step))
+    panorama, mask = method.warped(position)
+    expected = truth(position, 30)
+    seen = (mask == 1) & interior(expected)
+    assert seen.mean() > 0.1
+    # a third of the depth resolution puts pixels next to a corner onto the wrong wall, nothing else
+    wrong = np.abs(panorama - expected).max(axis=-1)[seen] > 1e-3
+    assert wrong.mean() < (0.02 if depth_step == 1 else 0.1)
+
+
+def test_a_probe_at_the_camera_sees_its_whole_frustum() -> None:
+    position = (0.5, 0.2, 1.0)
+    frame = look(position, 0.0)
+    method = WarpAndFill(height=30)
+    method.push(frame)
+    panorama, mask = method.warped(position)
+    directions = panorama_directions(30)
+    ahead = -directions[..., 2]
+    # two pixels of the panorama inside the frustum's borders: x / z < 60 / 60, y / z < 45 / 60
+    inside = (ahead > 0.1) & (np.abs(directions[..., 0]) < 0.8 * ahead) & (np.abs(directions[..., 1]) < 0.6 * ahead)
+    assert mask[inside].all()
+    expected = truth(position, 30)
+    clear = inside & interior(expected)
+    np.testing.assert_allclose(panorama[clear], expected[clear], atol=1e-3)
+
+
+def test_all_around_gives_the_whole_room_and_unseen_parts_are_filled() -> None:
+    method = WarpAndFill(height=30)
+    shares = []
+    for index in range(4):
+        method.push(look((0.0, 0.0, 0.0), 90.0 * index, index=index))
+        shares.append(method.warped((0.2, 0.1, 0.3))[1].mean())
+        filled = method.light_at((0.2, 0.1, 0.3))
+        assert np.isfinite(filled).all()
+        assert filled.min() >= WALLS.min() - 1e-5
+        assert filled.max() <= WALLS.max() + 1e-5
+    assert shares == sorted(shares)
+    # four frames of 90 x 74 degrees miss what is above and below them, 56 degrees or more on each side
+    assert shares[-1] > 0.35
+
+
+def test_asking_late_is_asking_all_along() -> None:
+    tracked, late = WarpAndFill(height=20), WarpAndFill(height=20)
+    for index in range(3):
+        frame = look((0.1 * index, 0.0, 0.5), 40.0 * index, index=index)
+        tracked.push(frame)
+        tracked.light_at((0.3, 0.2, 0.0))
+        late.push(frame)
+    np.testing.assert_array_equal(late.light_at((0.3, 0.2, 0.0)), tracked.light_at((0.3, 0.2, 0.0)))
+
+
+def test_the_nearest_point_wins_and_a_tie_goes_to_the_newest() -> None:
+    intrinsics = Intrinsics(20.0, 20.0, 20.0, 15.0, 40, 30)
+
+    def wall(index: int, colour: float, depth_m: float) -> Frame:
+        image = np.full((30, 40, 3), colour, np.float32)
+        depth = np.full((30, 40), depth_m, np.float32)
+        return Frame(index, image, np.zeros((30, 40), bool), depth, intrinsics, np.eye(4))
+
+    method = WarpAndFill(height=16)
+    ahead = (8, 8)  # v = 0.5, u = 0.25: along -z
+    expected = []
+    for index, (colour, depth_m) in enumerate([(0.2, 2.0), (0.4, 3.0), (0.6, 1.0), (0.8, 1.0)]):
+        method.push(wall(index, colour, depth_m))
+        expected.append(float(method.light_at((0.0, 0.0, 0.0))[ahead][0]))
+    assert expected == pytest.approx([0.2, 0.2, 0.6, 0.8])
+
+
+def test_pixels_without_depth_are_not_warped() -> None:
+    frame = look((0.0, 0.0, 0.0), 0.0)
+    depth = np.zeros_like(frame.depth_m)
+    blind = Frame(0, frame.image, frame.clipped, depth, frame.intrinsics, frame.camera_to_world)
+    method = WarpAndFill(height=10)
+    method.push(blind)
+    np.testing.assert_array_equal(method.light_at((0.0, 0.0, 0.0)), np.zeros((10, 20, 3)))
+
+
+def test_mean_colour_is_the_mean_of_all_pixels_so_far_everywhere() -> None:
+    method = MeanColour(height=8)
+    np.testing.assert_array_equal(method.light_at((0.0, 0.0, 0.0)), np.zeros((8, 16, 3)))
+    frames = [look((0.0, 0.0, 0.0), yaw) for yaw in (0.0, 77.0)]
+    for frame in frames:
+        method.push(frame)
+    panorama = method.light_at((1.0, 0.0, 0.0))
+    expected = np.mean([frame.image.mean(axis=(0, 1), dtype=np.float64) for frame in frames], axis=0)
+    np.testing.assert_allclose(panorama, np.broadcast_to(expected, panorama.shape), rtol=1e-5)
+
+
+@pytest.mark.parametrize("method", [MeanColour(4), WarpAndFill(4)])
+def test_a_position_that_is_none_is_refused(method: MeanColour | WarpAndFill) -> None:
+    with pytest.raises(ProbeError, match="three finite numbers"):
+        method.light_at((0.0, float("nan"), 0.0))

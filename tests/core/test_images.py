@@ -1,0 +1,264 @@
+"""Image files: round trips, and every way a file can be broken ends in one error that names it."""
+
+import struct
+
+import cv2
+import numpy as np
+import OpenEXR
+import pytest
+
+from roomlight.errors import ImageError, OutputError
+from roomlight.images import (
+    MAX_PIXELS,
+    clean_depth,
+    decode_colour,
+    decode_depth,
+    peek_size,
+    read_bytes,
+    read_colour,
+    read_depth,
+    read_panorama,
+    write_exr,
+    write_png,
+    write_whole,
+)
+
+RNG = np.random.default_rng(5)
+SRGB = RNG.integers(0, 256, (12, 16, 3), dtype=np.uint8)
+LINEAR = RNG.uniform(0, 30, (12, 24, 3)).astype(np.float32)
+
+
+def _encoded(kind, pixels=SRGB):
+    ok, data = cv2.imencode(f".{kind}", pixels)
+    assert ok
+    return data.tobytes()
+
+
+def _exr(tmp_path, **channels):
+    path = tmp_path / "given.exr"
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {key: np.ascontiguousarray(value) for key, value in channels.items()}).write(str(path))
+    return path
+
+
+def test_png_keeps_every_value(tmp_path):
+    write_png(tmp_path / "a.png", SRGB)
+    image, clipped = read_colour(tmp_path / "a.png")
+    write_png(tmp_path / "b.png", image)  # linear floats, encoded again
+    assert (tmp_path / "b.png").read_bytes() == (tmp_path / "a.png").read_bytes()
+    assert (clipped == (SRGB >= 250).any(axis=-1)).all()
+
+
+def test_png_and_jpeg_are_rgb_not_bgr(tmp_path):
+    red = np.zeros((16, 16, 3), np.uint8)
+    red[..., 0] = 200
+    write_png(tmp_path / "red.png", red)
+    for data in ((tmp_path / "red.png").read_bytes(), _encoded("jpg", red[..., ::-1])):
+        image, _ = decode_colour(data, "red")
+        assert image[..., 0].min() > 0.5
+        assert image[..., 1:].max() < 0.01
+
+
+def test_jpeg_is_near(tmp_path):
+    smooth = cv2.resize(SRGB[:3, :4], (64, 48), interpolation=cv2.INTER_CUBIC)
+    image, _ = decode_colour(_encoded("jpg", smooth), "smooth.jpg")
+    exact, _ = decode_colour(_encoded("png", smooth), "smooth.png")
+    assert abs(image - exact).mean() < 0.02  # OpenCV's quality 95 on a smooth image, chroma at half resolution
+
+
+def test_what_a_camera_clipped_is_marked():
+    pixels = np.full((2, 3, 3), 249, np.uint8)
+    pixels[0, 1, 2] = 250
+    _, clipped = decode_colour(_encoded("png", pixels), "x")
+    assert clipped.tolist() == [[False, True, False], [False, False, False]]
+
+
+def test_exr_keeps_radiance_to_half_precision(tmp_path):
+    write_exr(tmp_path / "p.exr", LINEAR, metadata={"probe": "1 2 3"})
+    back = read_panorama(tmp_path / "p.exr")
+    assert back == pytest.approx(LINEAR, rel=2**-11)  # half has 11 significant bits
+    with OpenEXR.File(str(tmp_path / "p.exr")) as file:
+        assert file.header()["probe"] == "1 2 3"
+
+
+def test_beyond_half_becomes_its_largest_value(tmp_path):
+    image = np.full((2, 4, 3), 1e9, np.float32)
+    image[0, 0] = np.inf
+    write_exr(tmp_path / "p.exr", image)
+    assert (read_panorama(tmp_path / "p.exr") == 65504).all()
+
+
+def test_exr_colour_without_sense_becomes_black(tmp_path):
+    bad = np.ones((4, 8, 3), np.float32)
+    bad[0, 0], bad[1, 1], bad[2, 2] = np.nan, -5, np.inf
+    image, clipped = read_colour(_exr(tmp_path, RGB=bad))
+    assert (image[0, 0] == 0).all()
+    assert (image[1, 1] == 0).all()
+    assert (image[2, 2] == 65504).all()
+    assert not clipped.any()
+
+
+@pytest.mark.parametrize("names", ["RGB", "RGBA", "separate", "Y"])
+def test_exr_channels_by_any_name(tmp_path, names):
+    pixels = LINEAR.copy()
+    if names == "RGB":
+        path = _exr(tmp_path, RGB=pixels)
+    elif names == "RGBA":
+        path = _exr(tmp_path, RGBA=np.dstack([pixels, np.ones((12, 24), np.float32)]))
+    elif names == "separate":
+        path = _exr(tmp_path, **{c: pixels[..., i] for i, c in enumerate("RGB")})
+    else:
+        pixels = np.repeat(pixels[..., :1], 3, axis=-1)
+        path = _exr(tmp_path, Y=pixels[..., 0])
+    assert (read_colour(path)[0] == pixels).all()
+    assert (decode_colour(path.read_bytes(), "inside/an.zip")[0] == pixels).all()
+
+
+def test_hdr_is_linear_and_never_clipped():
+    image, clipped = decode_colour(_encoded("hdr", LINEAR[..., ::-1]), "x.hdr")
+    # RGBE shares one exponent: the smaller channels keep 8 bits of the greatest
+    assert abs(image - LINEAR).max() < LINEAR.max() / 100
+    assert not clipped.any()
+
+
+def test_depth_png_is_in_its_unit_and_65535_is_unknown(tmp_path):
+    raw = np.array([[0, 1, 1000], [2500, 65534, 65535]], np.uint16)
+    write_png(tmp_path / "d.png", raw)
+    depth = read_depth(tmp_path / "d.png", unit_m=0.001)
+    assert depth == pytest.approx(np.array([[0, 0.001, 1.0], [2.5, 65.534, 0]]))
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float16])
+def test_depth_exr_is_in_metres_and_what_is_not_finite_is_unknown(tmp_path, dtype):
+    metres = np.array([[1.5, np.nan, np.inf, -np.inf], [-1.0, 0.0, 2.0, 4.0]], dtype)
+    path = _exr(tmp_path, Z=metres)
+    assert read_depth(path, unit_m=0.001).tolist() == [[1.5, 0, 0, 0], [0, 0, 2.0, 4.0]]
+
+
+def test_clean_depth_knows_only_positive_finite_numbers():
+    assert clean_depth(np.array([[np.nan, np.inf, -1.0, 0.0, 3.0]])).tolist() == [[0, 0, 0, 0, 3.0]]
+
+
+@pytest.mark.parametrize("pixels", [SRGB, SRGB[..., 0], SRGB.astype(np.uint16)])
+def test_depth_that_is_a_picture_is_refused(pixels):
+    with pytest.raises(ImageError, match=r"d\.png: depth must be a 16-bit grey PNG"):
+        decode_depth(_encoded("png", pixels), "d.png", unit_m=0.001)
+
+
+def test_a_panorama_is_twice_as_wide_as_high(tmp_path):
+    write_exr(tmp_path / "p.exr", LINEAR[:, :20])
+    with pytest.raises(ImageError, match=r"p\.exr.*20 x 12"):
+        read_panorama(tmp_path / "p.exr")
+
+
+def test_missing_and_empty_files_are_named(tmp_path):
+    (tmp_path / "empty.png").touch()
+    for name in ("empty.png", "gone.png", "."):
+        with pytest.raises(ImageError, match="empty|cannot be read") as caught:
+            read_bytes(tmp_path / name)
+        assert str(tmp_path) in str(caught.value)
+
+
+@pytest.mark.parametrize("data", [b"x", b"GIF89a......", b"\x89PNG", b"\xff\xd8", b"#?", b"\x76\x2f\x31\x01"])
+def test_stubs_of_files_are_refused(data):
+    with pytest.raises(ImageError, match=r"^stub: "):
+        decode_colour(data, "stub")
+
+
+def _bomb(kind, width, height, tmp_path):
+    if kind == "png":
+        data = bytearray(_encoded("png"))
+        data[16:24] = struct.pack(">II", width, height)
+    elif kind == "jpg":
+        data = bytearray(_encoded("jpg"))
+        at = data.index(b"\xff\xc0")
+        data[at + 5 : at + 9] = struct.pack(">HH", min(height, 65535), min(width, 65535))
+    elif kind == "hdr":
+        data = bytearray(_encoded("hdr", LINEAR).replace(b"-Y 12 +X 24", f"-Y {height} +X {width}".encode()))
+    else:
+        data = bytearray(_exr(tmp_path, RGB=LINEAR).read_bytes())
+        at = data.index(b"dataWindow\x00box2i\x00") + 21
+        data[at : at + 16] = struct.pack("<iiii", 0, 0, width - 1, height - 1)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "hdr", "exr"])
+def test_a_header_of_absurd_size_is_refused_before_decoding(kind, tmp_path):
+    with pytest.raises(ImageError, match=rf"^bomb: .*{MAX_PIXELS}"):
+        decode_colour(_bomb(kind, 60_000, 60_000, tmp_path), "bomb")
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "hdr", "exr"])
+@pytest.mark.parametrize("size", [(0, 12), (16, 0), (17, 13), (4000, 4000)])
+def test_a_header_that_lies_is_refused(kind, size, tmp_path):
+    with pytest.raises(ImageError, match=r"^liar: "):
+        decode_colour(_bomb(kind, *size, tmp_path), "liar")
+
+
+@pytest.mark.parametrize("kind", ["png", "jpg", "hdr", "exr"])
+def test_a_truncated_file_is_an_image_error_wherever_it_ends(kind, tmp_path):
+    whole = _exr(tmp_path, RGB=LINEAR).read_bytes() if kind == "exr" else None
+    whole = whole or _encoded(kind, LINEAR if kind == "hdr" else SRGB)
+    decode_colour(whole, "whole")
+    for end in range(0, len(whole) - 1, 10):
+        with pytest.raises(ImageError, match=r"^cut\."):
+            decode_colour(whole[:end], f"cut.{kind}")
+
+
+def test_a_truncated_depth_map_is_no_depth_map(tmp_path):
+    write_png(tmp_path / "d.png", RNG.integers(0, 9999, (12, 16), dtype=np.uint16))
+    whole = (tmp_path / "d.png").read_bytes()
+    for end in range(0, len(whole) - 1, 10):
+        with pytest.raises(ImageError, match=r"^cut: "):
+            decode_depth(whole[:end], "cut", unit_m=0.001)
+
+
+def test_the_size_is_read_from_the_header_alone():
+    assert peek_size(_encoded("png"), "x") == (16, 12)
+    assert peek_size(_encoded("jpg"), "x") == (16, 12)
+    assert peek_size(_encoded("hdr", LINEAR), "x") == (24, 12)
+
+
+def _write(kind, path):
+    if kind == "exr":
+        write_exr(path, LINEAR)
+    elif kind == "png":
+        write_png(path, SRGB)
+    else:
+        write_whole(path, b"bytes")
+
+
+@pytest.mark.parametrize("kind", ["exr", "png", "bytes"])
+def test_writing_makes_folders_and_leaves_nothing_else(kind, tmp_path):
+    target = tmp_path / "deep" / "er" / f"x.{kind}"
+    _write(kind, target)
+    assert [entry.name for entry in target.parent.iterdir()] == [target.name]
+
+
+@pytest.mark.parametrize("kind", ["exr", "png", "bytes"])
+def test_where_nothing_can_be_written_the_error_names_the_file(kind, tmp_path):
+    (tmp_path / "file").write_text("not a folder")
+    with pytest.raises(OutputError, match=r"file/x\."):
+        _write(kind, tmp_path / "file" / f"x.{kind}")
+
+
+@pytest.mark.parametrize("kind", ["exr", "png", "bytes"])
+def test_a_failed_write_leaves_the_old_file_and_no_half_one(kind, tmp_path, monkeypatch):
+    target = tmp_path / f"x.{kind}"
+    target.write_text("old")
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr("pathlib.Path.replace", full)
+    with pytest.raises(OutputError, match="No space left"):
+        _write(kind, target)
+    assert target.read_text() == "old"
+    assert list(tmp_path.iterdir()) == [target]
+
+
+def test_a_name_that_is_a_folder_is_an_output_error(tmp_path):
+    (tmp_path / "x.exr").mkdir()
+    with pytest.raises(OutputError, match=r"x\.exr"):
+        write_exr(tmp_path / "x.exr", LINEAR)
+    assert [entry.name for entry in tmp_path.iterdir()] == ["x.exr"]

@@ -1,0 +1,147 @@
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.balls import BallRenderer
+from roomlight.metrics import (
+    METRICS,
+    SphereJudge,
+    angular_error_deg,
+    interval_means,
+    intervals,
+    ldr_l2,
+    log_l2,
+    si_rmse,
+    smoothness,
+)
+
+
+def panorama(seed: int = 0, height: int = 16) -> np.ndarray:
+    return np.random.default_rng(seed).exponential(1.0, (height, 2 * height, 3)).astype(np.float32)
+
+
+@pytest.mark.parametrize("metric", [log_l2, ldr_l2, smoothness])
+@pytest.mark.parametrize("solid_angle", [False, True])
+def test_zero_for_equal_positive_otherwise_and_symmetric(metric: Callable[..., float], solid_angle: bool) -> None:
+    first, second = panorama(1), panorama(2)
+    assert metric(first, first, solid_angle=solid_angle) == 0
+    assert metric(first, second, solid_angle=solid_angle) > 0
+    assert metric(first, second, solid_angle=solid_angle) == metric(second, first, solid_angle=solid_angle)
+
+
+def test_log_l2_is_the_papers_formula_as_a_mean() -> None:
+    prediction, truth = np.full((4, 8, 3), np.float32(np.e - 1)), np.zeros((4, 8, 3), np.float32)
+    assert log_l2(prediction, truth) == pytest.approx(1.0, rel=1e-6)
+    truth[..., 1] = np.e - 1
+    assert log_l2(prediction, truth) == pytest.approx(2 / 3, rel=1e-6)
+
+
+def test_radiance_below_zero_counts_as_none() -> None:
+    assert log_l2(np.full((4, 8, 3), np.float32(-5)), np.zeros((4, 8, 3), np.float32)) == 0
+
+
+def test_ldr_error_does_not_see_past_white() -> None:
+    white = np.ones((4, 8, 3), np.float32)
+    assert ldr_l2(50 * white, white) == 0
+    assert ldr_l2(0.5 * white, 50 * white) == pytest.approx(0.25)
+
+
+def test_solid_angle_weights_count_the_pole_less() -> None:
+    truth, prediction = np.zeros((16, 32, 3), np.float32), np.zeros((16, 32, 3), np.float32)
+    prediction[0] = 1
+    weighted, plain = (log_l2(prediction, truth, solid_angle=choice) for choice in (True, False))
+    assert plain == pytest.approx(np.log(2) ** 2 / 16, rel=1e-5)
+    assert weighted == pytest.approx(np.log(2) ** 2 * (1 - np.cos(np.pi / 16)) / 2, rel=1e-5)
+
+
+@settings(max_examples=30, deadline=None)
+@given(scale=st.floats(1e-3, 1e3), seed=st.integers(0, 100))
+def test_si_rmse_does_not_see_scale(scale: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    prediction, truth = rng.random((50, 3)), rng.random((50, 3))
+    assert si_rmse(scale * prediction, truth) == pytest.approx(si_rmse(prediction, truth), rel=1e-6)
+    assert si_rmse(scale * truth, truth) == pytest.approx(0, abs=1e-9)
+
+
+def test_si_rmse_takes_the_best_factor() -> None:
+    rng = np.random.default_rng(0)
+    prediction, truth = rng.random((50, 3)), rng.random((50, 3))
+    factors = np.linspace(0, 3, 3001)
+    best = min(np.sqrt(np.mean((factor * prediction - truth) ** 2)) for factor in factors)
+    assert si_rmse(prediction, truth) == pytest.approx(best, rel=1e-4)
+    assert si_rmse(np.zeros((50, 3)), truth) == pytest.approx(np.sqrt(np.mean(truth**2)))
+
+
+def test_angular_error_of_known_angles() -> None:
+    red, green = np.tile([1.0, 0.0, 0.0], (10, 1)), np.tile([0.0, 1.0, 0.0], (10, 1))
+    assert angular_error_deg(red, red) == 0
+    assert angular_error_deg(red, green) == pytest.approx(90)
+    assert angular_error_deg(red, 0.1 * (red + green)) == pytest.approx(45)
+
+
+@settings(max_examples=30, deadline=None)
+@given(angle=st.floats(0.01, 60), scale=st.floats(0.01, 100))
+def test_angular_error_of_a_turned_hue_is_the_turn(angle: float, scale: float) -> None:
+    turn = np.radians(angle)
+    first = np.tile([1.0, 0.0, 0.5], (4, 1))
+    axis = np.array([0.0, 1.0, 0.0])  # at right angles to the colour
+    turned = np.cos(turn) * first + np.sin(turn) * np.linalg.norm(first[0]) * axis
+    assert angular_error_deg(scale * turned, first) == pytest.approx(angle, rel=1e-6)
+
+
+def test_black_agrees_with_black_only() -> None:
+    black, grey = np.zeros((3, 3)), np.full((3, 3), 0.2)
+    assert angular_error_deg(black, black) == 0
+    assert angular_error_deg(black, grey) == 90
+    assert angular_error_deg(grey, black) == 90
+
+
+def test_sphere_scores_are_zero_for_the_truth_and_see_what_they_should() -> None:
+    truth = panorama(3, 32)
+    judge = SphereJudge(truth, BallRenderer((0.0, 0.0, -1.0), size=24))
+    assert judge.scores(truth) == pytest.approx(dict.fromkeys(judge.scores(truth), 0), abs=1e-5)
+    brighter = judge.scores(2 * truth)
+    assert brighter.pop("render_l2") > 0.001  # this one sees the scale, the others do not
+    assert brighter == pytest.approx(dict.fromkeys(brighter, 0), abs=1e-4)
+    other = judge.scores(panorama(4, 32))
+    assert all(value > 0 for value in other.values())
+    # the sharper the sphere, the more of the detail it sees
+    assert other["si_rmse_mirror"] > other["si_rmse_matte"] > other["si_rmse_diffuse"]
+
+
+def test_every_metric_has_a_column() -> None:
+    judge = SphereJudge(panorama(height=8), BallRenderer((0.0, 0.0, -1.0), size=8))
+    measured = {"log_l2", "ldr_l2", "smoothness", *judge.scores(panorama(height=8))}
+    assert {metric.key for metric in METRICS} == measured
+
+
+def test_intervals_of_31_frames_are_the_papers() -> None:
+    numbered = [[position + 1 for position in part] for part in intervals(31)]
+    assert numbered == [
+        list(range(1, 8)),
+        list(range(8, 14)),
+        list(range(14, 20)),
+        list(range(20, 26)),
+        list(range(26, 32)),
+    ]
+
+
+@given(frames=st.integers(0, 1000))
+def test_intervals_cover_every_frame_once_in_order(frames: int) -> None:
+    assert [position for part in intervals(frames) for position in part] == list(range(frames))
+    assert len(intervals(frames)) == 5
+
+
+def test_interval_means() -> None:
+    values = np.arange(31, dtype=np.float64)
+    np.testing.assert_allclose(interval_means(values, 31), [3, 9.5, 15.5, 21.5, 27.5])
+    # smoothness has one value fewer: its last interval is [26,30]
+    np.testing.assert_allclose(interval_means(values[:30], 31), [3, 9.5, 15.5, 21.5, 27])
+    assert np.isnan(interval_means(values[:2], 2)).any()
+    with pytest.raises(ValueError, match="do not belong"):
+        interval_means(values, 20)
+    with pytest.raises(ValueError, match="0 frames or more"):
+        intervals(-1)

@@ -1,0 +1,66 @@
+"""Sharding covers everything once, passes errors on, and takes its width from the environment."""
+
+import threading
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomlight.threads import shard, thread_count
+
+
+@given(st.integers(0, 500), st.integers(1, 9))
+def test_every_index_is_worked_on_once(count, pieces):
+    touched = np.zeros(count, int)
+
+    def work(start, stop):
+        touched[start:stop] += 1
+
+    shard(work, count, pieces_per_thread=pieces)
+    assert (touched == 1).all()
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_an_error_in_a_piece_is_the_callers(monkeypatch, threads):
+    monkeypatch.setenv("ROOMLIGHT_THREADS", threads)
+
+    def work(start, stop):
+        if start <= 37 < stop:
+            raise ZeroDivisionError("piece of 37")
+
+    with pytest.raises(ZeroDivisionError, match="piece of 37"):
+        shard(work, 100)
+
+
+def test_after_an_error_nothing_writes_any_more(monkeypatch):
+    monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
+    begun, ended, failed = [], [], threading.Event()
+
+    def work(start, stop):
+        begun.append(start)
+        if start == 0:
+            failed.set()
+            raise ZeroDivisionError
+        failed.wait(10)
+        sum(range(200_000))  # outlives the failed piece
+        ended.append(start)
+
+    with pytest.raises(ZeroDivisionError):
+        shard(work, 100)
+    assert sorted(ended) == sorted(begun)[1:]
+
+
+@pytest.mark.parametrize(("asked", "given_"), [("3", 3), ("1", 1), ("64", 64)])
+def test_the_environment_sets_the_width(monkeypatch, asked, given_):
+    monkeypatch.setenv("ROOMLIGHT_THREADS", asked)
+    assert thread_count() == given_
+
+
+@pytest.mark.parametrize("asked", ["", "0", "-2", "many", "²"])
+def test_a_width_that_is_none_is_as_if_unset(monkeypatch, asked):
+    monkeypatch.delenv("ROOMLIGHT_THREADS", raising=False)
+    default = thread_count()
+    monkeypatch.setenv("ROOMLIGHT_THREADS", asked)
+    assert thread_count() == default
+    assert 1 <= default <= 8

@@ -1,0 +1,69 @@
+"""The panorama recursion in PyTorch against the serving kernel and its reference, and the rule itself."""
+
+import numpy as np
+import pytest
+import torch
+from roomlight import blend as serving
+from roomlight_model.accumulate import Panorama, accumulate, conservative, first_panorama
+
+HEIGHT = 12
+DEPTH_MAX_M = 3.0
+
+
+def frames(count, seed=0):
+    random = np.random.default_rng(seed)
+    shape = (HEIGHT, 2 * HEIGHT)
+    for _ in range(count):
+        mask = random.random(shape) < 0.6
+        yield {
+            "hdr": random.exponential(2.0, (*shape, 3)).astype(np.float32),
+            "detail": random.random((*shape, 3), np.float32),
+            "detail_depth_m": (0.5 + 2 * random.random(shape, np.float32)) * mask,
+            "weight": random.random(shape, np.float32) * mask,
+        }
+
+
+def planes(array):
+    """[h, w] or [h, w, c] to [1, c, h, w]."""
+    return torch.from_numpy(np.atleast_3d(array).transpose(2, 0, 1)[None].copy())
+
+
+@pytest.mark.parametrize("kernel", [serving.accumulate, serving.accumulate_reference])
+def test_agrees_with_serving(kernel):
+    """Six frames from nothing seen. Tolerance: both are float32, the kernel with fast-math reordering."""
+    kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
+    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.seen))
+    for frame in frames(6):
+        kernel(kept, **frame)
+        depth = planes(frame["detail_depth_m"])
+        weight = conservative(planes(frame["weight"]), depth, state.depth, margin=serving.CLOSER_M)
+        state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
+    for ours, theirs in zip(state, (kept.radiance, kept.depth_m, kept.seen), strict=True):
+        torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
+
+
+def test_first_frame_is_the_recursion_from_nothing_seen():
+    frame = next(frames(1))
+    hdr, detail = planes(frame["hdr"]), planes(frame["detail"])
+    depth, weight = planes(frame["detail_depth_m"]), planes(frame["weight"])
+    nothing = Panorama(torch.zeros_like(hdr), torch.full_like(depth, 4.0), torch.zeros_like(weight))
+    wanted = accumulate(nothing, hdr, detail, depth=depth, weight=weight)
+    found = first_panorama(hdr, detail, depth, weight=weight, unseen_depth=4.0)
+    for one, other in zip(found, wanted, strict=True):
+        torch.testing.assert_close(one, other)
+
+
+@pytest.mark.parametrize(
+    ("seen_m", "now_m", "kept"), [(2.0, 2.0, False), (2.0, 1.8, False), (2.0, 1.74, True), (2.0, 3.0, False)]
+)
+def test_only_a_clearly_closer_surface_replaces(seen_m, now_m, kept):
+    weight = torch.full((1, 1, 1, 1), 0.8)
+    ruled = conservative(weight, torch.full_like(weight, now_m), torch.full_like(weight, seen_m))
+    assert float(ruled) == pytest.approx(0.8 if kept else 0.0)
+
+
+def test_gradients_pass_the_rule_where_it_lets_through():
+    weight = torch.full((1, 1, 1, 2), 0.5, requires_grad=True)
+    depth = torch.tensor([[[[1.0, 2.0]]]])
+    conservative(weight, depth, torch.full_like(depth, 2.0)).sum().backward()
+    assert weight.grad.flatten().tolist() == [1.0, 0.0]

@@ -1,0 +1,115 @@
+"""The 2D networks over panoramas: the weight's range, the seam, and the recursion of one probe."""
+
+import pytest
+import torch
+from roomlight_model.blend import (
+    SINGLE_PANELS,
+    UNSEEN_DEPTH,
+    VIDEO_PANELS,
+    BlendDecoder,
+    BlendEncoder,
+    single_panels,
+    video_panels,
+)
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import Observation, SingleModel, VideoModel
+
+HEIGHT = 24
+BLEND = BlendConfig(height=HEIGHT, channels=4, full_channels=4)
+CONFIG = ModelConfig(SGConfig(channels=4, full_channels=4), BLEND)
+
+
+def observation(seed):
+    random = torch.Generator().manual_seed(seed)
+    mask = (torch.rand((1, 1, HEIGHT, 2 * HEIGHT), generator=random) < 0.5).float()
+    return Observation(
+        hdr=20 * torch.rand((1, 3, HEIGHT, 2 * HEIGHT), generator=random),
+        ldr=torch.rand((1, 3, HEIGHT, 2 * HEIGHT), generator=random) * mask,
+        mask=mask,
+        depth=torch.rand((1, 1, HEIGHT, 2 * HEIGHT), generator=random) * mask,
+    )
+
+
+@pytest.fixture(autouse=True)
+def _seeded():
+    torch.manual_seed(5)
+
+
+@pytest.mark.parametrize("panels", [SINGLE_PANELS, VIDEO_PANELS])
+def test_shapes_and_range(panels):
+    seen = observation(0)
+    f0, f1 = BlendEncoder(BLEND, panels=panels)(torch.rand(1, panels, HEIGHT, 2 * HEIGHT))
+    assert f0.shape == (1, 4, 12, 24)
+    assert f1.shape == (1, 16, 3, 6)
+    weight = BlendDecoder(BLEND)(f0, f1, seen.mask)
+    assert weight.shape == (1, 1, HEIGHT, 2 * HEIGHT)
+    assert ((weight >= 0) & (weight <= 1)).all()
+    assert not weight[seen.mask == 0].any()
+    assert weight[seen.mask == 1].all()
+
+
+@pytest.mark.parametrize("height", [24, 30])
+def test_sizes_that_do_not_halve(height):
+    seen = torch.ones(1, 1, height, 2 * height)
+    f0, f1 = BlendEncoder(BLEND, panels=SINGLE_PANELS)(torch.rand(1, 8, height, 2 * height))
+    assert BlendDecoder(BLEND)(f0, f1, seen).shape == seen.shape
+
+
+def test_turning_the_panorama_turns_the_weight():
+    """Eight columns are one step of the coarsest level; the seam must not show. Tolerance: order of summation."""
+    encoder, decoder = BlendEncoder(BLEND, panels=SINGLE_PANELS), BlendDecoder(BLEND)
+    seen = observation(1)
+    panels = single_panels(seen.hdr, seen.ldr, seen.mask)
+    weight = decoder(*encoder(panels), seen.mask)
+    turned = decoder(*encoder(panels.roll(8, dims=-1)), seen.mask.roll(8, dims=-1))
+    torch.testing.assert_close(turned, weight.roll(8, dims=-1), atol=1e-6, rtol=0)
+
+
+def test_panels_are_stacked_in_the_papers_order():
+    seen = observation(2)
+    previous, accumulated = torch.rand_like(seen.hdr), torch.full_like(seen.depth, UNSEEN_DEPTH)
+    panels = video_panels(previous, seen.hdr, seen.ldr, mask=seen.mask, depth=seen.depth, accumulated_depth=accumulated)
+    parts = [previous, seen.hdr, seen.ldr, seen.mask, 1 - seen.mask, seen.depth, accumulated]
+    assert torch.equal(panels, torch.cat(parts, dim=1))
+    assert torch.equal(single_panels(seen.hdr, seen.ldr, seen.mask), panels[:, 3:11])
+
+
+def test_single_view_blend_lies_between_its_panoramas():
+    seen = observation(3)
+    light, weight = SingleModel(CONFIG).blend(seen.hdr, seen.ldr, seen.mask)
+    assert torch.equal(light, seen.hdr * (1 - weight) + seen.ldr * weight)
+    outside = (seen.mask == 0).expand_as(light)
+    assert torch.equal(light[outside], seen.hdr[outside])
+
+
+def test_probe_recursion():
+    model = VideoModel(CONFIG)
+    state = model.blend_start(observation(0))
+    assert torch.equal(
+        state.panorama.depth[observation(0).mask == 0],
+        torch.full((1,), UNSEEN_DEPTH).expand(int((observation(0).mask == 0).sum())),
+    )
+    for seed in range(1, 5):
+        before = state
+        state = model.blend_step(observation(seed), before, margin=0.05)
+        assert not torch.equal(state.h0, before.h0)
+        assert not torch.equal(state.h1, before.h1)
+        assert (state.panorama.weight >= before.panorama.weight).all()
+        assert state.panorama.weight.max() <= 1
+        assert state.panorama.radiance.min() >= 0
+        assert state.panorama.radiance.max() <= 20
+
+
+def test_gradients_reach_every_2d_weight():
+    model = VideoModel(CONFIG)
+    state = model.blend_start(observation(0))
+    first = state.panorama.radiance.sum()
+    for seed in (1, 2):
+        state = model.blend_step(observation(seed), state, margin=0.05)
+    (first + state.panorama.radiance.sum()).backward()
+    silent = [
+        name
+        for name, weight in model.named_parameters()
+        if "blend" in name and (weight.grad is None or not weight.grad.any())
+    ]
+    assert not silent

@@ -1,0 +1,106 @@
+"""Checkpoint files: a faithful round trip, and a clear refusal of everything else."""
+
+import collections
+
+import pytest
+import torch
+from roomlight.errors import ModelError, OutputError
+from roomlight_model.checkpoint import load_checkpoint, save_checkpoint, save_untrained
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import SingleModel, VideoModel
+
+CONFIG = ModelConfig(SGConfig(channels=4, full_channels=4), BlendConfig(height=16, channels=4, full_channels=4))
+
+
+@pytest.fixture
+def contents(tmp_path):
+    """What a good checkpoint holds."""
+    save_untrained(tmp_path / "good.pt", "single", CONFIG, seed=1)
+    return torch.load(tmp_path / "good.pt", weights_only=True)
+
+
+@pytest.mark.parametrize(("form", "kind"), [("single", SingleModel), ("video", VideoModel)])
+def test_round_trip(tmp_path, form, kind):
+    torch.manual_seed(7)
+    model = kind(CONFIG)
+    card = {"steps": 12, "data": ["a room"], "score": 0.25}
+    save_checkpoint(tmp_path / "a" / "model.pt", model, card=card)
+    loaded = load_checkpoint(tmp_path / "a" / "model.pt")
+    assert (loaded.form, loaded.config, loaded.card) == (form, CONFIG, card)
+    assert not loaded.model.training
+    for name, value in model.state_dict().items():
+        assert torch.equal(loaded.model.state_dict()[name], value)
+
+
+def test_untrained_is_the_same_for_the_same_seed(tmp_path):
+    state = torch.get_rng_state()
+    for name, seed in (("a", 1), ("b", 1), ("c", 2)):
+        save_untrained(tmp_path / name, "video", CONFIG, seed=seed)
+    assert torch.equal(torch.get_rng_state(), state)
+    first, same, other = (load_checkpoint(tmp_path / name) for name in "abc")
+    assert first.card == {"steps": 0, "seed": 1}
+    weight = "sg_encoder.at_half.1.weight"
+    assert torch.equal(first.model.state_dict()[weight], same.model.state_dict()[weight])
+    assert not torch.equal(first.model.state_dict()[weight], other.model.state_dict()[weight])
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (lambda c: c.pop("format"), "not a RoomLight checkpoint"),
+        (lambda c: c.update(format=9), "format 9"),
+        (lambda c: c.pop("card"), "lacks card"),
+        (lambda c: c.update(form="triple"), "triple"),
+        (lambda c: c.update(card=3), "card and state"),
+        (lambda c: c["config"]["sg"].update(colour=1), "colour"),
+        (lambda c: c["config"]["sg"].update(channels=8), "the configuration wants"),
+        (lambda c: c["state"].popitem(), "1 missing"),
+        (lambda c: c["state"].update(extra=torch.zeros(1)), "1 unknown"),
+        (lambda c: c["state"].update({"sg_decoder.heads.bias": "text"}), "is str"),
+        (lambda c: c["state"]["sg_decoder.heads.bias"].fill_(float("nan")), "diverged"),
+    ],
+)
+def test_refuses_tampered(tmp_path, contents, change, named):
+    change(contents)
+    path = tmp_path / "bad.pt"
+    torch.save(contents, path)
+    with pytest.raises(ModelError, match=named) as error:
+        load_checkpoint(path)
+    assert str(path) in str(error.value)
+
+
+def test_refuses_what_is_no_checkpoint(tmp_path, contents):
+    with pytest.raises(ModelError, match="cannot be read"):
+        load_checkpoint(tmp_path / "none.pt")
+    with pytest.raises(ModelError, match="cannot be read"):
+        load_checkpoint(tmp_path)
+    (tmp_path / "text.pt").write_text("weights")
+    with pytest.raises(ModelError, match="not a PyTorch checkpoint"):
+        load_checkpoint(tmp_path / "text.pt")
+    torch.save([1, 2], tmp_path / "list.pt")
+    with pytest.raises(ModelError, match="not a RoomLight checkpoint"):
+        load_checkpoint(tmp_path / "list.pt")
+    whole = (tmp_path / "good.pt").read_bytes()
+    for keep in (10, len(whole) // 2, len(whole) - 100):
+        (tmp_path / "cut.pt").write_bytes(whole[:keep])
+        with pytest.raises(ModelError, match=r"cut\.pt"):
+            load_checkpoint(tmp_path / "cut.pt")
+
+
+def test_runs_no_code_from_the_file(tmp_path, contents):
+    contents["card"] = {"when": collections.Counter()}
+    contents["state"]["hook"] = pytest.fail  # a function, by name
+    torch.save(contents, tmp_path / "code.pt")
+    with pytest.raises(ModelError, match="plain tensors"):
+        load_checkpoint(tmp_path / "code.pt")
+
+
+def test_refuses_to_save_nonsense(tmp_path):
+    model = SingleModel(CONFIG)
+    with pytest.raises(ModelError, match="JSON"):
+        save_checkpoint(tmp_path / "a.pt", model, card={"data": object()})
+    with pytest.raises(OutputError, match="folder"):
+        save_checkpoint(tmp_path, model, card={})
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OutputError, match="cannot be written"):
+        save_checkpoint(tmp_path / "file" / "a.pt", model, card={})

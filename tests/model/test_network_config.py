@@ -1,0 +1,56 @@
+"""The networks' configuration: JSON round trip, and every way it can be refused."""
+
+import json
+
+import pytest
+from roomlight.errors import ModelError
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+
+
+@pytest.mark.parametrize(
+    "config",
+    [
+        ModelConfig(),
+        ModelConfig(
+            SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4, full_layers=2, norm="none"),
+            BlendConfig(height=24, channels=4, full_channels=2),
+        ),
+        ModelConfig(SGConfig(spherical_gaussians=False, fine_gate_kernel=3)),
+    ],
+)
+def test_survives_json(config):
+    assert ModelConfig.from_dict(json.loads(json.dumps(config.to_dict()))) == config
+
+
+def test_default_volume_is_the_papers():
+    assert SGConfig().volume_shape == (64, 60, 84)
+    assert BlendConfig().height == 120
+
+
+def test_missing_fields_take_defaults():
+    assert ModelConfig.from_dict({"sg": {"channels": 16}}) == ModelConfig(sg=SGConfig(channels=16))
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ([1, 2], "mapping"),
+        ({"sg": 3}, "'sg'"),
+        ({"head": {}}, "head"),
+        ({"sg": {"depth": 3}}, "depth"),
+        ({"sg": {"channels": "many"}}, "sg.channels"),
+        ({"sg": {"channels": True}}, "sg.channels"),
+        ({"sg": {"channels": 30}}, "multiple of 4"),
+        ({"sg": {"volume_shape": [64, 60]}}, "volume_shape"),
+        ({"sg": {"volume_shape": [64, 60, 4]}}, "volume_shape"),
+        ({"sg": {"volume_shape": [64, 60, 84.5]}}, "volume_shape"),
+        ({"sg": {"full_channels": 0}}, "full_channels"),
+        ({"sg": {"norm": "batch"}}, "norm"),
+        ({"sg": {"fine_gate_kernel": 2}}, "fine_gate_kernel"),
+        ({"blend": {"height": 121}}, "height"),
+        ({"blend": {"channels": 0}}, "widths"),
+    ],
+)
+def test_refuses(values, named):
+    with pytest.raises(ModelError, match=named):
+        ModelConfig.from_dict(values)

@@ -1,0 +1,200 @@
+"""The 3D networks: shapes, clearing, ranges, merging, the GRUs, the RGB-alpha form, warm start."""
+
+import pytest
+import torch
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_model.sg import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
+
+SHAPE = (17, 14, 23)  # halves to 8 7 11, 4 3 5, 2 1 2: nothing divides
+TINY = SGConfig(volume_shape=SHAPE, channels=8, full_channels=4)
+CONFIG = ModelConfig(TINY, BlendConfig(height=16, channels=4, full_channels=4))
+
+
+def volume(batch=1, *, shape=SHAPE, seed=0):
+    """A random initial volume: HDR colour, alpha in [0, 1], e of -1 in about a third."""
+    random = torch.Generator().manual_seed(seed)
+    radiance = 5 * torch.rand((batch, 3, *shape), generator=random)
+    alpha = torch.rand((batch, 1, *shape), generator=random)
+    empty = -(torch.rand((batch, 1, *shape), generator=random) < 0.3).float()
+    return torch.cat([radiance * alpha, alpha, empty], dim=1)
+
+
+@pytest.fixture(autouse=True)
+def _seeded():
+    torch.manual_seed(3)
+
+
+@pytest.mark.parametrize("norm", ["group", "none"])
+def test_two_skips_at_half_and_an_eighth(norm):
+    f0, f1 = SGEncoder(SGConfig(volume_shape=SHAPE, channels=8, norm=norm))(volume(2))
+    assert f0.shape == (2, 8, 8, 7, 11)
+    assert f1.shape == (2, 32, 2, 1, 2)
+    assert f0.abs().max() <= 1
+    assert f1.abs().max() <= 1
+
+
+@pytest.mark.parametrize("recurrent", [False, True])
+def test_decoder_gives_the_renderers_layout(recurrent):
+    given = volume(2)
+    predicted = SGDecoder(TINY, recurrent=recurrent)(*SGEncoder(TINY)(given), given)
+    assert predicted.alpha.shape == (2, *SHAPE)
+    assert predicted.lobes.shape == (2, *SHAPE, 10)
+    if recurrent:
+        assert predicted.update.shape == (2, *SHAPE)
+        assert ((predicted.update > 0) & (predicted.update < 1)).all()
+    else:
+        assert predicted.update is None
+
+
+@pytest.mark.parametrize("spherical_gaussians", [True, False])
+def test_nothing_is_left_where_the_depth_map_says_empty(spherical_gaussians):
+    given = volume(2) model = SingleModel(ModelConfig(SGConfig(channels=8, full_channels=4,
+    spherical_gaussians=spherical_gaussians))) predicted = model(given) cleared = given[:, 4] == -1 assert
+    cleared.any() assert not predicted.alpha[cleared].any() assert not predicted.lobes[cleared].any() assert
+    predicted.alpha[~cleared].all()
+
+
+def test_ranges():
+    given = volume()
+    predicted = SingleModel(CONFIG)(given)
+    kept = given[:, 4] == 0
+    lobes = predicted.lobes[kept]
+    assert ((predicted.alpha >= 0) & (predicted.alpha <= 1)).all()
+    assert (lobes[:, :6] >= 0).all()
+    assert (lobes[:, 6] > 0).all()
+    # float32 rounding of a square root and a division
+    torch.testing.assert_close(lobes[:, 7:].norm(dim=1), torch.ones(len(lobes)), atol=1e-5, rtol=0)
+
+
+def test_starts_nearly_clear():
+    """The head's bias of -3 lets the first gradients reach every voxel of a ray."""
+    given = volume()
+    alpha = SingleModel(CONFIG)(given).alpha[given[:, 4] == 0]
+    assert 0.02 < alpha.mean() < 0.12
+
+
+def test_absurdly_bright_input_stays_finite():
+    given = volume()
+    given[:, :3] *= 1e6
+    predicted = SingleModel(CONFIG)(given)
+    assert torch.isfinite(predicted.lobes).all()
+    assert predicted.lobes[..., :6].max() <= 22_027  # e^10: c + w still fits half precision
+
+
+def test_weights_fit_other_volume_sizes():
+    """Training begins at half resolution with the same weights."""
+    given = volume(shape=(16, 16, 24))
+    assert SingleModel(CONFIG)(given).alpha.shape == (1, 16, 16, 24)
+
+
+def test_every_voxel_hears_the_whole_room():
+    """128 voxels apart is beyond all convolutions: only the global view carries it (normalisation is off)."""
+    model = SingleModel(ModelConfig(SGConfig(channels=4, full_channels=4, norm="none")))
+    dark = volume(shape=(128, 8, 8))
+    lit = dark.clone()
+    lit[:, :3, 0] += 50
+    assert not torch.equal(model(dark).lobes[:, -1], model(lit).lobes[:, -1])
+
+
+def test_rgb_alpha_has_no_lobes_and_no_heads_for_them():
+    full = SingleModel(CONFIG) plain = SingleModel(ModelConfig(SGConfig(volume_shape=SHAPE, channels=8,
+    full_channels=4, spherical_gaussians=False))) predicted = plain(volume()) assert predicted.lobes.shape[-1]
+    == 10 assert not predicted.lobes[..., 3:].any() assert predicted.lobes[..., :3].any() assert
+    plain.sg_decoder.heads.out_channels == full.sg_decoder.heads.out_channels - 7
+
+
+def test_autocast_heads_are_float32():
+    with torch.autocast("cpu", dtype=torch.bfloat16):
+        predicted = SingleModel(CONFIG)(volume())
+    assert predicted.alpha.dtype == torch.float32
+    assert predicted.lobes.dtype == torch.float32
+    assert torch.isfinite(predicted.lobes).all()
+
+
+@pytest.mark.parametrize(("update", "kept"), [(0.0, "current"), (1.0, "previous")])
+def test_merge_at_its_ends(update, kept):
+    alpha, lobes = torch.rand(2, 1, *SHAPE), torch.rand(2, 1, *SHAPE, 10)
+    current = SGVolume(alpha[0], lobes[0], torch.full((1, *SHAPE), update))
+    merged = merge(current, alpha[1], lobes[1])
+    index = ("current", "previous").index(kept)
+    assert torch.equal(merged.alpha, alpha[index])
+    assert torch.equal(merged.lobes, lobes[index])
+
+
+def test_merge_is_a_convex_mix_of_every_channel():
+    alpha, lobes, update = torch.rand(2, 1, *SHAPE), torch.rand(2, 1, *SHAPE, 10), torch.rand(1, *SHAPE)
+    merged = merge(SGVolume(alpha[0], lobes[0], update), alpha[1], lobes[1])
+    expected = torch.lerp(lobes[0], lobes[1], update[..., None].expand_as(lobes[0]))
+    torch.testing.assert_close(merged.lobes, expected)
+    torch.testing.assert_close(merged.alpha, torch.lerp(alpha[0], alpha[1], update))
+
+
+def test_merge_needs_an_update_volume():
+    with pytest.raises(ValueError, match="recurrent"):
+        merge(SGVolume(torch.zeros(1, 2, 2, 2), torch.zeros(1, 2, 2, 2, 10)), torch.zeros(1, 2, 2, 2),
+        torch.zeros(1, 2, 2, 2, 10))
+
+
+@pytest.mark.parametrize("kernel", [1, 3])
+def test_gru_gates_do_what_they_are_for(kernel):
+    gru = SGGRU(4, gate_kernel=kernel)
+    hidden, feature = torch.rand(1, 4, 5, 6, 7) * 2 - 1, torch.rand(1, 4, 5, 6, 7) * 2 - 1
+    gru.gates.bias.data[:4] = 100.0  # keep all
+    assert torch.equal(gru(hidden, feature), hidden)
+    gru.gates.bias.data[:4] = -100.0  # keep nothing
+    gru.gates.bias.data[4:] = -100.0  # and reset what the candidate sees
+    assert torch.equal(gru(hidden, feature), gru(-hidden, feature))
+    assert not torch.equal(gru(hidden, feature), gru(hidden, -feature))
+
+
+def test_hidden_states_cannot_drift():
+    """40 frames of violent input: the state stays within [-1, 1], where it started."""
+    gru = SGGRU(4)
+    for weight in gru.parameters():
+        weight.data *= 10
+    hidden = torch.tanh(torch.randn(1, 4, 3, 4, 5))
+    for _ in range(40):
+        hidden = gru(hidden, torch.tanh(5 * torch.randn(1, 4, 3, 4, 5)))
+    assert hidden.abs().max() <= 1
+
+
+def test_video_begins_with_the_single_view_networks():
+    model = VideoModel(CONFIG)
+    volumes = torch.stack([volume(seed=1), volume(seed=2)], dim=1)
+    first, second = model(volumes)
+    assert torch.equal(first.lobes, model.single(volumes[:, 0]).lobes)
+    state = model.start(volumes[:, 0])
+    f0, f1 = model.single.sg_encoder(volumes[:, 0])
+    assert torch.equal(state.h0, f0)
+    assert torch.equal(state.h1, f1)
+    after = model.step(volumes[:, 1], state)
+    assert torch.equal(after.volume.alpha, second.alpha)
+    assert not torch.equal(after.h0, state.h0)
+    assert not torch.equal(after.h1, state.h1)
+
+
+def test_gradients_reach_every_3d_weight():
+    model = VideoModel(CONFIG)
+    volumes = torch.stack([volume(seed=seed) for seed in range(3)], dim=1)
+    sum(predicted.lobes.sum() + predicted.alpha.sum() for predicted in model(volumes)).backward()
+    silent = [
+        name
+        for name, weight in model.named_parameters()
+        if "blend" not in name and (weight.grad is None or not weight.grad.any())
+    ]
+    assert not silent
+
+
+def test_warm_start_predicts_as_the_single_view_model():
+    model = VideoModel(CONFIG)
+    model.warm_start()
+    given = volume()
+    single = model.single(given)
+    video = model.sg_decoder(*model.sg_encoder(given), given)
+    assert torch.equal(video.alpha, single.alpha)
+    assert torch.equal(video.lobes, single.lobes)
+    panels = torch.rand(1, 13, 16, 32)
+    wanted = model.single.blend_encoder(panels[:, 3:11])
+    # the two convolutions sum their inputs in another order
+    torch.testing.assert_close(model.blend_encoder(panels), wanted, atol=1e-5, rtol=1e-5)

@@ -1,0 +1,108 @@
+"""A coloured box room with exact answers, for the tests: frames from any camera, panoramas at any point.
+
+World: metres, y up; the room is centred on the origin in x and z and stands on y = 0. Each wall has a smooth
+pattern of its own, so that a mistake of axes or of half a pixel shows as a colour.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_directions
+from roomlight.frame import Frame
+
+WALLS = np.array(
+    [[0.8, 0.3, 0.2], [0.2, 0.6, 0.3], [0.5, 0.4, 0.3], [0.9, 0.9, 0.8], [0.2, 0.3, 0.8], [0.7, 0.6, 0.2]],
+    np.float64,
+)
+"""Base colour of the walls -x, +x, -y, +y, -z, +z."""
+
+
+@dataclass(frozen=True)
+class BoxRoom:
+    """`size_m` along x, y, z; `lamp` is (centre, radius) of a round light on the wall that it touches."""
+
+    size_m: tuple[float, float, float] = (6.0, 3.0, 5.0)
+    block: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
+    lamp: tuple[tuple[float, float, float], float] | None = None
+    lamp_radiance: float = 8.0
+
+    def cast(self, origins, directions):
+        """Radiance [..., 3] and distance [...] of rays with unit directions from inside the room."""
+        origins, directions = np.broadcast_arrays(
+            np.asarray(origins, np.float64), np.asarray(directions, np.float64)
+        )
+        half = np.array([self.size_m[0] / 2, self.size_m[1] / 2, self.size_m[2] / 2])
+        centre = np.array([0, self.size_m[1] / 2, 0])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            to_wall = np.where(directions > 0, centre + half - origins, centre - half - origins) / directions
+        to_wall = np.where(np.abs(directions) < 1e-12, np.inf, to_wall)
+        axis = to_wall.argmin(axis=-1)
+        distance = to_wall.min(axis=-1)
+        face = 2 * axis + (np.take_along_axis(directions, axis[..., None], -1)[..., 0] > 0)
+        if self.block is not None:
+            with np.errstate(divide="ignore", invalid="ignore"):
+                sides = np.stack([(np.array(corner) - origins) / directions for corner in self.block])
+            near, far = sides.min(axis=0), sides.max(axis=0)
+            enter, leave = near.max(axis=-1), far.min(axis=-1)
+            hit = (enter > 0) & (enter < leave) & (enter < distance)
+            distance = np.where(hit, enter, distance)
+            face = np.where(hit, 5 - (2 * near.argmax(axis=-1)), face)
+        points = origins + distance[..., None] * directions
+        pattern = 0.75 + 0.25 * np.sin(2.0 * points + np.arange(3)).prod(axis=-1)
+        radiance = WALLS[face] * pattern[..., None]
+        if self.lamp is not None:
+            lit = np.linalg.norm(points - np.array(self.lamp[0]), axis=-1) < self.lamp[1]
+            radiance = np.where(lit[..., None], self.lamp_radiance, radiance)
+        return radiance.astype(np.float32), distance.astype(np.float32)
+
+    def panorama(self, position, height=60):
+        """Exact radiance [H, 2H, 3] and distance [H, 2H] at a point."""
+        return self.cast(np.asarray(position), panorama_directions(height))
+
+    def frame(self, camera_to_world, *, index=0, width=160, height=120, depth_size=None, fov_degrees=75.0):
+        """What a camera sees: linear image, exact z-depth (at `depth_size` = (width, height) if given)."""
+        k = pinhole(width, height, fov_degrees)
+        image, depth = self._look(k, camera_to_world)
+        if depth_size is not None:
+            _, depth = self._look(k.resized(*depth_size), camera_to_world)
+        clipped = np.zeros((height, width), bool)
+        return Frame(index, image, clipped, depth, k, camera_to_world, source=f"room frame {index}")
+
+    def _look(self, k, camera_to_world):
+        rays = k.rays().astype(np.float64)
+        length = np.linalg.norm(rays, axis=-1)
+        directions = (rays / length[..., None]) @ camera_to_world[:3, :3].T
+        image, distance = self.cast(camera_to_world[:3, 3], directions)
+        return image, (distance / length).astype(np.float32)
+
+
+def pinhole(width, height, fov_degrees=75.0):
+    """A camera with square pixels and a horizontal field of view, its centre a little off the image's."""
+    focal = width / 2 / np.tan(np.radians(fov_degrees) / 2)
+    return Intrinsics(focal, focal, width / 2 + 1.25, height / 2 - 0.75, width, height)
+
+
+def camera_at(position, yaw_degrees=0.0, pitch_degrees=0.0):
+    """Camera-to-world pose: yaw 0 looks along -z, 90 along -x (counter-clockwise from above); pitch > 0 up."""
+    yaw, pitch = np.radians(yaw_degrees), np.radians(pitch_degrees)
+    turn = turn_about_y(yaw)
+    tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    pose = np.eye(4)
+    pose[:3, :3] = turn @ tilt
+    pose[:3, 3] = position
+    return pose
+
+
+def turn_about_y(radians):
+    """Rotation matrix about y, counter-clockwise seen from above."""
+    c, s = np.cos(radians), np.sin(radians)
+    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def pan(room, count=12, *, start_degrees=0.0, step_degrees=10.0, position=(0.3, 1.4, 0.2), **options):
+    """Frames of a camera that turns on the spot."""
+    return [
+        room.frame(camera_at(position, start_degrees + i * step_degrees), index=i, **options) for i in range(count)
+    ]
