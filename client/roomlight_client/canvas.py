@@ -102,9 +102,7 @@ class Canvas:
         (left, top), (width, height) = at, size
         part = self._pixels[top : top + height, left : left + width]
         if left < 0 or top < 0 or part.shape[:2] != (height, width):
-            raise ValueError(
-                f"{width} x {height} pixels at {at} do not fit a canvas of {self._pixels.shape[1::-1]}"
-            )
+            raise ValueError(f"{width} x {height} pixels at {at} do not fit a canvas of {self._pixels.shape[1::-1]}")
         return part
 
 

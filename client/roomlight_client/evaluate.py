@@ -8,7 +8,7 @@ probe, for the whole sequence, so that what changes in them is the light.
 
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -26,6 +26,7 @@ Progress = Callable[[str, int, int], None]
 """Called as (capture name, frames done, frames in all) after each frame."""
 
 
+@runtime_checkable
 class Estimator(Protocol):
     """What is evaluated: a session, a baseline, or panoramas that somebody wrote."""
 
@@ -137,10 +138,7 @@ def evaluate_capture(
     indices: list[int] = []
     for frame in capture:
         if not scorers:
-            balls = {
-                position: BallRenderer(view_toward(frame.camera_to_world, position))
-                for _, position, _ in probes
-            }
+            balls = {position: BallRenderer(view_toward(frame.camera_to_world, position)) for _, position, _ in probes}
             scorers = [
                 _Scorer(method.name, number, position, truth, SphereJudge(truth, balls[position]))
                 for number, position, truth in probes

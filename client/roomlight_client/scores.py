@@ -99,9 +99,7 @@ class Evaluation:
         The interval resamples (capture, probe) pairs with replacement; a single pair has none (NaN).
         """
         chosen = [
-            track
-            for track in self.tracks
-            if track.method == method and (capture is None or track.capture == capture)
+            track for track in self.tracks if track.method == method and (capture is None or track.capture == capture)
         ]
         if not chosen:
             raise KeyError(f"no scores of {method!r}" + (f" on {capture!r}" if capture else ""))
@@ -114,9 +112,7 @@ class Evaluation:
         scopes: list[str | None] = [None, *(capture.name for capture in self.captures)]
         return {
             "schema": SCHEMA,
-            "metrics": {
-                metric.key: {"title": metric.title, "shown_times": metric.shown_times} for metric in METRICS
-            },
+            "metrics": {metric.key: {"title": metric.title, "shown_times": metric.shown_times} for metric in METRICS},
             "captures": [asdict(capture) for capture in self.captures],
             "summary": [
                 {
@@ -140,9 +136,7 @@ class Evaluation:
                     "probe": track.probe,
                     "method": track.method,
                     "frames": list(track.frames),
-                    "scores": {
-                        key: [_number(value) for value in values] for key, values in track.scores.items()
-                    },
+                    "scores": {key: [_number(value) for value in values] for key, values in track.scores.items()},
                 }
                 for track in self.tracks
             ],

@@ -62,9 +62,7 @@ def compose_sheet(
         raise ValueError("a contact sheet needs at least one column")
     for column in columns:
         if len(column.panoramas) != len(probes):
-            raise ValueError(
-                f"column {column.label!r} has {len(column.panoramas)} panoramas, not {len(probes)}"
-            )
+            raise ValueError(f"column {column.label!r} has {len(column.panoramas)} panoramas, not {len(probes)}")
     if len(views) != len(probes):
         raise ValueError(f"{len(probes)} probes need as many views, not {len(views)}")
     frame_rows = _frame_rows(columns)

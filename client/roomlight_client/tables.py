@@ -33,9 +33,7 @@ def _table(evaluation: Evaluation, title: str, *, capture: str | None = None, ca
     for column in evaluation.columns:
         table.add_column(column, justify="right")
     for metric in METRICS:
-        rows = {
-            method: evaluation.cells(method, metric.key, capture=capture) for method in evaluation.methods
-        }
+        rows = {method: evaluation.cells(method, metric.key, capture=capture) for method in evaluation.methods}
         best = [min(cell.mean for cell in column) for column in zip(*rows.values(), strict=True)]
         for number, (method, cells) in enumerate(rows.items()):
             table.add_row(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Final
 
 import av
 import numpy as np
@@ -38,9 +38,7 @@ class VideoWriter:
     def __init__(self, path: Path, *, frames_per_second: float = 10.0, crf: int = 18) -> None:
         """`crf`: x264's constant quality, 0 to 51; 18 is where people stop seeing the difference."""
         if not 0.1 <= frames_per_second <= 240:
-            raise OutputError(
-                f"{path}: {frames_per_second} frames a second cannot be filmed; take 0.1 to 240"
-            )
+            raise OutputError(f"{path}: {frames_per_second} frames a second cannot be filmed; take 0.1 to 240")
         self.path = path
         self._temporary = path.with_name(f".{path.name}.part")
         self._rate = Fraction(frames_per_second).limit_denominator(1000)
@@ -48,7 +46,7 @@ class VideoWriter:
         self._container: OutputContainer | None = None
         self._stream: VideoStream | None = None
 
-    def __enter__(self) -> Self:
+    def __enter__(self) -> "VideoWriter":
         """Nothing is opened before the first picture, whose size is the film's."""
         return self
 
@@ -61,16 +59,12 @@ class VideoWriter:
             if self._container is None or self._stream is None:
                 self.path.parent.mkdir(parents=True, exist_ok=True)
                 # the index goes first, so that a browser starts before it has everything
-                self._container = av.open(
-                    str(self._temporary), "w", format="mp4", options={"movflags": "+faststart"}
-                )
+                self._container = av.open(str(self._temporary), "w", format="mp4", options={"movflags": "+faststart"})
                 self._stream = self._container.add_stream("libx264", rate=self._rate, options=self._options)
                 self._stream.width, self._stream.height = width, height
                 self._stream.pix_fmt = "yuv420p"
             if (self._stream.width, self._stream.height) != (width, height):
-                raise ValueError(
-                    f"the film is {self._stream.width} x {self._stream.height}, this {width} x {height}"
-                )
+                raise ValueError(f"the film is {self._stream.width} x {self._stream.height}, this {width} x {height}")
             frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
             self._container.mux(self._stream.encode(frame))
         except OSError as error:  # PyAV's errors of files and codecs are OSErrors too

@@ -32,9 +32,7 @@ GLOSSY_F0: Final = 0.05
 MATTE_ROUGHNESS: Final = 0.5
 
 _GLOSSY_SAMPLES: Final = 64  # rms 0.5 % of the mean off dense integration in a real room
-_MIRROR_STRATA: Final = (
-    4  # 4 x 4 rays a pixel: a pixel of a 64-px ball spans 3.6 degrees of a 1.5-degree panorama
-)
+_MIRROR_STRATA: Final = 4  # 4 x 4 rays a pixel: a pixel of a 64-px ball spans 3.6 degrees of a 1.5-degree panorama
 _MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide: rms 1.2 % off, same room
 _DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine: rms 0.4 % off, same room
 _LOOKUP_COLUMNS: Final = 4096  # cv2.remap takes maps of fewer than 32768 rows and columns
@@ -256,9 +254,7 @@ class _Lookup:
             image[:, channel] += np.bincount(self.pixel, self.weight * read[:, channel], len(image))
 
 
-def resize_panorama(
-    panorama: Float[np.ndarray, "h w 3"], rows: int
-) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
+def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
     """The panorama with another number of rows; as it is (not a copy) when it has them already.
 
     Smaller: the area mean weighted by solid angle, so that the light it sheds is kept. Larger: bilinear,

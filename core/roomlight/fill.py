@@ -9,9 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 
-def push_pull(
-    image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]
-) -> Float[np.ndarray, "h w c"]:
+def push_pull(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w c"]:
     """`image` where `weight` is 1, colour spread from known pixels where it is 0, and a blend between
     (float32).
 
@@ -45,10 +43,7 @@ def _halve(pixels: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h2 w2 c"]:
         rows = _pad_rows(pixels, before=1, after=2 + pixels.shape[0] % 2)
         count = (pixels.shape[0] + 1) // 2 * 2
         pixels = (
-            rows[0:count:2]
-            + 3 * rows[1 : count + 1 : 2]
-            + 3 * rows[2 : count + 2 : 2]
-            + rows[3 : count + 3 : 2]
+            rows[0:count:2] + 3 * rows[1 : count + 1 : 2] + 3 * rows[2 : count + 2 : 2] + rows[3 : count + 3 : 2]
         ) / 8
     if pixels.shape[1] > 1:
         width = pixels.shape[1]
@@ -58,9 +53,7 @@ def _halve(pixels: Float[np.ndarray, "h w c"]) -> Float[np.ndarray, "h2 w2 c"]:
     return pixels
 
 
-def _double(
-    pixels: Float[np.ndarray, "h2 w2 c"], height: int, width: int
-) -> Float[np.ndarray, "{height} {width} c"]:
+def _double(pixels: Float[np.ndarray, "h2 w2 c"], height: int, width: int) -> Float[np.ndarray, "{height} {width} c"]:
     """Up to twice the size by linear interpolation (3/4, 1/4); the counterpart of `_halve`."""
     if pixels.shape[0] < height:
         rows = _pad_rows(pixels, before=1, after=1)

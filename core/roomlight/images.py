@@ -63,9 +63,7 @@ def decode_depth(data: bytes, name: str, *, unit_m: float) -> Float[np.ndarray, 
     else:
         raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
         if raw.ndim != 2 or raw.dtype != np.uint16:
-            raise ImageError(
-                f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}"
-            )
+            raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
         depth = raw.astype(np.float32) * np.float32(unit_m)
         depth[raw == 65535] = 0.0
     return clean_depth(depth)
@@ -94,15 +92,11 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     """An equirectangular HDR panorama (EXR or HDR), float32 linear RGB, W = 2H."""
     image, _ = read_colour(path)
     if image.shape[1] != 2 * image.shape[0]:
-        raise ImageError(
-            f"{path}: a panorama is twice as wide as high, this is {image.shape[1]} x {image.shape[0]}"
-        )
+        raise ImageError(f"{path}: a panorama is twice as wide as high, this is {image.shape[1]} x {image.shape[0]}")
     return image
 
 
-def write_exr(
-    path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None
-) -> None:
+def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
     """Write linear RGB as a half-float, ZIP-compressed EXR; whole or not at all (as `write_whole`).
 
     Values beyond half's range are clipped to 65504, the largest half, so that no infinity reaches a renderer.
@@ -148,9 +142,7 @@ def write_whole(path: Path, data: bytes) -> None:
 def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "..."]:
     width, height = peek_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ImageError(
-            f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read"
-        )
+        raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
@@ -158,9 +150,7 @@ def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray
     if image is None:  # pyright: ignore[reportUnnecessaryComparison]  (OpenCV's own stub leaves the None out)
         raise ImageError(f"{name}: does not decode; the file is truncated or damaged")
     if image.shape[:2] not in ((height, width), (width, height)):  # EXIF may turn a JPEG
-        raise ImageError(
-            f"{name}: its header says {width} x {height} but {image.shape[1]} x {image.shape[0]} decoded"
-        )
+        raise ImageError(f"{name}: its header says {width} x {height} but {image.shape[1]} x {image.shape[0]} decoded")
     return image
 
 
@@ -212,9 +202,7 @@ def _decode_exr(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
     """RGB (or a single channel thrice) of an EXR's bytes, float32, NaN and negative values set to 0."""
     width, height = _exr_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
-        raise ImageError(
-            f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read"
-        )
+        raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
     path = Path(name)
     own_copy = None
     if not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
@@ -230,12 +218,8 @@ def _decode_exr(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
     finally:
         if own_copy is not None:
             own_copy.unlink(missing_ok=True)
-    if any(
-        pixels.shape[:2] != (height, width) or pixels.dtype.kind not in "fu" for pixels in channels.values()
-    ):
-        raise ImageError(
-            f"{name}: the EXR is deep, subsampled or damaged; plain half or float channels are read"
-        )
+    if any(pixels.shape[:2] != (height, width) or pixels.dtype.kind not in "fu" for pixels in channels.values()):
+        raise ImageError(f"{name}: the EXR is deep, subsampled or damaged; plain half or float channels are read")
     for key in ("RGB", "RGBA"):
         if key in channels:
             return _finite(np.ascontiguousarray(channels[key][..., :3], np.float32), name)

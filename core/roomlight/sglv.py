@@ -125,6 +125,7 @@ def render_rays_reference(
     enter = np.maximum(np.nanmax(to_walls.min(axis=0), axis=-1), 0.0)
     leave = np.nanmin(to_walls.max(axis=0), axis=-1)
     hits = leave > enter
+    enter = np.where(hits, enter, 0.0)  # a ray beside the volume and parallel to it enters at infinity
 
     values = np.zeros((len(directions), LOBE_CHANNELS))
     left = np.ones(len(directions))

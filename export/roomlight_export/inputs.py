@@ -81,6 +81,4 @@ def _smooth(
 ) -> Float[np.ndarray, "{channels} {height} 2*{height}"]:
     coarse = random.standard_normal((channels, grid, 2 * grid)).astype(np.float32)
     size = (2 * height, height)
-    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_LINEAR) for one in coarse]).astype(
-        np.float64
-    )
+    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_LINEAR) for one in coarse]).astype(np.float64)

@@ -101,9 +101,7 @@ def _store_half(model: ModelProto) -> None:
             continue
         name = tensor.name
         tensor.CopyFrom(numpy_helper.from_array(half, f"{name}.half"))
-        casts.append(
-            helper.make_node("Cast", [f"{name}.half"], [name], name=f"{name}.cast", to=TensorProto.FLOAT)
-        )
+        casts.append(helper.make_node("Cast", [f"{name}.half"], [name], name=f"{name}.cast", to=TensorProto.FLOAT))
     nodes = list(model.graph.node)
     del model.graph.node[:]
     model.graph.node.extend(casts + nodes)
@@ -122,8 +120,7 @@ def _check(model: ModelProto, graph: Graph) -> None:
         ("output", model.graph.output, graph.outputs),
     ):
         found = {
-            entry.name: tuple(int(axis.dim_value) for axis in entry.type.tensor_type.shape.dim)
-            for entry in entries
+            entry.name: tuple(int(axis.dim_value) for axis in entry.type.tensor_type.shape.dim) for entry in entries
         }
         if found != {name: tuple(shape) for name, shape in wanted.items()}:
             raise ModelError(f"{graph.name}: its {kind}s came out as {found}, meant were {wanted}")

@@ -69,18 +69,14 @@ def session_runner(sessions: Mapping[str, onnxruntime.InferenceSession]) -> Run:
     return run
 
 
-def compare_volumes(
-    tested: Run, rounded: Run, original: Run, *, volumes: list[np.ndarray], recurrent: bool
-) -> Parity:
+def compare_volumes(tested: Run, rounded: Run, original: Run, *, volumes: list[np.ndarray], recurrent: bool) -> Parity:
     """Compare the 3D networks over a sequence of initial volumes; frame 0 is single-view."""
     return _compare(
         [_run_volumes(run, volumes, recurrent=recurrent) for run in (tested, rounded, original)], len(volumes)
     )
 
 
-def compare_blending(
-    tested: Run, rounded: Run, original: Run, *, frames: list[ProbeFrame], recurrent: bool
-) -> Parity:
+def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[ProbeFrame], recurrent: bool) -> Parity:
     """Compare the 2D networks over a probe's frames. Panels are given, not accumulated from the outputs: the
     conservative rule is a step function, and one pixel on its edge would look like an error of 1.
     """

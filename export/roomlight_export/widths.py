@@ -1,7 +1,7 @@
 """What each width costs: parameters, multiply-adds and milliseconds, measured on this machine in one run.
 
-The table in `model/NETWORKS.md` comes from here. Times are the least of several runs on two threads, because
-other work on the machine only ever adds; weights are untrained, which changes nothing about time.
+The table in `model/NETWORKS.md` comes from here. Times are the least of many runs, because other work on the machine
+only ever adds; weights are untrained, which changes nothing about time. Sessions are the server's own.
 """
 
 import math
@@ -19,7 +19,7 @@ from roomlight.threads import thread_count
 from roomlight_export.graphs import Graph, graphs_of, sample_inputs
 from roomlight_export.inputs import room_volume
 from roomlight_export.onnx_file import half_rounded, to_onnx
-from roomlight_export.parity import session_runner
+from roomlight_export.parity import session_runner, torch_runner
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import VideoModel
 from roomlight_server.providers import open_graph, openvino_device
@@ -72,19 +72,28 @@ class WidthRow:
 def measure_widths(
     configs: Sequence[ModelConfig] = CONFIGS,
     *,
-    repeats: int = 7,
+    rounds: int = 15,
     progress: Callable[[str], None] | None = None,
 ) -> list[WidthRow]:
-    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, where it serves, OpenVINO at bf16."""
+    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, where it serves, OpenVINO at bf16.
+
+    Everything is prepared first and then timed in rounds over all configurations, so that a busy minute of
+    the machine falls on all of them and the least times compare.
+    """
+    say = progress or _say_nothing
     before = torch.get_num_threads()
     torch.set_num_threads(thread_count())
     try:
-        rows: list[WidthRow] = []
+        prepared: list[tuple[ModelConfig, dict[str, _Prepared]]] = []
         for config in configs:
-            if progress is not None:
-                progress(f"measuring {describe(config)}")
-            rows.append(_measure(config, repeats))
-        return rows
+            say(f"exporting {describe(config)}")
+            prepared.append((config, _prepare(config)))
+        for index in range(rounds):
+            say(f"timing, round {index + 1} of {rounds}")
+            for _, graphs in prepared:
+                for graph in graphs.values():
+                    graph.time_once()
+        return [_row(config, graphs) for config, graphs in prepared]
     finally:
         torch.set_num_threads(before)
 
@@ -121,60 +130,71 @@ def format_widths(rows: Sequence[WidthRow]) -> str:
     return "\n".join(lines)
 
 
-def _measure(config: ModelConfig, repeats: int) -> WidthRow:
+class _Prepared:
+    """One graph with everything that can run it, and the least time each took so far."""
+
+    def __init__(self, graph: Graph) -> None:
+        inputs = sample_inputs(graph)
+        feed = {name: value.numpy() for name, value in zip(graph.inputs, inputs, strict=True)}
+        random = np.random.default_rng(0)
+        for name, value in feed.items():  # zeros would flatter a runtime that skips them
+            if name == "volume":
+                value[:] = room_volume((value.shape[2], value.shape[3], value.shape[4]), frame=0)
+            else:
+                value[:] = random.random(value.shape, dtype=np.float32)
+        with torch.inference_mode(), FlopCounterMode(display=False) as counter:
+            graph.module(*inputs)
+        self.gmac = counter.get_total_flops() / 2e9
+        self.parameters = sum(weight.numel() for weight in graph.module.parameters())
+        run_torch = torch_runner({graph.name: graph})
+        self._runs: dict[str, Callable[[], object]] = {"torch": lambda: run_torch(graph.name, feed)}
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / f"{graph.name}.onnx"
+            path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
+            run_ort = session_runner({graph.name: open_graph(path, "cpu")})
+            self._runs["ort"] = lambda: run_ort(graph.name, feed)
+            if openvino_device() is not None:
+                run_openvino = session_runner({graph.name: open_graph(path, "openvino")})
+                self._runs["openvino"] = lambda: run_openvino(graph.name, feed)
+        for run in self._runs.values():  # the first run allocates
+            run()
+        self._least_ms = dict.fromkeys(self._runs, math.inf)
+
+    def time_once(self) -> None:
+        """Run once in each runtime; the least time is kept."""
+        for name, run in self._runs.items():
+            start = time.perf_counter()
+            run()
+            self._least_ms[name] = min(self._least_ms[name], (time.perf_counter() - start) * 1e3)
+
+    def cost(self) -> GraphCost:
+        """What was measured."""
+        return GraphCost(
+            parameters=self.parameters,
+            gmac=self.gmac,
+            torch_ms=self._least_ms["torch"],
+            ort_ms=self._least_ms["ort"],
+            openvino_ms=self._least_ms.get("openvino", math.nan),
+        )
+
+
+def _prepare(config: ModelConfig) -> dict[str, _Prepared]:
     model = half_rounded(VideoModel(config), "untrained")
     assert isinstance(model, VideoModel)
-    costs = {
-        graph.name: _cost(graph, repeats)
-        for graph in graphs_of(model)
-        if not graph.name.startswith("single_blend")
-    }
-    gru = costs["video_sg_gru"]
+    return {graph.name: _Prepared(graph) for graph in graphs_of(model) if not graph.name.startswith("single_blend")}
+
+
+def _row(config: ModelConfig, graphs: dict[str, _Prepared]) -> WidthRow:
+    cost = {name: graph.cost() for name, graph in graphs.items()}
+    gru = cost["video_sg_gru"]
     return WidthRow(
         config=config,
-        single_sg=costs["single_sg_encoder"] + costs["single_sg_decoder"],
-        video_sg=costs["video_sg_encoder"] + gru + costs["video_sg_decoder"],
+        single_sg=cost["single_sg_encoder"] + cost["single_sg_decoder"],
+        video_sg=cost["video_sg_encoder"] + gru + cost["video_sg_decoder"],
         sg_gru=gru,
-        video_blend=costs["video_blend_encoder"] + costs["video_blend_gru"] + costs["video_blend_decoder"],
+        video_blend=cost["video_blend_encoder"] + cost["video_blend_gru"] + cost["video_blend_decoder"],
     )
 
 
-def _cost(graph: Graph, repeats: int) -> GraphCost:
-    inputs = sample_inputs(graph)
-    feed = {name: value.numpy() for name, value in zip(graph.inputs, inputs, strict=True)}
-    random = np.random.default_rng(0)
-    for name, value in feed.items():  # zeros would let denormals and branches flatter a runtime
-        if name == "volume":
-            value[:] = room_volume((value.shape[2], value.shape[3], value.shape[4]), frame=0)
-        else:
-            value[:] = random.random(value.shape, dtype=np.float32)
-    with torch.inference_mode():
-        with FlopCounterMode(display=False) as counter:
-            graph.module(*inputs)
-        torch_ms = _least_ms(lambda: graph.module(*inputs), repeats)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / f"{graph.name}.onnx"
-        path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
-        run = session_runner({graph.name: open_graph(path, "cpu")})
-        ort_ms = _least_ms(lambda: run(graph.name, feed), repeats)
-        openvino_ms = math.nan
-        if openvino_device() is not None:
-            run_openvino = session_runner({graph.name: open_graph(path, "openvino")})
-            openvino_ms = _least_ms(lambda: run_openvino(graph.name, feed), repeats)
-    return GraphCost(
-        parameters=sum(weight.numel() for weight in graph.module.parameters()),
-        gmac=counter.get_total_flops() / 2e9,
-        torch_ms=torch_ms,
-        ort_ms=ort_ms,
-        openvino_ms=openvino_ms,
-    )
-
-
-def _least_ms(work: Callable[[], object], repeats: int) -> float:
-    work()
-    times: list[float] = []
-    for _ in range(repeats):
-        start = time.perf_counter()
-        work()
-        times.append(time.perf_counter() - start)
-    return min(times) * 1e3
+def _say_nothing(_: str) -> None:
+    pass

@@ -113,8 +113,6 @@ def _check_state(path: Path, given: Mapping[object, object], wanted: Mapping[str
         value = given[name]
         if not isinstance(value, Tensor) or value.shape != tensor.shape or not value.is_floating_point():
             shape = tuple(value.shape) if isinstance(value, Tensor) else type(value).__name__
-            raise ModelError(
-                f"{path}: weight {name} is {shape}, the configuration asks for {tuple(tensor.shape)}"
-            )
+            raise ModelError(f"{path}: weight {name} is {shape}, the configuration asks for {tuple(tensor.shape)}")
         if not torch.isfinite(value).all():
             raise ModelError(f"{path}: weight {name} holds NaN or infinity; the training diverged")

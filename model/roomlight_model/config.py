@@ -12,7 +12,11 @@ from roomlight.errors import ModelError
 Form = Literal["single", "video"]
 """`single`: each image on its own. `video`: the recurrent networks, with the single-view ones for frame 0."""
 
+Norm = Literal["group", "none"]
+GateKernel = Literal[1, 3]
+
 FORMS: tuple[str, ...] = get_args(Form)
+_CHOICES: dict[str, tuple[object, ...]] = {"norm": get_args(Norm), "fine_gate_kernel": get_args(GateKernel)}
 
 
 @dataclass(frozen=True)
@@ -29,28 +33,23 @@ class SGConfig:
     """3 x 3 x 3 convolutions at full resolution before the heads."""
     spherical_gaussians: bool = True
     """False gives the RGB-alpha volume of the paper's ablation: w = 0 and no heads for it."""
-    norm: Literal["group", "none"] = "group"
+    norm: Norm = "group"
     """Group normalisation at a quarter and an eighth of the resolution, or none at all."""
-    fine_gate_kernel: Literal[1, 3] = 1
+    fine_gate_kernel: GateKernel = 1
     """Kernel of the gates of SGGRU_0 (half resolution); its candidate is always 3 x 3 x 3."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""
-        if len(self.volume_shape) != 3 or min(self.volume_shape) < 8:
+        if min(self.volume_shape) < 8:
             raise ModelError(
-                f"volume_shape must be three sizes of 8 or more (three halvings), got {self.volume_shape}"
+                f"volume_shape must be 8 or more in each direction (three halvings), got {self.volume_shape}"
             )
         if self.channels < 4 or self.channels % 4:
             raise ModelError(f"channels must be a positive multiple of 4, got {self.channels}")
         if self.full_channels < 1 or self.full_layers < 1:
             raise ModelError(
-                f"full_channels and full_layers must be positive, "
-                f"got {self.full_channels} and {self.full_layers}"
+                f"full_channels and full_layers must be positive, got {self.full_channels} and {self.full_layers}"
             )
-        if self.norm not in ("group", "none"):
-            raise ModelError(f"norm must be 'group' or 'none', got {self.norm!r}")
-        if self.fine_gate_kernel not in (1, 3):
-            raise ModelError(f"fine_gate_kernel must be 1 or 3, got {self.fine_gate_kernel}")
 
 
 @dataclass(frozen=True)
@@ -114,19 +113,15 @@ def _read(part: type[_Part], values: object, name: str) -> _Part:
     defaults = part()
     unknown = set(given) - {entry.name for entry in fields(part)}
     if unknown:
-        raise ModelError(
-            f"the configuration's {name!r} has unknown fields {sorted(unknown)}, of another version"
-        )
+        raise ModelError(f"the configuration's {name!r} has unknown fields {sorted(unknown)}, of another version")
     for key, value in given.items():
         wanted = getattr(defaults, key)
         if isinstance(wanted, tuple):
-            if not isinstance(value, list | tuple) or not all(type(size) is int for size in value):
-                raise ModelError(
-                    f"the configuration's {name}.{key} must be a list of integers, got {value!r}"
-                )
+            if not isinstance(value, list | tuple) or [type(size) for size in value] != [int] * len(wanted):
+                raise ModelError(f"the configuration's {name}.{key} must be {len(wanted)} integers, got {value!r}")
             given[key] = tuple(value)
         elif type(value) is not type(wanted):  # bool is an int to isinstance
-            raise ModelError(
-                f"the configuration's {name}.{key} must be {type(wanted).__name__}, got {value!r}"
-            )
+            raise ModelError(f"the configuration's {name}.{key} must be {type(wanted).__name__}, got {value!r}")
+        elif key in _CHOICES and value not in _CHOICES[key]:
+            raise ModelError(f"the configuration's {name}.{key} must be one of {_CHOICES[key]}, got {value!r}")
     return part(**given)

@@ -20,6 +20,9 @@ MAX_LOG_RADIANCE = 10.0
 MAX_LOG_SHARPNESS = 7.0
 """lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
 
+GROUPS = 4
+"""Groups of a normalisation: the narrowest layer allowed (8 channels, one voxel) still has two values in each."""
+
 _START = {"alpha": -3.0, "c": math.log(0.3), "w": math.log(0.05), "sharpness": math.log(8.0)}
 """Head biases at the start: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts straight
 up in the volume frame, where rooms have their lamps; that also keeps its normalisation from 0 / 0."""
@@ -42,7 +45,7 @@ class SGEncoder(nn.Module):
         """Build the layers of the paper's figure at the configured width."""
         super().__init__()
         width = config.channels
-        groups = 8 if config.norm == "group" else 0
+        groups = GROUPS if config.norm == "group" else 0
         self.at_half = nn.Sequential(block3d(5, width, kernel=4, stride=2), conv3d(width, width))
         self.at_eighth = nn.Sequential(
             block3d(width, 2 * width, kernel=4, stride=2, groups=groups),
@@ -73,7 +76,7 @@ class SGDecoder(nn.Module):
         self.spherical_gaussians = config.spherical_gaussians
         self.recurrent = recurrent
         width, full = config.channels, config.full_channels
-        groups = 8 if config.norm == "group" else 0
+        groups = GROUPS if config.norm == "group" else 0
         self.at_eighth = block3d(4 * width, 2 * width, groups=groups)
         self.room = nn.Linear(4 * width, 2 * width)
         self.at_quarter = nn.Sequential(
@@ -122,9 +125,7 @@ class SGGRU(ConvGRU):
 
     def __init__(self, channels: int, *, gate_kernel: int = 3) -> None:
         """Gates of kernel 1 cut SGGRU_0 to under half; what they gate sees its neighbours all the same."""
-        super().__init__(
-            conv3d(2 * channels, 2 * channels, kernel=gate_kernel), conv3d(2 * channels, channels)
-        )
+        super().__init__(conv3d(2 * channels, 2 * channels, kernel=gate_kernel), conv3d(2 * channels, channels))
 
 
 def merge(

@@ -25,8 +25,8 @@ class Estimate:
     weight: Float[np.ndarray, "h w"]
 
 
-class ProbeMemory(Protocol):
-    """A backend's own memory of one probe (2D hidden states); opaque to the session."""
+ProbeMemory = object
+"""A backend's own memory of one probe (2D hidden states); opaque to the session."""
 
 
 class Backend(Protocol):

@@ -54,6 +54,7 @@ class Oracle:
         self._frames = 0
 
     def push(self, frame: Frame) -> None:
+        assert frame.image.shape == (30, 40, 3)
         self._frames += 1
 
     def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
@@ -166,7 +167,7 @@ def test_two_methods_of_one_name_are_refused(tmp_path: Path) -> None:
 def test_what_is_no_panorama_is_refused(tmp_path: Path) -> None:
     class Broken(Oracle):
         def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
-            return np.full((16, 32, 3), np.nan, np.float32)
+            return super().light_at(position) * np.float32(np.nan)
 
     with pytest.raises(ModelError, match="after frame 0 is no panorama"):
         evaluate([write_capture(tmp_path / "room")], lambda: [Broken()])

@@ -14,10 +14,18 @@ def picture(value: int, height: int = 48, width: int = 64) -> np.ndarray:
     return np.full((height, width, 3), value, np.uint8)
 
 
+def film(path: Path, *pictures: np.ndarray, ends_with: BaseException | None = None) -> None:
+    with VideoWriter(path) as video:
+        for image in pictures:
+            video.write(image)
+        if ends_with is not None:
+            raise ends_with
+
+
 def test_a_film_plays_back_what_was_written(tmp_path: Path) -> None:
     path = tmp_path / "out" / "replay.mp4"
     levels = [30, 90, 150, 210, 120]
-    with VideoWriter(path, frames_per_second=5) as video:
+    with VideoWriter(path, frames_per_second=5.0) as video:
         for level in levels:
             video.write(picture(level))
         assert not path.exists()
@@ -34,33 +42,29 @@ def test_a_film_plays_back_what_was_written(tmp_path: Path) -> None:
 
 
 def test_an_exception_leaves_no_file(tmp_path: Path) -> None:
-    with pytest.raises(KeyboardInterrupt), VideoWriter(tmp_path / "replay.mp4") as video:
-        video.write(picture(10))
-        raise KeyboardInterrupt
+    with pytest.raises(KeyboardInterrupt):
+        film(tmp_path / "replay.mp4", picture(10), ends_with=KeyboardInterrupt())
     assert list(tmp_path.iterdir()) == []
 
 
 def test_an_old_film_stays_until_the_new_one_is_whole(tmp_path: Path) -> None:
     path = tmp_path / "replay.mp4"
     path.write_bytes(b"old")
-    with pytest.raises(RuntimeError), VideoWriter(path) as video:
-        video.write(picture(10))
-        raise RuntimeError
+    with pytest.raises(RuntimeError):
+        film(path, picture(10), ends_with=RuntimeError())
     assert path.read_bytes() == b"old"
 
 
 def test_no_picture_no_film(tmp_path: Path) -> None:
-    with VideoWriter(tmp_path / "replay.mp4"):
-        pass
+    film(tmp_path / "replay.mp4")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_pictures_of_odd_or_changing_sizes_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="even sizes"), VideoWriter(tmp_path / "a.mp4") as video:
-        video.write(picture(10, 47))
-    with pytest.raises(ValueError, match="the film is 64 x 48"), VideoWriter(tmp_path / "b.mp4") as video:
-        video.write(picture(10))
-        video.write(picture(10, 48, 32))
+    with pytest.raises(ValueError, match="even sizes"):
+        film(tmp_path / "a.mp4", picture(10, 47))
+    with pytest.raises(ValueError, match="the film is 64 x 48"):
+        film(tmp_path / "b.mp4", picture(10), picture(10, 48, 32))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -72,11 +76,8 @@ def test_absurd_rates_are_refused(tmp_path: Path, rate: float) -> None:
 
 def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with (
-        pytest.raises(OutputError, match=r"replay\.mp4"),
-        VideoWriter(tmp_path / "file" / "replay.mp4") as video,
-    ):
-        video.write(picture(10))
+    with pytest.raises(OutputError, match=r"replay\.mp4"):
+        film(tmp_path / "file" / "replay.mp4", picture(10))
 
 
 @pytest.mark.parametrize("probes", [0, 1, 3, MAX_PROBES + 2])

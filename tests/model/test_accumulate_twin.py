@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from roomlight import blend as serving
 from roomlight_model.accumulate import Panorama, accumulate, conservative, first_panorama
 

@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from roomlight_model.blend import (
     SINGLE_PANELS,
     UNSEEN_DEPTH,

@@ -4,6 +4,7 @@ import collections
 
 import pytest
 import torch
+
 from roomlight.errors import ModelError, OutputError
 from roomlight_model.checkpoint import load_checkpoint, save_checkpoint, save_untrained
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
@@ -53,7 +54,7 @@ def test_untrained_is_the_same_for_the_same_seed(tmp_path):
         (lambda c: c.update(form="triple"), "triple"),
         (lambda c: c.update(card=3), "card and state"),
         (lambda c: c["config"]["sg"].update(colour=1), "colour"),
-        (lambda c: c["config"]["sg"].update(channels=8), "the configuration wants"),
+        (lambda c: c["config"]["sg"].update(channels=8), "the configuration asks for"),
         (lambda c: c["state"].popitem(), "1 missing"),
         (lambda c: c["state"].update(extra=torch.zeros(1)), "1 unknown"),
         (lambda c: c["state"].update({"sg_decoder.heads.bias": "text"}), "is str"),
@@ -69,7 +70,8 @@ def test_refuses_tampered(tmp_path, contents, change, named):
     assert str(path) in str(error.value)
 
 
-def test_refuses_what_is_no_checkpoint(tmp_path, contents):
+@pytest.mark.usefixtures("contents")
+def test_refuses_what_is_no_checkpoint(tmp_path):
     with pytest.raises(ModelError, match="cannot be read"):
         load_checkpoint(tmp_path / "none.pt")
     with pytest.raises(ModelError, match="cannot be read"):

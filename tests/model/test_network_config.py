@@ -3,6 +3,7 @@
 import json
 
 import pytest
+
 from roomlight.errors import ModelError
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 

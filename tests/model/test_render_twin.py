@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+
 from roomlight.sglv import Sglv
 from roomlight.sglv import render_rays as serve_rays
 from roomlight.sglv import render_rays_reference as reference_rays
@@ -44,7 +45,7 @@ def render(alpha, lobes, directions, *, origin=(0.1, 0.05, -0.3), **options):
 @pytest.mark.parametrize("origin", [(0.1, 0.05, -0.3), (0.2, 0.1, 2.0)])
 def test_gradients(far, origin):
     """Inside and outside the volume, in float64, against finite differences."""
-    alpha, lobes = random_volume((3, 4, 5), dtype=torch.float64)
+    alpha, lobes = random_volume((2, 3, 3), dtype=torch.float64)
     directions = random_directions(6, dtype=torch.float64)
     directions[0] = torch.tensor([0.0, 0.0, -1.0])
     alpha.requires_grad_()
@@ -101,7 +102,7 @@ def test_an_opaque_volume_shows_its_own_colour():
     lobes[..., 3:6] = 0.0
     radiance, transmittance = render(torch.ones(SHAPE), lobes, random_directions(20))
     torch.testing.assert_close(radiance, torch.tensor([0.2, 0.4, 0.6]).expand(20, 3))
-    assert not transmittance.any()
+    assert transmittance.max() < 1e-6  # what trilinear weights of 1 leave after rounding
 
 
 def test_an_empty_volume_is_its_boundary():

@@ -191,9 +191,7 @@ class Capture:
         A video has to be decoded up to there; every other format reads just this frame.
         """
         if not 0 <= index < self._reader.count:
-            raise FrameError(
-                f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}"
-            )
+            raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
         with self._reader.records() as read:
             return self._frame(index, read)
 
@@ -206,7 +204,7 @@ class Capture:
                 image=raw.image,
                 clipped=raw.clipped,
                 depth_m=self._checked_depth(raw),
-                intrinsics=raw.intrinsics,
+                intrinsics=_plausible(raw.intrinsics),
                 camera_to_world=self._converted(raw.pose),
                 timestamp_s=raw.timestamp_s,
                 source=raw.name,
@@ -228,9 +226,7 @@ class Capture:
         rigid = self._to_y_up @ rigid
         far = float(np.abs(rigid[:3, 3]).max())
         if far > MAX_POSITION_M:
-            raise ValueError(
-                f"the pose is {far:.3g} m from the origin; this is lost tracking or another unit"
-            )
+            raise ValueError(f"the pose is {far:.3g} m from the origin; this is lost tracking or another unit")
         return rigid
 
     def _checked_depth(self, raw: RawFrame) -> Float[np.ndarray, "dh dw"]:
@@ -260,6 +256,14 @@ class Capture:
                 "(min_confidence sets the threshold)"
             )
         return trusted
+
+
+def _plausible(camera: Intrinsics) -> Intrinsics:
+    """The same camera, if a lens could have it: from 0.02 widths (176 degrees) to 100 (half a degree)."""
+    for name, focal, size in (("fx", camera.fx, camera.width), ("fy", camera.fy, camera.height)):
+        if not 0.02 <= focal / size <= 100:
+            raise ValueError(f"focal length {name} = {focal:g} for {size} pixels is no lens's")
+    return camera
 
 
 def _tuple3(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

@@ -20,9 +20,7 @@ def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndar
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
-        read_header = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream, max_header_size=4096)
         if len(shape) != 2 or dtype.kind not in "uif" or not 0 < shape[0] * shape[1] <= MAX_PIXELS:
             raise ImageError(f"{label}: depth must be an array [h, w] of numbers, this is {dtype} {shape}")
@@ -67,14 +65,10 @@ def undistorted(
     distortion = np.array(coefficients, np.float64)
     matrix = _opencv_matrix(intrinsics)
     if fisheye:
-        new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(
-            matrix, distortion, size, np.eye(3), balance=0.0
-        )
+        new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(matrix, distortion, size, np.eye(3), balance=0.0)
     else:
         new, _ = cv2.getOptimalNewCameraMatrix(matrix, distortion, size, 0)
-    straight = Intrinsics(
-        float(new[0, 0]), float(new[1, 1]), float(new[0, 2]) + 0.5, float(new[1, 2]) + 0.5, *size
-    )
+    straight = Intrinsics(float(new[0, 0]), float(new[1, 1]), float(new[0, 2]) + 0.5, float(new[1, 2]) + 0.5, *size)
     results: list[np.ndarray] = []
     for image, interpolation in images:
         height, width = image.shape[:2]

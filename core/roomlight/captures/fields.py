@@ -33,9 +33,7 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
     except RecursionError as error:
         raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
-        raise CaptureError(
-            f"{label}: is not valid JSON ({_short(error)}); the file is truncated or damaged"
-        ) from error
+        raise CaptureError(f"{label}: is not valid JSON ({_short(error)}); the file is truncated or damaged") from error
     if not isinstance(value, dict):
         raise CaptureError(f"{label}: holds a {type(value).__name__} where an object with keys is expected")
     return value
@@ -92,10 +90,18 @@ def vector(value: object, length: int, what: str) -> Float[np.ndarray, " {length
     for item in value:
         if isinstance(item, bool) or not isinstance(item, int | float):
             raise ValueError(f"{what} holds {_short(item)}, not a number")
+    return coordinates(value, what)
+
+
+def coordinates(values: list[Any] | tuple[Any, ...], what: str) -> Float[np.ndarray, " n"]:
+    """Numbers of a pose or a lens, float64: NaN and infinity pass, but nothing whose square would overflow."""
     try:
-        return np.array(value, np.float64)
+        array = np.array(values, np.float64)
     except OverflowError as error:
         raise ValueError(f"{what} holds too large a number") from error
+    if (np.abs(array[np.isfinite(array)]) > 1e12).any():
+        raise ValueError(f"{what} holds too large a number: {_short(values)}")
+    return array
 
 
 def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
@@ -148,7 +154,8 @@ def matrix_of_text(data: bytes, size: int, label: str) -> Float[np.ndarray, "{si
     lines = [line for line in parse_text(data, label) if line.strip()]
     if len(lines) < size:
         raise ValueError(f"has {len(lines)} rows of numbers where {size} are needed")
-    return np.array([numbers_of_line(line, size, f"row {row}") for row, line in enumerate(lines[:size])])
+    rows = [numbers_of_line(line, size, f"row {row}") for row, line in enumerate(lines[:size])]
+    return np.stack([coordinates(values, f"row {row}") for row, values in enumerate(rows)])
 
 
 def _short(value: object) -> str:

@@ -60,13 +60,9 @@ class NativeReader:
         self._label = self._source.label(INDEX)
         index = fields.parse_json(read_index(self._source, INDEX), self._label)
         if index.get("format") != FORMAT:
-            raise CaptureError(
-                f"{self._label}: its format is {str(index.get('format'))[:40]!r}, not {FORMAT!r}"
-            )
+            raise CaptureError(f"{self._label}: its format is {str(index.get('format'))[:40]!r}, not {FORMAT!r}")
         if index.get("version") != VERSION:
-            raise CaptureError(
-                f"{self._label}: is version {str(index.get('version'))[:20]}; version {VERSION} is read"
-            )
+            raise CaptureError(f"{self._label}: is version {str(index.get('version'))[:20]}; version {VERSION} is read")
         with fields.naming(self._label, CaptureError):
             self._frames = fields.objects(index.get("frames"), "frames")
             self.probes = [self._probe(entry) for entry in fields.objects(index.get("probes", []), "probes")]
@@ -97,9 +93,7 @@ class NativeReader:
             pose = fields.matrix4(entry.get("camera_to_world"), "camera_to_world")
             exposure = fields.positive(entry.get("exposure", 1.0), "exposure")
             if not 1e-6 <= exposure <= 1e6:
-                raise ValueError(
-                    f"exposure {exposure:g} is no camera's; it is relative to the reference exposure"
-                )
+                raise ValueError(f"exposure {exposure:g} is no camera's; it is relative to the reference exposure")
             lens: Any = entry.get("intrinsics")
             if not isinstance(lens, dict):
                 raise ValueError("has no intrinsics")
@@ -113,9 +107,7 @@ class NativeReader:
         if entry.get("confidence") is not None:
             with fields.naming(where, FrameError):
                 confidence_name = fields.text(entry["confidence"], "confidence")
-            confidence = decode_confidence(
-                self._source.read(confidence_name), self._source.label(confidence_name)
-            )
+            confidence = decode_confidence(self._source.read(confidence_name), self._source.label(confidence_name))
         return RawFrame(
             name=label,
             image=image if exposure == 1.0 else image / np.float32(exposure),

@@ -59,13 +59,9 @@ class NerfstudioReader:
             )
             self.conventions = Conventions("opengl", "camera-to-world", self._world_up())
             self._unit_m = options.depth_unit_m or self._depth_unit()
-            self.probes = [
-                self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")
-            ]
+            self.probes = [self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")]
         if len(self._frames) > MAX_FRAMES:
-            raise CaptureError(
-                f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read"
-            )
+            raise CaptureError(f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read")
         self.count = len(self._frames)
         self._depth_keys = self._choose_depth(options.depth_key)
         self._refuse_broken_lens()
@@ -161,13 +157,8 @@ class NerfstudioReader:
             raise ValueError(f"the lens distortion {known} is no lens's")
         if model == "OPENCV_FISHEYE":
             return [known["k1"], known["k2"], known["k3"], known["k4"]], True
-        if (
-            model not in (None, "OPENCV", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_PINHOLE")
-            or known["k4"]
-        ):
-            raise ValueError(
-                f"camera_model {model!r} with distortion is not read; undistort the images first"
-            )
+        if model not in (None, "OPENCV", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_PINHOLE") or known["k4"]:
+            raise ValueError(f"camera_model {model!r} with distortion is not read; undistort the images first")
         return [known["k1"], known["k2"], known["p1"], known["p2"], known["k3"]], False
 
     def _refuse_broken_lens(self) -> None:
@@ -180,12 +171,9 @@ class NerfstudioReader:
                 if self._shared.get(key) is not None and not all(key in frame for frame in self._frames):
                     fields.pixels(self._shared[key], key)
             if self.count and not any(
-                fields.first_of(frame, self._shared, "fl_x", "camera_angle_x") is not None
-                for frame in self._frames
+                fields.first_of(frame, self._shared, "fl_x", "camera_angle_x") is not None for frame in self._frames
             ):
-                raise ValueError(
-                    "has no intrinsics: neither fl_x nor camera_angle_x, globally or in any frame"
-                )
+                raise ValueError("has no intrinsics: neither fl_x nor camera_angle_x, globally or in any frame")
 
     def _world_up(self) -> tuple[float, float, float]:
         stated: Any = self._shared.get("world_up")
@@ -211,9 +199,7 @@ class NerfstudioReader:
         keys = (asked,) if asked is not None else ("depth_file_path", "depth_path")
         if self._frames and not any(key in frame for frame in self._frames for key in keys):
             there = sorted({key for frame in self._frames for key in frame if "depth" in key})
-            hint = (
-                f"its frames have {', '.join(there)} (choose with depth_key)" if there else "RGB-D is needed"
-            )
+            hint = f"its frames have {', '.join(there)} (choose with depth_key)" if there else "RGB-D is needed"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
 

@@ -1,6 +1,5 @@
 """What a user may state about a capture that its files do not say, or say wrongly."""
 
-import math
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -47,20 +46,19 @@ class CaptureOptions:
     def __post_init__(self) -> None:
         """Refuse values that mean nothing, before any file is opened."""
         if self.camera_convention not in (None, *get_args(CameraConvention)):
-            raise CaptureError(
-                f"camera convention {self.camera_convention!r} is neither 'opengl' nor 'opencv'"
-            )
+            raise CaptureError(f"camera convention {self.camera_convention!r} is neither 'opengl' nor 'opencv'")
         if self.pose_direction not in (None, *get_args(PoseDirection)):
             raise CaptureError(
                 f"pose direction {self.pose_direction!r} is neither 'camera-to-world' nor 'world-to-camera'"
             )
         if self.world_up is not None:
-            up_vector(self.world_up)
+            try:
+                up_vector(self.world_up)
+            except ValueError as error:
+                raise CaptureError(str(error)) from error
         unit = self.depth_unit_m
         if unit is not None and not 1e-9 <= unit <= 1e3:
-            raise CaptureError(
-                f"depth unit must be metres for one stored unit, from 1e-9 to 1000, got {unit}"
-            )
+            raise CaptureError(f"depth unit must be metres for one stored unit, from 1e-9 to 1000, got {unit}")
         if self.every < 1:
             raise CaptureError(f"every {self.every} frames: must be 1 or more")
         if self.max_frames is not None and self.max_frames < 1:
@@ -68,12 +66,12 @@ class CaptureOptions:
 
 
 def up_vector(world_up: str | tuple[float, float, float]) -> tuple[float, float, float]:
-    """The up direction as a vector of the stored world, or a CaptureError."""
+    """The up direction as a vector of the stored world; ValueError if it is none."""
     if isinstance(world_up, str):
         if world_up.lower() not in UP_AXES:
-            raise CaptureError(f"world up {world_up!r} is none of {', '.join(UP_AXES)} (or three numbers)")
+            raise ValueError(f"world up {world_up!r} is none of {', '.join(UP_AXES)} (or three numbers)")
         return UP_AXES[world_up.lower()]
-    if len(world_up) != 3 or not all(math.isfinite(value) for value in world_up) or not any(world_up):
-        raise CaptureError(f"world up {world_up!r} is not a finite, non-zero 3-vector")
+    if len(world_up) != 3 or not all(abs(value) < 1e12 for value in world_up) or not any(world_up):
+        raise ValueError(f"world up {world_up!r} is not a finite, non-zero 3-vector")
     x, y, z = world_up
     return float(x), float(y), float(z)

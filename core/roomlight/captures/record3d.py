@@ -52,9 +52,7 @@ class Record3DReader:
         self._label = self._source.label(index_name)
         self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
         folder = "rgbd" if self._packed else "rgb"
-        colour = {
-            int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match
-        }
+        colour = {int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match}
         self._numbers = sorted(colour)
         self._colour = [colour[number] for number in self._numbers]
         self.count = len(self._numbers)
@@ -86,8 +84,9 @@ class Record3DReader:
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Every record is a member of its own; nothing is held open."""
-        yield self._read
+        """Holds the archive open for one pass."""
+        with self._source.opened():
+            yield self._read
 
     def _read(self, index: int) -> RawFrame:
         number = self._numbers[index]

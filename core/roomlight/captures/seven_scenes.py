@@ -99,8 +99,8 @@ class SevenScenesReader:
         label = self._source.label(GRAVITY)
         lines = fields.parse_text(read_index(self._source, GRAVITY), label)
         with fields.naming(label, CaptureError):
-            values = fields.numbers_of_line(" ".join(lines), 3, "gravity")
-            x, y, z = (-fields.number(value, "gravity") for value in values)
+            values = fields.coordinates(fields.numbers_of_line(" ".join(lines), 3, "gravity"), "gravity")
+            x, y, z = (-fields.number(value, "gravity") for value in values.tolist())
             if x * x + y * y + z * z < 1e-12:
                 raise ValueError("gravity is zero; delete the file or state world_up")
         return x, y, z

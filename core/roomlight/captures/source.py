@@ -7,7 +7,8 @@ is an error that names the file, raised before its bytes are read.
 import stat
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from pathlib import Path
 from typing import Final
 
@@ -32,16 +33,20 @@ class FolderSource:
         self.root = root
         self._resolved = root.resolve()
 
+    def opened(self) -> AbstractContextManager[object]:
+        """A folder needs no holding open."""
+        return nullcontext()
+
     def label(self, name: str) -> str:
         """The name as messages show it."""
-        return str(self.root / name)
+        return f"{self.root}/{name}"  # not joined: an absolute name would replace the capture's
 
     def path(self, name: str, *, max_bytes: int | None = MAX_FILE_BYTES) -> Path:
         """The regular file of this name inside the folder, symbolic links resolved; else a FrameError."""
-        shown = self.label(name) if len(name) < 300 else self.label(name[:300]) + "..."
+        shown = self.label(name[:300].replace("\0", "\\0"))
         relative = Path(name.replace("\\", "/"))
         if not name or "\0" in name or relative.is_absolute():
-            raise FrameError(f"{shown!r}: not a path inside the capture folder; paths must be relative to it")
+            raise FrameError(f"{shown}: not a path inside the capture folder; paths must be relative to it")
         try:
             full = (self._resolved / relative).resolve()
             if not full.is_relative_to(self._resolved):
@@ -100,11 +105,23 @@ class ZipSource:
     def __init__(self, path: Path) -> None:
         """Read the directory of members; CaptureError if this is no zip archive."""
         self.root = path
+        self._archive: zipfile.ZipFile | None = None
+        with self.opened() as archive:
+            self._members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
+
+    @contextmanager
+    def opened(self) -> Generator[zipfile.ZipFile]:
+        """Hold the archive open for a pass: its directory of 10,000 members takes longer to read than a member."""
         try:
-            with zipfile.ZipFile(path) as archive:
-                self._members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
+            archive = zipfile.ZipFile(self.root)
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError) as error:
-            raise CaptureError(f"{path}: is not a readable zip archive ({error}); export it again") from error
+            raise CaptureError(f"{self.root}: is not a readable zip archive ({error}); export it again") from error
+        with archive:
+            self._archive = archive
+            try:
+                yield archive
+            finally:
+                self._archive = None
 
     def label(self, name: str) -> str:
         """The name as messages show it."""
@@ -125,12 +142,14 @@ class ZipSource:
         if info is None:
             raise FrameError(f"{self.label(name)}: is not in the archive")
         if info.file_size > max_bytes:
-            raise FrameError(
-                f"{self.label(name)}: declares {info.file_size} bytes; up to {max_bytes} are read"
-            )
+            raise FrameError(f"{self.label(name)}: declares {info.file_size} bytes; up to {max_bytes} are read")
         try:
-            with zipfile.ZipFile(self.root) as archive, archive.open(info) as member:
-                data = member.read(info.file_size + 1)
+            if self._archive is not None:
+                with self._archive.open(info) as member:
+                    data = member.read(info.file_size + 1)
+            else:
+                with zipfile.ZipFile(self.root) as archive, archive.open(info) as member:
+                    data = member.read(info.file_size + 1)
         except (
             zipfile.BadZipFile,
             zlib.error,
@@ -142,9 +161,7 @@ class ZipSource:
         ) as error:
             raise FrameError(f"{self.label(name)}: does not unpack ({error})") from error
         if len(data) != info.file_size:
-            raise FrameError(
-                f"{self.label(name)}: unpacks to another size than the {info.file_size} bytes it declares"
-            )
+            raise FrameError(f"{self.label(name)}: unpacks to another size than the {info.file_size} bytes it declares")
         if not data:
             raise FrameError(f"{self.label(name)}: the member is empty")
         return data

@@ -109,9 +109,8 @@ class StrayScannerReader:
             if number != int(number) or not 0 <= number <= MAX_FRAMES:
                 raise ValueError(f"frame {number:g} is no frame number")
             number = int(number)
-            position = np.array([self._value(row, axis) for axis in "xyz"])
-            quaternion = np.array([self._value(row, axis) for axis in ("qx", "qy", "qz", "qw")])
-            pose = pose_from_quaternion(quaternion, position)
+            values = fields.coordinates([self._value(row, column) for column in COLUMNS[2:]], "the pose")
+            pose = pose_from_quaternion(values[3:], values[:3])
             lens = self._lens
             if all(name in self._at for name in ("fx", "fy", "cx", "cy")):
                 lens = [self._value(row, name) for name in ("fx", "fy", "cx", "cy")]

@@ -77,14 +77,8 @@ def write_stray_scanner(path: Path, frames: Iterable[RecordedFrame], *, frames_p
                     first = frame.intrinsics
                     _check_camera(first, name)
                     stream = _add_stream(container, first, frames_per_second)
-                if (
-                    stream is None
-                    or frame.intrinsics != first
-                    or frame.srgb8.shape != (first.height, first.width, 3)
-                ):
-                    raise OutputError(
-                        f"{name}: Stray Scanner stores one camera; this frame's image or camera differs"
-                    )
+                if stream is None or frame.intrinsics != first or frame.srgb8.shape != (first.height, first.width, 3):
+                    raise OutputError(f"{name}: Stray Scanner stores one camera; this frame's image or camera differs")
                 picture = av.VideoFrame.from_ndarray(frame.srgb8, format="rgb24").reformat(
                     format="yuv420p", dst_colorspace="ITU709", dst_color_range="MPEG"
                 )
@@ -109,9 +103,7 @@ def write_stray_scanner(path: Path, frames: Iterable[RecordedFrame], *, frames_p
 
 def _check_camera(camera: Intrinsics, name: str) -> None:
     if camera.width % 2 or camera.height % 2 or abs(camera.width / camera.height - 4 / 3) > 0.01:
-        raise OutputError(
-            f"{name}: {camera.width} x {camera.height} is not 4:3 with even sides, as the format needs"
-        )
+        raise OutputError(f"{name}: {camera.width} x {camera.height} is not 4:3 with even sides, as the format needs")
 
 
 def _add_stream(container: OutputContainer, camera: Intrinsics, frames_per_second: int) -> VideoStream:

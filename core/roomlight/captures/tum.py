@@ -75,15 +75,13 @@ class TumReader:
         depth_name = _nearest(self._depth, time_s, f"{label}: depth (depth.txt)")
         pose_line = _nearest(self._poses, time_s, f"{label}: pose (groundtruth.txt)")
         with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
-            values = fields.numbers_of_line(pose_line, 7, "the pose")
-            pose = pose_from_quaternion(np.array(values[3:]), np.array(values[:3]))
+            values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
+            pose = pose_from_quaternion(values[3:], values[:3])
         image, clipped = decode_colour(self._source.read(colour_name), label)
         depth_label = self._source.label(depth_name)
         depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
         with fields.naming(label, FrameError):
-            intrinsics = intrinsics_without_size(
-                self._matrix, width=image.shape[1], height=image.shape[0], shift=0.5
-            )
+            intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0], shift=0.5)
         return RawFrame(
             name=label,
             image=image,
@@ -108,9 +106,7 @@ class TumReader:
                     time_s = float(first)
                 except ValueError:
                     raise ValueError(f"starts with {first[:40]!r}, not with a time") from None
-                entries.append(
-                    (fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time"))
-                )
+                entries.append((fields.number(time_s, "the time"), fields.text(rest.strip(), "what follows the time")))
         if len(entries) > most:
             raise CaptureError(f"{label}: lists {len(entries)} entries; up to {most} are read")
         return sorted(entries)

@@ -41,9 +41,11 @@ class VideoFrames:
     def _open(self) -> None:
         self._container = av.open(str(self._path), format="mp4")
         stream = self._container.streams.video[0]
-        if not 0 < stream.width * stream.height <= MAX_PIXELS:
+        # A stream whose codec FFmpeg does not know has no such attributes at all.
+        width, height = int(getattr(stream, "width", 0)), int(getattr(stream, "height", 0))
+        if not 0 < width * height <= MAX_PIXELS:
             self._container.close()
-            raise FrameError(f"{self._label}: declares {stream.width} x {stream.height} pixels")
+            raise FrameError(f"{self._label}: declares {width} x {height} pixels of a codec that can be decoded")
         stream.thread_type = "AUTO"
         self._packets = self._container.demux(stream)
         self._decoded: list[VideoFrame] = []

@@ -4,6 +4,6 @@
 `camera_path` walks; `render` looks; `generate` writes the capture that the package ships.
 """
 
-from roomlight_model.sample_room.generate import generate_sample
+from roomlight_model.sample_room.generate import Quality, generate_sample
 
-__all__ = ["generate_sample"]
+__all__ = ["Quality", "generate_sample"]

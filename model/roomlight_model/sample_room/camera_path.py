@@ -58,11 +58,11 @@ def _look(position_m: Float[np.ndarray, "3"], azimuth: float, pitch: float, roll
     return pose
 
 
-def _curve(stations: Float[np.ndarray, "k 3"], t: Float[np.ndarray, "n"]) -> Float[np.ndarray, "n 3"]:
+def _curve(stations: Float[np.ndarray, "k 3"], t: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
     """Catmull-Rom through the stations, by arc length: the walk neither stops nor jumps."""
     ends = np.concatenate([2 * stations[:1] - stations[1:2], stations, 2 * stations[-1:] - stations[-2:-1]])
 
-    def point(s: Float[np.ndarray, "m"]) -> Float[np.ndarray, "m 3"]:
+    def point(s: Float[np.ndarray, " m"]) -> Float[np.ndarray, "m 3"]:
         scaled = s * (len(stations) - 1)
         index = np.minimum(scaled.astype(np.int64), len(stations) - 2)
         x = (scaled - index)[:, None]

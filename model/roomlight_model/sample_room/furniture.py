@@ -7,18 +7,18 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomlight_model.sample_room.shapes import Mesh, box, cushion, lathe, moved, rectangle, rod, sheet
+from roomlight_model.sample_room.shapes import Mesh, Number, box, cushion, lathe, moved, rectangle, rod, sheet
 from roomlight_model.sample_room.textures import srgb
 
 Tint = tuple[float, float, float]
 
 
-def at(mesh: Mesh, x: float, y: float, z: float) -> Mesh:
+def at(mesh: Mesh, x: Number, y: Number, z: Number) -> Mesh:
     """Short for `moved`, to keep tables of parts readable."""
     return mesh.moved(x, y, z)
 
 
-def sofa(tint: Tint, accents: Sequence[tuple[str, Tint]], *, width: float = 2.05, depth: float = 0.92) -> list[Mesh]:
+def sofa(tint: Tint, accents: Sequence[tuple[str, Tint]], *, width: Number = 2.05, depth: Number = 0.92) -> list[Mesh]:
     """Two seats, two back cushions, arms, short legs, and scatter cushions in the accents (material, tint)."""
     arm = 0.17
     inner = width - 2 * arm
@@ -123,7 +123,7 @@ def flat_book(tint: Tint, size: tuple[float, float, float]) -> list[Mesh]:
     ]
 
 
-def vase(height: float, tint: Tint, *, belly: float = 0.42) -> list[Mesh]:
+def vase(height: Number, tint: Tint, *, belly: Number = 0.42) -> list[Mesh]:
     """A round-bellied vase."""
     t = np.linspace(0, 1, 22)
     radius = height * (0.16 + belly * 0.62 * np.sin(np.pi * np.clip(t * 1.1, 0, 1)) ** 1.3 * (1 - 0.35 * t))
@@ -134,7 +134,7 @@ def vase(height: float, tint: Tint, *, belly: float = 0.42) -> list[Mesh]:
     return [lathe(lines, segments=40).of("ceramic", tint)]
 
 
-def bookshelf(rng: np.random.Generator, *, width: float = 1.15, height: float = 2.05, shelves: int = 5) -> list[Mesh]:
+def bookshelf(rng: np.random.Generator, *, width: Number = 1.15, height: Number = 2.05, shelves: int = 5) -> list[Mesh]:
     """An open walnut bookcase, filled with books and a few pots."""
     depth, board = 0.3, 0.028
     parts = [
@@ -189,7 +189,7 @@ def bookshelf(rng: np.random.Generator, *, width: float = 1.15, height: float = 
     return parts
 
 
-def cabinet(*, width: float = 1.5, height: float = 0.5, depth: float = 0.42, doors: int = 3) -> list[Mesh]:
+def cabinet(*, width: Number = 1.5, height: Number = 0.5, depth: Number = 0.42, doors: int = 3) -> list[Mesh]:
     """A low sideboard: oak carcass on rods, painted doors with round knobs."""
     leg = 0.13
     body = height - leg
@@ -212,7 +212,7 @@ def cabinet(*, width: float = 1.5, height: float = 0.5, depth: float = 0.42, doo
     return parts
 
 
-def television(*, width: float = 1.02) -> list[Mesh]:
+def television(*, width: Number = 1.02) -> list[Mesh]:
     """A lit screen on a foot; the picture has 16 : 9."""
     height = width * 9 / 16
     parts = [at(box(width + 0.024, height + 0.03, 0.035, radius=0.006), 0, 0.07, 0).of("black")]
@@ -223,7 +223,7 @@ def television(*, width: float = 1.02) -> list[Mesh]:
     return parts
 
 
-def floor_lamp(*, radius: float, height: float, bottom: float) -> list[Mesh]:
+def floor_lamp(*, radius: Number, height: Number, bottom: Number) -> list[Mesh]:
     """A brass stand under a cloth shade (a cylinder) whose side and open ends shine."""
     disc = [(1e-4, 0.0), (radius * 0.5, 0.0), (radius, 0.0)]
     lid = [(radius, 0.0), (radius * 0.5, 0.0), (1e-4, 0.0)]
@@ -244,7 +244,7 @@ def floor_lamp(*, radius: float, height: float, bottom: float) -> list[Mesh]:
     ]
 
 
-def plant(rng: np.random.Generator, *, height: float = 1.35) -> list[Mesh]:
+def plant(rng: np.random.Generator, *, height: Number = 1.35) -> list[Mesh]:
     """Long arching leaves out of a glazed pot."""
     outside = [(0.13, 0.0), (0.15, 0.08), (0.165, 0.2), (0.17, 0.3)]
     lines = [[(1e-4, 0.0), (0.13, 0.0)], outside, [(0.17, 0.3), (0.155, 0.3)], [(0.155, 0.3), (0.153, 0.265)]]
@@ -273,7 +273,7 @@ def plant(rng: np.random.Generator, *, height: float = 1.35) -> list[Mesh]:
     return parts
 
 
-def curtain(rng: np.random.Generator, *, width: float, height: float, folds: int = 7) -> list[Mesh]:
+def curtain(rng: np.random.Generator, *, width: Number, height: Number, folds: int = 7) -> list[Mesh]:
     """Hanging folds: from y = 0.03 up to `height`, pleated along x."""
     x = np.linspace(-width / 2, width / 2, folds * 12 + 1)
     phase = np.cumsum(rng.uniform(0.75, 1.25, len(x))) / 12 * 2 * np.pi
@@ -287,7 +287,7 @@ def curtain(rng: np.random.Generator, *, width: float, height: float, folds: int
     return [sheet(points, thickness=0.006).of("linen")]
 
 
-def picture(material: str, *, width: float, height: float, frame: str = "walnut") -> list[Mesh]:
+def picture(material: str, *, width: Number, height: Number, frame: str = "walnut") -> list[Mesh]:
     """A framed print that hangs at z = 0; the origin is its middle."""
     bar = 0.022
     parts = [
@@ -302,7 +302,7 @@ def picture(material: str, *, width: float, height: float, frame: str = "walnut"
     return [*parts, face.of(material)]
 
 
-def door(*, width: float = 0.86, height: float = 2.05) -> list[Mesh]:
+def door(*, width: Number = 0.86, height: Number = 2.05) -> list[Mesh]:
     """A panelled door in its frame, closed, standing proud of the wall at z = 0."""
     white = srgb(232, 228, 218)
     parts = [at(box(width, height, 0.03, radius=0.004), 0, 0, 0.015).of("paint", white)]

@@ -6,7 +6,7 @@ its irradiance.
 """
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -19,10 +19,11 @@ class LightSamples:
     """Toward a light: unit directions, how far until it (or nothing more) is reached, and the sample's weight."""
 
     direction: Float[np.ndarray, "n 3"]
-    distance_m: Float[np.ndarray, "n"]
+    distance_m: Float[np.ndarray, " n"]
     weight: Float[np.ndarray, "n 3"]
 
 
+@runtime_checkable  # so that a checker of annotations can look at it in the test run
 class Light(Protocol):
     """Anything that can be sampled from a point of the room."""
 
@@ -199,7 +200,7 @@ class DiscLight:
 
 def _toward(
     points: Float[np.ndarray, "n 3"], targets: Float[np.ndarray, "n 3"]
-) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n"]]:
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
     offset = targets - points
     distance = np.maximum(np.sqrt((offset * offset).sum(1)), 1e-6).astype(np.float32)
     return (offset / distance[:, None]).astype(np.float32), distance

@@ -7,7 +7,7 @@ Frames: camera x right, y up, z backward; world y up; z-depth in metres; panoram
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import linear_to_srgb8, uv_to_direction
@@ -109,7 +109,9 @@ def _render(
     return (image / np.float32(samples)).reshape(height, width, 3)
 
 
-def expose(image: Float[np.ndarray, "h w 3"], *, rng: np.random.Generator, noise: float = 0.006) -> np.ndarray:
+def expose(
+    image: Float[np.ndarray, "h w 3"], *, rng: np.random.Generator, noise: float = 0.006
+) -> UInt8[np.ndarray, "h w 3"]:
     """8-bit sRGB as a phone would store it: clipped at 1, with shot noise that grows with the root of the signal."""
     grain = rng.standard_normal(image.shape, np.float32) * np.sqrt(np.maximum(image, 0) + 0.004)
     return linear_to_srgb8(np.clip(image + np.float32(noise) * grain, 0, 1))

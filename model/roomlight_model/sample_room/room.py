@@ -1,9 +1,9 @@
 """The sample room: a living room of 5 x 4 x 2.7 m, furnished and lit.
 
-Frames: world, y up, metres, the floor's middle at the origin; the window looks north (-z), the sofa stands against the
-petrol wall in the west (-x), shelf and television in the east (+x), the door is in the south (+z).
-Levels: radiance relative to the frames' white. The sky is 5 to 10 (hills, trees and lawn outside 0.2 to 1), the globe 26, the
-lampshade's side 3 and its open ends 11, the lit screen up to 1.5.
+Frames: world, y up, metres, the floor's middle at the origin; the window looks north (-z), the sofa stands
+against the petrol wall in the west (-x), shelf and television in the east (+x), the door is in the south (+z).
+Levels: radiance relative to the frames' white. The sky is 5 to 10 (hills, trees and lawn outside 0.2 to 1), the
+globe 27, the lampshade's side 2.5 and its open ends 10, the lit screen up to 1.5.
 """
 
 import numpy as np
@@ -22,9 +22,9 @@ GLOBE_RADIUS_M = 0.15
 LAMP = (1.90, -1.47)
 SHADE_RADIUS_M, SHADE_HEIGHT_M, SHADE_BOTTOM_M = 0.19, 0.25, 1.36
 
-GLOBE_RADIANCE = (28.0, 25.0, 20.5)
-SHADE_RADIANCE = (3.9, 2.75, 1.6)
-SHADE_END_RADIANCE = (15.0, 10.8, 6.6)
+GLOBE_RADIANCE = (30.0, 26.8, 22.0)
+SHADE_RADIANCE = (3.4, 2.4, 1.4)
+SHADE_END_RADIANCE = (13.0, 9.4, 5.8)
 SUN_IRRADIANCE = (15.0, 13.2, 10.2)
 SUN_DIRECTION = (0.30, 0.66, -0.69)
 

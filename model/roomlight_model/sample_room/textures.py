@@ -3,6 +3,8 @@
 All are linear RGB reflectance, float32 [h, w, 3], made from a seeded generator; image row 0 is the top.
 """
 
+from itertools import pairwise
+
 import cv2
 import numpy as np
 from jaxtyping import Float
@@ -12,7 +14,7 @@ from roomlight.conventions import srgb_to_linear
 Texture = Float[np.ndarray, "h w 3"]
 
 
-def srgb(*colour: float) -> tuple[float, float, float]:
+def srgb(*colour: int | float) -> tuple[float, float, float]:
     """A colour as one reads it off a screen (0 to 255), as linear reflectance."""
     linear = srgb_to_linear(np.array(colour, np.float32) / np.float32(255))
     return float(linear[0]), float(linear[1]), float(linear[2])
@@ -152,7 +154,7 @@ def print_leaf(rng: np.random.Generator, *, height: int = 192, width: int = 256)
         (int(width * (0.14 + 0.72 * t)), int(height * (0.8 - 0.55 * t + 0.1 * np.sin(4 * t))))
         for t in np.linspace(0, 1, 14)
     ]
-    for low, high in zip(stem, stem[1:], strict=False):
+    for low, high in pairwise(stem):
         cv2.line(canvas, low, high, ink, 2, cv2.LINE_AA)
     for at, (x, y) in enumerate(stem[1:]):
         for side in (-1, 1):

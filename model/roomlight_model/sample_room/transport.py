@@ -104,7 +104,7 @@ def bake_indirect(
 def _face_light(
     scene: Scene, seed: int, points_per_face: int
 ) -> tuple[Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"], Float[np.ndarray, "f 3"]]:
-    """Mean of reflected direct irradiance, of albedo and of gathered emission on each face, from random points on it."""
+    """Mean of reflected direct irradiance, albedo and gathered emission of each face, from random points."""
     count = len(scene.faces)
     reflected, albedo, emission = (np.zeros((count, 3), np.float32) for _ in range(3))
     gathers = np.array([not one.found_by_samples for one in scene.materials])
@@ -183,7 +183,7 @@ def _links(scene: Scene) -> Int[np.ndarray, "e 2"]:
 
 
 def _mend(
-    values: Float[np.ndarray, "v 3"], buried: Bool[np.ndarray, "v"], links: Int[np.ndarray, "e 2"]
+    values: Float[np.ndarray, "v 3"], buried: Bool[np.ndarray, " v"], links: Int[np.ndarray, "e 2"]
 ) -> Float[np.ndarray, "v 3"]:
     """Neighbours' means: for buried vertices until all are reached, then two steps for all against noise."""
     count = len(values)
@@ -220,9 +220,10 @@ def radiance(
     pass_index: int = 0,
     reflected: bool = False,
 ) -> Float[np.ndarray, "n 3"]:
-    """Radiance that arrives along unit rays (`turn` and `pass_index` as in `direct_irradiance`). What a mirror reflection shows has no reflection of its own.
+    """Radiance that arrives along unit rays (`turn` and `pass_index` as in `direct_irradiance`).
 
-    The sun's disc is seen directly but not in reflections, where it would be a few white dots.
+    What a mirror reflection shows has no reflection of its own. The sun's disc is seen directly but not in
+    reflections, where it would be a few white dots.
     """
     hits = scene.trace(origins, directions)
     out = scene.sky.radiance(directions, with_sun=not reflected)

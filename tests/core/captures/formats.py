@@ -1,7 +1,7 @@
 """One synthetic room in every capture format's own bytes, built without the code under test.
 
-The room is a box with a smooth colour on its walls, seen by a 32 x 24 camera from a few poses (y-up world, OpenGL camera);
-each builder turns these poses into its format's conventions with matrices written out here.
+The room is a box with a smooth colour on its walls, seen by a 32 x 24 camera from a few poses (y-up world, OpenGL
+camera); each builder turns these poses into its format's conventions with matrices written out here.
 """
 
 import json
@@ -80,7 +80,8 @@ def save(path: Path, data: bytes) -> None:
 
 def image(suffix: str, pixels: np.ndarray) -> bytes:
     ordered = pixels[..., ::-1] if pixels.ndim == 3 else pixels
-    ok, data = cv2.imencode(suffix, np.ascontiguousarray(ordered), [cv2.IMWRITE_JPEG_QUALITY, 98])
+    parameters = [cv2.IMWRITE_JPEG_QUALITY, 98] if suffix == ".jpg" else []
+    ok, data = cv2.imencode(suffix, np.ascontiguousarray(ordered), parameters)
     assert ok
     return data.tobytes()
 

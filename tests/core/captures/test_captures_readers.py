@@ -8,6 +8,7 @@ import cv2
 import formats
 import numpy as np
 import pytest
+
 from roomlight.captures import FORMATS, Capture, CaptureOptions, open_capture
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import CaptureError, FrameError, UnknownFormatError
@@ -40,7 +41,9 @@ def test_every_format_gives_the_same_cameras_and_pictures(built: tuple[str, Path
     for frame, view in zip(frames, VIEWS, strict=True):
         np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=1e-6)
         k = frame.intrinsics
-        np.testing.assert_allclose([k.fx, k.fy, k.cx, k.cy], [formats.FX, formats.FY, formats.CX, formats.CY], rtol=1e-9)
+        np.testing.assert_allclose(
+            [k.fx, k.fy, k.cx, k.cy], [formats.FX, formats.FY, formats.CX, formats.CY], rtol=1e-9
+        )
         assert (k.width, k.height) == (formats.WIDTH, formats.HEIGHT)
         # JPEG and H.264 halve the colour's resolution and round: 8 of 255 at worst on this smooth room, 2 on the mean.
         error = np.abs(frame.image - srgb8_to_linear(view.srgb8))
@@ -140,6 +143,7 @@ def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
         {"world_up": "up"},
         {"world_up": (0.0, 0.0, 0.0)},
         {"world_up": (0.0, float("nan"), 1.0)},
+        {"world_up": (0.0, 1e300, 1.0)},
         {"depth_unit_m": 0.0},
         {"depth_unit_m": float("nan")},
         {"every": 0},
@@ -198,6 +202,16 @@ def test_images_are_never_read_when_opening(tmp_path: Path, monkeypatch: pytest.
     paths = [build(tmp_path / name, VIEWS) for name, build in formats.BUILDERS.items()]
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("an image was decoded on opening"))
     assert all(isinstance(open_capture(path), Capture) for path in paths)
+
+
+def test_two_passes_at_once_do_not_disturb_each_other(built: tuple[str, Path]) -> None:
+    _, path = built
+    capture = open_capture(path)
+    first, second = iter(capture), iter(capture)
+    for _ in range(2):
+        np.testing.assert_array_equal(next(first).image, next(second).image)
+    assert len(list(second)) == 2
+    assert [frame.index for frame in first] == [2, 3]
 
 
 # What only one format has

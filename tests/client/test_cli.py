@@ -1,0 +1,119 @@
+"""The command as a person meets it: help, errors in one line, Ctrl-C, and the demo from end to end."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from roomlight_client import cli, replay
+from roomlight_client.demo import sample_capture
+
+
+def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", "from roomlight_client.cli import main; main()", *arguments]
+    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
+
+
+def test_help_names_every_command(tmp_path):
+    result = run("--help", cwd=tmp_path)
+    assert result.returncode == 0
+    for command in ("replay", "demo", "eval", "export", "bench"):
+        assert command in result.stdout
+
+
+def test_version(tmp_path):
+    assert run("--version", cwd=tmp_path).stdout.startswith("roomlight 0.")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (("replay", "nowhere", "--out", "out"), "nowhere"),
+        (("replay", ".", "--out", "out"), "roomlight"),
+        (("eval", "nowhere"), "nowhere"),
+        (("export", "nothing.pt", "--out", "model"), "nothing.pt"),
+    ],
+)
+def test_an_error_is_one_line_with_the_path_and_no_traceback(arguments, says, tmp_path):
+    result = run(*arguments, cwd=tmp_path)
+    assert result.returncode == 1
+    assert "error:" in result.stderr
+    assert says in result.stderr
+    assert "Traceback" not in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("option", "says"),
+    [
+        (("--probe", "1,2"), "X,Y,Z"),
+        (("--probe", "a,b,c"), "X,Y,Z"),
+        (("--height", "3"), "16 to 2048"),
+        (("--model", "magic"), "magic"),
+        (("--world-up", "1,2"), "three numbers"),
+    ],
+)
+def test_a_bad_argument_is_a_usage_error(option, says, tmp_path):
+    result = run("replay", str(sample_capture()), "--out", "out", *option, cwd=tmp_path)
+    assert result.returncode == 2
+    assert says in result.stderr
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("model", ["video", "single"])
+def test_a_model_without_trained_weights_is_refused_by_name(model, tmp_path):
+    from roomlight_server.graphs import SHIPPED
+
+    if (SHIPPED / model / "model.json").is_file():  # the weights came: then it must simply work
+        arguments = ("--max-frames", "1")
+        assert run("replay", str(sample_capture()), "--out", "o", "--model", model, *arguments, cwd=tmp_path).returncode == 0
+        return
+    result = run("replay", str(sample_capture()), "--out", "out", "--model", model, cwd=tmp_path)
+    assert result.returncode == 1
+    assert "no trained weights" in result.stderr
+    assert "classical" in result.stderr
+
+
+def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "out"
+    argv = ["roomlight", "replay", str(sample_capture()), "--out", str(out), "--max-frames", "4", "--height", "16"]
+    real = replay.replay
+
+    def interrupted(path, folder, options, *, progress):
+        def press(done: int, total: int) -> None:
+            progress(done, total)
+            if done == 2:
+                os.kill(os.getpid(), signal.SIGINT)
+
+        return real(path, folder, options, progress=press)
+
+    monkeypatch.setattr(sys, "argv", argv)
+    monkeypatch.setattr(replay, "replay", interrupted)
+    with pytest.raises(SystemExit) as stopped:
+        cli.main()
+    assert stopped.value.code == 130
+    assert "continues" in capsys.readouterr().err
+    assert not (out / "report.json").exists()
+
+    monkeypatch.setattr(replay, "replay", real)
+    with pytest.raises(SystemExit) as done:
+        cli.main()
+    assert done.value.code == 0
+    assert json.loads((out / "report.json").read_text())["complete"] is True
+
+
+def test_the_demo_needs_nothing_and_says_where_to_look(tmp_path):
+    result = run("demo", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    out = tmp_path / "roomlight-demo"
+    assert "summary.png" in result.stdout
+    assert "log-L2" in result.stdout
+    report = json.loads((out / "report.json").read_text())
+    assert len(report["probes"]) == 3
+    assert report["skipped"] == []
+    for probe in report["probes"]:
+        assert len(list((out / probe["folder"]).glob("*.exr"))) == len(report["frames"])

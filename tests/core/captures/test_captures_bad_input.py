@@ -1,0 +1,482 @@
+"""Each rule for bad input by itself: what is skipped, what is refused, and that the message names file and reason."""
+
+import json
+import os
+import struct
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import cv2
+import formats
+import liblzfse
+import numpy as np
+import pytest
+
+from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.captures import source as source_module
+from roomlight.captures.record3d import _declared_size
+from roomlight.errors import CaptureError, FrameError, ImageError
+
+VIEWS = formats.scene()
+NAN = float("nan")
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    index = json.loads(path.read_bytes())
+    change(index)
+    path.write_text(json.dumps(index))
+
+
+def one_skipped(path: Path, index: int, *parts: str) -> Capture:
+    """The capture still gives its other three frames, and says of this one what is wrong with which file."""
+    capture = open_capture(path)
+    assert [frame.index for frame in capture] == [number for number in range(4) if number != index]
+    (skipped,) = capture.skipped
+    assert skipped.index == index
+    assert str(path) in skipped.file
+    for part in (str(path), *parts):
+        assert part in skipped.reason
+    return capture
+
+
+@pytest.fixture
+def transforms(tmp_path: Path) -> Path:
+    return formats.nerfstudio(tmp_path / "capture", VIEWS)
+
+
+@pytest.fixture
+def native(tmp_path: Path) -> Path:
+    return formats.roomlight(tmp_path / "capture", VIEWS)
+
+
+# One bad frame
+
+
+@pytest.mark.parametrize(
+    ("matrix", "says"),
+    [
+        (np.full((4, 4), NAN).tolist(), "lost tracking"),
+        (np.full((4, 4), float("inf")).tolist(), "lost tracking"),
+        (np.diag([2.0, 2, 2, 1]).tolist(), "scales"),
+        (np.diag([-1.0, 1, 1, 1]).tolist(), "mirror"),
+        ([[1, 0, 0, 1e9], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "from the origin"),
+        ([[1, 0, 0, 10**400], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "too large"),
+        ([[1e200, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], "too large"),
+        ([[1, 0], [0, 1]], "4 x 4"),
+        ("eye", "4 x 4"),
+        ([[1, 0, 0, "0"], [0, 1, 0, 0], [0, 0, 1, 0]], "not a number"),
+        (None, "4 x 4"),
+    ],
+)
+def test_a_lost_or_senseless_pose(transforms: Path, matrix: object, says: str) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(transform_matrix=matrix))
+    one_skipped(transforms, 1, says)
+
+
+@pytest.mark.parametrize("focal", [0, -28, NAN, 1e-3, 1e308, "28", None])
+def test_a_focal_length_that_no_lens_has(native: Path, focal: object) -> None:
+    edit(native / "capture.json", lambda index: index["frames"][1]["intrinsics"].update(fx=focal))
+    one_skipped(native, 1, "fx")
+
+
+def test_a_zero_quaternion_and_a_missing_column(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    lines = (path / "odometry.csv").read_text().splitlines()
+    whole = lines[3]
+    lines[3] = "5.0, 000002, 0, 0, 0, 0, 0, 0, 0"
+    (path / "odometry.csv").write_text("\n".join(lines))
+    one_skipped(path, 2, "odometry.csv: line 4", "lost tracking")
+    lines[3] = ",".join(whole.split(",")[:6])
+    (path / "odometry.csv").write_text("\n".join(lines))
+    one_skipped(path, 2, "qy is missing")
+
+
+def test_a_lost_pose_of_seven_scenes(tmp_path: Path) -> None:
+    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
+    (path / "frame-000004.pose.txt").write_text("-1.#IND 0 0 0\n" * 4)
+    one_skipped(path, 1, "frame-000004.pose.txt", "no number")
+    (path / "frame-000004.pose.txt").write_text("nan nan nan nan\n" * 4)
+    one_skipped(path, 1, "frame-000004.pose.txt", "lost tracking")
+    (path / "frame-000004.pose.txt").unlink()
+    one_skipped(path, 1, "frame-000004.pose.txt", "No such file")
+
+
+def test_a_missing_depth_file_and_a_frame_without_depth(transforms: Path) -> None:
+    (transforms / "depth/frame_00002.png").unlink()
+    one_skipped(transforms, 1, "depth/frame_00002.png", "No such file")
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].pop("depth_file_path"))
+    one_skipped(transforms, 1, "frame 1", "has no depth")
+
+
+def test_sizes_that_do_not_match_the_intrinsics(native: Path) -> None:
+    small = cv2.resize(VIEWS[2].srgb8, (16, 12))
+    formats.save(native / "colour/000002.jpg", formats.image(".jpg", small))
+    one_skipped(native, 2, "16 x 12", "32 x 24", "colour/000002.jpg")
+
+
+def test_depth_of_another_aspect_and_confidence_of_another_size(native: Path) -> None:
+    formats.save(native / "depth/000001.png", formats.image(".png", formats.millimetres(VIEWS[1])[:12]))
+    one_skipped(native, 1, "32 x 12", "confidence is 32 x 24")
+    edit(native / "capture.json", lambda index: index["frames"][1].pop("confidence"))
+    one_skipped(native, 1, "32 x 12", "another aspect")
+
+
+def test_intrinsics_without_a_size_must_suit_the_image(tmp_path: Path) -> None:
+    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
+    (path / "camera-intrinsics.txt").unlink()  # the default is for 640 x 480
+    with pytest.raises(CaptureError, match=r"32 x 24.*for another size"):
+        list(open_capture(path))
+
+
+def test_depth_that_is_nowhere_known(native: Path) -> None:
+    formats.save(native / "depth/000000.png", formats.image(".png", np.zeros((24, 32), np.uint16)))
+    one_skipped(native, 0, "depth/000000.png", "no pixel has a known depth")
+
+
+def test_a_depth_unit_that_is_clearly_wrong(native: Path) -> None:
+    formats.save(native / "depth/000003.png", formats.image(".png", formats.millimetres(VIEWS[3]) // 1000))
+    one_skipped(native, 3, "depth/000003.png", "depth unit looks wrong", "depth_unit_m")
+
+
+@pytest.mark.parametrize("broken", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF89a", b"#?RADIANCE\n\n-Y 1"])
+def test_pictures_that_are_none(native: Path, broken: bytes) -> None:
+    (native / "colour/000001.jpg").write_bytes(broken)
+    one_skipped(native, 1, "colour/000001.jpg")
+
+
+def test_depth_of_8_bits_is_no_depth(native: Path) -> None:
+    formats.save(native / "depth/000001.png", formats.image(".png", VIEWS[1].confidence))
+    one_skipped(native, 1, "depth/000001.png", "16-bit")
+    formats.save(native / "confidence/000002.png", formats.image(".png", formats.millimetres(VIEWS[2])))
+    capture = open_capture(native)
+    assert [frame.index for frame in capture] == [0, 3]
+    assert "8-bit grey" in capture.skipped[1].reason
+
+
+def test_a_gigantic_picture_is_not_decoded(native: Path) -> None:
+    data = formats.image(".png", VIEWS[0].srgb8)
+    (native / "colour/000001.jpg").write_bytes(formats.png_with_size(data, 60_000, 60_000))
+    one_skipped(native, 1, "60000 x 60000")
+
+
+def test_npy_depth_that_lies_about_its_size_or_hides_objects(native: Path, tmp_path: Path) -> None:
+    np.save(tmp_path / "object.npy", np.array([{}, {}], dtype=object), allow_pickle=True)
+    header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999), }\n"
+    giant = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
+    for data in ((tmp_path / "object.npy").read_bytes(), giant, giant[:20], b"\x93NUMPY\x09\x09" + b"x" * 30):
+        (native / "depth/000001.png").write_bytes(data)
+        one_skipped(native, 1, "depth/000001.png")
+
+
+@pytest.mark.parametrize("exposure", [0, -1, NAN, 1e9, "1", True])
+def test_an_exposure_that_is_none(native: Path, exposure: object) -> None:
+    edit(native / "capture.json", lambda index: index["frames"][1].update(exposure=exposure))
+    one_skipped(native, 1, "exposure")
+
+
+@pytest.mark.parametrize("entry", [None, 7, "x", [], {}])
+def test_an_entry_that_is_no_frame(native: Path, entry: object) -> None:
+    edit(native / "capture.json", lambda index: index["frames"].__setitem__(2, entry))
+    one_skipped(native, 2, "capture.json: frame 2")
+
+
+# Paths that lead out
+
+
+@pytest.mark.parametrize("name", ["../secret.png", "/etc/hostname", "images/../../secret.png", "a\0b", "x" * 5000])
+def test_a_path_out_of_the_folder(transforms: Path, name: str) -> None:
+    formats.save(transforms.parent / "secret.png", formats.image(".png", VIEWS[0].srgb8))
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(file_path=name))
+    capture = open_capture(transforms)
+    assert sum(1 for _ in capture) == 3
+    (skipped,) = capture.skipped
+    assert str(transforms) in skipped.reason
+    assert len(skipped.reason) < 1200
+
+
+def test_links_out_of_the_folder_in_a_circle_and_inside(transforms: Path) -> None:
+    outside = transforms.parent / "outside.png"
+    formats.save(outside, formats.image(".png", VIEWS[1].srgb8))
+    target = transforms / "images/frame_00002.png"
+    target.unlink()
+    target.symlink_to(outside)
+    one_skipped(transforms, 1, "leads out of the capture folder")
+    target.unlink()
+    target.symlink_to(target)
+    one_skipped(transforms, 1, "images/frame_00002.png")
+    target.unlink()
+    target.symlink_to("frame_00001.png")  # inside is allowed
+    assert len(list(open_capture(transforms))) == 4
+
+
+def test_an_index_that_links_out_refuses_the_capture(transforms: Path) -> None:
+    (transforms / "transforms.json").rename(transforms.parent / "elsewhere.json")
+    (transforms / "transforms.json").symlink_to(transforms.parent / "elsewhere.json")
+    with pytest.raises(CaptureError, match=r"transforms\.json: leads out"):
+        open_capture(transforms)
+
+
+def test_a_probe_that_leads_out_refuses_the_capture(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index["probes"][0].update(file_path="../../x.exr"))
+    with pytest.raises(CaptureError, match="probe's panorama"):
+        open_capture(transforms)
+
+
+def test_a_probe_whose_panorama_is_no_panorama(transforms: Path) -> None:
+    formats.exr(transforms / "probes/00.exr", {"RGB": np.zeros((4, 4, 3), np.float16)})
+    (probe,) = open_capture(transforms).probes
+    with pytest.raises(ImageError, match="twice as wide"):
+        probe.panorama()
+    edit(transforms / "transforms.json", lambda index: index["probes"][0].pop("file_path"))
+    (probe,) = open_capture(transforms).probes
+    with pytest.raises(ImageError, match="no panorama file"):
+        probe.panorama()
+
+
+def test_a_folder_or_a_pipe_in_place_of_a_file(transforms: Path) -> None:
+    target = transforms / "depth/frame_00003.png"
+    target.unlink()
+    target.mkdir()
+    one_skipped(transforms, 2, "not a regular file")
+    target.rmdir()
+    os.mkfifo(target)  # reading it would wait for ever
+    one_skipped(transforms, 2, "not a regular file")
+
+
+# The whole capture
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b"", "empty"),
+        (b"{", "not valid JSON"),
+        (b"\xff\xfe{}", "not valid JSON"),
+        (b'{"frames": ' + b"9" * 5000 + b"}", "not valid JSON"),
+        (b'{"frames": ' + b"[" * 200_000, "nested too deeply"),
+        (b"[]", "object"),
+        (b"{}", "frames"),
+        (b'{"frames": {}}', "not a list"),
+        (b'{"frames": []}', "no frame|intrinsics"),
+        (b'{"frames": [{}]}', "depth"),
+        (b'{"frames": [{"depth_path": "x"}]}', "neither fl_x"),
+        (b'{"fl_x": 0, "frames": [{"depth_path": "x"}]}', "fl_x is 0"),
+        (b'{"fl_x": NaN, "frames": [{"depth_path": "x"}]}', "fl_x is nan"),
+        (b'{"fl_x": 1, "w": 1e12, "frames": [{"depth_path": "x"}]}', "w is 1e"),
+        (b'{"fl_x": 1, "w": 2.5, "frames": [{"depth_path": "x"}]}', "w is 2.5"),
+        (b'{"fl_x": 1, "world_up": "w", "frames": [{"depth_path": "x"}]}', "world up"),
+        (b'{"fl_x": 1, "world_up": [0, 0, 0], "frames": [{"depth_path": "x"}]}', "world up"),
+        (b'{"fl_x": 1, "world_up": 3, "frames": [{"depth_path": "x"}]}', "world_up"),
+        (b'{"fl_x": 1, "depth_unit_scale_factor": -1, "frames": [{"depth_path": "x"}]}', "depth_unit_scale_factor"),
+        (b'{"fl_x": 1, "probes": [{"position": [1, 2]}], "frames": [{"depth_path": "x"}]}', "position"),
+        (b'{"fl_x": 1, "probes": [{"position": [1, 2, NaN]}], "frames": [{"depth_path": "x"}]}', "position"),
+    ],
+)
+def test_a_broken_index_refuses_the_capture(transforms: Path, data: bytes, says: str) -> None:
+    (transforms / "transforms.json").write_bytes(data)
+    with pytest.raises(CaptureError, match=says) as raised:
+        open_capture(transforms)
+    assert str(transforms) in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("data", "says"),
+    [
+        (b'{"format": "other"}', "format"),
+        (b'{"format": "roomlight-capture", "version": 2}', "version"),
+        (b'{"format": "roomlight-capture", "version": 1}', "frames"),
+        (b'{"format": "roomlight-capture", "version": 1, "frames": []}', "no frame"),
+        (b'{"format": "roomlight-capture", "version": 1, "frames": [], "probes": 3}', "probes"),
+    ],
+)
+def test_a_native_index_of_another_kind(native: Path, data: bytes, says: str) -> None:
+    (native / "capture.json").write_bytes(data)
+    with pytest.raises(CaptureError, match=says):
+        open_capture(native)
+
+
+def test_an_index_larger_than_the_limit_is_not_read(transforms: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file = transforms / "transforms.json"
+    with file.open("r+b") as handle:  # a hole: nothing is written to the disk
+        handle.truncate(source_module.MAX_INDEX_BYTES + 1)
+    monkeypatch.setattr(Path, "read_bytes", lambda *_: pytest.fail("read"))
+    with pytest.raises(CaptureError, match=f"up to {source_module.MAX_INDEX_BYTES}"):
+        open_capture(transforms)
+
+
+def test_when_every_frame_is_bad_the_first_reason_is_told(transforms: Path) -> None:
+    for file in (transforms / "images").iterdir():
+        file.unlink()
+    capture = open_capture(transforms)
+    with pytest.raises(CaptureError, match=r"none of its 4 frames.*frame_00001\.png.*No such file"):
+        list(capture)
+    assert len(capture.skipped) == 4
+
+
+@pytest.mark.parametrize(
+    "text", ["0 0 16\n0 27 12\n0 0 1", "28 0 16", "a b c\n" * 3, "28 0 nan\n0 27 12\n0 0 1", "\xff"]
+)
+def test_a_broken_intrinsics_file_refuses_the_capture(tmp_path: Path, text: str) -> None:
+    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
+    (path / "camera-intrinsics.txt").write_bytes(text.encode("latin-1"))
+    with pytest.raises(CaptureError, match=r"camera-intrinsics\.txt"):
+        open_capture(path)
+
+
+@pytest.mark.parametrize("text", ["0 0 0", "0 1", "down", "nan 0 0", "0 1e300 0"])
+def test_a_broken_gravity_refuses_the_capture(tmp_path: Path, text: str) -> None:
+    path = formats.seven_scenes(tmp_path / "capture", VIEWS)
+    (path / "gravity-direction.txt").write_text(text)
+    with pytest.raises(CaptureError, match=r"gravity-direction\.txt"):
+        open_capture(path)
+
+
+@pytest.mark.parametrize("name", ["rgb.txt", "depth.txt", "groundtruth.txt"])
+@pytest.mark.parametrize("text", ["", "# nothing\n", "noon rgb/1.png\n", "1.0\n", "inf rgb/1.png\n"])
+def test_a_broken_list_of_tum_refuses_the_capture(tmp_path: Path, name: str, text: str) -> None:
+    path = formats.tum(tmp_path / "capture", VIEWS)
+    (path / name).write_text(text)
+    with pytest.raises(CaptureError, match=name):
+        open_capture(path)
+
+
+@pytest.mark.parametrize("name", ["rgb.mp4", "camera_matrix.csv", "odometry.csv"])
+def test_a_missing_or_broken_part_of_stray_scanner_refuses_the_capture(tmp_path: Path, name: str) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    (path / name).write_bytes(b"\x00\x01 nothing \xff")
+    with pytest.raises(CaptureError, match=name):
+        list(open_capture(path))
+    (path / name).unlink()
+    with pytest.raises(CaptureError, match=name):
+        list(open_capture(path))
+
+
+# Counts that differ
+
+
+def test_odometry_longer_than_the_video(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    lines = (path / "odometry.csv").read_text().splitlines()
+    lines.append(lines[-1].replace("000003", "000004"))
+    (path / "odometry.csv").write_text("\n".join(lines))
+    for kind in ("depth", "confidence"):
+        formats.save(path / f"{kind}/000004.png", (path / f"{kind}/000003.png").read_bytes())
+    capture = open_capture(path)
+    assert len(list(capture)) == 4
+    assert "has 4 frames, so there is no frame 4" in capture.skipped[0].reason
+    (path / "depth/000002.png").unlink()
+    (path / "confidence/000001.png").unlink()
+    assert [frame.index for frame in capture] == [0, 3]
+
+
+def test_a_video_of_another_aspect(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    (path / "camera_matrix.csv").write_text("1600, 0, 965\n0, 1600, 715\n0, 0, 1")
+    import av
+
+    with av.open(str(path / "rgb.mp4"), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=30)
+        stream.width, stream.height, stream.pix_fmt = 64, 24, "yuv420p"
+        for _ in range(4):
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(np.zeros((24, 64, 3), np.uint8), format="rgb24")))
+        container.mux(stream.encode())
+    with pytest.raises(CaptureError, match=r"64 x 24.*another aspect"):
+        list(open_capture(path))
+
+
+def test_a_video_of_an_unknown_codec_refuses_the_capture(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    data = (path / "rgb.mp4").read_bytes()
+    (path / "rgb.mp4").write_bytes(data.replace(b"avc1", b"zzzz"))
+    with pytest.raises(CaptureError, match=r"rgb\.mp4"):
+        list(open_capture(path))
+
+
+def test_a_truncated_video_loses_only_its_end(tmp_path: Path) -> None:
+    views = formats.scene(12)
+    path = formats.stray_scanner(tmp_path / "capture", views)
+    data = bytearray((path / "rgb.mp4").read_bytes())
+    start = data.index(b"mdat") + 4
+    end = data.index(b"moov") - 4
+    data[start + (end - start) * 2 // 3 : end] = bytes(end - start - (end - start) * 2 // 3)
+    (path / "rgb.mp4").write_bytes(data)
+    capture = open_capture(path)
+    frames = list(capture)
+    assert 3 <= len(frames) < 12
+    assert len(frames) + len(capture.skipped) == 12
+    assert all("rgb.mp4" in skipped.reason for skipped in capture.skipped)
+
+
+def test_more_pictures_than_poses(tmp_path: Path) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    edit(path / "metadata.json", lambda index: index["poses"].pop())
+    one_skipped(path, 3, "rgb/3.jpg", "no pose for it; the metadata has 3")
+
+
+# Archives
+
+
+def repacked(path: Path, change: Callable[[dict[str, bytes]], object]) -> Path:
+    members = formats.record3d_members(VIEWS)
+    change(members)
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, data in members.items():
+            archive.writestr(name, data)
+    return path
+
+
+def test_depth_of_another_size_than_the_metadata_says(tmp_path: Path) -> None:
+    short = liblzfse.compress(VIEWS[1].depth_m[:12].tobytes())
+    path = repacked(tmp_path / "a.r3d", lambda members: members.update({"rgbd/1.depth": short}))
+    one_skipped(path, 1, "rgbd/1.depth", "1536 bytes", "3072")
+    path = repacked(tmp_path / "b.r3d", lambda members: members.update({"rgbd/1.conf": b"bvx$"}))
+    one_skipped(path, 1, "rgbd/1.conf", "768")
+
+
+def test_a_bomb_is_refused_by_its_declared_size(tmp_path: Path) -> None:
+    bomb = liblzfse.compress(bytes(50_000_000))
+    assert _declared_size(bomb) == 50_000_000
+    path = repacked(tmp_path / "a.r3d", lambda members: members.update({"rgbd/2.depth": bomb}))
+    one_skipped(path, 2, "rgbd/2.depth", "50000000")
+    archive = bytearray(path.read_bytes())
+    entry = archive.rindex(b"rgbd/2.jpg") - 46  # in the central directory
+    archive[entry + 24 : entry + 28] = struct.pack("<I", 2**30)
+    path.write_bytes(archive)
+    one_skipped(path, 2, "rgbd/2.jpg", "declares 1073741824 bytes")
+
+
+def test_members_with_other_names_are_left_alone(tmp_path: Path) -> None:
+    extra = {"../../outside.jpg": b"x", "/rgbd/9.jpg": b"x", "rgbd/../7.jpg": b"x", f"rgbd/{'9' * 50}.jpg": b"x"}
+    path = repacked(tmp_path / "a.r3d", lambda members: members.update(extra))
+    assert open_capture(path).frame_count == 4
+    assert not (tmp_path.parent / "outside.jpg").exists()
+
+
+def test_archives_without_metadata_or_pictures(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"metadata\.json: is not in the archive"):
+        open_capture(repacked(tmp_path / "a.r3d", lambda members: members.pop("metadata")))
+    with pytest.raises(CaptureError, match=r"no rgbd/N\.jpg"):
+        open_capture(repacked(tmp_path / "b.r3d", lambda m: [m.pop(name) for name in list(m) if name.endswith("jpg")]))
+    (tmp_path / "c.r3d").write_bytes(b"PK")
+    with pytest.raises(CaptureError, match=r"c\.r3d: is not a readable zip"):
+        open_capture(tmp_path / "c.r3d")
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"K": [0] * 9}, {"K": [1, 2]}, {"K": None}, {"w": 0}, {"h": "x"}, {"dw": -1}, {"dh": 1e9}, {"poses": None}],
+)
+def test_senseless_metadata_refuses_the_capture(tmp_path: Path, change: dict) -> None:
+    path = formats.record3d_export(tmp_path / "capture", VIEWS)
+    edit(path / "metadata.json", lambda index: index.update(change))
+    with pytest.raises(CaptureError, match=r"metadata\.json"):
+        open_capture(path)
+
+
+def test_frame_at_raises_what_iterating_skips(native: Path) -> None:
+    (native / "depth/000001.png").unlink()
+    capture = open_capture(native, CaptureOptions(every=2))
+    with pytest.raises(FrameError, match=r"depth/000001\.png"):
+        capture.frame_at(1)
+    assert capture.frame_at(2).index == 2

@@ -1,0 +1,158 @@
+"""What the writers write, the readers read back; and nothing partial is ever taken for whole."""
+
+from pathlib import Path
+
+import formats
+import numpy as np
+import pytest
+
+from roomlight.camera import Intrinsics, pose_from_quaternion
+from roomlight.captures import CaptureWriter, RecordedFrame, open_capture, write_stray_scanner
+from roomlight.captures.stray_writer import quaternion_from_rotation
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import OutputError, UnknownFormatError
+
+VIEWS = formats.scene()
+CAMERA = Intrinsics(formats.FX, formats.FY, formats.CX, formats.CY, formats.WIDTH, formats.HEIGHT)
+
+
+def add_all(writer: CaptureWriter, **extra: object) -> None:
+    for view in VIEWS:
+        writer.add(
+            srgb8=view.srgb8,
+            depth_m=view.depth_m,
+            intrinsics=CAMERA,
+            camera_to_world=view.pose,
+            timestamp_s=view.time_s,
+            confidence=view.confidence,
+            **extra,
+        )
+
+
+def recorded(**changes: object) -> list[RecordedFrame]:
+    return [
+        RecordedFrame(
+            **{
+                "srgb8": view.srgb8,
+                "depth_m": view.depth_m,
+                "intrinsics": CAMERA,
+                "camera_to_world": view.pose,
+                "timestamp_s": view.time_s,
+                "confidence": view.confidence,
+            }
+            | changes
+        )
+        for view in VIEWS
+    ]
+
+
+def check(path: Path, *, pose_tolerance: float) -> None:
+    capture = open_capture(path)
+    frames = list(capture)
+    assert len(frames) == 4
+    assert capture.skipped == []
+    for frame, view in zip(frames, VIEWS, strict=True):
+        np.testing.assert_allclose(frame.camera_to_world, view.pose, atol=pose_tolerance)
+        np.testing.assert_allclose(frame.depth_m, np.where(view.confidence > 0, view.depth_m, 0), atol=1e-6)
+        assert frame.timestamp_s == pytest.approx(view.time_s)
+        k = frame.intrinsics
+        np.testing.assert_allclose([k.fx, k.fy, k.cx, k.cy], [CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy], rtol=1e-9)
+        # Two lossy codecs at high quality, half colour resolution: 1 % of white on the mean.
+        assert np.abs(frame.image - srgb8_to_linear(view.srgb8)).mean() < 0.012
+
+
+def test_native_round_trip_with_probes_and_exposure(tmp_path: Path) -> None:
+    path = tmp_path / "capture"
+    panorama = np.random.default_rng(0).uniform(0, 30, (8, 16, 3)).astype(np.float32)
+    with CaptureWriter(path, name="room") as writer:
+        add_all(writer, exposure=1.0)
+        writer.add_probe((1.0, 2.0, 3.0), panorama)
+        assert not path.exists()
+    check(path, pose_tolerance=1e-12)
+    (probe,) = open_capture(path).probes
+    assert probe.position == (1.0, 2.0, 3.0)
+    np.testing.assert_allclose(probe.panorama(), panorama, rtol=1e-3)  # half floats: 11 bits
+    assert [entry.name for entry in tmp_path.iterdir()] == ["capture"]
+
+
+def test_stray_scanner_round_trip(tmp_path: Path) -> None:
+    write_stray_scanner(tmp_path / "capture", iter(recorded()))
+    check(tmp_path / "capture", pose_tolerance=1e-7)
+
+
+def test_depth_that_16_bits_of_millimetres_do_not_hold_is_unknown(tmp_path: Path) -> None:
+    depth_m = np.full((24, 32), 2.0, np.float32)
+    depth_m[0, :5] = [np.nan, np.inf, -1, 65.535, 70]
+    depth_m[0, 5] = 65.534
+    with CaptureWriter(tmp_path / "capture") as writer:
+        writer.add(srgb8=VIEWS[0].srgb8, depth_m=depth_m, intrinsics=CAMERA, camera_to_world=np.eye(4))
+    (frame,) = open_capture(tmp_path / "capture")
+    np.testing.assert_allclose(frame.depth_m[0, :6], [0, 0, 0, 0, 0, 65.534], rtol=1e-6)
+    assert frame.timestamp_s is None
+
+
+def test_an_exception_leaves_nothing(tmp_path: Path) -> None:
+    def interrupted() -> None:
+        with CaptureWriter(tmp_path / "capture") as writer:
+            add_all(writer)
+            raise KeyError("interrupted")
+
+    with pytest.raises(KeyError):
+        interrupted()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unfinished_capture_is_not_readable_and_does_not_hinder_the_next(tmp_path: Path) -> None:
+    add_all(CaptureWriter(tmp_path / "capture"))
+    (partial,) = tmp_path.iterdir()
+    with pytest.raises(UnknownFormatError):
+        open_capture(partial)
+    with CaptureWriter(tmp_path / "capture") as writer:
+        add_all(writer)
+    assert open_capture(tmp_path / "capture").frame_count == 4
+
+
+def test_what_the_native_writer_refuses(tmp_path: Path) -> None:
+    view = VIEWS[0]
+    whole = {"srgb8": view.srgb8, "depth_m": view.depth_m, "intrinsics": CAMERA, "camera_to_world": view.pose}
+    with pytest.raises(OutputError, match="at least one frame"), CaptureWriter(tmp_path / "a"):
+        pass
+    with pytest.raises(OutputError, match="32 x 20"), CaptureWriter(tmp_path / "a") as writer:
+        writer.add(**whole | {"srgb8": view.srgb8[:20]})
+    with pytest.raises(OutputError, match="lost tracking"), CaptureWriter(tmp_path / "a") as writer:
+        writer.add(**whole | {"camera_to_world": np.eye(4) * np.nan})
+    with pytest.raises(OutputError, match="twice as wide"), CaptureWriter(tmp_path / "a") as writer:
+        writer.add_probe((0.0, 0.0, 0.0), np.zeros((4, 4, 3), np.float32))
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full/file").write_text("x")
+    with pytest.raises(OutputError, match="exists already"):
+        CaptureWriter(tmp_path / "full")
+    with pytest.raises(OutputError, match="cannot be created"):
+        CaptureWriter(tmp_path / "full/file/capture")
+    with CaptureWriter(tmp_path / "b") as writer:
+        writer.add(**whole)
+        writer.close()  # closing early is closing once
+    assert open_capture(tmp_path / "b").frame_count == 1
+
+
+def test_what_the_stray_scanner_writer_refuses(tmp_path: Path) -> None:
+    with pytest.raises(OutputError, match="at least one frame"):
+        write_stray_scanner(tmp_path / "a", [])
+    square = Intrinsics(30.0, 30.0, 12.0, 12.0, 24, 24)
+    with pytest.raises(OutputError, match="4:3"):
+        write_stray_scanner(tmp_path / "b", recorded(srgb8=np.zeros((24, 24, 3), np.uint8), intrinsics=square))
+    with pytest.raises(OutputError, match="one camera"):
+        write_stray_scanner(tmp_path / "c", [recorded()[0], recorded(intrinsics=CAMERA.resized(64, 48))[1]])
+    assert not any((tmp_path / name / "odometry.csv").exists() for name in "abc")
+    write_stray_scanner(tmp_path / "d", recorded())
+    with pytest.raises(OutputError, match="holds a capture already"):
+        write_stray_scanner(tmp_path / "d", recorded())
+
+
+def test_quaternions_of_every_rotation_come_back() -> None:
+    rng = np.random.default_rng(1)
+    quaternions = [*rng.normal(size=(50, 4)), *np.eye(4), np.array([1.0, 1, 0, 0]), np.array([0, 1.0, 1e-9, 0])]
+    for quaternion in quaternions:
+        pose = pose_from_quaternion(quaternion, np.zeros(3))
+        again = pose_from_quaternion(np.array(quaternion_from_rotation(pose[:3, :3])), np.zeros(3))
+        np.testing.assert_allclose(again, pose, atol=1e-12)

@@ -1,0 +1,148 @@
+"""The parts of the export: verification input, comparison, the RGB-alpha decoder as a graph, the width table."""
+
+import numpy as np
+import pytest
+import torch
+
+from roomlight.errors import ModelError, OutputError
+from roomlight_export.folder import new_folder
+from roomlight_export.graphs import graphs_of
+from roomlight_export.inputs import probe_frames, room_volume
+from roomlight_export.onnx_file import half_rounded, to_onnx
+from roomlight_export.ort_file import write_ort
+from roomlight_export.parity import compare_volumes, difference, torch_runner
+from roomlight_export.widths import GraphCost, describe, format_widths, measure_widths
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import SingleModel, VideoModel
+
+TINY = ModelConfig(
+    SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2, norm="none"),
+    BlendConfig(height=8, channels=2, full_channels=2),
+)
+
+
+def test_the_room_exercises_every_input_channel():
+    volume = room_volume((64, 60, 84), frame=0)
+    assert volume.shape == (1, 5, 64, 60, 84)
+    colour, alpha, empty = volume[0, :3], volume[0, 3], volume[0, 4]
+    assert set(np.unique(empty)) == {-1.0, 0.0}
+    assert 0.02 < (empty == -1).mean() < 0.5
+    assert (alpha == 1).any()
+    assert ((alpha > 0) & (alpha < 1)).any()
+    assert not alpha[empty == -1].any()
+    assert colour.max() > 10
+    assert not np.array_equal(volume, room_volume((64, 60, 84), frame=1))
+
+
+def test_probe_frames_keep_to_the_serving_ranges():
+    frames = probe_frames(16, frames=4)
+    for frame in frames:
+        assert frame.single_panels.shape == (1, 8, 16, 32)
+        assert np.array_equal(frame.video_panels[:, 3:11], frame.single_panels)
+        assert set(np.unique(frame.mask)) == {0.0, 1.0}
+        assert (frame.single_panels >= 0).all()
+    assert (frames[0].video_panels[:, 12] == 4.0).all()  # nothing seen yet
+    assert (frames[-1].video_panels[:, 12] < 4.0).any()
+
+
+def test_difference_compares_light_in_the_logarithm():
+    first, second = np.zeros((1, 1, 1, 10), np.float32), np.zeros((1, 1, 1, 10), np.float32)
+    first[..., 0], second[..., 0] = 1000.0, 1001.0
+    assert difference("lobes", first, second) == pytest.approx(0.001, rel=0.01)
+    second[..., 8] = 0.5
+    assert difference("lobes", first, second) == 0.5
+    second[..., 8] = np.nan
+    assert difference("lobes", first, second) == float("inf")
+    assert difference("alpha", np.float32([0.5]), np.float32([0.75])) == 0.25
+
+
+def test_a_tampered_weight_shows_after_the_recursion():
+    """One GRU bias off by 0.05 in one of the two: the comparison must say so, in hidden states and light."""
+    torch.manual_seed(0)
+    model = VideoModel(TINY)
+    torch.nn.init.normal_(model.sg_decoder.heads.weight)
+    good = torch_runner({graph.name: graph for graph in graphs_of(half_rounded(model, "good"))})
+    tampered = half_rounded(model, "tampered")
+    tampered.sg_gru0.candidate.bias.data += 0.05
+    bad = torch_runner({graph.name: graph for graph in graphs_of(tampered)})
+    volumes = [room_volume((8, 8, 8), frame=frame) for frame in range(9)]
+    same = compare_volumes(good, good, good, volumes=volumes, recurrent=True)
+    assert same.largest == 0
+    off = compare_volumes(bad, good, good, volumes=volumes, recurrent=True)
+    assert off.error["h0"] > 1e-2
+    assert off.error["lobes"] > 1e-3
+
+
+def test_half_rounding_leaves_the_original_alone():
+    model = SingleModel(TINY)
+    before = model.sg_decoder.heads.weight.clone()
+    rounded = half_rounded(model, "model")
+    assert torch.equal(model.sg_decoder.heads.weight, before)
+    weight = rounded.sg_decoder.heads.weight
+    assert torch.equal(weight, weight.half().float())
+    assert not torch.equal(weight, before)
+
+
+def test_rgb_alpha_exports_too_and_silently(tmp_path, capfd):
+    config = ModelConfig(SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2, spherical_gaussians=False))
+    torch.manual_seed(1)
+    model = half_rounded(SingleModel(config), "model")
+    graph = next(graph for graph in graphs_of(model) if graph.name == "single_sg_decoder")
+    path = tmp_path / "decoder.onnx"
+    path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
+    write_ort(path, tmp_path / "decoder.ort", graph, tolerance=1e-5)
+    assert (tmp_path / "decoder.ort").stat().st_size > 1000
+    assert capfd.readouterr() == ("", "")
+    with pytest.raises(ModelError, match=r"decoder\.ort: differs"):
+        write_ort(path, tmp_path / "decoder.ort", graph, tolerance=-1.0)
+
+
+def test_a_failed_export_leaves_the_old_model(tmp_path):
+    out = tmp_path / "model"
+    out.mkdir()
+    (out / "model.json").write_text('{"graphs": {}}')
+
+    def stop_halfway():
+        with new_folder(out) as folder:
+            (folder / "half.onnx").write_text("")
+            raise ModelError("stopped")
+
+    with pytest.raises(ModelError):
+        stop_halfway()
+    assert [path.name for path in out.iterdir()] == ["model.json"]
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+
+
+def test_a_folder_that_fills_meanwhile_is_not_replaced(tmp_path):
+    out = tmp_path / "model"
+
+    def fill_meanwhile():
+        with new_folder(out) as folder:
+            (folder / "model.json").write_text("{}")
+            out.mkdir()
+            (out / "cat.jpg").write_text("")
+
+    with pytest.raises(OutputError, match="something else"):
+        fill_meanwhile()
+    assert (out / "cat.jpg").exists()
+    assert [path.name for path in tmp_path.iterdir()] == ["model"]
+
+
+def test_width_table():
+    heard = []
+    rows = measure_widths((TINY,), rounds=1, progress=heard.append)
+    assert heard == ["exporting SG 4/2, blend 2/2, norm none", "timing, round 1 of 1"]
+    row = rows[0]
+    assert row.video_sg.parameters > row.single_sg.parameters > 0
+    assert row.video_sg.gmac > row.sg_gru.gmac > 0
+    assert row.video_sg.ort_ms > row.sg_gru.ort_ms > 0
+    table = format_widths(rows).split("\n")
+    assert len(table) == 3
+    assert len({line.count("|") for line in table}) == 1
+
+
+def test_costs_add_and_widths_describe_themselves():
+    assert GraphCost(1, 2.0, 3.0, 4.0, 5.0) + GraphCost(1, 1.0, 1.0, 1.0, 1.0) == GraphCost(2, 3.0, 4.0, 5.0, 6.0)
+    assert describe(ModelConfig()) == "SG 32/16, blend 16/8"
+    other = ModelConfig(SGConfig(full_layers=2, fine_gate_kernel=3, spherical_gaussians=False))
+    assert describe(other) == "SG 32/16, blend 16/8, 2 full layers, gates 3^3, RGB-alpha"

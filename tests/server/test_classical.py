@@ -1,0 +1,117 @@
+"""The classical model: a mean over the frames that saw a voxel, and light everywhere from what was seen."""
+
+import numpy as np
+import pytest
+from rooms import BoxRoom, camera_at
+
+from roomlight.blend import PanoramaState, accumulate
+from roomlight.mesh import FrameMesh
+from roomlight.sglv import render_panorama
+from roomlight.volume import VolumeGrid, initial_volume
+from roomlight_server.classical import ClassicalBackend
+
+ROOM = BoxRoom()
+FRAME = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+GRID = VolumeGrid.from_frame(FRAME, shape=(16, 15, 21))
+
+
+def _started():
+    backend = ClassicalBackend()
+    backend.start(GRID)
+    return backend
+
+
+def _put(backend, *, colour, alpha, empty=0.0):
+    volume = backend.volume_buffer()
+    volume[:3], volume[3], volume[4] = alpha * colour, alpha, empty
+    return backend.update()
+
+
+def test_one_frame_is_its_own_volume():
+    backend = _started()
+    volume = initial_volume(GRID, FRAME, out=backend.volume_buffer()).copy()
+    sglv = backend.update()
+    np.testing.assert_allclose(sglv.alpha, volume[3], atol=1e-6)
+    np.testing.assert_allclose(
+        np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5
+    )
+    assert (sglv.lobes[..., 3:] == 0).all()
+
+
+def test_the_same_frame_again_changes_nothing():
+    backend = _started()
+    initial_volume(GRID, FRAME, out=backend.volume_buffer())
+    first = backend.update()
+    alpha, lobes = first.alpha.copy(), first.lobes.copy()
+    for _ in range(3):
+        again = backend.update()
+    np.testing.assert_allclose(again.alpha, alpha, atol=1e-6)
+    np.testing.assert_allclose(again.lobes, lobes, atol=1e-5)
+
+
+def test_alpha_is_a_mean_over_those_that_saw_and_colour_is_weighted_by_alpha():
+    backend = _started()
+    _put(backend, colour=1.0, alpha=1.0)
+    _put(backend, colour=4.0, alpha=0.5)
+    _put(backend, colour=9.0, alpha=0.0)  # not seen: counts for nothing
+    sglv = _put(backend, colour=9.0, alpha=0.0, empty=-1.0)  # seen as empty: counts against
+    assert sglv.alpha[0, 0, 0] == pytest.approx((1 + 0.5 + 0) / 3)
+    assert sglv.lobes[0, 0, 0, :3] == pytest.approx([(1 + 4 * 0.5) / 1.5] * 3)
+
+
+def _estimate(backend, state, partial, position):
+    rendered, transmittance = render_panorama(backend.update(), position, height=32, far=backend.far)
+    return backend.estimate(
+        backend.new_probe(),
+        state,
+        rendered=rendered,
+        transmittance=transmittance,
+        partial=partial,
+        depth_max_m=GRID.depth_max_m,
+    )
+
+
+def test_light_is_known_everywhere_and_details_weigh_one_where_seen():
+    backend = _started()
+    initial_volume(GRID, FRAME, out=backend.volume_buffer())
+    position = (0.1, 1.2, -0.8)
+    partial = FrameMesh(FRAME).look_from(np.array(position), height=32)
+    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, position)
+    assert (estimate.weight == partial.mask).all()
+    assert estimate.hdr.min() > 0
+    # the fill is a convex combination of what was seen: no value leaves its range
+    assert estimate.hdr.max() <= FRAME.image.max() * 1.01
+    np.testing.assert_allclose(estimate.hdr[partial.mask], partial.radiance[partial.mask], rtol=1e-3, atol=1e-3)
+
+
+def test_a_uniform_room_is_uniform_everywhere():
+    grey = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+    grey.image[:] = 0.4
+    backend = _started()
+    initial_volume(GRID, grey, out=backend.volume_buffer())
+    position = (0.1, 1.2, -0.8)
+    partial = FrameMesh(grey).look_from(np.array(position), height=32)
+    state = PanoramaState.fresh(32, GRID.depth_max_m)
+    estimate = _estimate(backend, state, partial, position)
+    # Colour and opacity are interpolated apart (equation 1), so that the volume darkens where opaque voxels meet
+    # empty black ones; trusted a tenth, that leaves 2.2 % in the fill.
+    np.testing.assert_allclose(estimate.hdr, 0.4, rtol=0.03)
+    accumulate(
+        state,
+        hdr=estimate.hdr,
+        detail=partial.radiance,
+        detail_depth_m=partial.depth_m,
+        weight=estimate.weight,
+    )
+    np.testing.assert_allclose(state.radiance, 0.4, rtol=0.03)
+    np.testing.assert_allclose(state.radiance[partial.mask], 0.4, rtol=1e-5)
+
+
+def test_nothing_seen_gives_no_light_and_no_error():
+    backend = _started()
+    frame = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+    frame.depth_m[:] = 0
+    partial = FrameMesh(frame).look_from(np.zeros(3), height=32)
+    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, (0.0, 1.0, 0.0))
+    assert (estimate.hdr == 0).all()
+    assert (estimate.weight == 0).all()

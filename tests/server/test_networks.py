@@ -1,0 +1,216 @@
+"""The engine's recursion on ONNX graphs against the same recursion in PyTorch, and its buffers."""
+
+import numpy as np
+import pytest
+import torch
+from rooms import BoxRoom, camera_at, pan
+
+from roomlight.blend import CLOSER_M
+from roomlight.errors import ModelError
+from roomlight.mesh import FrameMesh
+from roomlight.sglv import Sglv, render_panorama
+from roomlight.volume import VolumeGrid, initial_volume
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.networks import Observation
+from roomlight_server.graphs import load_graphs
+from roomlight_server.networks import NetworkBackend
+from roomlight_server.session import Session, SessionOptions
+
+ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
+FRAMES = pan(ROOM, 4, step_degrees=12, width=80, height=60)
+PROBE = (0.1, 1.2, -0.5)
+SHAPE = (16, 15, 21)
+GRID = VolumeGrid.from_frame(FRAMES[0], shape=SHAPE)
+HEIGHT = 32
+
+
+@pytest.fixture(scope="module")
+def graphs(tiny_video):
+    return load_graphs(tiny_video[1], provider="cpu", allow_untrained=True)
+
+
+def _options(tiny_video, form, height=HEIGHT):
+    return SessionOptions(
+        model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height
+    )
+
+
+def _observation(sglv, frame):
+    """What the session renders at the probe for one frame, as the networks' batch of one."""
+    hdr, _ = render_panorama(sglv, PROBE, height=HEIGHT, far="boundary")
+    partial = FrameMesh(frame).look_from(np.array(PROBE), height=HEIGHT)
+
+    def batch(plane):
+        array = np.atleast_3d(plane.astype(np.float32))
+        return torch.from_numpy(np.moveaxis(array, -1, 0)[None].copy())
+
+    depth = partial.depth_m / GRID.depth_max_m
+    return Observation(batch(hdr), batch(partial.radiance), batch(partial.mask), batch(depth))
+
+
+def _sglv_of(volume):
+    return Sglv(GRID, volume.alpha[0].numpy().copy(), volume.lobes[0].numpy().copy())
+
+
+@torch.inference_mode()
+def _in_torch(checkpoint):
+    """(volumes, panorama states) of the video model over the frames, stepped in PyTorch."""
+    model = load_checkpoint(checkpoint).model
+    sg, blend, volumes, panoramas = None, None, [], []
+    for frame in FRAMES:
+        given = torch.from_numpy(initial_volume(GRID, frame)[None])
+        sg = model.start(given) if sg is None else model.step(given, sg)
+        seen = _observation(_sglv_of(sg.volume), frame)
+        margin = CLOSER_M / GRID.depth_max_m
+        blend = model.blend_start(seen) if blend is None else model.blend_step(seen, blend, margin=margin)
+        volumes.append(_sglv_of(sg.volume))
+        panoramas.append(blend.panorama)
+    return volumes, panoramas
+
+
+def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
+    volumes, panoramas = _in_torch(tiny_video[0])
+    session = Session(_options(tiny_video, "video"))
+    session.track(PROBE)
+    for frame, volume, panorama in zip(FRAMES, volumes, panoramas, strict=True):
+        session.push(frame)
+        # Graph weights are halves (2^-11 relative), and the HDR heads take an exponent of sums of dozens of them
+        np.testing.assert_allclose(session.sglv.alpha, volume.alpha, atol=2e-3)
+        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(volume.lobes[..., :7]), atol=1e-2)
+        light = session.light(0)
+        expected = np.moveaxis(panorama.radiance[0].numpy(), 0, -1)
+        np.testing.assert_allclose(np.log1p(light.panorama), np.log1p(expected), atol=1e-2)
+        np.testing.assert_allclose(light.observed, panorama.weight[0, 0].numpy(), atol=5e-3)
+
+
+def test_the_single_engine_forgets_the_frames_before(tiny_video):
+    assert Session(_options(tiny_video, "single")).model == "single"
+    after_all, alone = Session(_options(tiny_video, "single")), Session(_options(tiny_video, "single"))
+    for frame in FRAMES[:2]:
+        after_all.push(frame)
+    alone.push(FRAMES[0])
+    alone.push(FRAMES[0])
+    after_all.push(FRAMES[0])
+    np.testing.assert_array_equal(after_all.sglv.alpha, alone.sglv.alpha)
+    np.testing.assert_array_equal(after_all.sglv.lobes, alone.sglv.lobes)
+
+
+def test_the_video_engine_remembers_them(tiny_video):
+    session = Session(_options(tiny_video, "video"))
+    session.push(FRAMES[0])
+    first = session.sglv.alpha.copy()
+    session.push(FRAMES[3])
+    session.push(FRAMES[0])
+    assert abs(session.sglv.alpha - first).max() > 1e-4
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_first_frame_is_the_same_in_both_forms(tiny_video, form):
+    session, single = Session(_options(tiny_video, form)), Session(_options(tiny_video, "single"))
+    for each in (session, single):
+        each.track(PROBE)
+        each.push(FRAMES[0])
+    np.testing.assert_array_equal(session.light(0).panorama, single.light(0).panorama)
+
+
+def test_voxels_that_the_frame_shows_empty_are_cleared(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    session.push(FRAMES[0])
+    empty = initial_volume(GRID, FRAMES[0])[4] == -1
+    assert empty.any()
+    assert (session.sglv.alpha[empty] == 0).all()
+    assert (session.sglv.lobes[empty] == 0).all()
+
+
+@pytest.mark.parametrize("height", [16, 48, 120])
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_panoramas_of_other_heights_than_the_graphs(tiny_video, form, height):
+    session = Session(_options(tiny_video, form, height))
+    session.track(PROBE)
+    for frame in FRAMES[:3]:
+        session.push(frame)
+    light = session.light(0)
+    assert light.panorama.shape == (height, 2 * height, 3)
+    assert np.isfinite(light.panorama).all()
+    assert light.panorama.min() >= 0
+    assert 0 < light.observed.max() <= 1
+    mask = FrameMesh(FRAMES[0]).look_from(np.array(PROBE), height=height).mask
+    for frame in FRAMES[1:3]:
+        mask |= FrameMesh(frame).look_from(np.array(PROBE), height=height).mask
+    assert (light.observed[~mask] == 0).all()
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_streaming_again_gives_the_same_bits_and_shared_graphs_keep_sessions_apart(tiny_video, graphs, form):
+    options = _options(tiny_video, form)
+    alone = Session(options)
+    both = [Session(options), Session(options)]
+    for session in (alone, *both):
+        session.track(PROBE)
+    other = pan(ROOM, 4, start_degrees=90, width=80, height=60)
+    for frame, elsewhere in zip(FRAMES, other, strict=True):
+        alone.push(frame)
+        both[0].push(frame)
+        both[1].push(elsewhere)
+    np.testing.assert_array_equal(alone.light(0).panorama, both[0].light(0).panorama)
+    assert (alone.light(0).panorama != both[1].light(0).panorama).any()
+    assert graphs.form == "video"
+
+
+def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
+    first, second, alone = (
+        Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3)
+    )
+    for session in (first, second, alone):
+        session.track(PROBE)
+    turned = pan(ROOM, 3, start_degrees=90, width=80, height=60)
+    for frame, elsewhere in zip(FRAMES, turned, strict=False):
+        first.push(frame)
+        second.push(elsewhere)
+        alone.push(frame)
+    np.testing.assert_array_equal(first.light(0).panorama, alone.light(0).panorama)
+
+
+def test_a_late_probe_gets_light_from_the_keyframes(tiny_video):
+    session = Session(_options(tiny_video, "video"))
+    for frame in FRAMES:
+        session.push(frame)
+    light = session.light_at(PROBE)
+    early = FrameMesh(FRAMES[0]).look_from(np.array(PROBE), height=HEIGHT).mask
+    late = FrameMesh(FRAMES[-1]).look_from(np.array(PROBE), height=HEIGHT).mask
+    assert (light.observed[early & ~late] > 0).all()
+
+
+def test_state_stays_in_the_same_buffers(graphs):
+    backend = NetworkBackend(graphs)
+    backend.start(GRID)
+    given, alphas, lobes = set(), [], []
+    for frame in [*FRAMES, *FRAMES]:
+        given.add(backend.volume_buffer().ctypes.data)
+        initial_volume(GRID, frame, out=backend.volume_buffer())
+        sglv = backend.update()
+        alphas.append(sglv.alpha.ctypes.data)
+        lobes.append(sglv.lobes.ctypes.data)
+    assert len(given) == 1
+    # two buffers that take turns: each frame reads one and writes the other
+    assert len(set(alphas)) == len(set(lobes)) == 2
+    assert alphas[::2] == [alphas[0]] * 4
+    assert alphas[1::2] == [alphas[1]] * 4
+
+
+def test_the_volume_before_is_kept_while_the_next_is_written(graphs):
+    backend = NetworkBackend(graphs)
+    backend.start(GRID)
+    initial_volume(GRID, FRAMES[0], out=backend.volume_buffer())
+    first = backend.update()
+    kept = first.alpha.copy()
+    initial_volume(GRID, FRAMES[1], out=backend.volume_buffer())
+    second = backend.update()
+    np.testing.assert_array_equal(first.alpha, kept)
+    assert (second.alpha != kept).any()
+
+
+def test_graphs_for_another_volume_are_refused(graphs):
+    other = VolumeGrid.from_frame(ROOM.frame(camera_at((0, 1.5, 0)), width=80, height=60), shape=(16, 16, 16))
+    with pytest.raises(ModelError, match=r"\(16, 15, 21\).*\(16, 16, 16\)"):
+        NetworkBackend(graphs).start(other)
