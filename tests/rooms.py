@@ -30,9 +30,7 @@ class BoxRoom:
 
     def cast(self, origins, directions):
         """Radiance [..., 3] and distance [...] of rays with unit directions from inside the room."""
-        origins, directions = np.broadcast_arrays(
-            np.asarray(origins, np.float64), np.asarray(directions, np.float64)
-        )
+        origins, directions = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
         half = np.array([self.size_m[0] / 2, self.size_m[1] / 2, self.size_m[2] / 2])
         centre = np.array([0, self.size_m[1] / 2, 0])
         with np.errstate(divide="ignore", invalid="ignore"):
@@ -103,6 +101,4 @@ def turn_about_y(radians):
 
 def pan(room, count=12, *, start_degrees=0.0, step_degrees=10.0, position=(0.3, 1.4, 0.2), **options):
     """Frames of a camera that turns on the spot."""
-    return [
-        room.frame(camera_at(position, start_degrees + i * step_degrees), index=i, **options) for i in range(count)
-    ]
+    return [room.frame(camera_at(position, start_degrees + i * step_degrees), index=i, **options) for i in range(count)]

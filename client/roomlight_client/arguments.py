@@ -46,7 +46,8 @@ Model = Annotated[
     typer.Option(rich_help_panel=_MODEL, help="auto: the best trained weights there are, else classical."),
 ]
 Weights = Annotated[
-    Path | None, typer.Option(rich_help_panel=_MODEL, help="A model folder of `roomlight export` instead of the shipped one.")
+    Path | None,
+    typer.Option(rich_help_panel=_MODEL, help="A model folder of `roomlight export` instead of the shipped one."),
 ]
 AllowUntrained = Annotated[
     bool, typer.Option("--allow-untrained", rich_help_panel=_MODEL, help="Accept weights that were never trained.")
@@ -103,7 +104,13 @@ def capture_options(
 
 
 def session_options(
-    *, model: ModelName, weights: Path | None, provider: Provider, allow_untrained: bool, unknown_depth: UnknownDepth, height: int
+    *,
+    model: ModelName,
+    weights: Path | None,
+    provider: Provider,
+    allow_untrained: bool,
+    unknown_depth: UnknownDepth,
+    height: int,
 ) -> SessionOptions:
     """The engine's options from the command line."""
     if not 16 <= height <= 2048:

@@ -1,10 +1,12 @@
 """The `roomlight` command. Commands import what they need when they run: `--help` is quick, and PyTorch is loaded by
 `export` and the comparisons of `bench` alone."""
 
+from __future__ import annotations
+
 import json
 import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
@@ -12,6 +14,9 @@ from rich.console import Console
 from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight_client import arguments as given
+
+if TYPE_CHECKING:
+    from roomlight_client.replay import ReplayOptions
 
 app = typer.Typer(
     name="roomlight",
@@ -21,7 +26,9 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 bench_app = typer.Typer(help="Measure speed: every figure as a ratio within one run.", no_args_is_help=True)
+dataset_app = typer.Typer(help="Make captures to train and test on.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
+app.add_typer(dataset_app, name="dataset")
 
 _err = Console(stderr=True, highlight=False)
 _out = Console(highlight=False)
@@ -108,7 +115,7 @@ def demo(
     _replay_and_tell(path, out, demo_options())
     from roomlight_client.demo import score_line
 
-    _out.print(score_line(path, out))
+    _out.print(score_line(path, out), soft_wrap=True)
 
 
 @app.command(name="eval")
@@ -132,7 +139,7 @@ def evaluate(
     world_up: given.WorldUp = None,
     max_frames: given.MaxFrames = None,
 ) -> None:
-    """Score light against ground-truth probes: the paper's metrics by interval, beside mean colour and warp-and-fill."""
+    """Score light against ground-truth probes, by the paper's intervals, beside mean colour and warp-and-fill."""
     from roomlight_client.scoring import run_evaluation
 
     run_evaluation(
@@ -202,7 +209,7 @@ def bench_stages(
         write_whole(json_out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
 
 
-def _replay_and_tell(capture: Path, out: Path, options: "ReplayOptions") -> None:  # noqa: F821
+def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
     from roomlight_client.replay import replay as run
@@ -213,7 +220,16 @@ def _replay_and_tell(capture: Path, out: Path, options: "ReplayOptions") -> None
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()
         bars.update(task, description="replaying")
-        result = run(capture, out, options, progress=lambda done, total: bars.update(task, completed=done, total=total))
+
+        def show(done: int, total: int) -> None:
+            bars.update(task, completed=done, total=total)
+
+        try:
+            result = run(capture, out, options, progress=show)
+        except KeyboardInterrupt:
+            bars.stop()
+            _err.print("stopped; the same command continues where it was", soft_wrap=True)
+            raise typer.Exit(130) from None
     report = result.report
     stages = report["stage_ms_median"]
     _out.print(
@@ -223,12 +239,30 @@ def _replay_and_tell(capture: Path, out: Path, options: "ReplayOptions") -> None
     for probe in report["probes"]:
         x, y, z = probe["position"]
         note = "  [yellow](outside the lighting volume: distant light only)[/]" if probe.get("outside_volume") else ""
-        _out.print(f"  {probe['folder']} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {probe['coverage']:.0%} of the sphere seen{note}")
+        _out.print(
+            f"  {probe['folder']} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {probe['coverage']:.0%} of the sphere seen{note}"
+        )
     for skipped in report["skipped"][:5]:
         _err.print(f"[yellow]skipped[/] frame {skipped['index']}: {skipped['reason']}")
     if len(report["skipped"]) > 5:
         _err.print(f"[yellow]skipped[/] {len(report['skipped']) - 5} more; all are in {out / 'report.json'}")
-    _out.print(f"Look at {out / 'summary.png'} and {out / 'replay.mp4'}; the panoramas are {out / 'probe-00'}/*.exr")
+    _out.print(f"Look at {out / 'summary.png'} and {out / 'replay.mp4'}", soft_wrap=True)
+    _out.print(
+        f"The panoramas are {out}/probe-*/*.exr; times and coverage are in {out / 'report.json'}", soft_wrap=True
+    )
+
+
+@dataset_app.command("sample")
+def dataset_sample(
+    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist or be empty.")],
+    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 7,
+) -> None:
+    """Make the sample room's capture again: what the package ships is seed 7. Takes some minutes."""
+    from roomlight_model.sample_room import generate_sample
+
+    with _err.status("solving the room's light and rendering"):
+        generate_sample(out, seed=seed)
+    _out.print(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light", soft_wrap=True)
 
 
 def _missing_extra(error: ModuleNotFoundError, extra: str) -> RoomLightError:
@@ -238,12 +272,9 @@ def _missing_extra(error: ModuleNotFoundError, extra: str) -> RoomLightError:
 
 
 def main() -> None:
-    """Entry point: errors of RoomLight as one line, Ctrl-C without a traceback (exit code 130)."""
+    """Entry point: errors of RoomLight as one line on standard error, exit code 1."""
     try:
         app()
     except RoomLightError as error:
         _err.print(f"[red]error:[/] {error}", soft_wrap=True)
         sys.exit(1)
-    except KeyboardInterrupt:
-        _err.print("\nstopped; the same command continues where it was", soft_wrap=True)
-        sys.exit(130)

@@ -1,15 +1,15 @@
 """Replay of a recorded capture through a session: one HDR panorama a frame at each probe, pictures and a report.
 
-What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last of
-all, `report.json`: a folder without it is not whole. `replay.json` is written first and says what the folder is for,
-so that the same command continues an interrupted replay and another one refuses to mix with it.
+What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last
+of all, `report.json`: a folder without it is not whole. `replay.json` is written first and says what the folder is
+for, so that the same command continues an interrupted replay and another one refuses to mix with it.
 """
 
 import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -69,10 +69,13 @@ Progress = Callable[[int, int], None]
 
 
 def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress | None = None) -> ReplayResult:
-    """Replay a capture into a folder. Raises RoomLightError; on KeyboardInterrupt what is written stays, without a report."""
+    """Replay a capture into a folder. Raises RoomLightError.
+
+    An interruption leaves what is written, without a report; the next call with the same arguments continues.
+    """
     read = options.capture
     stride = 1 if options.interpolate else options.every
-    capture = open_capture(path, CaptureOptions(**{**vars(read), "every": read.every * stride}))
+    capture = open_capture(path, replace(read, every=read.every * stride))
     session = Session(options.session)
     positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
     intent = _intent(path, session.model, options)
@@ -267,4 +270,3 @@ def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:
         stage: round(float(np.median([report.stage_ms.get(stage, 0.0) for report in reports])), 2)
         for stage in sorted(stages)
     }
-

@@ -21,7 +21,6 @@ UNSEEN_DEPTH: Final = 4.0
 """In units of D_max; the volume's diagonal is 3.2 D_max."""
 
 
-
 def farthest_depth_m(depth_max_m: float) -> float:
     """Surfaces beyond this are taken to be here: a little nearer than "unseen", so that they too come in.
 

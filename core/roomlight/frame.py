@@ -70,9 +70,7 @@ class Frame:
         image, clipped = self.image, self.clipped
         if (new_width, new_height) != (width, height):
             image = cv2.resize(image, (new_width, new_height), interpolation=cv2.INTER_AREA)
-            share = cv2.resize(
-                clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA
-            )
+            share = cv2.resize(clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA)
             clipped = share >= 0.5
         depth = self.depth_m
         if depth.shape[0] > new_height or depth.shape[1] > new_width:

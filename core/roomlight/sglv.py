@@ -54,9 +54,7 @@ def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarr
     """The position as float64, or ProbeError if it is not three finite numbers within 1 km of the origin."""
     position = np.asarray(position_world, np.float64)
     if position.shape != (3,) or not np.isfinite(position).all() or np.abs(position).max() > 1000:
-        raise ProbeError(
-            f"probe position {position_world} must be three finite numbers in metres, within 1 km"
-        )
+        raise ProbeError(f"probe position {position_world} must be three finite numbers in metres, within 1 km")
     return position
 
 
@@ -156,9 +154,7 @@ def _trilinear(sglv: Sglv, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray
     result = np.zeros((len(points), 1 + LOBE_CHANNELS))
     for corner in range(8):
         bits = [(corner >> axis) & 1 for axis in range(3)]
-        weight = np.prod(
-            [fraction[:, a] if bit else 1 - fraction[:, a] for a, bit in enumerate(bits)], axis=0
-        )
+        weight = np.prod([fraction[:, a] if bit else 1 - fraction[:, a] for a, bit in enumerate(bits)], axis=0)
         i, j, k = (high[:, a] if bit else low[:, a] for a, bit in enumerate(bits))
         result[:, 0] += weight * sglv.alpha[k, j, i]
         result[:, 1:] += weight[:, None] * sglv.lobes[k, j, i]

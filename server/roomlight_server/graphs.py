@@ -49,9 +49,7 @@ class Graph:
         self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
         for key, shape in (self.inputs | self.outputs).items():
             if not all(isinstance(size, int) for size in shape):
-                raise ModelError(
-                    f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes"
-                )
+                raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
 
     def new_outputs(self) -> dict[str, Float[np.ndarray, "..."]]:
         """Zeroed buffers for every output."""
@@ -70,13 +68,10 @@ class Graph:
                 raise ModelError(f"graph {self.name} has {sorted(wanted)}, the engine gives {sorted(given)}")
             for name, array in given.items():
                 if array.size != int(np.prod(wanted[name])):
-                    raise ModelError(
-                        f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}"
-                    )
-                shaped = array.reshape(wanted[name])
-                if not np.shares_memory(shaped, array):
+                    raise ModelError(f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}")
+                if not array.flags.c_contiguous:
                     raise ModelError(f"graph {self.name}: the buffer for {name} is not contiguous")
-                bind(name, ort.OrtValue.ortvalue_from_numpy(shaped))
+                bind(name, ort.OrtValue.ortvalue_from_numpy(array.reshape(wanted[name])))
         return BoundGraph(self._session, binding, (*inputs.values(), *outputs.values()))
 
 
@@ -126,25 +121,16 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
         index = json.loads(index_path.read_text())
     except OSError as error:
         raise ModelError(
-            f"{index_path}: cannot be read ({error.strerror}); "
-            "a model directory comes from `roomlight export`"
+            f"{index_path}: cannot be read ({error.strerror}); a model directory comes from `roomlight export`"
         ) from error
     except ValueError as error:
         raise ModelError(f"{index_path}: is not JSON ({error})") from error
-    if (
-        not isinstance(index, dict)
-        or index.get("format") != FORMAT
-        or index.get("form") not in ("single", "video")
-    ):
-        raise ModelError(
-            f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video"
-        )
+    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
+        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
     form: Form = index["form"]
     card, entries = index.get("card") or {}, index.get("graphs") or {}
     if not isinstance(card, dict) or not isinstance(entries, dict):
-        raise ModelError(
-            f"{index_path}: its card or its list of graphs is damaged; export the checkpoint again"
-        )
+        raise ModelError(f"{index_path}: its card or its list of graphs is damaged; export the checkpoint again")
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
@@ -158,8 +144,6 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
         if not isinstance(entry, dict) or not file.is_file():
             raise ModelError(f"{file}: missing; export the checkpoint again")
         if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
-            raise ModelError(
-                f"{file}: is not the graph that {index_path.name} names (digest differs); export again"
-            )
+            raise ModelError(f"{file}: is not the graph that {index_path.name} names (digest differs); export again")
         graphs[name] = Graph(open_graph(file, resolved), name)
     return LightingGraphs(path, form, card, resolved, graphs)

@@ -64,9 +64,7 @@ class NetworkBackend:
                     [
                         encode,
                         g["video_sg_gru"].bind({**hidden[old], **fresh}, h_next),
-                        g["video_sg_decoder"].bind(
-                            {**hidden[new], **before, "volume": self._volume}, sglv[new]
-                        ),
+                        g["video_sg_decoder"].bind({**hidden[new], **before, "volume": self._volume}, sglv[new]),
                     ]
                 )
 
@@ -143,9 +141,7 @@ class _ProbeNetworks:
                     [
                         encode,
                         g["video_blend_gru"].bind({**hidden[old], **fresh}, h_next),
-                        g["video_blend_decoder"].bind(
-                            {**hidden[new], "mask": self._mask}, {"weight": self._weight}
-                        ),
+                        g["video_blend_decoder"].bind({**hidden[new], "mask": self._mask}, {"weight": self._weight}),
                     ]
                 )
 

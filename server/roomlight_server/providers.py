@@ -36,9 +36,7 @@ def resolve_provider(provider: Provider) -> Literal["cpu", "openvino"]:
     if provider == "openvino" and not available:
         installed = importlib.util.find_spec(_PLUGIN) is not None
         reason = (
-            "does not serve this processor"
-            if installed
-            else "is not installed (pip install 'roomlight[openvino]')"
+            "does not serve this processor" if installed else "is not installed (pip install 'roomlight[openvino]')"
         )
         raise ModelError(f"provider 'openvino': the plugin {_PLUGIN} {reason}; use --provider cpu")
     return "openvino" if available else "cpu"

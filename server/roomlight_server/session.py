@@ -111,9 +111,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
     if options.model == "classical":
         return None
     if options.weights is not None:
-        graphs = load_graphs(
-            options.weights, provider=options.provider, allow_untrained=options.allow_untrained
-        )
+        graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
         if options.model == "video" and graphs.form == "single":
             raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
         return replace(graphs, form="single") if options.model == "single" else graphs
@@ -131,9 +129,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
 class Session:
     """A stream's whole state: SGLV, hidden states, tracked probes, keyframes."""
 
-    def __init__(
-        self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None
-    ) -> None:
+    def __init__(self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None) -> None:
         """Begin empty, on loaded (shared) `graphs` or on what the options name. Raises ModelError."""
         self.options = options or SessionOptions()
         chosen = graphs or choose_graphs(self.options)

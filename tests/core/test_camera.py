@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from rooms import camera_at, pinhole, turn_about_y
 
 from roomlight.camera import Intrinsics, check_rigid, pose_from_quaternion, rigid_inverse, transform_points
+from rooms import camera_at, pinhole, turn_about_y
 
 CAMERA = Intrinsics(fx=200.0, fy=210.0, cx=81.5, cy=59.0, width=160, height=120)
 

@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at, pinhole
 
 from roomlight.depth import complete_depth
+from rooms import BoxRoom, camera_at, pinhole
 
 
 def _plane(width=160, height=120, normal=(0.3, 0.2, 1.0), distance=2.5):

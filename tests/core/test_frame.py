@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at
 
 from roomlight.errors import FrameError
+from rooms import BoxRoom, camera_at
 
 FRAME = BoxRoom().frame(camera_at((0.2, 1.5, 0.1), 15), index=7, depth_size=(80, 60))
 
@@ -32,7 +32,7 @@ def test_parts_that_do_not_fit_are_refused_by_frame(parts, message):
 
 
 def test_without_a_source_the_index_names_the_frame():
-    with pytest.raises(FrameError, match="^frame 7: "):
+    with pytest.raises(FrameError, match=r"^frame 7: "):
         _changed(source="", depth_m=FRAME.depth_m[:, :60])
 
 

@@ -59,7 +59,7 @@ def test_png_and_jpeg_are_rgb_not_bgr(tmp_path):
         assert image[..., 1:].max() < 0.01
 
 
-def test_jpeg_is_near(tmp_path):
+def test_jpeg_is_near():
     smooth = cv2.resize(SRGB[:3, :4], (64, 48), interpolation=cv2.INTER_CUBIC)
     image, _ = decode_colour(_encoded("jpg", smooth), "smooth.jpg")
     exact, _ = decode_colour(_encoded("png", smooth), "smooth.png")
@@ -154,7 +154,7 @@ def test_a_panorama_is_twice_as_wide_as_high(tmp_path):
 def test_missing_and_empty_files_are_named(tmp_path):
     (tmp_path / "empty.png").touch()
     for name in ("empty.png", "gone.png", "."):
-        with pytest.raises(ImageError, match="empty|cannot be read") as caught:
+        with pytest.raises(ImageError, match=r"empty|cannot be read") as caught:
             read_bytes(tmp_path / name)
         assert str(tmp_path) in str(caught.value)
 

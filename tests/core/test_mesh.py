@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import BoxRoom, camera_at, turn_about_y
 
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, _vertex_grid, grid_faces
+from rooms import BoxRoom, camera_at, turn_about_y
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
 POSE = camera_at((0.3, 1.5, 1.2), 8, -6)

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import camera_at, turn_about_y
 
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ProbeError
 from roomlight.sglv import Sglv, check_position, render_panorama, render_rays, render_rays_reference
 from roomlight.volume import VolumeGrid
+from rooms import camera_at, turn_about_y
 
 SHAPE = (16, 15, 21)
 GRID = VolumeGrid(camera_at((0.4, 1.5, -0.3), 35, 10), 3.0, SHAPE)
@@ -213,9 +213,7 @@ def test_a_panorama_is_its_rays():
     assert (left.reshape(-1) == left_of_rays).all()
 
 
-@pytest.mark.parametrize(
-    "position", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, -1001.0), (1e300, 0.0, 0.0)]
-)
+@pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, -1001.0), (1e300, 0.0, 0.0)])
 def test_a_position_that_is_none_is_refused(position):
     with pytest.raises(ProbeError, match="three finite numbers"):
         check_position(position)

@@ -37,7 +37,7 @@ def test_after_an_error_nothing_writes_any_more(monkeypatch):
     monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
     begun, ended, failed = [], [], threading.Event()
 
-    def work(start, stop):
+    def work(start, _):
         begun.append(start)
         if start == 0:
             failed.set()

@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from rooms import BoxRoom, camera_at, pinhole
 
 from roomlight.camera import rigid_inverse
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.volume import VOLUME_SHAPE, VolumeGrid, initial_volume, initial_volume_reference
+from rooms import BoxRoom, camera_at, pinhole
 
 ROOM = BoxRoom()
 SMALL = (16, 15, 21)  # a quarter of the paper's shape

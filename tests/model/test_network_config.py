@@ -1,6 +1,8 @@
 """The networks' configuration: JSON round trip, and every way it can be refused."""
 
 import json
+import subprocess
+import sys
 
 import pytest
 
@@ -55,3 +57,8 @@ def test_missing_fields_take_defaults():
 def test_refuses(values, named):
     with pytest.raises(ModelError, match=named):
         ModelConfig.from_dict(values)
+
+
+def test_configuration_needs_no_pytorch():
+    code = "import sys, roomlight_model, roomlight_model.config; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

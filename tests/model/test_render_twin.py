@@ -8,6 +8,8 @@ from roomlight.sglv import Sglv
 from roomlight.sglv import render_rays as serve_rays
 from roomlight.sglv import render_rays_reference as reference_rays
 from roomlight.volume import VolumeGrid
+from roomlight_model.config import ModelConfig, SGConfig
+from roomlight_model.networks import SingleModel
 from roomlight_model.render import render_rays
 
 LOWER, VOXEL = torch.tensor([-1.0, -0.6, -1.2]), torch.tensor([0.25, 0.24, 0.26])
@@ -133,3 +135,24 @@ def test_default_step_is_the_mean_edge():
     radiance, _ = render(alpha, lobes, directions)
     assert torch.equal(radiance, render(alpha, lobes, directions, step_m=float(VOXEL.mean()))[0])
     assert not torch.equal(radiance, render(alpha, lobes, directions, step_m=0.1)[0])
+
+
+def test_a_network_learns_through_the_renderer():
+    """One room, one probe, bright above and dark below: 20 steps of Adam through both must more than halve the loss."""
+    torch.manual_seed(0)
+    model = SingleModel(ModelConfig(SGConfig(channels=8, full_channels=4)))
+    volume = torch.rand(1, 5, 8, 8, 8)
+    volume[:, 4] = 0
+    directions = random_directions(200, seed=9)
+    target = torch.log1p(2 + 2 * directions[:, 1:2]).expand(-1, 3)
+    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
+    losses = []
+    for _ in range(20):
+        predicted = model(volume)
+        radiance, _ = render(predicted.alpha[0], predicted.lobes[0], directions, samples=20, step_m=0.15)
+        loss = (torch.log1p(radiance) - target).square().mean()
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        losses.append(loss.item())
+    assert losses[-1] < 0.5 * losses[0]

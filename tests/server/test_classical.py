@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at
 
 from roomlight.blend import PanoramaState, accumulate
 from roomlight.mesh import FrameMesh
 from roomlight.sglv import render_panorama
 from roomlight.volume import VolumeGrid, initial_volume
 from roomlight_server.classical import ClassicalBackend
+from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom()
 FRAME = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
@@ -32,9 +32,7 @@ def test_one_frame_is_its_own_volume():
     volume = initial_volume(GRID, FRAME, out=backend.volume_buffer()).copy()
     sglv = backend.update()
     np.testing.assert_allclose(sglv.alpha, volume[3], atol=1e-6)
-    np.testing.assert_allclose(
-        np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5
-    )
+    np.testing.assert_allclose(np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5)
     assert (sglv.lobes[..., 3:] == 0).all()
 
 

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at, pan
 
 from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid
 from roomlight_server.keyframes import WORTH_KEEPING, KeyframeStore
+from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom()
 SIZE = {"width": 80, "height": 60}

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import torch
-from rooms import BoxRoom, camera_at, pan
 
 from roomlight.blend import CLOSER_M
 from roomlight.errors import ModelError
@@ -15,6 +14,7 @@ from roomlight_model.networks import Observation
 from roomlight_server.graphs import load_graphs
 from roomlight_server.networks import NetworkBackend
 from roomlight_server.session import Session, SessionOptions
+from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
 FRAMES = pan(ROOM, 4, step_degrees=12, width=80, height=60)
@@ -30,9 +30,7 @@ def graphs(tiny_video):
 
 
 def _options(tiny_video, form, height=HEIGHT):
-    return SessionOptions(
-        model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height
-    )
+    return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height)
 
 
 def _observation(sglv, frame):
@@ -158,9 +156,7 @@ def test_streaming_again_gives_the_same_bits_and_shared_graphs_keep_sessions_apa
 
 
 def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
-    first, second, alone = (
-        Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3)
-    )
+    first, second, alone = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3))
     for session in (first, second, alone):
         session.track(PROBE)
     turned = pan(ROOM, 3, start_degrees=90, width=80, height=60)

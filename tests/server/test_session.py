@@ -4,13 +4,13 @@ import dataclasses
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at, pan, turn_about_y
 
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.errors import FrameError, ModelError, ProbeError
 from roomlight_server import session as session_module
 from roomlight_server.session import Session, SessionOptions, choose_graphs
+from rooms import BoxRoom, camera_at, pan, turn_about_y
 
 BLOCK = ((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0))
 LAMP = ((0.3, 1.6, -2.5), 0.35)

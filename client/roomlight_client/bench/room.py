@@ -1,4 +1,4 @@
-"""A furnished room to measure in: boxes within a box, ray cast in NumPy. Made to have a room's geometry, not its beauty.
+"""A furnished room to measure in: boxes within a box, ray cast in NumPy; a room's geometry, not its beauty.
 
 World frame: metres, y up; the first camera stands at the origin and looks along -z and a little down.
 """
@@ -80,7 +80,7 @@ def _view(index: int, yaw: float, lens: Intrinsics) -> Frame:
     rays = lens.rays().astype(np.float64) @ pose[:3, :3].T  # z-depth 1 in the camera, so that t is z-depth
     depth, box = _cast(pose[:3, 3], rays)
     image = _colour(pose[:3, 3] + depth[..., None] * rays, box)
-    clipped = (image >= 1).all(axis=-1)
+    clipped = image.min(axis=-1) >= 1
     return Frame(
         index,
         np.minimum(image, 1).astype(np.float32),
