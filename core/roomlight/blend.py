@@ -13,7 +13,6 @@ from jaxtyping import Float
 
 from roomlight.conventions import panorama_solid_angles
 from roomlight.kernels.blend import accumulate_rows
-from roomlight.threads import shard
 
 CLOSER_M: Final = 0.25
 """A newly seen surface replaces what was seen before only if it is this much closer (the paper's value)."""
@@ -67,17 +66,9 @@ def accumulate(
     L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
     D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame saw nothing.
     """
-    arguments = (
-        state.radiance,
-        state.depth_m,
-        state.seen,
-        hdr,
-        detail,
-        detail_depth_m,
-        weight,
-        np.float32(CLOSER_M),
-    )
-    shard(lambda start, stop: accumulate_rows(*arguments, start, stop), state.seen.shape[0])
+    # Not sharded: 0.06 ms on one thread for 120 x 240, 0.15 ms when handed to a pool.
+    closer_m, rows = np.float32(CLOSER_M), state.seen.shape[0]
+    accumulate_rows(state.radiance, state.depth_m, state.seen, hdr, detail, detail_depth_m, weight, closer_m, 0, rows)
 
 
 def accumulate_reference(

@@ -119,7 +119,7 @@ def format_widths(rows: Sequence[WidthRow]) -> str:
         return f"{cost.gmac:.2f} | " + " / ".join("-" if math.isnan(ms) else f"{ms:.3g}" for ms in times)
 
     lines = [
-        "| widths | M parameters (single + video) | GMAC | single-view SG ms | GMAC | video SG ms "
+        "| widths | M parameters (3D + video 2D) | GMAC | single-view SG ms | GMAC | video SG ms "
         "| GMAC | of it GRUs ms | GMAC | video blend ms |",
         "| --- |" + " ---: |" * 9,
     ]

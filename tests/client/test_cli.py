@@ -69,8 +69,8 @@ def test_a_model_without_trained_weights_is_refused_by_name(model, tmp_path):
     from roomlight_server.graphs import SHIPPED
 
     if (SHIPPED / model / "model.json").is_file():  # the weights came: then it must simply work
-        arguments = ("--max-frames", "1")
-        assert run("replay", str(sample_capture()), "--out", "o", "--model", model, *arguments, cwd=tmp_path).returncode == 0
+        arguments = ("replay", str(sample_capture()), "--out", "o", "--model", model, "--max-frames", "1")
+        assert run(*arguments, cwd=tmp_path).returncode == 0
         return
     result = run("replay", str(sample_capture()), "--out", "out", "--model", model, cwd=tmp_path)
     assert result.returncode == 1

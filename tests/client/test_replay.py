@@ -6,7 +6,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, pan
 
 from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
 from roomlight.conventions import linear_to_srgb8
@@ -14,6 +13,7 @@ from roomlight.errors import CaptureError, OutputError, ProbeError
 from roomlight.images import read_panorama
 from roomlight_client.replay import ReplayOptions, replay
 from roomlight_server.session import Session, SessionOptions
+from rooms import BoxRoom, pan
 
 FRAMES = 6
 PROBES = [(0.4, 1.2, -0.3), (-0.8, 1.0, 0.6)]
@@ -105,7 +105,7 @@ def test_an_interrupted_replay_leaves_no_report_and_continues(capture, tmp_path)
     out = tmp_path / "out"
     options = ReplayOptions(session=SMALL, probes=(PROBES[0],))
 
-    def stop(done: int, total: int) -> None:
+    def stop(done: int, _: int) -> None:
         if done == 3:
             raise _InterruptError
 

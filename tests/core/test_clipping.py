@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from rooms import BoxRoom, camera_at
 
 from roomlight.clipping import BRIGHT_GAIN, GLARE_GAIN, WINDOW_GAIN, restore_clipped
 from roomlight.depth import complete_depth
+from rooms import BoxRoom, camera_at
 
 
 @pytest.fixture

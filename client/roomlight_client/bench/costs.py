@@ -19,9 +19,9 @@ from roomlight_client.bench.roofline import Cost
 from roomlight_model.config import BlendConfig, SGConfig
 
 Size = tuple[int, ...]
-_FLOAT: Final = 4
+_FLOAT: Final = 4.0
 
-_PROJECT: Final = 26
+_PROJECT: Final = 26.0
 """A voxel's camera coordinates (3 x 6), division and lens (8)."""
 _DEPTH_LOOKUP: Final = 21
 """Bilinear weights (8), sum and share (13)."""
@@ -31,11 +31,11 @@ _SAMPLE: Final = 6 + 15 + 16 + 3
 """Position (6), eight trilinear weights (15), alpha (16), transmittance (3)."""
 _LOBES: Final = LOBE_CHANNELS * (2 * 8 + 2)
 """Ten channels, eight corners, and their weight."""
-_RAY: Final = 30
+_RAY: Final = 30.0
 """Box entry and exit (18), and equation 2 (12)."""
-_BOX_TEST: Final = 18
+_BOX_TEST: Final = 18.0
 _TRIANGLE_TEST: Final = 40
-_BLEND_PIXEL: Final = 3 * 7 + 5
+_BLEND_PIXEL: Final = 3 * 7 + 5.0
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Layer:
 
 def network_cost(layers: Iterable[Layer]) -> Cost:
     """All layers, one after the other."""
-    return sum((layer.cost() for layer in layers), Cost(0, 0))
+    return sum((layer.cost() for layer in layers), Cost(0.0, 0.0))
 
 
 def sg_layers(config: SGConfig, *, recurrent: bool) -> list[Layer]:

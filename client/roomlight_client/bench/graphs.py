@@ -6,6 +6,7 @@ the weights are.
 
 import importlib.util
 import json
+import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,8 +21,8 @@ from roomlight_client.bench.roofline import Cost
 from roomlight_client.bench.stage import Stage
 from roomlight_client.bench.timing import Way
 from roomlight_model.config import ModelConfig
-from roomlight_server.graphs import LightingGraphs, load_graphs
-from roomlight_server.providers import openvino_device
+from roomlight_server.graphs import Graph, LightingGraphs, load_graphs
+from roomlight_server.providers import open_graph, openvino_device
 
 Progress = Callable[[str], None]
 RuntimeName = Literal["cpu", "openvino"]
@@ -47,22 +48,33 @@ def export_possible() -> bool:
     return all(importlib.util.find_spec(name) is not None for name in ("torch", "onnx", "onnxscript"))
 
 
-def export_untrained(folder: Path, config: ModelConfig, *, progress: Progress) -> Path:
-    """A verified video model folder with fresh weights, below `folder`."""
-    from roomlight_export.exporting import export_checkpoint
-    from roomlight_model.checkpoint import save_untrained
+def untrained_networks(config: ModelConfig, *, progress: Progress) -> Networks:
+    """A video model of fresh weights: exported, loaded, and its files gone again."""
+    from roomlight_export.graphs import graphs_of
+    from roomlight_export.onnx_file import half_rounded, to_onnx
+    from roomlight_model.networks import SingleModel, VideoModel
 
-    checkpoint, out = folder / "untrained.pt", folder / "model"
-    save_untrained(checkpoint, "video", config)
-    export_checkpoint(checkpoint, out, ort=False, progress=progress)
-    return out
+    model = half_rounded(VideoModel(config).eval(), "untrained")
+    assert isinstance(model, SingleModel | VideoModel)
+    opened: dict[RuntimeName, dict[str, Graph]] = {runtime: {} for runtime in _runtimes()}
+    with tempfile.TemporaryDirectory() as folder:
+        for graph in graphs_of(model):
+            progress(f"exporting {graph.name}")
+            path = Path(folder) / f"{graph.name}.onnx"
+            path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
+            for runtime, graphs in opened.items():
+                graphs[graph.name] = Graph(open_graph(path, runtime), graph.name)
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs) for runtime, graphs in opened.items()
+    }
+    return Networks(config, loaded, trained=False)
 
 
 def load_networks(model: Path) -> Networks:
     """Load a model folder in every runtime that serves here. Raises ModelError."""
-    loaded: dict[RuntimeName, LightingGraphs] = {"cpu": load_graphs(model, provider="cpu", allow_untrained=True)}
-    if openvino_device() is not None:
-        loaded["openvino"] = load_graphs(model, provider="openvino", allow_untrained=True)
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: load_graphs(model, provider=runtime, allow_untrained=True) for runtime in _runtimes()
+    }
     described = json.loads((model / "model.json").read_text())
     return Networks(
         ModelConfig.from_dict(described.get("config", {})), loaded, trained=bool(loaded["cpu"].card.get("steps"))
@@ -106,6 +118,10 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
             title = f"{name}, {_RUNTIME_TITLES[runtime]}"
             stages.append(Stage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
     return stages
+
+
+def _runtimes() -> tuple[RuntimeName, ...]:
+    return ("cpu", "openvino") if openvino_device() is not None else ("cpu",)
 
 
 def _inputs(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:

@@ -92,13 +92,22 @@ def panorama_by_grid_sample(
     grid = sglv.grid
     rotation = grid.world_to_volume[:3, :3]
     alpha, lobes = _tensor(sglv.alpha), _tensor(sglv.lobes)
-    frame = {"lower_m": _tensor(grid.lower_m), "voxel_m": _tensor(grid.voxel_m)}
+    lower_m, voxel_m = _tensor(grid.lower_m), _tensor(grid.voxel_m)
     origin = _tensor(rotation @ np.asarray(position_world) + grid.world_to_volume[:3, 3])
     directions = _tensor(directions_world @ rotation.T)
 
     @torch.inference_mode()
     def run() -> Float[np.ndarray, "n 3"]:
-        radiance, _ = render_rays(alpha, lobes, **frame, origin=origin, directions=directions, samples=samples, far=far)
+        radiance, _ = render_rays(
+            alpha,
+            lobes,
+            lower_m=lower_m,
+            voxel_m=voxel_m,
+            origin=origin,
+            directions=directions,
+            samples=samples,
+            far=far,
+        )
         return radiance.numpy()
 
     return run

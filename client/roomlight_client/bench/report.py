@@ -111,7 +111,7 @@ class StagesReport:
 
     def _stages_table(self) -> Table:
         table = Table(
-            title=f"Stages of one frame and one probe: ms, least / median of {self.repeats}",
+            title=f"Stages of one frame and one probe in ms: ours least / median of {self.repeats}, others least",
             title_justify="left",
             caption=(
                 f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
@@ -124,7 +124,7 @@ class StagesReport:
         table.add_column("stage")
         table.add_column("ours", justify="right", no_wrap=True)
         table.add_column("NumPy", justify="right", no_wrap=True)
-        table.add_column("PyTorch", justify="right", no_wrap=True)
+        table.add_column("PyTorch", justify="right", max_width=9)
         for heading in ("max diff", "MFLOP", "MB", "roof", "ours/roof", "paper"):
             table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
@@ -132,9 +132,9 @@ class StagesReport:
             largest = max(row.differences.values(), default=None)
             table.add_row(
                 f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
-                _times(row.ours),
-                _times(row.reference) + _faster(row.ratio(row.reference)),
-                (_times(row.torch) + _faster(row.ratio(row.torch))) if row.torch else absent,
+                f"{_short(row.ours.least_ms)} / {_short(row.ours.median_ms)}",
+                _other(row, row.reference),
+                _other(row, row.torch) if row.torch else absent,
                 "" if largest is None else f"{largest:.1e}",
                 _short(row.flops / 1e6),
                 _short(row.bytes / 1e6),
@@ -186,12 +186,9 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
     return tuple(found)
 
 
-def _times(timing: Timing | None) -> str:
-    return "" if timing is None else f"{_short(timing.least_ms)} / {_short(timing.median_ms)}"
-
-
-def _faster(ratio: float | None) -> str:
-    return "" if ratio is None else f"\n[bold]{_short(ratio)} x[/bold]"
+def _other(row: StageRow, timing: Timing | None) -> str:
+    ratio = row.ratio(timing)
+    return "" if timing is None or ratio is None else f"{_short(timing.least_ms)}\n[bold]{_short(ratio)} x[/bold]"
 
 
 def _short(value: float) -> str:

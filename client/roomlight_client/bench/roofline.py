@@ -2,7 +2,7 @@
 than its compulsory memory traffic at the speed of a copy. Both ceilings are measured in the run that uses them.
 """
 
-import time
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,7 +13,6 @@ from roomlight.threads import shard
 _MATRIX: Final = 2048
 _COPY_FLOATS: Final = 32 * 2**20
 """128 MiB each way: beyond any cache of today."""
-_ATTEMPTS: Final = 5
 
 
 @dataclass(frozen=True)
@@ -44,21 +43,35 @@ class Cost:
         return 1e3 * max(self.flops / ceilings.flops_per_s, self.bytes / ceilings.bytes_per_s)
 
 
-def measure_ceilings(*, matrix: int = _MATRIX, floats: int = _COPY_FLOATS) -> Ceilings:
-    """Best of a few: NumPy's float32 matrix product on the threads its BLAS takes, and a copy on our threads."""
-    a = np.ones((matrix, matrix), np.float32)
-    product = np.empty_like(a)
-    source, target = np.ones(floats, np.float32), np.zeros(floats, np.float32)
+@dataclass(frozen=True)
+class CeilingRuns:
+    """What the ceilings are measured by; timed in turn with the stages, so that a busy machine lowers both."""
 
-    def copy(start: int, stop: int) -> None:
-        target[start:stop] = source[start:stop]
+    matmul: Callable[[], object]
+    copy: Callable[[], object]
+    flops: float
+    bytes: float
 
-    matmul_s, copy_s = float("inf"), float("inf")
-    for _ in range(_ATTEMPTS):
-        began = time.perf_counter()
-        np.matmul(a, a, out=product)
-        between = time.perf_counter()
-        shard(copy, floats, pieces_per_thread=1)
-        matmul_s = min(matmul_s, between - began)
-        copy_s = min(copy_s, time.perf_counter() - between)
-    return Ceilings(2 * matrix**3 / matmul_s, 2 * source.nbytes / copy_s)
+    @classmethod
+    def of(cls, *, matrix: int = _MATRIX, floats: int = _COPY_FLOATS) -> "CeilingRuns":
+        """NumPy's float32 matrix product on the threads its BLAS takes, and a copy on our threads; both run once."""
+        factor = np.ones((matrix, matrix), np.float32)
+        product = np.empty_like(factor)
+        source, target = np.ones(floats, np.float32), np.zeros(floats, np.float32)
+
+        def piece(start: int, stop: int) -> None:
+            target[start:stop] = source[start:stop]
+
+        def multiply() -> None:
+            np.matmul(factor, factor, out=product)
+
+        def copy() -> None:
+            shard(piece, floats, pieces_per_thread=1)
+
+        multiply()
+        copy()
+        return cls(multiply, copy, 2.0 * matrix**3, 2.0 * source.nbytes)
+
+    def ceilings(self, matmul_ms: float, copy_ms: float) -> Ceilings:
+        """The ceilings, from the least times of the two."""
+        return Ceilings(1e3 * self.flops / matmul_ms, 1e3 * self.bytes / copy_ms)

@@ -1,6 +1,5 @@
 """Every stage of a session in one run: ours, the readable reference, the plain PyTorch way, and the roofline."""
 
-import tempfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,9 +16,9 @@ from roomlight.mesh import FrameMesh
 from roomlight.sglv import Far, Sglv, render_rays, render_rays_reference
 from roomlight.volume import VolumeGrid, initial_volume, initial_volume_reference
 from roomlight_client.bench import costs, plain_torch
-from roomlight_client.bench.graphs import Networks, export_possible, export_untrained, load_networks, network_stages
+from roomlight_client.bench.graphs import Networks, export_possible, load_networks, network_stages, untrained_networks
 from roomlight_client.bench.report import StageRow, StagesReport
-from roomlight_client.bench.roofline import Cost, measure_ceilings
+from roomlight_client.bench.roofline import CeilingRuns, Cost
 from roomlight_client.bench.room import PROBE, RoomSize, network_like, views
 from roomlight_client.bench.stage import Stage, differences, largest_difference
 from roomlight_client.bench.timing import Timing, Way, time_in_turn
@@ -42,7 +41,7 @@ def run_stages(
     size: RoomSize | None = None,
     config: ModelConfig | None = None,
 ) -> StagesReport:
-    """Measure everything; about three minutes by default, half of it exporting the networks.
+    """Measure everything; two to three minutes by default.
 
     `model` is a folder of `roomlight export`; without one, untrained networks of `config` are exported for the run,
     or left out where the packages for that are not installed. Raises ModelError for a folder that is no model.
@@ -69,10 +68,11 @@ def run_stages(
     stages += _mesh_stages(frames[0], size)
     stages.append(_accumulate_stage(frames[0], grid, size))
     stages += _catch_up_stages(frames, size, networks, stages)
-    say("measuring this machine's ceilings")
-    ceilings = measure_ceilings()
+    ceiling = CeilingRuns.of()
     ways = [(index, kind, way) for index, stage in enumerate(stages) for kind, way in _ways(stage)]
-    timings = time_in_turn([way for _, _, way in ways], repeats, progress=say)
+    everything = [Way(ceiling.matmul), Way(ceiling.copy), *(way for _, _, way in ways)]
+    matmul, copy, *timings = time_in_turn(everything, repeats, progress=say)
+    ceilings = ceiling.ceilings(matmul.least_ms, copy.least_ms)
     timed: dict[tuple[int, str], Timing] = {
         (index, kind): timing for (index, kind, _), timing in zip(ways, timings, strict=True)
     }
@@ -100,10 +100,7 @@ def run_stages(
 def _networks(model: Path | None, config: ModelConfig, say: Progress) -> Networks | None:
     if model is not None:
         return load_networks(model)
-    if not export_possible():
-        return None
-    with tempfile.TemporaryDirectory() as folder:  # the graphs are in memory once they are loaded
-        return load_networks(export_untrained(Path(folder), config, progress=say))
+    return untrained_networks(config, progress=say) if export_possible() else None
 
 
 def _ways(stage: Stage) -> list[tuple[str, Way]]:
@@ -163,7 +160,7 @@ def _march_stage(name: str, sglv: Sglv, size: RoomSize, *, far: Far, paper_ms: f
     found = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
     inside = _samples_inside(sglv.grid, directions, size.samples)
     cost = costs.march_cost(sglv, result[0], inside, boundary=far == "boundary")
-    note = f"{len(directions)} rays, up to {size.samples} samples, {inside.mean():.0f} of them inside"
+    note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
     return Stage(name, Way(ours), cost, Way(reference, most_runs=SLOW_RUNS), torch, paper_ms, note, found)
 
 
@@ -199,7 +196,7 @@ def _mesh_stages(frame: Frame, size: RoomSize) -> list[Stage]:
         Way(lambda: mesh.look_from(position, height=height)),
         costs.panorama_cost(rays, faces, int(seen.mask.sum()), frame.clipped.size),
         reference=Way(trace, times=rays / len(chosen), most_runs=SLOW_RUNS),
-        note=f"{rays} rays, {faces} triangles; reference: every triangle, {len(chosen)} rays, scaled up",
+        note=f"{rays} rays, {faces} triangles",
         differences=agreement,
     )
     built = Stage("mesh building", Way(build), costs.mesh_cost(len(mesh.vertices), faces), note="once a frame")
@@ -269,10 +266,10 @@ def _catch_up_stages(
 ) -> list[Stage]:
     """A point first asked about late: rendered once, then every keyframe looked at, blended and accumulated."""
     options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
-    sessions = [("classical", Session(options), Cost(0, 0))]
+    sessions = [("classical", Session(options), Cost(0.0, 0.0))]
     if networks:
         runtime = "openvino" if "openvino" in networks.loaded else "cpu"
-        each = sum((stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0, 0))
+        each = sum((stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0))
         session = Session(options, graphs=networks.loaded[runtime])
         sessions.append((f"{networks.form} networks", session, each * (1 / len(networks.loaded))))
     cost = {stage.name: stage.cost for stage in stages}

@@ -19,9 +19,9 @@ from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
-OPAQUE = np.float32(1e-3)
-"""A ray stops when less than this of it is left: below 8-bit visibility, and the residue is handed to the
-last sample."""
+OPAQUE = np.float32(1e-4)
+"""A ray stops when less than this of it is left, and what is left is dropped. In a room with a window of twice white
+the reference differs by 1.2e-3 at a threshold of 1e-3 and by 1.2e-4 at this one, which costs 4 % more time."""
 BLOCK = 32
 """Samples placed at once: most rays of a panorama from within a room (38 samples on the mean) take one or two."""
 
