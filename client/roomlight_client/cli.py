@@ -209,6 +209,20 @@ def bench_stages(
         write_whole(json_out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
 
 
+@bench_app.command("widths")
+def bench_widths(
+    rounds: Annotated[int, typer.Option(min=1, help="Interleaved rounds over all widths.")] = 15,
+) -> None:
+    """What each width of the networks costs: parameters, GMAC, milliseconds (needs the `train` extra; minutes)."""
+    try:
+        from roomlight_export.widths import format_widths, measure_widths
+    except ModuleNotFoundError as error:
+        raise _missing_extra(error, "train") from error
+    with _err.status("measuring") as status:
+        rows = measure_widths(rounds=rounds, progress=status.update)
+    _out.print(format_widths(rows), soft_wrap=True)
+
+
 def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

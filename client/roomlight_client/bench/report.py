@@ -124,23 +124,23 @@ class StagesReport:
         table.add_column("stage")
         table.add_column("ours", justify="right", no_wrap=True)
         table.add_column("NumPy", justify="right", no_wrap=True)
-        table.add_column("PyTorch", justify="right", max_width=9)
+        table.add_column("PyTorch", justify="right", no_wrap=True)
         for heading in ("max diff", "MFLOP", "MB", "roof", "ours/roof", "paper"):
             table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
-            absent = "" if self.torch else "torch not installed"
+            absent = "-" if self.torch else "torch not installed"
             largest = max(row.differences.values(), default=None)
             table.add_row(
                 f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
                 f"{_short(row.ours.least_ms)} / {_short(row.ours.median_ms)}",
                 _other(row, row.reference),
                 _other(row, row.torch) if row.torch else absent,
-                "" if largest is None else f"{largest:.1e}",
+                "-" if largest is None else f"{largest:.1e}",
                 _short(row.flops / 1e6),
                 _short(row.bytes / 1e6),
                 _short(row.roof_ms),
                 _short(row.ours.least_ms / row.roof_ms),
-                "" if row.paper_ms is None else f"{row.paper_ms:g}",
+                "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
         return table
 
@@ -188,7 +188,7 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
 
 def _other(row: StageRow, timing: Timing | None) -> str:
     ratio = row.ratio(timing)
-    return "" if timing is None or ratio is None else f"{_short(timing.least_ms)}\n[bold]{_short(ratio)} x[/bold]"
+    return "-" if timing is None or ratio is None else f"{_short(timing.least_ms)}\n[bold]{_short(ratio)} x[/bold]"
 
 
 def _short(value: float) -> str:

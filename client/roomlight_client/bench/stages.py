@@ -279,7 +279,7 @@ def _catch_up_stages(
             session.push(frame)
         volume = "classical" if name == "classical" else "network-like"
         per_keyframe = cost["partial-mesh panorama"] + cost["accumulation"] + blending
-        total = cost[f"ray tracing, {volume} volume"] + per_keyframe * session.keyframes
+        total = cost[f"ray tracing, {volume} volume"] + per_keyframe * float(session.keyframes)
 
         def run(session: Session = session) -> object:
             return session.light_at(PROBE)
