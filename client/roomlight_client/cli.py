@@ -124,6 +124,9 @@ def evaluate(
     predictions: Annotated[
         Path | None, typer.Option(help="Score the panoramas that `roomlight replay` wrote here instead of the engine.")
     ] = None,
+    late: Annotated[
+        bool, typer.Option("--late", help="Also score probes first asked about at each frame, from keyframes alone.")
+    ] = False,
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write the scores as JSON.")] = None,
     model: given.Model = "auto",
     weights: given.Weights = None,
@@ -145,6 +148,7 @@ def evaluate(
     run_evaluation(
         captures,
         predictions=predictions,
+        late=late,
         json_out=json_out,
         console=_out,
         session=given.session_options(

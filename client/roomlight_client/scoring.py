@@ -20,13 +20,17 @@ from roomlight_server.session import Position, Session, SessionOptions, choose_g
 
 
 class EngineEstimator:
-    """A session as an estimator: positions are tracked from the first time they are asked for."""
+    """A session as an estimator: positions are tracked from the first time they are asked for, unless `late`."""
 
-    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None) -> None:
-        """A fresh session; `graphs` as `choose_graphs` gave them for these options."""
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None, *, late: bool = False) -> None:
+        """A fresh session; `graphs` as `choose_graphs` gave them for these options.
+
+        `late`: every question is a position's first, answered from the keyframes alone.
+        """
         self._session = Session(options, graphs=graphs)
+        self._late = late
         self._handles: dict[Position, int] = {}
-        self.name = f"roomlight {self._session.model}"
+        self.name = f"roomlight {self._session.model}" + (", asked late" if late else "")
 
     def push(self, frame: Frame) -> None:
         """Take the next frame."""
@@ -34,6 +38,8 @@ class EngineEstimator:
 
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
         """The light after the frames so far."""
+        if self._late:
+            return self._session.light_at(position).panorama
         if position not in self._handles:
             self._handles[position] = self._session.track(position)
         return self._session.light(self._handles[position]).panorama
@@ -43,6 +49,7 @@ def run_evaluation(
     captures: Sequence[Path],
     *,
     predictions: Path | None,
+    late: bool,
     json_out: Path | None,
     console: Console,
     session: SessionOptions,
@@ -53,7 +60,10 @@ def run_evaluation(
 
     def estimators() -> list[Estimator]:
         baselines: list[Estimator] = [MeanColour(), WarpAndFill()]
-        return baselines if predictions is not None else [*baselines, EngineEstimator(session, graphs)]
+        if predictions is not None:
+            return baselines
+        asked_late = [EngineEstimator(session, graphs, late=True)] if late else []
+        return [*baselines, EngineEstimator(session, graphs), *asked_late]
 
     with Progress(console=Console(stderr=True), transient=True) as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)

@@ -25,6 +25,7 @@ NETWORK_STAGES = ("SGLV network", "3D GRU", "blending network", "2D GRU")
 OWN_STAGES = (
     "volume initialisation",
     "ray tracing, network-like volume",
+    "ray tracing, fine steps",
     "ray tracing, classical volume",
     "mesh building",
     "partial-mesh panorama",
@@ -84,7 +85,7 @@ def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
     for criterion in report.criteria:
         assert criterion.demand in printed
     assert f"{report.threads} threads" in printed
-    assert len(report.criteria) == 5
+    assert len(report.criteria) == 6
 
 
 def test_without_pytorch_the_rest_is_measured_and_the_table_says_so(monkeypatch: pytest.MonkeyPatch):

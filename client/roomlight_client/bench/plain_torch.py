@@ -82,6 +82,7 @@ def panorama_by_grid_sample(
     directions_world: Float[np.ndarray, "n 3"],
     *,
     samples: int,
+    step_m: float,
     far: Far,
 ) -> Callable[[], Float[np.ndarray, "n 3"]]:
     """SGLV ray tracing, all rays and samples at once; the volume is given as tensors beforehand."""
@@ -103,6 +104,7 @@ def panorama_by_grid_sample(
             lobes,
             lower_m=lower_m,
             voxel_m=voxel_m,
+            step_m=step_m,
             origin=origin,
             directions=directions,
             samples=samples,
