@@ -240,7 +240,8 @@ class Capture:
         if not low <= median_m <= high:
             raise FrameError(
                 f"{raw.depth_name}: the median depth would be {median_m:.4g} m: the depth unit looks wrong; "
-                "state it (depth_unit_m: metres for one stored unit, 0.001 for millimetres)"
+                "state it (depth_unit_m, on the command line --depth-unit: metres for one stored unit, "
+                "0.001 for millimetres)"
             )
         if raw.confidence is None:
             return depth_m
@@ -253,7 +254,7 @@ class Capture:
         if not trusted.any():
             raise FrameError(
                 f"{raw.depth_name}: no pixel with depth has a confidence of {self._min_confidence} or more "
-                "(min_confidence sets the threshold)"
+                "(min_confidence, on the command line --min-confidence, sets the threshold)"
             )
         return trusted
 

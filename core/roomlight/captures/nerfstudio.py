@@ -199,7 +199,8 @@ class NerfstudioReader:
         keys = (asked,) if asked is not None else ("depth_file_path", "depth_path")
         if self._frames and not any(key in frame for frame in self._frames for key in keys):
             there = sorted({key for frame in self._frames for key in frame if "depth" in key})
-            hint = f"its frames have {', '.join(there)} (choose with depth_key)" if there else "RGB-D is needed"
+            names = ", ".join(there)
+            hint = f"its frames have {names} (choose with depth_key, --depth-key)" if there else "RGB-D is needed"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
 

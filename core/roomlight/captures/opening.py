@@ -78,4 +78,4 @@ def _detect(path: Path) -> str:
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"
-    raise UnknownFormatError(f"{path}: no reader knows it; looked for {_SIGNS}. Force one with format")
+    raise UnknownFormatError(f"{path}: no reader knows it; looked for {_SIGNS}. Force one with format (--format)")

@@ -131,7 +131,7 @@ def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
     np.testing.assert_allclose(doubled.depth_m, 2 * plain.depth_m, rtol=1e-6)
     for factor in (1e-5, 1e4):
         if 1e-9 <= unit_m * factor <= 1e3:
-            with pytest.raises(CaptureError, match=r"depth unit looks wrong.*depth_unit_m"):
+            with pytest.raises(CaptureError, match=r"depth unit looks wrong.*depth_unit_m.*--depth-unit"):
                 list(open_capture(path, CaptureOptions(depth_unit_m=unit_m * factor)))
 
 
