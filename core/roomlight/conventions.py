@@ -14,6 +14,7 @@
 A reader converts every other convention to this one, once, at the edge.
 """
 
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -76,6 +77,14 @@ def panorama_directions(height: int) -> Float[np.ndarray, "{height} 2*{height} 3
     rows = (np.arange(height) + 0.5) / height
     u, v = np.meshgrid(columns, rows)
     return uv_to_direction(np.stack([u, v], axis=-1)).astype(np.float32)
+
+
+@lru_cache(maxsize=8)
+def panorama_rays(height: int) -> Float[np.ndarray, "n 3"]:
+    """`panorama_directions` as a list [H * 2H, 3], row by row; kept, and read-only."""
+    directions = panorama_directions(height).reshape(-1, 3)
+    directions.setflags(write=False)
+    return directions
 
 
 def panorama_solid_angles(height: int) -> Float[np.ndarray, "{height} 1"]:

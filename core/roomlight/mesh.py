@@ -4,7 +4,6 @@ Vertices are depth pixels in world metres; a triangle never crosses a depth edge
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -13,7 +12,7 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import transform_points
-from roomlight.conventions import panorama_directions
+from roomlight.conventions import panorama_rays
 from roomlight.frame import Frame
 from roomlight.threads import shard
 
@@ -32,13 +31,12 @@ class PartialPanorama:
     """What a probe sees of one frame's mesh.
 
     radiance: [H, 2H, 3] linear RGB, 0 where unseen;  mask: [H, 2H] seen;  depth_m: [H, 2H] distance along the
-    ray in metres, 0 where unseen;  clipped: [H, 2H] the seen pixel was saturated in its frame.
+    ray in metres, 0 where unseen.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w"]
     depth_m: Float[np.ndarray, "h w"]
-    clipped: Bool[np.ndarray, "h w"]
 
 
 class FrameMesh:
@@ -47,7 +45,6 @@ class FrameMesh:
     def __init__(self, frame: Frame, *, max_vertices: int = MAX_VERTICES) -> None:
         """Triangulate; a frame with no triangle (all depth unknown) is a mesh that nobody sees."""
         self.image = frame.image
-        self._clipped = frame.clipped.astype(np.uint8)
         depth, uv = _vertex_grid(frame.depth_m, max_vertices)
         k = frame.intrinsics
         points = np.empty((*depth.shape, 3), np.float32)
@@ -78,8 +75,8 @@ class FrameMesh:
         rays = height * 2 * height
         if self._scene is None:
             nothing = np.zeros(shape, np.float32)
-            return PartialPanorama(np.zeros((*shape, 3), np.float32), nothing > 0, nothing, nothing > 0)
-        scene, directions = self._scene, _directions(height)
+            return PartialPanorama(np.zeros((*shape, 3), np.float32), nothing > 0, nothing)
+        scene, directions = self._scene, panorama_rays(height)
         origins = np.broadcast_to(position_world.astype(np.float32), (rays, 3)).copy()
         face = np.empty(rays, np.int32)
         bary = np.empty((rays, 2), np.float32)
@@ -104,9 +101,8 @@ class FrameMesh:
         mask = seen.reshape(shape)
         radiance = cv2.remap(self.image, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
         radiance[~mask] = 0
-        clipped = cv2.remap(self._clipped, *maps, cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE) > 0
         depth = np.where(seen, distance, np.float32(0)).reshape(shape)
-        return PartialPanorama(radiance, mask, depth, clipped & mask)
+        return PartialPanorama(radiance, mask, depth)
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
@@ -146,9 +142,3 @@ def _vertex_grid(
     u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
     return np.ascontiguousarray(depth_m[np.ix_(rows, columns)]), np.stack([u, v], axis=-1).astype(np.float32)
 
-
-@lru_cache(maxsize=8)
-def _directions(height: int) -> Float[np.ndarray, "n 3"]:
-    directions = panorama_directions(height).reshape(-1, 3)
-    directions.setflags(write=False)
-    return directions

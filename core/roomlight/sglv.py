@@ -11,13 +11,12 @@ equation 1 alone.
 """
 
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Literal
 
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import panorama_directions
+from roomlight.conventions import panorama_rays
 from roomlight.errors import ProbeError
 from roomlight.kernels.march import march_rays
 from roomlight.threads import shard
@@ -41,13 +40,6 @@ class Sglv:
     def empty(cls, grid: VolumeGrid) -> "Sglv":
         """A volume that holds nothing: every ray passes."""
         return cls(grid, np.zeros(grid.shape, np.float32), np.zeros((*grid.shape, LOBE_CHANNELS), np.float32))
-
-
-@lru_cache(maxsize=8)
-def _directions(height: int) -> Float[np.ndarray, "n 3"]:
-    directions = panorama_directions(height).reshape(-1, 3)
-    directions.setflags(write=False)
-    return directions
 
 
 def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
@@ -99,7 +91,7 @@ def render_panorama(
     sglv: Sglv, position_world: tuple[float, float, float], *, height: int = 120, far: Far = "boundary"
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """HDR panorama [H, 2H, 3] at a world position, and what is left of each ray [H, 2H] (1 = saw nothing)."""
-    radiance, transmittance = render_rays(sglv, position_world, _directions(height), far=far)
+    radiance, transmittance = render_rays(sglv, position_world, panorama_rays(height), far=far)
     return radiance.reshape(height, 2 * height, 3), transmittance.reshape(height, 2 * height)
 
 

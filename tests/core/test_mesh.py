@@ -141,7 +141,6 @@ def test_a_frame_without_depth_is_seen_by_nobody():
     seen = FrameMesh(nothing).look_from(POSE[:3, 3], height=24)
     assert seen.radiance.shape == (24, 48, 3)
     assert not seen.mask.any()
-    assert not seen.clipped.any()
     assert (seen.radiance == 0).all()
 
 
@@ -175,16 +174,6 @@ def test_low_resolution_depth_carries_the_full_image():
     assert np.quantile(abs(fine.radiance - few.radiance)[both], 0.95) < 0.01
 
 
-def test_clipped_pixels_are_carried_along():
-    frame = BoxRoom().frame(POSE)
-    frame.clipped[:, :80] = True
-    seen = FrameMesh(frame).look_from(POSE[:3, 3], height=48)
-    inside, xy, _ = _in_frustum(frame, POSE[:3, 3], 48, margin_px=2)
-    left, right = inside & (xy[..., 0] < 78), inside & (xy[..., 0] > 82)
-    assert seen.clipped[left & seen.mask].all()
-    assert not seen.clipped[right].any()
-
-
 def test_building_twice_is_building_once():
     mesh = FrameMesh(ROOM.frame(POSE))
     mesh.build()
@@ -197,4 +186,4 @@ def test_building_twice_is_building_once():
 @pytest.mark.parametrize("height", [16, 17, 120])
 def test_panoramas_have_the_height_asked_for(height):
     seen = FrameMesh(ROOM.frame(POSE, width=32, height=24)).look_from(POSE[:3, 3], height=height)
-    assert seen.mask.shape == seen.depth_m.shape == seen.clipped.shape == (height, 2 * height)
+    assert seen.mask.shape == seen.depth_m.shape == (height, 2 * height)
