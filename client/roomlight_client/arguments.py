@@ -26,7 +26,8 @@ DepthUnit = Annotated[
     float | None, typer.Option("--depth-unit", rich_help_panel=_CAPTURE, help="Metres for one stored unit of depth.")
 ]
 MinConfidence = Annotated[
-    int | None, typer.Option(rich_help_panel=_CAPTURE, help="Depth with a lower confidence than this is removed.")
+    int | None,
+    typer.Option(min=0, max=255, rich_help_panel=_CAPTURE, help="Depth with a lower confidence than this is removed."),
 ]
 CameraAxes = Annotated[
     CameraConvention | None,
@@ -39,7 +40,7 @@ WorldUp = Annotated[
     str | None,
     typer.Option(rich_help_panel=_CAPTURE, help="The stored world's up: x, y, z, -x, -y, -z, or three numbers X,Y,Z."),
 ]
-MaxFrames = Annotated[int | None, typer.Option(rich_help_panel=_CAPTURE, help="Use at most so many frames.")]
+MaxFrames = Annotated[int | None, typer.Option(min=1, rich_help_panel=_CAPTURE, help="Use at most so many frames.")]
 
 Model = Annotated[
     ModelName,
@@ -89,6 +90,7 @@ def capture_options(
     pose_direction: PoseDirection | None,
     world_up: str | None,
     max_frames: int | None,
+    every: int = 1,
 ) -> CaptureOptions:
     """The reader's options from the command line."""
     return CaptureOptions(
@@ -99,6 +101,7 @@ def capture_options(
         depth_unit_m=depth_unit,
         depth_key=depth_key,
         min_confidence=min_confidence,
+        every=every,
         max_frames=max_frames,
     )
 
@@ -112,9 +115,11 @@ def session_options(
     unknown_depth: UnknownDepth,
     height: int,
 ) -> SessionOptions:
-    """The engine's options from the command line."""
-    if not 16 <= height <= 2048:
-        raise typer.BadParameter(f"--height must be 16 to 2048, got {height}")
+    """The engine's options from the command line; typer's own error for weights that would not be used."""
+    if model == "classical" and weights is not None:
+        raise typer.BadParameter(
+            f"--model classical uses no networks: leave out --weights {weights}, or choose --model"
+        )
     return SessionOptions(
         model=model,
         weights=weights,

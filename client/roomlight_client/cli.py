@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.console import Console
+from rich.markup import escape
 
 from roomlight import __version__
 from roomlight.errors import RoomLightError
@@ -58,7 +59,9 @@ def replay(
     provider: given.Runtime = "auto",
     allow_untrained: given.AllowUntrained = False,
     unknown_depth: given.UnknownDepthOption = "rim",
-    height: Annotated[int, typer.Option(help="Panorama height in pixels; its width is twice that.")] = 120,
+    height: Annotated[
+        int, typer.Option(min=16, max=2048, help="Panorama height in pixels; its width is twice that.")
+    ] = 120,
     every: Annotated[int, typer.Option(min=1, help="Process every n-th frame only.")] = 1,
     interpolate: Annotated[
         bool, typer.Option("--interpolate", help="With --every: also write the frames in between, interpolated.")
@@ -76,6 +79,10 @@ def replay(
     """Replay a capture: an HDR panorama per frame at each probe, a contact sheet, a video and a report."""
     from roomlight_client.replay import ReplayOptions
 
+    if probe and probes_from_capture:
+        raise typer.BadParameter("give --probe or --probes-from-capture, not both")
+    if interpolate and every == 1:
+        raise typer.BadParameter("--interpolate fills in what --every leaves out: give --every 2 or more with it")
     options = ReplayOptions(
         capture=given.capture_options(
             format_name=format_name,
@@ -115,7 +122,7 @@ def demo(
     _replay_and_tell(path, out, demo_options())
     from roomlight_client.demo import score_line
 
-    _out.print(score_line(path, out), soft_wrap=True)
+    _say(score_line(path, out))
 
 
 @app.command(name="eval")
@@ -127,6 +134,9 @@ def evaluate(
     late: Annotated[
         bool, typer.Option("--late", help="Also score probes first asked about at each frame, from keyframes alone.")
     ] = False,
+    every: Annotated[
+        int, typer.Option(min=1, help="Every n-th frame only, e.g. those that --predictions were made of.")
+    ] = 1,
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write the scores as JSON.")] = None,
     model: given.Model = "auto",
     weights: given.Weights = None,
@@ -145,6 +155,8 @@ def evaluate(
     """Score light against ground-truth probes, by the paper's intervals, beside mean colour and warp-and-fill."""
     from roomlight_client.scoring import run_evaluation
 
+    if late and predictions is not None:
+        raise typer.BadParameter("--late asks the engine, --predictions scores files instead of it: give one of them")
     run_evaluation(
         captures,
         predictions=predictions,
@@ -168,6 +180,7 @@ def evaluate(
             pose_direction=pose_direction,
             world_up=world_up,
             max_frames=max_frames,
+            every=every,
         ),
     )
 
@@ -185,14 +198,15 @@ def export(
         raise _missing_extra(error, "train") from error
     with _err.status("exporting and verifying the graphs") as status:
         report = export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
-    _out.print(
+    _say(
         f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
-        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX, {report.ort_bytes / 1e6:.1f} MB of .ort"
+        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX" + (f", {report.ort_bytes / 1e6:.1f} MB of .ort" if ort else "")
     )
     for network, parity in report.parity.items():
         _out.print(
             f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} recurrent steps "
-            f"(tolerance {report.tolerance:.0e})"
+            f"(tolerance {report.tolerance:.0e})",
+            soft_wrap=True,
         )
 
 
@@ -205,10 +219,11 @@ def bench_stages(
     """Each stage beside its readable reference, the plain PyTorch way, and the roofline of this machine."""
     from roomlight.images import write_whole
     from roomlight_client.bench.stages import run_stages
+    from roomlight_client.tables import print_whole
 
     with _err.status("measuring") as status:
         report = run_stages(repeats=repeats, model=weights, progress=status.update)
-    _out.print(report.table())
+    print_whole(_out, report.table(width=_out.width))
     if json_out:
         write_whole(json_out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
 
@@ -234,7 +249,7 @@ def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
     from roomlight_server.session import warm_up
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=_err) as bars:
+    with Progress(*columns, console=_err, transient=True) as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()
         bars.update(task, description="replaying")
@@ -246,28 +261,32 @@ def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
             result = run(capture, out, options, progress=show)
         except KeyboardInterrupt:
             bars.stop()
-            _err.print("stopped; the same command continues where it was", soft_wrap=True)
+            afresh = "starts afresh" if options.overwrite else "continues where it was"
+            _err.print(f"stopped; the same command {afresh}", soft_wrap=True)
             raise typer.Exit(130) from None
     report = result.report
     stages = report["stage_ms_median"]
     _out.print(
-        f"{len(report['frames'])} frames, {len(report['probes'])} probes, model {report['model']}, "
-        f"{sum(stages.values()):.0f} ms a frame (median), {report['wall_s']:.0f} s in all"
+        f"{_count(len(report['frames']), 'frame')}"
+        + (f" and {report['interpolated']} interpolated" if report["interpolated"] else "")
+        + f", {_count(len(report['probes']), 'probe')}, model {report['model']}, "
+        f"{sum(stages.values()):.0f} ms a frame (median), {report['wall_s']:.0f} s in all",
+        soft_wrap=True,
     )
     for probe in report["probes"]:
         x, y, z = probe["position"]
         note = "  [yellow](outside the lighting volume: distant light only)[/]" if probe.get("outside_volume") else ""
         _out.print(
-            f"  {probe['folder']} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {probe['coverage']:.0%} of the sphere seen{note}"
+            f"  {probe['folder']} at ({x:.2f}, {y:.2f}, {z:.2f}) m: {probe['coverage']:.0%} of the sphere seen{note}",
+            soft_wrap=True,
         )
     for skipped in report["skipped"][:5]:
-        _err.print(f"[yellow]skipped[/] frame {skipped['index']}: {skipped['reason']}")
+        _err.print(f"[yellow]skipped[/] frame {skipped['index']}: {escape(skipped['reason'])}", soft_wrap=True)
     if len(report["skipped"]) > 5:
-        _err.print(f"[yellow]skipped[/] {len(report['skipped']) - 5} more; all are in {out / 'report.json'}")
-    _out.print(f"Look at {out / 'summary.png'} and {out / 'replay.mp4'}", soft_wrap=True)
-    _out.print(
-        f"The panoramas are {out}/probe-*/*.exr; times and coverage are in {out / 'report.json'}", soft_wrap=True
-    )
+        more = len(report["skipped"]) - 5
+        _err.print(f"[yellow]skipped[/] {more} more; all are in {escape(str(out / 'report.json'))}", soft_wrap=True)
+    _say(f"Look at {out / 'summary.png'} and {out / 'replay.mp4'}")
+    _say(f"The panoramas are {out}/probe-*/*.exr; times and coverage are in {out / 'report.json'}")
 
 
 @dataset_app.command("sample")
@@ -280,7 +299,16 @@ def dataset_sample(
 
     with _err.status("solving the room's light and rendering"):
         generate_sample(out, seed=seed)
-    _out.print(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light", soft_wrap=True)
+    _say(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
+
+
+def _say(text: str) -> None:
+    """A line that names files: as it is, neither wrapped nor read as markup."""
+    _out.print(text, soft_wrap=True, markup=False)
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}" + ("" if number == 1 else "s")
 
 
 def _missing_extra(error: ModuleNotFoundError, extra: str) -> RoomLightError:
@@ -294,5 +322,5 @@ def main() -> None:
     try:
         app()
     except RoomLightError as error:
-        _err.print(f"[red]error:[/] {error}", soft_wrap=True)
+        _err.print(f"[red]error:[/] {escape(str(error))}", soft_wrap=True)
         sys.exit(1)

@@ -10,7 +10,7 @@ from jaxtyping import Float
 from roomlight.balls import view_toward
 from roomlight.frame import Frame
 from roomlight_client.sheet import SheetColumn, sheet_times, write_contact_sheet
-from roomlight_client.video import ReplayPicture, VideoWriter
+from roomlight_client.video import MAX_PROBES, ReplayPicture, VideoWriter
 from roomlight_server.session import WORKING_SIZE, Position
 
 SUMMARY: Final = "summary.png"
@@ -38,6 +38,7 @@ class ReplayPictures:
         self._sheet = out / SUMMARY
         self._heading = heading
         self._labels = [f"probe {n:02d} at ({x:.2f}, {y:.2f}, {z:.2f}) m" for n, (x, y, z) in enumerate(positions)]
+        self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
         self._views = [view_toward(first.camera_to_world, position) for position in positions]
         self._truths = tuple(truths)
         self._wanted = sheet_times(frame_count)
@@ -51,7 +52,7 @@ class ReplayPictures:
     def add(self, frame: Frame, panoramas: Sequence[Float[np.ndarray, "..."]]) -> None:
         """One more moment, in order."""
         image = frame.resized(*WORKING_SIZE).image
-        self._film.write(self._picture.compose(image, panoramas, label=f"frame {frame.index}"))
+        self._film.write(self._picture.compose(image, panoramas, label=f"frame {frame.index}{self._shown}"))
         due = len(self._columns) < len(self._wanted) and self._taken >= self._wanted[len(self._columns)]
         if due:
             copies = tuple(panorama.copy() for panorama in panoramas)

@@ -1,12 +1,12 @@
 """Replay of a recorded capture through a session: one HDR panorama a frame at each probe, pictures and a report.
 
 What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last
-of all, `report.json`: a folder without it is not whole. `replay.json` is written first and says what the folder is
-for, so that the same command continues an interrupted replay and another one refuses to mix with it.
+of all, `report.json`: a folder without it is not whole. `replay.json` is written first, once a frame has proved usable,
+and says what the folder is for, so that the same command continues an interrupted replay and another one refuses to
+mix with it.
 """
 
 import json
-import shutil
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -22,7 +22,7 @@ from roomlight.errors import CaptureError, FrameError, OutputError, ProbeError
 from roomlight.frame import Frame
 from roomlight.images import write_exr, write_whole
 from roomlight.sglv import check_position
-from roomlight_client.pictures import ReplayPictures
+from roomlight_client.pictures import FILM, SUMMARY, ReplayPictures
 from roomlight_server.session import FrameReport, Light, Position, Session, SessionOptions
 
 REPORT: Final = "report.json"
@@ -79,7 +79,7 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
     session = Session(options.session)
     positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
     intent = _intent(path, session.model, options)
-    _claim(out, intent, overwrite=options.overwrite)
+    _refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
 
     began = time.perf_counter()
     reports: list[FrameReport] = []
@@ -100,6 +100,7 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
                     for position in positions:
                         session.track(position)
                     report = session.push(frame)
+                    _claim(out, intent, overwrite=options.overwrite)  # not before: a mistaken command leaves nothing
                     writer = _Writer(out, len(positions))
                     pictures = ReplayPictures(
                         out,
@@ -243,25 +244,51 @@ def _intent(path: Path, model: str, options: ReplayOptions) -> dict[str, Any]:
     return json.loads(json.dumps({**described, "options": settings}, default=str))
 
 
+def _refuse_foreign(out: Path, capture: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
+    """Raise OutputError if the folder holds something else, or cannot be looked into; changes nothing."""
+    try:
+        if out.exists() and not out.is_dir():
+            raise OutputError(f"{out}: is a file; --out wants a folder")
+        if out.resolve() == capture.resolve():
+            raise OutputError(f"{out}: is the capture itself; choose another --out")
+        if overwrite:
+            return
+        if (out / INTENT).is_file():
+            if _held(out) != intent:
+                raise OutputError(
+                    f"{out}: holds another replay (see {INTENT}); choose another --out, or --overwrite it"
+                )
+        elif out.is_dir() and any(out.iterdir()):
+            raise OutputError(f"{out}: is not empty and not a replay's; choose another --out, or --overwrite")
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+
+
 def _claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
-    """Take the folder for this replay, or raise OutputError if it holds something else."""
-    path = out / INTENT
-    if out.exists() and not out.is_dir():
-        raise OutputError(f"{out}: is a file; --out wants a folder")
-    if path.is_file():
-        try:
-            same = json.loads(path.read_text()) == intent
-        except ValueError:
-            same = False
-        if not same and not overwrite:
-            raise OutputError(f"{out}: holds another replay (see {INTENT}); choose another --out, or --overwrite it")
-        if not same or overwrite:
+    """Take the folder for this replay: what an interrupted one of the same intent left stays, any other's files go.
+
+    A finished one goes too: what it was made of (frames, weights) may have changed under the same names.
+    """
+    try:
+        if overwrite or (out / REPORT).exists() or _held(out) != intent:
+            for panorama in out.glob("probe-[0-9][0-9]*/[0-9][0-9][0-9][0-9][0-9][0-9]*.exr"):
+                panorama.unlink()
             for folder in out.glob("probe-[0-9][0-9]*"):
-                shutil.rmtree(folder)
-    elif out.is_dir() and any(out.iterdir()) and not overwrite:
-        raise OutputError(f"{out}: is not empty and not a replay's; choose another --out, or --overwrite")
-    (out / REPORT).unlink(missing_ok=True)
-    write_whole(path, (json.dumps(intent, indent=1) + "\n").encode())
+                if folder.is_dir() and not any(folder.iterdir()):
+                    folder.rmdir()
+            for name in (REPORT, SUMMARY, FILM):
+                (out / name).unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
+    write_whole(out / INTENT, (json.dumps(intent, indent=1) + "\n").encode())
+
+
+def _held(out: Path) -> Any:
+    """The intent of the replay in the folder; None without one, or without one that can be read."""
+    try:
+        return json.loads((out / INTENT).read_text())
+    except (OSError, ValueError):
+        return None
 
 
 def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:

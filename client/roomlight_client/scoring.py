@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import Progress
 
 from roomlight.baselines import MeanColour, WarpAndFill
@@ -14,7 +15,7 @@ from roomlight.captures import CaptureOptions
 from roomlight.frame import Frame
 from roomlight.images import write_whole
 from roomlight_client.evaluate import Estimator, evaluate
-from roomlight_client.tables import evaluation_tables
+from roomlight_client.tables import evaluation_tables, print_whole
 from roomlight_server.graphs import LightingGraphs
 from roomlight_server.session import Position, Session, SessionOptions, choose_graphs, warm_up
 
@@ -30,7 +31,7 @@ class EngineEstimator:
         self._session = Session(options, graphs=graphs)
         self._late = late
         self._handles: dict[Position, int] = {}
-        self.name = f"roomlight {self._session.model}" + (", asked late" if late else "")
+        self.name = self._session.model + (", asked late" if late else "")
 
     def push(self, frame: Frame) -> None:
         """Take the next frame."""
@@ -70,11 +71,11 @@ def run_evaluation(
         warm_up()
 
         def show(name: str, done: int, total: int) -> None:
-            bars.update(task, description=f"scoring {name}", completed=done, total=total)
+            bars.update(task, description=escape(f"scoring {name}"), completed=done, total=total)
 
         evaluation = evaluate(captures, estimators, options=capture, predictions=predictions, progress=show)
     for table in evaluation_tables(evaluation, per_capture=True):
-        console.print(table)
+        print_whole(console, table)
     if json_out:
         write_whole(json_out, (json.dumps(evaluation.to_json(), indent=1) + "\n").encode())
-        console.print(f"scores written to {json_out}")
+        console.print(f"scores written to {json_out}", soft_wrap=True, markup=False)

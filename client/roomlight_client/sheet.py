@@ -72,25 +72,25 @@ def compose_sheet(
     height = top + _LABEL_ROWS + frame_rows + 2 * _GAP + len(probes) * probe_rows - 2 * _GAP + _MARGIN
     canvas = Canvas(width, height, exposure_ev=exposure_ev)
     canvas.text((_MARGIN, _MARGIN - 4), heading, cap_height=13, grey=HEADING, width=width - 2 * _MARGIN)
-    balls = [BallRenderer(view, size=_BALL) for view in views]
-    for number, column in enumerate(columns):
-        left = _MARGIN + number * (_TILE + _GAP)
+    lefts = [_MARGIN + number * (_TILE + _GAP) for number in range(len(columns))]
+    for left, column in zip(lefts, columns, strict=True):
         canvas.text((left, top), column.label, width=_TILE)
-        row = top + _LABEL_ROWS
         if column.frame is not None:
             size = (_TILE, round(_TILE * column.frame.shape[0] / column.frame.shape[1]))
-            canvas.picture((left, row), column.frame, size=size)
-        row += frame_rows + 2 * _GAP
-        for probe, label, panorama in zip(balls, probes, column.panoramas, strict=True):
-            if number == 0:
-                canvas.text((left, row), label, width=width - 2 * _MARGIN)
+            canvas.picture((left, top + _LABEL_ROWS), column.frame, size=size)
+    row = top + _LABEL_ROWS + frame_rows + 2 * _GAP
+    inset = (_TILE // 2 - _BALL) // 2
+    for number, (label, view) in enumerate(zip(probes, views, strict=True)):
+        balls = BallRenderer(view, size=_BALL)  # its tables take 40 MB: one at a time, however many probes there are
+        canvas.text((_MARGIN, row), label, width=width - 2 * _MARGIN)
+        ball_row = row + _LABEL_ROWS + _TILE // 2 + _GAP
+        for left, column in zip(lefts, columns, strict=True):
+            panorama = column.panoramas[number]
             if panorama is not None:
                 canvas.picture((left, row + _LABEL_ROWS), panorama, size=(_TILE, _TILE // 2))
-                ball_row = row + _LABEL_ROWS + _TILE // 2 + _GAP
-                inset = (_TILE // 2 - _BALL) // 2
-                canvas.ball((left + inset, ball_row), panorama, probe, "mirror")
-                canvas.ball((left + _TILE // 2 + inset, ball_row), panorama, probe, "glossy")
-            row += probe_rows
+                canvas.ball((left + inset, ball_row), panorama, balls, "mirror")
+                canvas.ball((left + _TILE // 2 + inset, ball_row), panorama, balls, "glossy")
+        row += probe_rows
     return canvas.image
 
 

@@ -12,9 +12,9 @@ from jaxtyping import Float, Int
 
 from roomlight.camera import transform_points
 from roomlight.conventions import direction_to_uv
-from roomlight.errors import ProbeError
 from roomlight.fill import push_pull
 from roomlight.frame import Frame
+from roomlight.sglv import check_position
 
 Position = tuple[float, float, float]
 
@@ -42,7 +42,7 @@ class MeanColour:
 
     def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
         """The mean everywhere, the same at every position; black before the first frame."""
-        _check_position(position)
+        check_position(position)
         colour = self._sum / max(1, self._pixels)
         return np.broadcast_to(colour.astype(np.float32), (self.height, 2 * self.height, 3)).copy()
 
@@ -93,7 +93,7 @@ class WarpAndFill:
 
     def warped(self, position: Position) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
         """The panorama before filling, and its mask (1 = seen)."""
-        _check_position(position)
+        check_position(position)
         cells = 2 * (SUPERSAMPLING * self.height) ** 2
         view = self._views.get(position)
         if view is None:
@@ -140,8 +140,3 @@ def _cells(direction: Float[np.ndarray, "n 3"], rows: int) -> Int[np.ndarray, " 
     row = np.minimum((uv[:, 1] * rows).astype(np.int64), rows - 1)
     column = np.minimum((uv[:, 0] * (2 * rows)).astype(np.int64), 2 * rows - 1)
     return row * (2 * rows) + column
-
-
-def _check_position(position: Position) -> None:
-    if len(position) != 3 or not np.isfinite(position).all():
-        raise ProbeError(f"a probe position is three finite numbers in metres, got {position}")

@@ -4,9 +4,13 @@ Frames: camera x right, y up, z backward; world y up; poses camera-to-world. Uni
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from jaxtyping import Float
+
+FOCAL_LENGTH: Final = (0.01, 100.0)
+"""Shortest and longest focal length in units of the image's side: from 179 degrees to half a degree of view."""
 
 
 @dataclass(frozen=True)
@@ -22,16 +26,17 @@ class Intrinsics:
 
     def __post_init__(self) -> None:
         """Refuse values that no lens has: an error here names the field and the value."""
-        for name in ("fx", "fy"):
-            value = getattr(self, name)
-            if not np.isfinite(value) or value <= 0:
-                raise ValueError(f"focal length {name} must be positive and finite, got {value}")
-        for name, size in (("cx", self.width), ("cy", self.height)):
-            value = getattr(self, name)
-            if not np.isfinite(value) or not -size <= value <= 2 * size:
-                raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
         if self.width < 1 or self.height < 1:
             raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
+        low, high = FOCAL_LENGTH
+        for name, value, size in (("fx", self.fx, self.width), ("fy", self.fy, self.height)):
+            if not np.isfinite(value) or value <= 0:
+                raise ValueError(f"focal length {name} must be positive and finite, got {value}")
+            if not low <= value / size <= high:
+                raise ValueError(f"focal length {name} = {value:g} for {size} pixels is no lens's")
+        for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
+            if not np.isfinite(value) or not -size <= value <= 2 * size:
+                raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
 
     def resized(self, width: int, height: int) -> "Intrinsics":
         """The same camera for the same view resampled to another pixel size (K scales with the ratio)."""
@@ -56,7 +61,7 @@ class Intrinsics:
         Points at or behind the camera plane (depth <= 0) get coordinates of NaN.
         """
         depth = -points_camera[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             column = self.cx + self.fx * points_camera[..., 0] / depth
             row = self.cy - self.fy * points_camera[..., 1] / depth
         xy = np.stack([column, row], axis=-1)

@@ -3,8 +3,8 @@
 Three kinds, told apart by depth: pixels the depth sensor could not see are windows and lamps; clipped pixels on
 surfaces that face up are mostly glare, which the camera sees and a probe does not; the rest are bright walls,
 curtains and shades. Gains are in units of white. Mean log-L2 of the classical model over 31 frames of three path-traced
-rooms: all 1: 0.087; all 2: 0.083; up-facing 1: 0.078; windows 4 as well: 0.072; up-facing 0.7: 0.071. Windows at 6
-would give 0.069, but three rooms are few to fit a number to.
+rooms: all 1: 0.086; all 2: 0.080; up-facing 1: 0.076; windows 4 as well: 0.069; up-facing 0.7: 0.068. Windows at 6
+would give 0.066, but three rooms are few to fit a number to.
 """
 
 from dataclasses import replace

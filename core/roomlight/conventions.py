@@ -80,7 +80,7 @@ def panorama_directions(height: int) -> Float[np.ndarray, "{height} 2*{height} 3
 
 
 @lru_cache(maxsize=8)
-def panorama_rays(height: int) -> Float[np.ndarray, "n 3"]:
+def panorama_rays(height: int) -> Float[np.ndarray, "2*{height}*{height} 3"]:
     """`panorama_directions` as a list [H * 2H, 3], row by row; kept, and read-only."""
     directions = panorama_directions(height).reshape(-1, 3)
     directions.setflags(write=False)

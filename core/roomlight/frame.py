@@ -1,25 +1,34 @@
 """One observation of the room: colour, depth, camera. What every reader yields and every session takes."""
 
 from dataclasses import dataclass, replace
+from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Float32
 
 from roomlight.camera import Intrinsics, check_rigid
+from roomlight.depth import clean_depth
 from roomlight.errors import FrameError
 
-CLIPPED_SRGB8 = 250
+CLIPPED_SRGB8: Final = 250
 """An 8-bit value from here up is taken as clipped: JPEG ringing and noise keep true white below 255."""
+
+MAX_POSITION_M: Final = 10_000.0
+"""Farthest camera from the origin: past it float32 metres lose the millimetre, and no indoor capture goes there."""
 
 
 @dataclass(frozen=True)
 class Frame:
     """RGB-D with a pose, in RoomLight's conventions.
 
+    What makes no frame is a FrameError: parts that do not fit, radiance that is not finite or below 0, a pose that
+    is not rigid. So kernels, which check nothing, only ever see finite, contiguous float32.
+
     image:            linear RGB radiance, float32 [h, w, 3], relative to the session's reference exposure.
     clipped:          bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least this.
-    depth_m:          z-depth in metres, float32 [dh, dw], 0 = unknown; same view as the image, any size.
+    depth_m:          z-depth in metres, float32 [dh, dw], 0 = unknown (what is not finite or below 0 becomes 0);
+                      same view as the image, any size.
     intrinsics:       of the image (depth's are the same, resized).
     camera_to_world:  rigid 4 x 4, float64.
     """
@@ -35,8 +44,18 @@ class Frame:
 
     def __post_init__(self) -> None:
         """Hold the parts to each other; a mismatch is one frame's error, with its name in the message."""
-        height, width = self.image.shape[:2]
         name = self.source or f"frame {self.index}"
+        if self.image.dtype.kind != "f" or self.image.ndim != 3 or self.image.shape[2] != 3:
+            raise FrameError(
+                f"{name}: the image is {self.image.dtype} of shape {self.image.shape}, not linear float RGB [h, w, 3]; "
+                "roomlight.conventions.srgb8_to_linear decodes 8-bit sRGB"
+            )
+        if self.depth_m.dtype.kind != "f" or self.depth_m.ndim != 2:
+            raise FrameError(
+                f"{name}: the depth is {self.depth_m.dtype} of shape {self.depth_m.shape}, not float metres [h, w]; "
+                "multiply stored integers by their unit"
+            )
+        height, width = self.image.shape[:2]
         if (self.intrinsics.width, self.intrinsics.height) != (width, height):
             raise FrameError(
                 f"{name}: the image is {width} x {height} but its intrinsics are for "
@@ -53,18 +72,29 @@ class Frame:
                 f"of {width} x {height}"
             )
         try:
-            clean = check_rigid(self.camera_to_world)
+            pose = check_rigid(self.camera_to_world)
         except ValueError as error:
             raise FrameError(f"{name}: {error}") from error
-        object.__setattr__(self, "camera_to_world", clean)
+        far_m = float(np.abs(pose[:3, 3]).max())
+        if far_m > MAX_POSITION_M:
+            raise FrameError(
+                f"{name}: the pose is {far_m:.3g} m from the origin; this is lost tracking or another unit "
+                f"(up to {MAX_POSITION_M:.0f} m are taken)"
+            )
+        object.__setattr__(self, "image", _checked_image(self.image, name))
+        object.__setattr__(self, "depth_m", clean_depth(self.depth_m))
+        object.__setattr__(self, "camera_to_world", pose)
 
     def resized(self, max_width: int, max_height: int) -> "Frame":
         """This frame with image and depth brought into a box, aspect kept; never enlarged.
 
-        Colour is averaged by area in linear light; depth takes the nearest sample, because a mean across an
-        edge is a surface that does not exist.
+        The box turns with the image: a phone held upright gives up no more pixels than one held level. Colour is
+        averaged by area in linear light; depth takes the nearest sample, because a mean across an edge is a surface
+        that does not exist.
         """
         height, width = self.image.shape[:2]
+        if (height > width) != (max_height > max_width):
+            max_width, max_height = max_height, max_width
         scale = min(1.0, max_width / width, max_height / height)
         new_width, new_height = max(2, round(width * scale)), max(2, round(height * scale))
         image, clipped = self.image, self.clipped
@@ -82,3 +112,15 @@ class Frame:
             depth_m=depth,
             intrinsics=self.intrinsics.resized(new_width, new_height),
         )
+
+
+def _checked_image(image: Float[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:
+    """As contiguous float32. The check costs 1.6 ms for 1920 x 1440 pixels, 0.02 ms for 320 x 240."""
+    with np.errstate(over="ignore"):
+        radiance = np.ascontiguousarray(image, np.float32)
+    if radiance.size == 0 or not (radiance.min() >= 0 and radiance.max() < np.inf):  # NaN compares as neither
+        bad = int((~np.isfinite(radiance) | (radiance < 0)).sum())
+        raise FrameError(
+            f"{name}: {bad} of {image.size} radiances are NaN, infinite or below 0; repair the image first"
+        )
+    return radiance

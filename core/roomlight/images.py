@@ -15,6 +15,7 @@ import OpenEXR
 from jaxtyping import Bool, Float, Shaped, UInt8
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
+from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.frame import CLIPPED_SRGB8
 
@@ -77,12 +78,6 @@ def decode_grey8(data: bytes, name: str) -> UInt8[np.ndarray, "h w"]:
     return raw
 
 
-def clean_depth(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """Depth as contiguous float32 with everything that is not a positive finite number set to 0 (unknown)."""
-    depth = np.ascontiguousarray(depth_m, np.float32)
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-
-
 def read_depth(path: Path, *, unit_m: float) -> Float[np.ndarray, "h w"]:
     """`decode_depth` of a file."""
     return decode_depth(read_bytes(path), str(path), unit_m=unit_m)
@@ -139,7 +134,7 @@ def write_whole(path: Path, data: bytes) -> None:
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
-def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "..."]:
+def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "h w *c"]:
     width, height = peek_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")

@@ -110,7 +110,7 @@ def render_rays_reference(
     rotation = grid.world_to_volume[:3, :3]
     origin = rotation @ check_position(position_world) + grid.world_to_volume[:3, 3]
     directions = directions_world.astype(np.float64) @ rotation.T
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         to_walls = np.stack([(grid.lower_m - origin) / directions, (grid.upper_m - origin) / directions])
     enter = np.maximum(np.nanmax(to_walls.min(axis=0), axis=-1), 0.0)
     leave = np.nanmin(to_walls.max(axis=0), axis=-1)

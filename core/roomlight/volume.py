@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from roomlight.camera import rigid_inverse
 from roomlight.errors import FrameError
@@ -20,10 +20,12 @@ from roomlight.threads import shard
 
 VOLUME_SHAPE: Final = (64, 60, 84)
 """Voxels along z, y, x (the paper's table)."""
-_RANGE: Final = np.array([[-1.1, 1.1], [-0.8, 0.8], [-1.2, 0.5]])
+VOLUME_RANGE: Final = np.array([[-1.1, 1.1], [-0.8, 0.8], [-1.2, 0.5]])
 """Extent along x, y, z in units of the first frame's greatest depth (the paper's table)."""
 DEPTH_MAX_QUANTILE: Final = 0.995
 """D_max is this quantile of the known depth: one stray pixel must not blow the whole volume up."""
+DEPTH_MAX_FLOOR_M: Final = 0.5
+"""D_max is at least this: a session that begins with a hand before the lens gets a volume of 1.1 m, not of nothing."""
 
 
 @dataclass(frozen=True)
@@ -43,17 +45,18 @@ class VolumeGrid:
                 f"{frame.source or f'frame {frame.index}'}: no pixel has a depth, so the volume has no size; "
                 "begin with a frame whose depth is known"
             )
-        return cls(frame.camera_to_world, float(np.quantile(known, DEPTH_MAX_QUANTILE)), shape)
+        depth_max_m = max(DEPTH_MAX_FLOOR_M, float(np.quantile(known, DEPTH_MAX_QUANTILE)))
+        return cls(frame.camera_to_world, depth_max_m, shape)
 
     @cached_property
     def lower_m(self) -> Float[np.ndarray, "3"]:
         """Lower corner (x, y, z) in the volume frame."""
-        return _RANGE[:, 0] * self.depth_max_m
+        return VOLUME_RANGE[:, 0] * self.depth_max_m
 
     @cached_property
     def upper_m(self) -> Float[np.ndarray, "3"]:
         """Upper corner (x, y, z) in the volume frame."""
-        return _RANGE[:, 1] * self.depth_max_m
+        return VOLUME_RANGE[:, 1] * self.depth_max_m
 
     @cached_property
     def voxel_m(self) -> Float[np.ndarray, "3"]:
@@ -179,7 +182,8 @@ def _bilinear_known(
 
 def _corners(
     width: int, height: int, uv: Float[np.ndarray, "n 2"]
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[np.ndarray]]:
+) -> tuple[list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]], list[Float[np.ndarray, " n"]]]:
+    """(row, column) of the four samples around each (u, v), and their bilinear weights."""
     column = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
     row = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
     i0, j0 = column.astype(int), row.astype(int)
@@ -197,7 +201,7 @@ def _exit_depth(
 ) -> Float[np.ndarray, " n"]:
     """z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
     direction = points - camera
-    with np.errstate(divide="ignore", invalid="ignore"):
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         wall = np.where(direction > 0, grid.upper_m, grid.lower_m)
         reach = np.where(np.abs(direction) > 1e-9, (wall - camera) / direction, np.inf)
     return depth * reach.min(axis=-1)

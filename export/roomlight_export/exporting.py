@@ -31,9 +31,9 @@ from roomlight_export.parity import (
 )
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_server.graphs import FORMAT
 from roomlight_server.providers import open_graph
 
-FORMAT = 1
 RECURRENT_STEPS = 8
 """Steps after frame 0 over which parity is checked."""
 

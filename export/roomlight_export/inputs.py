@@ -5,13 +5,17 @@ x] on the paper's volume table; panoramas [channel, H, 2H]. Deterministic in the
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-_RANGE = np.array([[-1.2, 0.5], [-0.8, 0.8], [-1.1, 1.1]])
-"""z, y, x in units of D_max (the paper's volume table)."""
+from roomlight.blend import UNSEEN_DEPTH
+from roomlight.volume import VOLUME_RANGE
+
+_RANGE: Final = VOLUME_RANGE[::-1]
+"""Along z, y, x."""
 
 
 def room_volume(shape: tuple[int, int, int], *, frame: int, seed: int = 0) -> Float[np.ndarray, "1 5 z y x"]:
@@ -56,7 +60,7 @@ def probe_frames(height: int, *, frames: int, seed: int = 0) -> list[ProbeFrame]
     detail = np.clip(hdr * np.exp(0.3 * _smooth(random, height, 3, grid=24)), 0, 1)
     depth = 0.5 + 0.3 * np.tanh(_smooth(random, height, 1))
     visible = _smooth(random, height, 1)
-    previous, accumulated = hdr, np.full((1, height, 2 * height), 4.0)
+    previous, accumulated = hdr, np.full((1, height, 2 * height), UNSEEN_DEPTH)
     result: list[ProbeFrame] = []
     for frame in range(frames):
         mask = (np.roll(visible, frame * max(1, height // 16), axis=-1) > 0).astype(np.float64)

@@ -17,10 +17,6 @@ SINGLE_PANELS = 8
 VIDEO_PANELS = 13
 """Video input: previous L (3), HDR (3), LDR (3), mask, 1 - mask, depth, accumulated depth."""
 
-UNSEEN_DEPTH = 4.0
-"""Accumulated depth, in units of depth_max_m, where nothing was seen yet: behind everything in the volume, so
-the conservative rule never holds back the first sight of a surface."""
-
 _RADIANCE_CHANNELS = {SINGLE_PANELS: 6, VIDEO_PANELS: 9}
 
 

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from roomlight.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, first_panorama
 from roomlight_model.blend import (
     SINGLE_PANELS,
-    UNSEEN_DEPTH,
     VIDEO_PANELS,
     BlendDecoder,
     BlendEncoder,
@@ -34,7 +34,11 @@ class SGState(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m."""
+    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m.
+
+    Depth is at most `roomlight.blend.farthest_depth_m`, as the session clips it: else the conservative rule would
+    hold back the first sight of surfaces past the volume.
+    """
 
     hdr: Float[Tensor, "b 3 h w"]
     ldr: Float[Tensor, "b 3 h w"]

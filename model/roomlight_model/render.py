@@ -4,14 +4,12 @@ Frame: the volume's, in metres, for origins, directions and lobe axes. Plain `gr
 once: it keeps [N, samples, 11] values for the backward pass, so give it a training step's subset of rays.
 """
 
-from typing import Literal
-
 import torch
 from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-Far = Literal["boundary", "none"]
+from roomlight.sglv import MAX_SAMPLES, Far
 
 
 def render_rays(
@@ -23,7 +21,7 @@ def render_rays(
     origin: Float[Tensor, "3"],
     directions: Float[Tensor, "n 3"],
     step_m: float | None = None,
-    samples: int = 128,
+    samples: int = MAX_SAMPLES,
     far: Far = "boundary",
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:
     """Radiance along unit `directions` from `origin`, and each ray's residual transmittance.

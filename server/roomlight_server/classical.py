@@ -6,6 +6,7 @@ saw is filled from its surroundings by push-pull; what shines brighter than whit
 because windows and lamps end at their frames while walls go on.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -22,8 +23,19 @@ from roomlight_server.backend import Estimate, ProbeMemory
 
 VOLUME_TRUST: Final = 0.01
 """Weight of the SGLV's rendering against the mesh's in the fill: its voxels are 10 to 25 cm wide, and the band of
-five voxels behind each surface is seen edge-on by a probe. Mean log-L2 over four path-traced rooms: 0.069 at 0.3,
-0.066 at 0.1, 0.065 at 0.01; in the fill that only it reaches, it is still better than nothing."""
+five voxels behind each surface is seen edge-on by a probe. Mean log-L2 over three path-traced rooms: 0.072 at 0.3,
+0.071 at 0.1, 0.068 at 0.01; in the fill that only it reaches, it is still better than nothing."""
+
+FILL_UPDATE: Final = 0.5
+"""Share of a new fill taken over at each frame: what was never seen is inferred, and need not jump when a frame shows a
+little more. Against 1: smoothness 0.48 instead of 0.72 (1e-3), log-L2 0.0709 instead of 0.0707."""
+
+
+@dataclass
+class _Memory:
+    """Frames that a probe has seen."""
+
+    frames: int = 0
 
 
 class ClassicalBackend:
@@ -67,8 +79,8 @@ class ClassicalBackend:
         return self._sglv
 
     def new_probe(self) -> ProbeMemory:
-        """The classical model remembers nothing of a probe beyond the panorama state itself."""
-        return object()
+        """What the classical model remembers of a probe besides its panorama."""
+        return _Memory()
 
     def estimate(
         self,
@@ -81,7 +93,8 @@ class ClassicalBackend:
         depth_max_m: float,
     ) -> Estimate:
         """HDR: what was seen, then the volume's rendering with little trust, spread by push-pull."""
-        del memory, depth_max_m
+        del depth_max_m
+        assert isinstance(memory, _Memory)
         fresh = partial.mask & (state.depth_m - partial.depth_m >= CLOSER_M)
         known = np.where(fresh, np.float32(1), state.seen)
         detail = np.where(fresh[..., None], partial.radiance, state.radiance)
@@ -93,4 +106,7 @@ class ClassicalBackend:
             rendered / np.maximum(opaque, 1e-3)[..., None], 1
         )
         hdr = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
+        if memory.frames > 0:
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
+        memory.frames += 1
         return Estimate(hdr, partial.mask.astype(np.float32))

@@ -13,13 +13,16 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import onnxruntime as ort
-from jaxtyping import Float
+from jaxtyping import Float32
 
 from roomlight.errors import ModelError
 from roomlight_server.providers import Provider, open_graph, resolve_provider
 
 Form = Literal["single", "video"]
+Buffers = dict[str, Float32[np.ndarray, "..."]]
+"""Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
 FORMAT: Final = 1
+"""Of `model.json`; written by `roomlight_export.exporting`."""
 SINGLE_GRAPHS: Final = (
     "single_sg_encoder",
     "single_sg_decoder",
@@ -51,13 +54,11 @@ class Graph:
             if not all(isinstance(size, int) for size in shape):
                 raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
 
-    def new_outputs(self) -> dict[str, Float[np.ndarray, "..."]]:
+    def new_outputs(self) -> Buffers:
         """Zeroed buffers for every output."""
         return {name: np.zeros(shape, np.float32) for name, shape in self.outputs.items()}
 
-    def bind(
-        self, inputs: dict[str, Float[np.ndarray, "..."]], outputs: dict[str, Float[np.ndarray, "..."]]
-    ) -> "BoundGraph":
+    def bind(self, inputs: Buffers, outputs: Buffers) -> "BoundGraph":
         """Fix the buffers once: every later run reads and writes them in place, without a copy."""
         binding = self._session.io_binding()
         for wanted, given, bind in (
@@ -81,7 +82,7 @@ class BoundGraph:
 
     session: ort.InferenceSession
     binding: ort.IOBinding
-    arrays: tuple[Float[np.ndarray, "..."], ...]
+    arrays: tuple[Float32[np.ndarray, "..."], ...]
 
     def run(self) -> None:
         """Run once on the bound buffers."""

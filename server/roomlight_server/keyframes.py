@@ -15,7 +15,8 @@ from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid
 
 DEFAULT_KEYFRAMES: Final = 24
-"""With its tree a keyframe takes about 6 MB; 24 cover two turns around a room at 58 degrees of view."""
+"""A keyframe of 320 x 240 pixels takes 5.4 MB (resident memory over 24 of them: 2.2 of image and mesh, the rest
+Embree's copy and tree), so these 130 MB a session; they cover two turns around a room at 58 degrees of view."""
 WORTH_KEEPING: Final = 0.04
 """A frame enters if this share of its cells is in no keyframe yet: 4 % is a turn of about 2.5 degrees."""
 _CELL: Final = 2
@@ -56,13 +57,14 @@ class KeyframeStore:
         total = int(cells.sum())
         if total == 0 or int((cells & (self._counts == 0)).sum()) < WORTH_KEEPING * total:
             return False
-        self._keyframes.append(Keyframe(index, mesh, cells))
+        offered = Keyframe(index, mesh, cells)
+        self._keyframes.append(offered)
         self._counts += cells
         if len(self._keyframes) > self.capacity:
             alone = [int((key.cells & (self._counts == 1)).sum()) for key in self._keyframes]
             dropped = self._keyframes.pop(int(np.argmin(alone)))
             self._counts -= dropped.cells
-            return dropped.index != index
+            return dropped is not offered
         return True
 
     def covered_cells(self) -> int:

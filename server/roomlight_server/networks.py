@@ -1,6 +1,7 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
-Single view: every frame is encoded and decoded alone. Video: the first frame goes through the single-view
+Single view: every frame is encoded, decoded and weighed alone; what a probe has seen accumulates all the same, as in
+the video form (the paper's single view forgets it). Video: the first frame goes through the single-view
 graphs and its features become the hidden states (h = f); from then on encoder, GRU, decoder, and the decoder
 merges with the SGLV before by V_u. Every state has two buffers, and each frame's graphs read one and write
 the other: nothing is copied.
@@ -20,8 +21,6 @@ from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
 from roomlight_server.backend import Estimate, ProbeMemory
 from roomlight_server.graphs import BoundGraph, LightingGraphs
-
-Arrays = dict[str, Float[np.ndarray, "..."]]
 
 
 class NetworkBackend:
@@ -155,24 +154,35 @@ class _ProbeNetworks:
         """The raw blending weight L_M for this frame, 0 where the frame saw nothing."""
         mask = partial.mask.astype(np.float32)
         first = self.frames == 0 or self.graphs.form == "single"
-        panels = [rendered, partial.radiance, mask, 1 - mask]
+        target, height = (self._panels8 if first else self._panels13)[0], self._height
+        at = 0 if first else 3
+        target[at : at + 3] = _planes(_resample(rendered, height))
+        target[at + 3 : at + 6] = _planes(_resample(partial.radiance, height))
+        self._mask[0, 0] = target[at + 6] = _nearest(mask, height)
+        np.subtract(1, target[at + 6], out=target[at + 7])
         if not first:
-            panels = [state.radiance, *panels, partial.depth_m / depth_max_m, state.depth_m / depth_max_m]
-        target = (self._panels8 if first else self._panels13)[0]
-        channel = 0
-        for panel in panels:
-            for plane in np.moveaxis(np.atleast_3d(panel), -1, 0):
-                target[channel] = self._resample(plane, self._height)
-                channel += 1
-        self._mask[0, 0] = self._resample(mask, self._height)
+            target[:3] = _planes(_resample(state.radiance, height))
+            target[11] = _nearest(partial.depth_m, height) / depth_max_m
+            target[12] = _nearest(state.depth_m, height) / depth_max_m
         for step in self._first if first else self._next[(self.frames - 1) % 2]:
             step.run()
         self.frames += 1
-        return self._resample(self._weight[0, 0], mask.shape[0]) * mask
+        return _resample(self._weight[0, 0], mask.shape[0]) * mask
 
-    @staticmethod
-    def _resample(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "h2 w2"]:
-        if plane.shape[0] == height:
-            return plane
-        interpolation = cv2.INTER_AREA if plane.shape[0] > height else cv2.INTER_LINEAR
-        return cv2.resize(np.ascontiguousarray(plane), (2 * height, height), interpolation=interpolation)
+
+def _planes(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 h w"]:
+    return np.moveaxis(image, -1, 0)
+
+
+def _resample(image: Float[np.ndarray, "h w *c"], height: int) -> Float[np.ndarray, "{height} 2*{height} *c"]:
+    if image.shape[0] == height:
+        return image
+    interpolation = cv2.INTER_AREA if image.shape[0] > height else cv2.INTER_LINEAR
+    return cv2.resize(image, (2 * height, height), interpolation=interpolation)
+
+
+def _nearest(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "{height} 2*{height}"]:
+    """For masks and depth: a mean across an edge is a surface that does not exist, and half a mask is none."""
+    if plane.shape[0] == height:
+        return plane
+    return cv2.resize(plane, (2 * height, height), interpolation=cv2.INTER_NEAREST_EXACT)

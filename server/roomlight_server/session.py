@@ -37,7 +37,8 @@ from roomlight_server.providers import Provider
 ModelName = Literal["auto", "classical", "single", "video"]
 Position = tuple[float, float, float]
 WORKING_SIZE = (320, 240)
-"""Frames are brought to this size (width, height), the paper's: eight pixels to one of a panorama."""
+"""Frames are brought to this size (width, height; turned for upright images), the paper's: eight pixels to one of a
+panorama of 120 rows."""
 
 
 @dataclass(frozen=True)
@@ -60,9 +61,11 @@ class SessionOptions:
     unknown_depth: UnknownDepth = "rim"
 
     def __post_init__(self) -> None:
-        """Refuse sizes that make no panorama."""
+        """Refuse, by ValueError, sizes that make no panorama and a store that holds nothing."""
         if not 16 <= self.height <= 2048:
             raise ValueError(f"panorama height must be 16 to 2048 pixels, got {self.height}")
+        if self.keyframes < 1:
+            raise ValueError(f"at least 1 keyframe is kept for probes asked late, got {self.keyframes}")
 
 
 @dataclass(frozen=True)
@@ -115,9 +118,11 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         if options.model == "video" and graphs.form == "single":
             raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
         return replace(graphs, form="single") if options.model == "single" else graphs
-    for form in ("video", "single"):
-        if options.model in ("auto", form) and (SHIPPED / form / "model.json").is_file():
-            return load_graphs(SHIPPED / form, provider=options.provider)
+    # A video folder holds the single-view graphs too: its first frame needs them.
+    for folder in ("single", "video") if options.model == "single" else ("video", "single"):
+        if (SHIPPED / folder / "model.json").is_file() and (options.model, folder) != ("video", "single"):
+            graphs = load_graphs(SHIPPED / folder, provider=options.provider)
+            return replace(graphs, form="single") if options.model == "single" else graphs
     if options.model == "auto":
         return None
     raise ModelError(
@@ -234,7 +239,11 @@ class Session:
         return _Probe(position, state, self._backend.new_probe())
 
     def _new_probe(self, position: Position) -> _Probe:
-        """A probe that has seen what the keyframes and the last frame show."""
+        """A probe that has seen what the keyframes and the last frame show, in order of time.
+
+        The SGLVs of those moments are gone: every look is blended over the present one, which has seen more. 2D hidden
+        states run through the same looks, from the first on.
+        """
         assert self._keyframes is not None
         assert self._latest is not None
         probe = self._fresh_probe(position)

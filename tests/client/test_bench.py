@@ -14,6 +14,7 @@ from roomlight_client.bench.report import StageRow, StagesReport, judge
 from roomlight_client.bench.roofline import CeilingRuns, Ceilings, Cost
 from roomlight_client.bench.room import PROBE, RoomSize, views
 from roomlight_client.bench.timing import Timing, Way, time_in_turn
+from roomlight_client.tables import print_whole
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
 SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=16, samples=100, keyframes=3)
@@ -85,6 +86,11 @@ def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
     for criterion in report.criteria:
         assert criterion.demand in printed
     assert f"{report.threads} threads" in printed
+    narrow = Console(width=80, force_terminal=False)
+    with narrow.capture() as capture:
+        print_whole(narrow, report.table(width=80))
+    assert "…" not in capture.get()
+    assert "initialisation" in capture.get()
     assert len(report.criteria) == 6
 
 

@@ -11,6 +11,7 @@ import pytest
 
 from roomlight_client import cli, replay
 from roomlight_client.demo import sample_capture
+from roomlight_client.evaluate import evaluate_predictions
 
 
 def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -52,7 +53,12 @@ def test_an_error_is_one_line_with_the_path_and_no_traceback(arguments, says, tm
     [
         (("--probe", "1,2"), "X,Y,Z"),
         (("--probe", "a,b,c"), "X,Y,Z"),
-        (("--height", "3"), "16 to 2048"),
+        (("--height", "3"), "--height"),
+        (("--height", "3000"), "2048"),
+        (("--max-frames", "0"), "--max-frames"),
+        (("--probe", "0,1,0", "--probes-from-capture"), "not both"),
+        (("--interpolate",), "--interpolate fills in"),
+        (("--model", "classical", "--weights", "w"), "no networks"),
         (("--model", "magic"), "magic"),
         (("--world-up", "1,2"), "three numbers"),
     ],
@@ -62,6 +68,34 @@ def test_a_bad_argument_is_a_usage_error(option, says, tmp_path):
     assert result.returncode == 2
     assert says in result.stderr
     assert not (tmp_path / "out").exists()
+
+
+def test_late_questions_cannot_be_put_to_files(tmp_path):
+    result = run("eval", str(sample_capture()), "--late", "--predictions", ".", cwd=tmp_path)
+    assert result.returncode == 2
+    assert "--late asks the engine" in result.stderr
+
+
+def test_names_that_look_like_markup_are_printed_as_they_are(tmp_path):
+    result = run("replay", "a [bold]room[/x]", "--out", "out", cwd=tmp_path)
+    assert result.returncode == 1
+    assert "error: a [bold]room[/x]: there is no such file" in result.stderr
+
+
+def test_predictions_of_every_tenth_frame_are_scored_as_such(tmp_path):
+    sample = str(sample_capture())
+    made = run(
+        "replay", sample, "--out", "out [/y]", "--probes-from-capture", "--every", "10", "--height", "16", cwd=tmp_path
+    )
+    assert made.returncode == 0, made.stderr
+    assert "Look at out [/y]/summary.png" in made.stdout
+    assert "4 frames, 3 probes" in made.stdout
+    missing = run("eval", sample, "--predictions", "out [/y]", cwd=tmp_path)
+    assert missing.returncode == 1
+    assert "--every" in missing.stderr
+    scored = run("eval", sample, "--predictions", "out [/y]", "--every", "10", cwd=tmp_path)
+    assert scored.returncode == 0, scored.stderr
+    assert "predictions" in scored.stdout
 
 
 @pytest.mark.parametrize("model", ["video", "single"])
@@ -111,7 +145,8 @@ def test_the_demo_needs_nothing_and_says_where_to_look(tmp_path):
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
-    assert "log-L2" in result.stdout
+    mean = evaluate_predictions(sample_capture(), out).cells("predictions", "log_l2")
+    assert f"log-L2 {mean[0].mean:.3f} over the first seven frames, {mean[4].mean:.3f} over the last" in result.stdout
     report = json.loads((out / "report.json").read_text())
     assert len(report["probes"]) == 3
     assert report["skipped"] == []

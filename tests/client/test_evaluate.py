@@ -18,7 +18,7 @@ from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_client.evaluate import Estimator, Predictions, evaluate, evaluate_predictions
 from roomlight_client.scores import CaptureSummary, Evaluation, Track
-from roomlight_client.tables import evaluation_tables
+from roomlight_client.tables import evaluation_tables, print_whole
 
 PROBES = ((0.0, 0.0, -1.0), (0.3, 0.1, -1.5))
 INTRINSICS = Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30)
@@ -261,5 +261,10 @@ def test_tables_show_every_metric_method_and_interval() -> None:
         for table in tables:
             console.print(table)
     text = printed.get()
-    for wanted in (*PAPER_INTERVALS, *(metric.title for metric in METRICS), "good", "bad", "1.5 [1, 2]"):
+    narrow = Console(width=40, color_system=None, force_terminal=False)
+    with narrow.capture() as printed_narrow:
+        print_whole(narrow, tables[0])
+    assert max(map(len, printed_narrow.get().splitlines())) <= 80  # a terminal's usual width, and a pipe's
+    assert "…" not in printed_narrow.get()
+    for wanted in (*PAPER_INTERVALS, *(metric.title for metric in METRICS), "good", "bad", "1.5", "1-2"):
         assert wanted in text

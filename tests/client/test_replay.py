@@ -144,6 +144,46 @@ def test_another_replay_or_a_foreign_folder_is_not_mixed_in(capture, tmp_path):
     assert (foreign / "thesis.tex").read_text() == "precious"
     with pytest.raises(OutputError, match="is a file"):
         replay(capture, foreign / "thesis.tex", other)
+    with pytest.raises(OutputError, match="Not a directory"):
+        replay(capture, foreign / "thesis.tex" / "out", other)
+    stale = foreign / "probe-00" / "000000.exr"
+    stale.parent.mkdir()
+    stale.write_bytes(b"of another program")
+    (foreign / "probe-00" / "notes.txt").write_text("precious too")
+    replay(capture, foreign, ReplayOptions(session=SMALL, probes=(PROBES[1],), overwrite=True))
+    assert read_panorama(stale).shape == (16, 32, 3)
+    assert (foreign / "thesis.tex").read_text() == "precious"
+    assert (foreign / "probe-00" / "notes.txt").read_text() == "precious too"
+
+
+def test_a_mistaken_command_leaves_nothing_that_hinders_the_right_one(capture, tmp_path):
+    out = tmp_path / "out"
+    wrong = CaptureOptions(depth_unit_m=1.0)
+    with pytest.raises(CaptureError, match="depth unit"):
+        replay(capture, out, ReplayOptions(capture=wrong, session=SMALL))
+    assert not out.exists()
+    kept = replay(capture, out, ReplayOptions(session=SMALL, probes=(PROBES[0],))).report
+    with pytest.raises(CaptureError, match="depth unit"):
+        replay(capture, out, ReplayOptions(capture=wrong, session=SMALL, overwrite=True))
+    assert json.loads((out / "report.json").read_text()) == kept
+
+
+def test_a_capture_is_never_its_own_output(capture):
+    before = sorted(path.name for path in capture.iterdir())
+    for path in (capture, capture / "capture.json"):
+        with pytest.raises(OutputError, match="the capture itself"):
+            replay(path, capture, ReplayOptions(session=SMALL, overwrite=True))
+    assert sorted(path.name for path in capture.iterdir()) == before
+
+
+def test_a_finished_replay_is_made_anew_when_asked_again(capture, tmp_path):
+    out, options = tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))
+    replay(capture, out, options)
+    panorama = out / "probe-00" / "000001.exr"
+    whole = panorama.read_bytes()
+    panorama.write_bytes(b"from before the capture was recorded again")
+    replay(capture, out, options)
+    assert panorama.read_bytes() == whole
 
 
 def test_bad_frames_are_skipped_and_listed(capture, tmp_path):

@@ -59,7 +59,7 @@ def test_eval_scores_engine_and_baselines(capture, tmp_path, late):
             capture=CaptureOptions(),
         )
     text = printed.get()
-    for method in ("mean colour", "warp and fill", "roomlight classical"):
+    for method in ("mean colour", "warp and fill", "classical"):
         assert method in text
     assert ("asked late" in text) is late
     written = json.loads(scores.read_text())

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roomlight.depth import complete_depth
+from roomlight.depth import clean_depth, complete_depth
 from rooms import BoxRoom, camera_at, pinhole
 
 
@@ -18,6 +18,10 @@ def holed():
     depth[np.random.default_rng(0).random(depth.shape) < 0.3] = 0
     depth[40:70, 30:80] = 0
     return depth
+
+
+def test_clean_depth_knows_only_positive_finite_numbers():
+    assert clean_depth(np.array([[np.nan, np.inf, -1.0, 0.0, 3.0, 1e300]])).tolist() == [[0, 0, 0, 0, 3.0, 0]]
 
 
 def test_known_pixels_keep_their_bits_and_none_stays_unknown(holed):

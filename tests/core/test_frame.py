@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from roomlight.errors import FrameError
-from rooms import BoxRoom, camera_at
+from roomlight.frame import Frame
+from rooms import BoxRoom, camera_at, pinhole
 
 FRAME = BoxRoom().frame(camera_at((0.2, 1.5, 0.1), 15), index=7, depth_size=(80, 60))
 
@@ -23,12 +24,64 @@ def _changed(**parts):
         ({"depth_m": FRAME.depth_m[:, :60]}, "60 x 60 has another aspect"),
         ({"camera_to_world": np.full((4, 4), np.nan)}, "NaN or infinity"),
         ({"camera_to_world": 2 * np.eye(4)}, "last row"),
+        ({"camera_to_world": camera_at((0.0, 0.0, 2e4))}, r"2e\+04 m from the origin"),
     ],
 )
 def test_parts_that_do_not_fit_are_refused_by_frame(parts, message):
     with pytest.raises(FrameError, match=message) as caught:
         _changed(**parts)
     assert "room frame 7" in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("parts", "message"),
+    [
+        ({"image": np.zeros((120, 160, 3), np.uint8)}, "uint8 of shape .*srgb8_to_linear"),
+        ({"image": np.zeros((120, 160, 4), np.float32)}, r"\(120, 160, 4\), not linear float RGB"),
+        ({"image": np.zeros((120, 160), np.float32)}, r"\(120, 160\), not linear float RGB"),
+        ({"depth_m": np.full((60, 80), 2000, np.uint16)}, "uint16 of shape .* not float metres"),
+        ({"depth_m": np.ones((60, 80, 1), np.float32)}, r"\(60, 80, 1\), not float metres"),
+    ],
+)
+def test_arrays_of_another_kind_are_refused_by_frame(parts, message):
+    # not through __init__, where the test run's own check of annotations would be first
+    frame = object.__new__(Frame)
+    for field in dataclasses.fields(Frame):
+        object.__setattr__(frame, field.name, parts.get(field.name, getattr(FRAME, field.name)))
+    with pytest.raises(FrameError, match=f"^room frame 7: .*{message}"):
+        frame.__post_init__()
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.01])
+def test_radiance_that_is_none_is_refused_with_its_count(value):
+    image = FRAME.image.copy()
+    image[3, 5:7, 0] = value
+    with pytest.raises(FrameError, match=r"^room frame 7: 2 of 57600 radiances"):
+        _changed(image=image)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
+def test_depth_that_is_none_is_unknown(value):
+    depth = FRAME.depth_m.copy()
+    depth[10:20, 30] = value
+    frame = _changed(depth_m=depth)
+    assert (frame.depth_m[10:20, 30] == 0).all()
+    assert (frame.depth_m > 0).sum() == depth.size - 10
+
+
+def test_arrays_of_other_precision_and_layout_become_the_kernels():
+    mirrored = np.asfortranarray(FRAME.image[..., ::-1].astype(np.float64))
+    frame = _changed(image=mirrored, depth_m=FRAME.depth_m.astype(np.float16))
+    for array in (frame.image, frame.depth_m):
+        assert array.dtype == np.float32
+        assert array.flags.c_contiguous
+    assert (frame.image == FRAME.image[..., ::-1]).all()
+
+
+def test_sound_arrays_are_taken_without_a_copy():
+    again = _changed(index=8)
+    assert again.image is FRAME.image
+    assert again.depth_m is FRAME.depth_m
 
 
 def test_without_a_source_the_index_names_the_frame():
@@ -56,6 +109,18 @@ def test_shrunk_depth_is_some_depth_that_was_measured():
 
 def test_depth_smaller_than_the_target_stays_as_it_is():
     assert FRAME.resized(100, 100).depth_m is FRAME.depth_m
+
+
+def test_the_box_turns_with_the_image():
+    upright = dataclasses.replace(
+        FRAME,
+        image=np.ascontiguousarray(FRAME.image.transpose(1, 0, 2)),
+        clipped=FRAME.clipped.T,
+        depth_m=FRAME.depth_m.T,
+        intrinsics=pinhole(120, 160),
+    )
+    assert upright.resized(40, 30).image.shape == (40, 30, 3)
+    assert upright.resized(30, 40).image.shape == (40, 30, 3)
 
 
 def test_nothing_is_enlarged():

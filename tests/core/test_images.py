@@ -10,7 +10,6 @@ import pytest
 from roomlight.errors import ImageError, OutputError
 from roomlight.images import (
     MAX_PIXELS,
-    clean_depth,
     decode_colour,
     decode_depth,
     peek_size,
@@ -133,10 +132,6 @@ def test_depth_exr_is_in_metres_and_what_is_not_finite_is_unknown(tmp_path, dtyp
     metres = np.array([[1.5, np.nan, np.inf, -np.inf], [-1.0, 0.0, 2.0, 4.0]], dtype)
     path = _exr(tmp_path, Z=metres)
     assert read_depth(path, unit_m=0.001).tolist() == [[1.5, 0, 0, 0], [0, 0, 2.0, 4.0]]
-
-
-def test_clean_depth_knows_only_positive_finite_numbers():
-    assert clean_depth(np.array([[np.nan, np.inf, -1.0, 0.0, 3.0]])).tolist() == [[0, 0, 0, 0, 3.0]]
 
 
 @pytest.mark.parametrize("pixels", [SRGB, SRGB[..., 0], SRGB.astype(np.uint16)])

@@ -42,7 +42,7 @@ def _away_from_edges(frame, xy, inside, *, reach_px):
 def test_a_probe_at_the_camera_sees_the_frame_inside_its_frustum(yaw, pitch):
     frame = ROOM.frame(camera_at((0.3, 1.5, 1.2), yaw, pitch))
     position = frame.camera_to_world[:3, 3]
-    height = 60
+    height = 360  # an image pixel to one of the panorama: the texture's finest level
     seen = FrameMesh(frame).look_from(position, height=height)
     inside, xy, stretch = _in_frustum(frame, position, height, margin_px=2)
     check = _away_from_edges(frame, xy, inside, reach_px=2)
@@ -172,6 +172,47 @@ def test_low_resolution_depth_carries_the_full_image():
     both = fine.mask & few.mask
     assert both.sum() > 0.8 * fine.mask.sum()
     assert np.quantile(abs(fine.radiance - few.radiance)[both], 0.95) < 0.01
+
+
+def _checkered(frame, size_px):
+    """The frame with squares of black and white instead of its image."""
+    row, column = np.indices(frame.depth_m.shape) // size_px
+    image = np.repeat(((row + column) % 2).astype(np.float32)[..., None], 3, axis=-1)
+    return dataclasses.replace(frame, image=image)
+
+
+def test_what_is_finer_than_a_panoramas_pixel_is_averaged_not_sampled():
+    frame = _checkered(BoxRoom().frame(POSE, width=320, height=240), 1)
+    seen = FrameMesh(frame).look_from(POSE[:3, 3], height=48)  # 14 image pixels to one
+    assert abs(seen.radiance[seen.mask] - 0.5).max() < 0.01
+
+
+def test_a_surface_near_the_probe_stays_sharp():
+    """From 15 cm off a wall 3.7 m from the camera, an image pixel is as large as many of the panorama's."""
+    frame = _checkered(BoxRoom().frame(camera_at((0.3, 1.5, 1.2)), width=320, height=240), 2)
+    seen = FrameMesh(frame).look_from(np.array([0.3, 1.5, -2.35]), height=120)
+    near = seen.mask & (seen.depth_m < 0.2)
+    assert near.sum() > 1000
+    # bilinear ramps between squares of 2 pixels: half of all values are not grey but beyond 1/4 and 3/4
+    assert np.mean(abs(seen.radiance[near] - 0.5) > 0.25) > 0.4
+
+
+@pytest.mark.parametrize(("width", "height"), [(32, 24), (17, 9), (8, 6), (321, 241)])
+def test_every_level_of_the_texture_keeps_its_place(width, height):
+    """An image that is a ramp in x and y reads the same from any level; sides that halve to fractions included."""
+    frame = BoxRoom().frame(POSE, width=width, height=height, depth_size=(64, round(64 * height / width)))
+    x, y = np.meshgrid((np.arange(width) + 0.5) / width, (np.arange(height) + 0.5) / height)
+    ramp = np.stack([x, y, 0.5 * (x + y)], axis=-1).astype(np.float32)
+    mesh = FrameMesh(dataclasses.replace(frame, image=ramp))
+    position = POSE[:3, 3]
+    inside, xy, _ = _in_frustum(frame, position, 24, margin_px=0)
+    # beyond the centres of a level's outermost pixels, an eighth of the image wide at most, colour is held
+    uv = xy / [width, height]
+    check = inside & (uv > 0.15).all(-1) & (uv < 0.85).all(-1)
+    seen = mesh.look_from(position, height=24)
+    check &= seen.mask
+    assert check.sum() > 3
+    np.testing.assert_allclose(seen.radiance[check][:, :2], uv[check], atol=0.02)
 
 
 def test_building_twice_is_building_once():

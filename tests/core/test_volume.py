@@ -10,7 +10,13 @@ from hypothesis import strategies as st
 from roomlight.camera import rigid_inverse
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
-from roomlight.volume import VOLUME_SHAPE, VolumeGrid, initial_volume, initial_volume_reference
+from roomlight.volume import (
+    DEPTH_MAX_FLOOR_M,
+    VOLUME_SHAPE,
+    VolumeGrid,
+    initial_volume,
+    initial_volume_reference,
+)
 from rooms import BoxRoom, camera_at, pinhole
 
 ROOM = BoxRoom()
@@ -66,6 +72,13 @@ def test_the_volume_stands_in_the_first_camera():
     behind = pose[:3, 3] + 1.1 * pose[:3, 2]
     assert grid.contains(tuple(ahead))  # to 1.2 D_max in front
     assert not grid.contains(tuple(behind))  # to 0.5 D_max behind
+
+
+@pytest.mark.parametrize("depth_m", [0.02, 0.3, 0.49])
+def test_a_close_up_makes_no_volume_smaller_than_the_floor(depth_m):
+    grid = VolumeGrid.from_frame(_plane_frame(depth_m))
+    assert grid.depth_max_m == DEPTH_MAX_FLOOR_M
+    assert grid.upper_m[0] - grid.lower_m[0] == pytest.approx(1.1)
 
 
 def test_one_stray_pixel_does_not_blow_the_volume_up():

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
+from roomlight.blend import UNSEEN_DEPTH
 from roomlight_model.blend import (
     SINGLE_PANELS,
-    UNSEEN_DEPTH,
     VIDEO_PANELS,
     BlendDecoder,
     BlendEncoder,

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roomlight.blend import PanoramaState, accumulate
-from roomlight.mesh import FrameMesh
+from roomlight.mesh import FrameMesh, PartialPanorama
 from roomlight.sglv import render_panorama
 from roomlight.volume import VolumeGrid, initial_volume
 from roomlight_server.classical import ClassicalBackend
@@ -113,3 +113,25 @@ def test_nothing_seen_gives_no_light_and_no_error():
     estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, (0.0, 1.0, 0.0))
     assert (estimate.hdr == 0).all()
     assert (estimate.weight == 0).all()
+
+
+def test_what_was_never_seen_does_not_jump():
+    """Half of each new fill is taken over: the first frame's whole, a later frame's half the way."""
+    backend = _started()
+    state, memory = PanoramaState.fresh(16, 3.0), backend.new_probe()
+    rendered, open_sky = np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32)
+    mask = np.zeros((16, 32), bool)
+    mask[4:8, 4:8] = True
+
+    def look(value):
+        radiance = np.where(mask[..., None], np.float32(value), np.float32(0)) * np.ones(3, np.float32)
+        depth = np.where(mask, np.float32(1), np.float32(0))
+        partial = PartialPanorama(radiance, mask, depth)
+        given = {"rendered": rendered, "transmittance": open_sky, "partial": partial, "depth_max_m": 3.0}
+        estimate = backend.estimate(memory, state, **given)
+        accumulate(state, hdr=estimate.hdr, detail=radiance, detail_depth_m=depth, weight=estimate.weight)
+        return estimate.hdr[12, 20, 0]
+
+    assert look(0.8) == pytest.approx(0.8, rel=1e-5)
+    state.radiance[~mask] = 0.2  # as an earlier, darker fill would have left it
+    assert look(0.8) == pytest.approx(0.5, rel=1e-5)

@@ -12,8 +12,11 @@ from onnx import TensorProto, helper
 
 from roomlight.errors import ModelError
 from roomlight_server import providers
+from roomlight_server import session as session_module
 from roomlight_server.graphs import Graph, load_graphs
 from roomlight_server.session import Session, SessionOptions, choose_graphs
+
+FORMS_ASKED = ("single", "video", "auto")
 
 
 @pytest.fixture
@@ -131,8 +134,28 @@ def test_a_single_view_folder_serves_single_and_auto_but_not_video(folder):
 
 def test_a_video_folder_serves_every_form(folder):
     options = {"weights": folder, "provider": "cpu", "allow_untrained": True}
-    forms = {model: choose_graphs(SessionOptions(model=model, **options)).form for model in ("single", "video", "auto")}
+    forms = {model: choose_graphs(SessionOptions(model=model, **options)).form for model in FORMS_ASKED}
     assert forms == {"single": "single", "video": "video", "auto": "video"}
+
+
+def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
+    _edit(folder, card={"steps": 1000})
+    (folder.parent / "shipped").mkdir()
+    folder.rename(folder.parent / "shipped" / "video")
+    monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
+    forms = {model: choose_graphs(SessionOptions(model=model, provider="cpu")).form for model in FORMS_ASKED}
+    assert forms == {"single": "single", "video": "video", "auto": "video"}
+
+
+def test_shipped_single_weights_serve_single_and_auto(folder, monkeypatch):
+    _edit(folder, card={"steps": 1000}, form="single")
+    (folder.parent / "shipped").mkdir()
+    folder.rename(folder.parent / "shipped" / "single")
+    monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
+    for model in ("single", "auto"):
+        assert choose_graphs(SessionOptions(model=model, provider="cpu")).form == "single"
+    with pytest.raises(ModelError, match="'video': no trained weights"):
+        choose_graphs(SessionOptions(model="video", provider="cpu"))
 
 
 def _identity(shape):

@@ -5,7 +5,7 @@ import pytest
 
 from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid
-from roomlight_server.keyframes import WORTH_KEEPING, KeyframeStore
+from roomlight_server.keyframes import KeyframeStore
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom()
@@ -67,6 +67,13 @@ def test_the_same_frame_twice_is_refused(turn):
     assert len(store) == 1
 
 
+def test_frames_are_told_apart_without_their_indices(turn):
+    grid, meshes = turn
+    by_index, by_itself = (KeyframeStore(grid, 2) for _ in range(2))
+    for index, mesh in enumerate(meshes[:9]):
+        assert by_itself.offer(0, mesh) == by_index.offer(index, mesh)
+
+
 def test_a_frame_without_depth_is_refused(turn):
     frame = ROOM.frame(camera_at((0, 1.5, 0)), **SIZE)
     frame.depth_m[:] = 0
@@ -100,7 +107,3 @@ def test_offers_during_a_walk_do_no_harm(turn):
 def test_a_store_for_nothing_is_refused(turn, capacity):
     with pytest.raises(ValueError, match=str(capacity)):
         KeyframeStore(turn[0], capacity)
-
-
-def test_the_threshold_is_a_share():
-    assert 0 < WORTH_KEEPING < 1

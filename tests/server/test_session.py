@@ -8,6 +8,9 @@ import pytest
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.errors import FrameError, ModelError, ProbeError
+from roomlight.kernels.blend import accumulate_rows
+from roomlight.kernels.march import march_rays
+from roomlight.kernels.volume_init import initialise_slices
 from roomlight_server import session as session_module
 from roomlight_server.session import Session, SessionOptions, choose_graphs
 from rooms import BoxRoom, camera_at, pan, turn_about_y
@@ -31,6 +34,11 @@ def _run(frames, *, probes=(), options=CLASSICAL):
     return session, reports
 
 
+def _area_mean(panorama, size):
+    height, width = panorama.shape[:2]
+    return panorama.reshape(height // size, size, width // size, size, 3).mean(axis=(1, 3))
+
+
 @pytest.fixture(scope="module")
 def turn():
     """Two thirds of a turn; the lamp is in the first frames alone."""
@@ -52,12 +60,14 @@ def test_streaming_again_gives_the_same_bits(turn, tracked):
 def test_what_was_seen_is_the_rooms_own_light(tracked):
     for handle, probe in enumerate(PROBES):
         light = tracked[0].light(handle)
-        true, _ = ROOM.panorama(probe, 48)
+        true = _area_mean(ROOM.panorama(probe, 8 * 48)[0], 8)
         difference = abs(light.panorama - true).max(axis=-1)[light.observed > 0.5]
-        # From the third probe, before the block, a sixth of what is seen lies past the block's foot, which no
-        # camera saw: nothing is there to hide the wall. For the others: the width of a triangle at an edge.
-        right = 0.8 if handle == 2 else 0.98
+        # From the third probe, before the block, a quarter of what is seen lies past the block's foot, which no
+        # camera saw: nothing is there to hide the wall. For the others: edges, where the texture's mean is of
+        # other pixels than the truth's, between walls that differ by up to 0.7 and the lamp by 8.
+        right = 0.7 if handle == 2 else 0.85
         assert np.quantile(difference, right) < 0.01
+        assert handle == 2 or np.quantile(difference, 0.98) < 0.12
         assert light.coverage > 0.3
 
 
@@ -233,6 +243,12 @@ def test_absurd_heights_are_refused(height):
         SessionOptions(height=height)
 
 
+@pytest.mark.parametrize("keyframes", [0, -3])
+def test_a_store_of_keyframes_that_holds_none_is_refused_before_any_frame(keyframes):
+    with pytest.raises(ValueError, match=f"at least 1 keyframe .* {keyframes}"):
+        SessionOptions(keyframes=keyframes)
+
+
 @pytest.mark.parametrize("unknown_depth", ["rim", "far", "drop"])
 def test_pixels_without_depth_enter_as_asked(turn, unknown_depth):
     holed = dataclasses.replace(turn[0], depth_m=turn[0].depth_m.copy())
@@ -243,6 +259,21 @@ def test_pixels_without_depth_enter_as_asked(turn, unknown_depth):
     share = session.light(0).coverage / whole.light(0).coverage
     # the hole is 5 % of the image: only its rim is a surface that the mesh can show
     assert share == pytest.approx(1, abs=1e-3) if unknown_depth == "rim" else share < 0.98
+
+
+def test_an_upright_frame_gives_as_much_as_a_level_one():
+    """A phone turned a quarter about its axis: the same room, in as many pixels."""
+    turned = camera_at((0.3, 1.4, 0.2))
+    turned[:3, :3] = turned[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    level = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=640, height=480)
+    upright = ROOM.frame(
+        turned, width=480, height=640, fov_degrees=59.84
+    )  # the level one's 75 degrees are its height's
+    lights = [_run([frame], probes=PROBES[:1])[0].light(0) for frame in (level, upright)]
+    # the two principal points are off the centre each in its own direction, and a mesh's rim is a triangle wide
+    assert lights[1].coverage == pytest.approx(lights[0].coverage, rel=0.03)
+    both = (lights[0].observed == 1) & (lights[1].observed == 1)
+    assert np.quantile(abs(lights[0].panorama - lights[1].panorama)[both], 0.95) < 0.05
 
 
 def test_large_frames_are_brought_to_the_working_size():
@@ -264,6 +295,13 @@ def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_
     assert Session().model == "classical"
 
 
-def test_warming_up_leaves_nothing_behind():
+def test_after_warming_up_no_kernel_is_compiled_any_more(turn):
     session_module.warm_up()
-    assert Session(CLASSICAL).frames == 0
+    kernels = (initialise_slices, march_rays, accumulate_rows)
+    before = [list(kernel.signatures) for kernel in kernels]
+    session, _ = _run(turn[:2], probes=PROBES)
+    double = dataclasses.replace(turn[2], image=np.asfortranarray(turn[2].image, np.float64))
+    session.push(double)
+    session.light_at(PROBES[0])
+    assert [list(kernel.signatures) for kernel in kernels] == before
+    assert all(before)

@@ -9,6 +9,7 @@ from typing import Any, Final
 import numba
 import numpy as np
 import onnxruntime
+from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
@@ -105,39 +106,40 @@ class StagesReport:
         parts: dict[str, Any] = {"rows": tuple(rows), "criteria": criteria, "ceilings": Ceilings(**values["ceilings"])}
         return cls(**{**values, **parts})
 
-    def table(self) -> RenderableType:
-        """The stages, then what the criteria say."""
-        return Group(self._stages_table(), self._criteria_table())
+    def table(self, *, width: int = 120) -> RenderableType:
+        """The stages, then what the criteria say; below 120 columns without the figures behind the roofline."""
+        return Group(self._stages_table(brief=width < 120), self._criteria_table())
 
-    def _stages_table(self) -> Table:
+    def _stages_table(self, *, brief: bool) -> Table:
         table = Table(
             title=f"Stages of one frame and one probe in ms: ours least / median of {self.repeats}, others least",
             title_justify="left",
             caption=(
                 f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
-                f"{self.networks}; ceilings: {self.ceilings.flops_per_s / 1e9:.0f} GFLOP/s (fp32 matrix product), "
+                f"{self.networks}; {'' if self.torch else 'torch not installed: nothing to compare with; '}"
+                f"ceilings: {self.ceilings.flops_per_s / 1e9:.0f} GFLOP/s (fp32 matrix product), "
                 f"{self.ceilings.bytes_per_s / 1e9:.1f} GB/s (copy); x: times as long as ours, least to least; "
                 f"roof: the least these ceilings allow; {_PAPER}"
             ),
             caption_justify="left",
+            box=box.SIMPLE_HEAD,
+            padding=0,
+            show_edge=False,
         )
-        table.add_column("stage")
+        table.add_column("stage", min_width=22)
         table.add_column("ours", justify="right", no_wrap=True)
         table.add_column("NumPy", justify="right", no_wrap=True)
         table.add_column("PyTorch", justify="right", no_wrap=True)
-        for heading in ("max diff", "MFLOP", "MB", "roof", "ours/roof", "paper"):
+        for heading in (*(() if brief else ("max diff", "MFLOP", "MB")), "roof", "ours/roof", "paper"):
             table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
-            absent = "-" if self.torch else "torch not installed"
             largest = max(row.differences.values(), default=None)
             table.add_row(
                 f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
                 f"{_short(row.ours.least_ms)} / {_short(row.ours.median_ms)}",
                 _other(row, row.reference),
-                _other(row, row.torch) if row.torch else absent,
-                "-" if largest is None else f"{largest:.1e}",
-                _short(row.flops / 1e6),
-                _short(row.bytes / 1e6),
+                _other(row, row.torch),
+                *(() if brief else ("-" if largest is None else f"{largest:.1e}", *_millions(row.flops, row.bytes))),
                 _short(row.roof_ms),
                 _short(row.ours.least_ms / row.roof_ms),
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
@@ -189,6 +191,10 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
 def _other(row: StageRow, timing: Timing | None) -> str:
     ratio = row.ratio(timing)
     return "-" if timing is None or ratio is None else f"{_short(timing.least_ms)}\n[bold]{_short(ratio)} x[/bold]"
+
+
+def _millions(*values: float) -> tuple[str, ...]:
+    return tuple(_short(value / 1e6) for value in values)
 
 
 def _short(value: float) -> str:

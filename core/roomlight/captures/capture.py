@@ -21,11 +21,6 @@ from roomlight.errors import CaptureError, FrameError, ImageError, RoomLightErro
 from roomlight.frame import Frame
 from roomlight.images import read_panorama
 
-MAX_POSITION_M: Final = 10_000.0
-"""Farthest camera from the origin: past it float32 metres lose the millimetre, and no indoor capture goes
-there.
-"""
-
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
 """The median of known depth must lie in here; rooms do, and a wrong unit (factor 1000) leaves it on either
 side.
@@ -204,7 +199,7 @@ class Capture:
                 image=raw.image,
                 clipped=raw.clipped,
                 depth_m=self._checked_depth(raw),
-                intrinsics=_plausible(raw.intrinsics),
+                intrinsics=raw.intrinsics,
                 camera_to_world=self._converted(raw.pose),
                 timestamp_s=raw.timestamp_s,
                 source=raw.name,
@@ -223,11 +218,7 @@ class Capture:
             rigid = rigid_inverse(rigid)
         if self._camera_convention == "opencv":
             rigid = rigid @ OPENCV_TO_OPENGL
-        rigid = self._to_y_up @ rigid
-        far = float(np.abs(rigid[:3, 3]).max())
-        if far > MAX_POSITION_M:
-            raise ValueError(f"the pose is {far:.3g} m from the origin; this is lost tracking or another unit")
-        return rigid
+        return self._to_y_up @ rigid
 
     def _checked_depth(self, raw: RawFrame) -> Float[np.ndarray, "dh dw"]:
         """Depth without what confidence rejects; FrameError when nothing is left or its unit looks wrong."""
@@ -257,14 +248,6 @@ class Capture:
                 "(min_confidence, on the command line --min-confidence, sets the threshold)"
             )
         return trusted
-
-
-def _plausible(camera: Intrinsics) -> Intrinsics:
-    """The same camera, if a lens could have it: from 0.02 widths (176 degrees) to 100 (half a degree)."""
-    for name, focal, size in (("fx", camera.fx, camera.width), ("fy", camera.fy, camera.height)):
-        if not 0.02 <= focal / size <= 100:
-            raise ValueError(f"focal length {name} = {focal:g} for {size} pixels is no lens's")
-    return camera
 
 
 def _tuple3(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

@@ -7,8 +7,9 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics
+from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
-from roomlight.images import MAX_PIXELS, clean_depth, decode_depth, decode_grey8
+from roomlight.images import MAX_PIXELS, decode_depth, decode_grey8
 
 
 def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndarray, "h w"]:

@@ -30,8 +30,9 @@ from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadReco
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, Source, ZipSource, read_index
+from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
-from roomlight.images import clean_depth, decode_colour
+from roomlight.images import decode_colour
 
 _COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)")
 

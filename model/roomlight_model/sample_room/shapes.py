@@ -41,10 +41,6 @@ class Mesh:
         rotation = _rotation(degrees, axis)
         return replace(self, vertices=self.vertices @ rotation.T, normals=self.normals @ rotation.T)
 
-    def shifted_uv(self, u: Number, v: Number) -> "Mesh":
-        """Texture coordinates moved, so that two boards of one wood differ."""
-        return replace(self, uv=self.uv + np.array([u, v], np.float32))
-
 
 def moved(meshes: Sequence[Mesh], x: Number, y: Number, z: Number, *, degrees: Number = 0.0) -> list[Mesh]:
     """A piece of furniture turned about the vertical axis, then put in its place."""
