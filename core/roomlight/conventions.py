@@ -24,9 +24,6 @@ OPENCV_TO_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
 """Right-multiply a camera-to-world pose given in OpenCV axes (x right, y down, z forward) by this to get
 ours."""
 
-LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
-"""Rec. 709 luminance weights of linear RGB."""
-
 
 def srgb_to_linear(encoded: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Decode sRGB values in [0, 1] to linear radiance in [0, 1] (IEC 61966-2-1)."""

@@ -78,11 +78,6 @@ def decode_grey8(data: bytes, name: str) -> UInt8[np.ndarray, "h w"]:
     return raw
 
 
-def read_depth(path: Path, *, unit_m: float) -> Float[np.ndarray, "h w"]:
-    """`decode_depth` of a file."""
-    return decode_depth(read_bytes(path), str(path), unit_m=unit_m)
-
-
 def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     """An equirectangular HDR panorama (EXR or HDR), float32 linear RGB, W = 2H."""
     image, _ = read_colour(path)

@@ -127,8 +127,12 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path, monkeypat
 
     monkeypatch.setattr(sys, "argv", argv)
     monkeypatch.setattr(replay, "replay", interrupted)
-    with pytest.raises(SystemExit) as stopped:
-        cli.main()
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
+    try:
+        with pytest.raises(SystemExit) as stopped:
+            cli.main()
+    finally:
+        signal.signal(signal.SIGINT, before)
     assert stopped.value.code == 130
     assert "continues" in capsys.readouterr().err
     assert not (out / "report.json").exists()

@@ -15,7 +15,6 @@ from roomlight.images import (
     peek_size,
     read_bytes,
     read_colour,
-    read_depth,
     read_panorama,
     write_exr,
     write_png,
@@ -123,7 +122,7 @@ def test_hdr_is_linear_and_never_clipped():
 def test_depth_png_is_in_its_unit_and_65535_is_unknown(tmp_path):
     raw = np.array([[0, 1, 1000], [2500, 65534, 65535]], np.uint16)
     write_png(tmp_path / "d.png", raw)
-    depth = read_depth(tmp_path / "d.png", unit_m=0.001)
+    depth = decode_depth((tmp_path / "d.png").read_bytes(), "d.png", unit_m=0.001)
     assert depth == pytest.approx(np.array([[0, 0.001, 1.0], [2.5, 65.534, 0]]))
 
 
@@ -131,7 +130,7 @@ def test_depth_png_is_in_its_unit_and_65535_is_unknown(tmp_path):
 def test_depth_exr_is_in_metres_and_what_is_not_finite_is_unknown(tmp_path, dtype):
     metres = np.array([[1.5, np.nan, np.inf, -np.inf], [-1.0, 0.0, 2.0, 4.0]], dtype)
     path = _exr(tmp_path, Z=metres)
-    assert read_depth(path, unit_m=0.001).tolist() == [[1.5, 0, 0, 0], [0, 0, 2.0, 4.0]]
+    assert decode_depth(path.read_bytes(), "d", unit_m=0.001).tolist() == [[1.5, 0, 0, 0], [0, 0, 2.0, 4.0]]
 
 
 @pytest.mark.parametrize("pixels", [SRGB, SRGB[..., 0], SRGB.astype(np.uint16)])
