@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -116,12 +115,10 @@ def demo(
     out: Annotated[Path, typer.Option(help="Folder for the results.")] = Path("roomlight-demo"),
 ) -> None:
     """Replay the small room that comes with RoomLight and say where to look. Needs no arguments and no network."""
-    from roomlight_client.demo import demo_options, sample_capture
+    from roomlight_client.demo import demo_options, sample_capture, score_line
 
     path = sample_capture()
     _replay_and_tell(path, out, demo_options())
-    from roomlight_client.demo import score_line
-
     _say(score_line(path, out))
 
 
@@ -217,15 +214,15 @@ def bench_stages(
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
 ) -> None:
     """Each stage beside its readable reference, the plain PyTorch way, and the roofline of this machine."""
-    from roomlight.images import write_whole
     from roomlight_client.bench.stages import run_stages
+    from roomlight_client.output import write_json
     from roomlight_client.tables import print_whole
 
     with _err.status("measuring") as status:
         report = run_stages(repeats=repeats, model=weights, progress=status.update)
     print_whole(_out, report.table(width=_out.width))
     if json_out:
-        write_whole(json_out, (json.dumps(report.to_json(), indent=1) + "\n").encode())
+        write_json(json_out, report.to_json())
 
 
 @bench_app.command("widths")

@@ -20,8 +20,9 @@ from roomlight import __version__
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.errors import CaptureError, FrameError, OutputError, ProbeError
 from roomlight.frame import Frame
-from roomlight.images import write_exr, write_whole
+from roomlight.images import write_exr
 from roomlight.sglv import check_position
+from roomlight_client.output import write_json
 from roomlight_client.pictures import FILM, SUMMARY, ReplayPictures
 from roomlight_server.session import FrameReport, Light, Position, Session, SessionOptions
 
@@ -87,7 +88,6 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
     pictures: ReplayPictures | None = None
     writer: _Writer | None = None
     waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
-    done = 0
     try:
         for frame in capture:
             computed = frame.index // read.every % options.every == 0 or not reports
@@ -130,7 +130,7 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
             raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
         for frame in waiting:  # after the last session frame: nothing to interpolate towards, the light stays
             writer.hold(frame)
-            pictures.add(frame, [light.panorama for light in session.lights()])
+            pictures.add(frame, writer.held)
         pictures.close()
     except BaseException as error:
         if pictures is not None:
@@ -139,8 +139,25 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
     if progress:
         progress(capture.frame_count, capture.frame_count)
 
-    lights = session.lights()
-    report = {
+    wall_s = time.perf_counter() - began
+    interpolated = writer.count_interpolated
+    report = _report(path, capture, session, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable)
+    write_json(out / REPORT, report)
+    return ReplayResult(out, report)
+
+
+def _report(
+    path: Path,
+    capture: Capture,
+    session: Session,
+    reports: Sequence[FrameReport],
+    *,
+    wall_s: float,
+    interpolated: int,
+    unusable: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """What `report.json` says of a finished replay."""
+    return {
         "complete": True,
         "roomlight": __version__,
         "capture": {"path": str(path), "format": capture.format, "frames": capture.frame_count},
@@ -148,11 +165,11 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
         "probes": [
             {"position": list(light.position), "folder": f"probe-{n:02d}", "coverage": round(light.coverage, 4)}
             | ({} if session.grid and session.grid.contains(light.position) else {"outside_volume": True})
-            for n, light in enumerate(lights)
+            for n, light in enumerate(session.lights())
         ],
         "keyframes": session.keyframes,
         "stage_ms_median": _medians(reports),
-        "wall_s": round(time.perf_counter() - began, 3),
+        "wall_s": round(wall_s, 3),
         "frames": [
             {
                 "index": r.index,
@@ -162,11 +179,9 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
             }
             for r in reports
         ],
-        "interpolated": writer.count_interpolated,
+        "interpolated": interpolated,
         "skipped": [asdict(s) for s in capture.skipped] + unusable,
     }
-    write_whole(out / REPORT, (json.dumps(report, indent=1) + "\n").encode())
-    return ReplayResult(out, report)
 
 
 class _Writer:
@@ -197,10 +212,14 @@ class _Writer:
             self._save_interpolated(middle.index, mixed)
             yield middle, mixed
 
+    @property
+    def held(self) -> list[Float[np.ndarray, "h w 3"]]:
+        """The last session frame's panoramas; none before the first."""
+        return self._before[1] if self._before is not None else []
+
     def hold(self, frame: Frame) -> None:
         """A frame after the last session frame: the light stays as it was."""
-        if self._before is not None:
-            self._save_interpolated(frame.index, self._before[1])
+        self._save_interpolated(frame.index, self.held)
 
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
         self.count_interpolated += 1
@@ -280,7 +299,7 @@ def _claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
                 (out / name).unlink(missing_ok=True)
     except OSError as error:
         raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
-    write_whole(out / INTENT, (json.dumps(intent, indent=1) + "\n").encode())
+    write_json(out / INTENT, intent)
 
 
 def _held(out: Path) -> Any:

@@ -23,8 +23,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.errors import CaptureError
-from roomlight.images import write_whole
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
+from roomlight_client.output import write_json
 
 SCHEMA: Final = "roomlight-evaluation-1"
 BOOTSTRAP_SAMPLES: Final = 10_000
@@ -144,7 +144,7 @@ class Evaluation:
 
     def write(self, path: Path) -> None:
         """Write `to_json` to a file, whole or not at all; OutputError if it cannot be written."""
-        write_whole(path, (json.dumps(self.to_json(), indent=1) + "\n").encode())
+        write_json(path, self.to_json())
 
     @classmethod
     def read(cls, path: Path) -> "Evaluation":

@@ -1,6 +1,5 @@
 """`roomlight eval`: the engine as one of the methods that `evaluate` scores, and what the command prints."""
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -13,7 +12,6 @@ from rich.progress import Progress
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import CaptureOptions
 from roomlight.frame import Frame
-from roomlight.images import write_whole
 from roomlight_client.evaluate import Estimator, evaluate
 from roomlight_client.tables import evaluation_tables, print_whole
 from roomlight_server.graphs import LightingGraphs
@@ -77,5 +75,5 @@ def run_evaluation(
     for table in evaluation_tables(evaluation, per_capture=True):
         print_whole(console, table)
     if json_out:
-        write_whole(json_out, (json.dumps(evaluation.to_json(), indent=1) + "\n").encode())
+        evaluation.write(json_out)
         console.print(f"scores written to {json_out}", soft_wrap=True, markup=False)
