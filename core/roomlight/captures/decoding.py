@@ -4,12 +4,22 @@ import io
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from roomlight.camera import Intrinsics
+from roomlight.captures.source import FolderSource
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
-from roomlight.images import MAX_PIXELS, decode_depth, decode_grey8
+from roomlight.images import MAX_PIXELS, decode_colour, decode_depth, decode_grey8
+
+
+def read_rgbd(
+    source: FolderSource, colour_name: str, depth_name: str, *, unit_m: float
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Float[np.ndarray, "dh dw"]]:
+    """One record's linear image, its clipped pixels and its depth in metres (0 = unknown), each from its own file."""
+    image, clipped = decode_colour(source.read(colour_name), source.label(colour_name))
+    depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m)
+    return image, clipped, depth_m
 
 
 def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndarray, "h w"]:

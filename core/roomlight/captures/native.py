@@ -34,12 +34,12 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures import fields
 from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_confidence, decode_depth_map
+from roomlight.captures.decoding import decode_confidence, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.stray_writer import depth_to_png, encoded
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.images import decode_colour, write_exr, write_whole
+from roomlight.images import write_exr, write_whole
 
 INDEX: Final = "capture.json"
 FORMAT: Final = "roomlight-capture"
@@ -101,8 +101,7 @@ class NativeReader:
             size = (fields.pixels(lens.get("width"), "width"), fields.pixels(lens.get("height"), "height"))
             intrinsics = Intrinsics(fx, fy, cx, cy, *size)
         label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
-        image, clipped = decode_colour(self._source.read(colour_name), label)
-        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         confidence = None
         if entry.get("confidence") is not None:
             with fields.naming(where, FrameError):

@@ -30,11 +30,10 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_depth_map, undistorted
+from roomlight.captures.decoding import read_rgbd, undistorted
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
-from roomlight.images import decode_colour
 
 INDEX: Final = "transforms.json"
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr")
@@ -92,8 +91,7 @@ class NerfstudioReader:
                 raise FrameError(f"{where}: has no depth ({' or '.join(self._depth_keys)})")
             depth_name = fields.text(depth_name, "the depth file's name")
         colour_label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
-        image, clipped = decode_colour(self._source.read(colour_name), colour_label)
-        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         with fields.naming(f"{where} ({colour_label})", FrameError):
             intrinsics = self._intrinsics(entry, image.shape[1], image.shape[0])
             coefficients, fisheye = self._distortion(entry)

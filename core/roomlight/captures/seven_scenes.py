@@ -18,11 +18,10 @@ from jaxtyping import Float
 
 from roomlight.captures import fields
 from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_depth_map, intrinsics_without_size
+from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
-from roomlight.images import decode_colour
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
@@ -78,9 +77,7 @@ class SevenScenesReader:
             pose = fields.matrix_of_text(pose_data, 4, pose_label)
             if not np.isfinite(pose).all():
                 raise ValueError("the pose holds NaN or infinity (lost tracking)")
-        image, clipped = decode_colour(self._source.read(colour_name), label)
-        depth_label = self._source.label(depth_name)
-        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0])
         return RawFrame(
@@ -88,7 +85,7 @@ class SevenScenesReader:
             image=image,
             clipped=clipped,
             depth_m=depth_m,
-            depth_name=depth_label,
+            depth_name=self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
         )

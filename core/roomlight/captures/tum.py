@@ -19,12 +19,11 @@ import numpy as np
 from roomlight.camera import pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_depth_map, intrinsics_without_size
+from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.seven_scenes import INTRINSICS, read_matrix
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
-from roomlight.images import decode_colour
 
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
@@ -77,9 +76,7 @@ class TumReader:
         with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
             values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
             pose = pose_from_quaternion(values[3:], values[:3])
-        image, clipped = decode_colour(self._source.read(colour_name), label)
-        depth_label = self._source.label(depth_name)
-        depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
+        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
         with fields.naming(label, FrameError):
             intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0], shift=0.5)
         return RawFrame(
@@ -87,7 +84,7 @@ class TumReader:
             image=image,
             clipped=clipped,
             depth_m=depth_m,
-            depth_name=depth_label,
+            depth_name=self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
             timestamp_s=time_s,
