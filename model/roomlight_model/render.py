@@ -18,13 +18,13 @@ def render_rays(
     *,
     lower_m: Float[Tensor, "3"],
     voxel_m: Float[Tensor, "3"],
-    origin: Float[Tensor, "3"],
+    origin: Float[Tensor, "3"] | Float[Tensor, "n 3"],
     directions: Float[Tensor, "n 3"],
     step_m: float | None = None,
     samples: int = MAX_SAMPLES,
     far: Far = "boundary",
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:
-    """Radiance along unit `directions` from `origin`, and each ray's residual transmittance.
+    """Radiance along unit `directions` from `origin` (or each from its own), and each ray's residual transmittance.
 
     `lower_m` is the volume's lower corner and `voxel_m` a voxel's edges, both (x, y, z). Samples stand at
     t_enter + (i + 0.5) step_m inside the volume (`step_m` is the mean edge unless given), at most `samples`.
@@ -34,13 +34,14 @@ def render_rays(
     volume = torch.cat([alpha[None], lobes.permute(3, 0, 1, 2)])[None]  # [1, 11, z, y, x]
     size = voxel_m * torch.tensor(alpha.shape[::-1], dtype=voxel_m.dtype, device=voxel_m.device)
     step = float(voxel_m.mean()) if step_m is None else step_m
+    origin = origin.expand_as(directions)
     enter, leave = _box(origin, directions, lower_m=lower_m, upper_m=lower_m + size)
     hits = leave > enter  # [n]
 
     index = torch.arange(samples, dtype=directions.dtype, device=directions.device)
     t = enter[:, None] + (index + 0.5) * step  # [n, samples]
     inside = hits[:, None] & (t < leave[:, None])
-    points = origin + t[..., None] * directions[:, None]
+    points = origin[:, None] + t[..., None] * directions[:, None]
     values = _sample(volume, points, lower_m=lower_m, size_m=size)  # [n, samples, 11]
 
     # eq. 1: x_l = sum_i alpha_i x_i prod_{j < i} (1 - alpha_j)
@@ -61,7 +62,7 @@ def render_rays(
 
 
 def _box(
-    origin: Float[Tensor, "3"],
+    origin: Float[Tensor, "n 3"],
     directions: Float[Tensor, "n 3"],
     *,
     lower_m: Float[Tensor, "3"],
