@@ -65,7 +65,8 @@ def sample_sphere(
         raise ValueError(f"a pixel needs two samples at least, one for each lobe; got {samples}")
     viewer = to_viewer[..., None, None, :]
     shape = (*normals.shape[:-1], samples)
-    uniform = torch.rand((*shape, 2), generator=generator, dtype=normals.dtype)
+    # random numbers come from the CPU's generator on every device: a run is the same run on another machine
+    uniform = torch.rand((*shape, 2), generator=generator, dtype=normals.dtype).to(normals.device)
     strata = torch.cat([torch.arange(specular) / specular, torch.arange(samples - specular) / (samples - specular)])
     widths = torch.cat(
         [torch.full((specular,), 1 / specular), torch.full((samples - specular,), 1 / (samples - specular))]
@@ -73,9 +74,10 @@ def sample_sphere(
     radial = strata.to(normals) + uniform[..., 0] * widths.to(normals)
     angle = 2 * math.pi * uniform[..., 1]
 
+    first = torch.arange(samples, device=normals.device) < specular
     alpha = GLOSSY_ROUGHNESS**2
     half_cosine = ((1 - radial) / (1 + (alpha**2 - 1) * radial)).clamp(0, 1).sqrt()
-    cosine = torch.where(torch.arange(samples) < specular, half_cosine, radial.sqrt())
+    cosine = torch.where(first, half_cosine, radial.sqrt())
     sine = (1 - cosine * cosine).clamp(min=0).sqrt()
     tangent, bitangent = _frame(normals)
     local = (
@@ -84,7 +86,7 @@ def sample_sphere(
         + cosine[..., None] * normals[..., None, :]
     )
     reflected = 2 * (local * viewer).sum(-1, keepdim=True) * local - viewer
-    directions = torch.where((torch.arange(samples) < specular)[:, None], reflected, local)
+    directions = torch.where(first[:, None], reflected, local)
     directions = functional.normalize(directions, dim=-1)
     value, density = brdf_and_density(normals, to_viewer, directions, specular / samples)
     weights = torch.where(density > 0, value / density.clamp(min=1e-12), 0.0) / samples

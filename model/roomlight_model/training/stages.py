@@ -1,0 +1,152 @@
+"""What each stage trains and what it is told (paper, equations L2, LR and their sum).
+
+| stage        | trains             | light compared at                                    |
+|--------------|--------------------|------------------------------------------------------|
+| single-sglv  | SGEncoder, decoder | random pixels of the probes' panoramas + sphere rays |
+| single-blend | Blend*             | whole panoramas + the sphere's directions in them    |
+| single-joint | all four           | as single-blend                                      |
+"""
+
+from functools import cache
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from roomlight.conventions import panorama_rays
+from roomlight_model.marching import march
+from roomlight_model.networks import SingleModel
+from roomlight_model.sg import SGVolume
+from roomlight_model.sphere import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.training.examples import Batch
+from roomlight_model.training.options import Stage, TrainOptions
+
+
+class Losses(NamedTuple):
+    """The loss and its two parts; means, not sums: the learning rate must not depend on the resolution."""
+
+    total: Float[Tensor, ""]
+    log_l2: Float[Tensor, ""]
+    rendering: Float[Tensor, ""]
+
+
+def trained_modules(model: SingleModel, stage: Stage) -> list[nn.Module]:
+    """The networks that a stage changes."""
+    sg: list[nn.Module] = [model.sg_encoder, model.sg_decoder]
+    blend: list[nn.Module] = [model.blend_encoder, model.blend_decoder]
+    return {"single-sglv": sg, "single-blend": blend, "single-joint": sg + blend}[stage]
+
+
+def stage_losses(
+    model: SingleModel, batch: Batch, options: TrainOptions, *, generator: torch.Generator, device: torch.device
+) -> Losses:
+    """The losses of one batch; every random direction comes from the generator (on the CPU)."""
+    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16):
+        if options.stage == "single-blend":
+            with torch.no_grad():
+                sglv = model(batch.volume)
+        else:
+            sglv = model(batch.volume)
+    if options.stage == "single-sglv":
+        return _sglv_losses(sglv, batch, options, generator=generator)
+    return _blend_losses(model, sglv, batch, options, generator=generator, device=device)
+
+
+def rendered(sglv: SGVolume, batch: Batch, directions: Float[Tensor, "b p n 3"]) -> Float[Tensor, "b p n 3"]:
+    """Light of the volume at the probes along world directions."""
+    b, p, n, _ = directions.shape
+    origins = batch.origins[:, :, None].expand(b, p, n, 3).reshape(b, p * n, 3)
+    turned = torch.einsum("bij,bpnj->bpni", batch.turn, directions).reshape(b, p * n, 3)
+    radiance = march(
+        sglv.alpha.float(),
+        sglv.lobes.float(),
+        lower_m=batch.lower_m,
+        voxel_m=batch.voxel_m,
+        origins=origins.contiguous(),
+        directions=turned.contiguous(),
+    )
+    return radiance.reshape(b, p, n, 3)
+
+
+def predicted_panoramas(
+    model: SingleModel, sglv: SGVolume, batch: Batch, *, bf16: bool, device: torch.device
+) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
+    """The volume's panoramas at the probes, and the blended ones."""
+    if batch.partial is None or batch.mask is None:
+        raise ValueError("a batch for blending needs partial panoramas: collate it with a panorama_height")
+    b, p, _, h, w = batch.truth.shape
+    rays = _rays(h, device).expand(b, p, -1, 3)
+    hdr = rendered(sglv, batch, rays).reshape(b, p, h, w, 3).permute(0, 1, 4, 2, 3)
+    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=bf16):
+        blended, _ = model.blend(hdr.flatten(0, 1), batch.partial.flatten(0, 1), batch.mask.flatten(0, 1))
+    return hdr, blended.float().unflatten(0, (b, p))
+
+
+def _sglv_losses(sglv: SGVolume, batch: Batch, options: TrainOptions, *, generator: torch.Generator) -> Losses:
+    b, p, _, h, w = batch.truth.shape
+    device = batch.truth.device
+    pixels = torch.randint(h * w, (b, p, options.rays), generator=generator).to(device)
+    directions = _rays(h, device)[pixels]
+    truth = batch.truth.flatten(3).transpose(2, 3)  # [b, p, h w, 3]
+    wanted = truth.gather(2, pixels[..., None].expand(-1, -1, -1, 3))
+    if options.sphere_pixels == 0:
+        log_l2 = _log_l2(rendered(sglv, batch, directions), wanted)
+        return Losses(log_l2, log_l2, torch.zeros_like(log_l2))
+    samples, light = _sphere(batch, options, generator=generator)
+    along = samples.directions.flatten(2, 3)
+    radiance = rendered(sglv, batch, torch.cat([directions, along], dim=2))
+    seen, lit = radiance.split([options.rays, along.shape[2]], dim=2)
+    log_l2 = _log_l2(seen, wanted)
+    ball = shade(samples, lit.unflatten(2, samples.weights.shape[2:]))
+    return _sum(log_l2, _rendering(ball, shade(samples, light)), options)
+
+
+def _blend_losses(
+    model: SingleModel,
+    sglv: SGVolume,
+    batch: Batch,
+    options: TrainOptions,
+    *,
+    generator: torch.Generator,
+    device: torch.device,
+) -> Losses:
+    hdr, blended = predicted_panoramas(model, sglv, batch, bf16=options.bf16, device=device)
+    log_l2 = _log_l2(blended, batch.truth)
+    if options.stage == "single-joint":  # the volume alone must stay good where nothing is blended in
+        log_l2 = (log_l2 + _log_l2(hdr, batch.truth)) / 2
+    samples, light = _sphere(batch, options, generator=generator)
+    read = look_up(blended.flatten(0, 1), samples.directions.flatten(2, 3).flatten(0, 1))
+    ball = shade(samples, read.reshape(light.shape))
+    return _sum(log_l2, _rendering(ball, shade(samples, light)), options)
+
+
+def _sphere(
+    batch: Batch, options: TrainOptions, *, generator: torch.Generator
+) -> tuple[SphereSamples, Float[Tensor, "b p k s 3"]]:
+    """Directions of a glossy sphere's pixels at every probe, and the true light along them."""
+    b, p = batch.origins.shape[:2]
+    device = batch.truth.device
+    places = disc(options.sphere_pixels, batch=(b, p), generator=generator).to(device)
+    normals = sphere_normals(batch.to_viewer, places)
+    samples = sample_sphere(normals, batch.to_viewer, samples=options.sphere_samples, generator=generator)
+    flat = samples.directions.flatten(2, 3).flatten(0, 1)
+    light = look_up(batch.truth.flatten(0, 1), flat)
+    return samples, light.reshape(samples.directions.shape)
+
+
+@cache
+def _rays(height: int, device: torch.device) -> Float[Tensor, "n 3"]:
+    return torch.from_numpy(panorama_rays(height).copy()).to(device)
+
+
+def _log_l2(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+    return (torch.log1p(prediction.clamp(min=0)) - torch.log1p(truth.clamp(min=0))).square().mean()
+
+
+def _rendering(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+    return (prediction.clamp(max=1) - truth.clamp(max=1)).square().mean()
+
+
+def _sum(log_l2: Float[Tensor, ""], rendering: Float[Tensor, ""], options: TrainOptions) -> Losses:
+    return Losses(log_l2 + options.rendering_weight * rendering, log_l2, rendering)

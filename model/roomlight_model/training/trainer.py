@@ -1,0 +1,290 @@
+"""The training loop: batches ahead of need, EMA weights, checkpoints that a killed run goes on from.
+
+A run is a folder:
+
+    options.json      what was asked (TrainOptions)
+    last.pt           everything needed to go on: written whole, at most a few minutes old
+    model.pt          the EMA weights as a checkpoint that `roomlight export` reads
+    log.jsonl         one line for every reported step
+    tensorboard/      the same curves
+    pictures/         panoramas of held-out rooms as training goes on
+
+All that is random follows from (seed, step), so that a resumed run repeats the loss curve it would have had.
+"""
+
+import json
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from pickle import UnpicklingError
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from roomlight.errors import ModelError, OutputError
+from roomlight.images import write_whole
+from roomlight_model.checkpoint import Checkpoint, save_checkpoint
+from roomlight_model.networks import SingleModel
+from roomlight_model.training.examples import Batch, Recordings, collate, read_example
+from roomlight_model.training.options import STAGES, TrainOptions
+from roomlight_model.training.stages import Losses, stage_losses, trained_modules
+
+_AHEAD: Final = 3
+"""Batches made before they are asked for."""
+_REPORT_STEPS: Final = 20
+
+
+@dataclass(frozen=True)
+class Progress:
+    """What is reported every few steps; means since the last report."""
+
+    step: int
+    steps: int
+    loss: float
+    log_l2: float
+    rendering: float
+    learning_rate: float
+    seconds_a_step: float
+    waited_for_data: float
+    """The share of the time."""
+
+
+class Trainer:
+    """One stage of training in one folder."""
+
+    def __init__(
+        self,
+        options: TrainOptions,
+        recordings: Recordings,
+        out: Path,
+        *,
+        device: torch.device,
+        start_from: Checkpoint | None = None,
+    ) -> None:
+        """Begin in an empty folder, or go on where the folder's run stopped.
+
+        start_from gives the weights of an earlier stage. ModelError where the folder holds a run with other options,
+        a model of another form, or there are fewer sequences than a batch needs.
+        """
+        if len(recordings) < options.batch:
+            raise ModelError(f"{len(recordings)} sequences are fewer than a batch of {options.batch}")
+        if start_from is not None:
+            if not isinstance(start_from.model, SingleModel):
+                raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
+            options = replace(options, model=start_from.config)
+        self.options, self.out, self.device = options, out, device
+        self._recordings = recordings
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(options.seed)
+            self.model = SingleModel(options.model)
+        if start_from is not None:
+            self.model.load_state_dict(start_from.model.state_dict())
+        self.model.to(device)
+        for network in (self.model.sg_encoder, self.model.sg_decoder):
+            network.to(memory_format=torch.channels_last_3d)
+        for parameter in self.model.parameters():
+            parameter.requires_grad_(False)
+        parameters = [p for module in trained_modules(self.model, options.stage) for p in module.parameters()]
+        for parameter in parameters:
+            parameter.requires_grad_(True)
+        self._parameters = parameters
+        self._optimizer = torch.optim.AdamW(parameters, lr=options.learning_rate, weight_decay=options.weight_decay)
+        self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
+        self.step = 0
+        self.seconds = 0.0
+        self._window = {"loss": 0.0, "log_l2": 0.0, "rendering": 0.0}
+        self._open()
+
+    def train(
+        self,
+        *,
+        report: Callable[[Progress], object],
+        every: Callable[["Trainer"], object] | None = None,
+        every_steps: int = 1000,
+        checkpoint_s: float = 240.0,
+        stop: Callable[[], bool] = lambda: False,
+    ) -> None:
+        """Run until the options' last step, or until `stop` says so; the folder is up to date either way.
+
+        `every` is called with the trainer after every so many steps (evaluation, pictures).
+        """
+        saved = began = time.monotonic()
+        before = self.seconds
+        total, waited, counted, since = self._window, 0.0, 0, began
+        batches = self._batches()
+        self.model.train()
+        while self.step < self.options.steps and not stop():
+            asked = time.monotonic()
+            batch = next(batches)
+            waited += time.monotonic() - asked
+            losses = self._one_step(batch)
+            self.step += 1
+            for name, value in (("loss", losses.total), ("log_l2", losses.log_l2), ("rendering", losses.rendering)):
+                total[name] += float(value.detach())
+            counted += 1
+            now = time.monotonic()
+            self.seconds = before + now - began
+            if self.step % _REPORT_STEPS == 0 or self.step == self.options.steps:
+                count = (self.step - 1) % _REPORT_STEPS + 1
+                progress = Progress(
+                    step=self.step,
+                    steps=self.options.steps,
+                    loss=total["loss"] / count,
+                    log_l2=total["log_l2"] / count,
+                    rendering=total["rendering"] / count,
+                    learning_rate=self._rate(),
+                    seconds_a_step=(now - since) / max(counted, 1),
+                    waited_for_data=waited / max(now - since, 1e-9),
+                )
+                total.update(dict.fromkeys(total, 0.0))
+                waited, counted, since = 0.0, 0, now
+                self._log(vars(progress))
+                report(progress)
+            if every is not None and self.step % every_steps == 0:
+                every(self)
+                self.model.train()
+                waited, counted, since = 0.0, 0, time.monotonic()
+            if time.monotonic() - saved > checkpoint_s:
+                self.save()
+                saved = time.monotonic()
+        self.save()
+
+    def averaged(self) -> SingleModel:
+        """A model with the EMA weights, for evaluation."""
+        model = SingleModel(self.options.model).to(self.device)
+        model.load_state_dict(self.average)
+        return model.eval()
+
+    def save(self) -> None:
+        """Write last.pt and model.pt; each is whole or the one before."""
+        buffer = BytesIO()
+        torch.save(
+            {
+                "step": self.step,
+                "seconds": self.seconds,
+                "window": self._window,
+                "model": self.model.state_dict(),
+                "average": self.average,
+                "optimizer": self._optimizer.state_dict(),
+            },
+            buffer,
+        )
+        write_whole(self.out / "last.pt", buffer.getvalue())
+        save_checkpoint(self.out / "model.pt", self.averaged(), card=self.card())
+
+    def card(self) -> dict[str, Any]:
+        """The training's record for the checkpoint."""
+        return {
+            "stage": self.options.stage,
+            "steps": self.step,
+            "hours": round(self.seconds / 3600, 3),
+            "seed": self.options.seed,
+            "sequences": len(self._recordings),
+            "options": self.options.to_dict(),
+        }
+
+    def _one_step(self, batch: Batch) -> Losses:
+        generator = torch.Generator().manual_seed(_mixed(self.options, self.step))
+        for group in self._optimizer.param_groups:
+            group["lr"] = self._rate()
+        self._optimizer.zero_grad(set_to_none=True)
+        losses = stage_losses(self.model, batch.to(self.device), self.options, generator=generator, device=self.device)
+        loss = float(losses.total.detach())
+        if not np.isfinite(loss):
+            raise ModelError(f"{self.out}: the loss is {loss} at step {self.step}; take a lower learning rate")
+        losses.total.backward()
+        torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
+        self._optimizer.step()
+        keep = min(self.options.ema, (1 + self.step) / (10 + self.step))
+        with torch.no_grad():
+            for name, value in self.model.state_dict().items():
+                self.average[name].lerp_(value, 1 - keep)
+        return losses
+
+    def _rate(self) -> float:
+        """Linear warm-up, then a cosine down to a hundredth."""
+        options = self.options
+        if self.step < options.warm_up:
+            return options.learning_rate * (self.step + 1) / options.warm_up
+        done = (self.step - options.warm_up) / max(1, options.steps - options.warm_up)
+        return options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + float(np.cos(np.pi * min(done, 1.0)))))
+
+    def _batches(self) -> Iterator[Batch]:
+        """Batches from this step on, made by two threads ahead of need."""
+        with ThreadPoolExecutor(2, thread_name_prefix="examples") as pool:
+            waiting: list[Future[Batch]] = []
+            step = self.step
+            try:
+                while True:
+                    while len(waiting) < _AHEAD:
+                        waiting.append(pool.submit(self._batch, step))
+                        step += 1
+                    yield waiting.pop(0).result()
+            finally:
+                for future in waiting:
+                    future.cancel()
+
+    def _batch(self, step: int) -> Batch:
+        options, count = self.options, len(self._recordings)
+        examples = []
+        for slot in range(options.batch):
+            number = step * options.batch + slot
+            order = np.random.default_rng([options.seed, number // count]).permutation(count)
+            rng = np.random.default_rng([options.seed, STAGES.index(options.stage), step, slot])
+            index = int(order[number % count])
+            examples.append(read_example(self._recordings, index, rng, depth=options.depth, augment=options.augment))
+        height = None if options.stage == "single-sglv" else options.panorama_height
+        return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
+
+    def _open(self) -> None:
+        told = self.out / "options.json"
+        if not told.exists():
+            if self.out.exists() and any(self.out.iterdir()):
+                raise OutputError(f"{self.out}: holds something else than a training run; give an empty folder")
+            self.out.mkdir(parents=True, exist_ok=True)
+            write_whole(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
+        elif (before := TrainOptions.read(told)) != self.options:
+            ours, theirs = self.options.to_dict(), before.to_dict()
+            changed = [name for name in ours if ours[name] != theirs[name]]
+            raise ModelError(
+                f"{self.out}: its run has other options ({', '.join(changed)}); take another folder or the same options"
+            )
+        last = self.out / "last.pt"
+        if last.exists():
+            try:
+                state = torch.load(last, map_location=self.device, weights_only=True)
+                self.model.load_state_dict(state["model"])
+                self._optimizer.load_state_dict(state["optimizer"])
+                self.average = {name: value.to(self.device) for name, value in state["average"].items()}
+                self._window = dict(state["window"])
+                self.step, self.seconds = int(state["step"]), float(state["seconds"])
+            except (OSError, RuntimeError, KeyError, ValueError, IndexError, EOFError, UnpicklingError) as error:
+                raise ModelError(f"{last}: cannot be resumed from ({error}); delete it to begin again") from error
+        self._cut_log()
+
+    def _cut_log(self) -> None:
+        """Drop what was logged after the checkpoint: it will be logged again."""
+        log = self.out / "log.jsonl"
+        if not log.exists():
+            return
+        kept: list[str] = []
+        for line in log.read_text().splitlines():
+            try:
+                if json.loads(line)["step"] <= self.step:
+                    kept.append(line)
+            except (ValueError, KeyError, TypeError):
+                break  # torn by the kill
+        write_whole(log, "".join(line + "\n" for line in kept).encode())
+
+    def _log(self, values: dict[str, Any]) -> None:
+        with (self.out / "log.jsonl").open("a") as log:
+            log.write(json.dumps(values) + "\n")
+
+
+def _mixed(options: TrainOptions, step: int) -> int:
+    """A seed for a step's directions."""
+    return int(np.random.SeedSequence([options.seed, STAGES.index(options.stage), step, 7]).generate_state(1)[0])

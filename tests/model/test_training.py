@@ -1,0 +1,234 @@
+"""The trainer: it learns, it resumes to the same curve after a kill, it refuses what it cannot use."""
+
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from recordings import BoxRecordings
+from roomlight.conventions import panorama_rays
+from roomlight.errors import ModelError, OutputError
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import SingleModel
+from roomlight_model.training.examples import collate, example_of, read_example
+from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.stages import predicted_panoramas, rendered, stage_losses, trained_modules
+from roomlight_model.training.trainer import Trainer
+
+TINY = ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4))
+OPTIONS = TrainOptions(
+    steps=6, batch=2, warm_up=2, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=(16, 15, 21),
+    panorama_height=16, bf16=False, model=TINY,
+)  # fmt: skip
+CPU = torch.device("cpu")
+
+
+def quiet(_):
+    return None
+
+
+def curve(folder):
+    return [json.loads(line)["loss"] for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+@pytest.mark.parametrize("stage", ["single-sglv", "single-blend", "single-joint"])
+def test_a_stage_changes_its_own_networks_and_no_others(tmp_path, stage):
+    trainer = Trainer(replace(OPTIONS, stage=stage, steps=3), BoxRecordings(3), tmp_path / "run", device=CPU)
+    before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
+    trainer.train(report=quiet)
+    moved = {name.split(".")[0] for name, value in trainer.model.state_dict().items() if not value.equal(before[name])}
+    wanted = {id(module) for module in trained_modules(trainer.model, stage)}
+    assert moved == {name for name, module in trainer.model.named_children() if id(module) in wanted}
+
+
+def test_it_learns_a_handful_of_rooms(tmp_path):
+    options = replace(OPTIONS, steps=120, learning_rate=4e-3, augment=False, depth="exact", rays=128)
+    trainer = Trainer(options, BoxRecordings(2), tmp_path / "run", device=CPU)
+    trainer.train(report=quiet)
+    losses = curve(tmp_path / "run")
+    assert losses[-1] < 0.7 * losses[0]
+
+
+def test_the_checkpoint_is_the_averaged_model_with_its_card(tmp_path):
+    trainer = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
+    trainer.train(report=quiet)
+    loaded = load_checkpoint(tmp_path / "run" / "model.pt")
+    assert loaded.card["steps"] == 6
+    assert loaded.card["stage"] == "single-sglv"
+    assert loaded.card["sequences"] == 3
+    for name, value in loaded.model.state_dict().items():
+        torch.testing.assert_close(value, trainer.average[name])
+
+
+def test_a_stopped_run_goes_on_to_the_same_weights(tmp_path):
+    whole = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "whole", device=CPU)
+    whole.train(report=quiet)
+    first = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "parts", device=CPU)
+    first.train(report=quiet, stop=lambda: first.step >= 2)
+    second = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "parts", device=CPU)
+    assert second.step == 2
+    second.train(report=quiet)
+    for name, value in whole.model.state_dict().items():
+        torch.testing.assert_close(second.model.state_dict()[name], value, rtol=0, atol=0)
+
+
+SCRIPT = textwrap.dedent("""
+    import sys
+    from pathlib import Path
+    import test_training as t
+    from dataclasses import replace
+
+    def tell(trainer):
+        print(trainer.step, flush=True)
+        if trainer.step == 20:
+            sys.stdin.readline()  # wait here to be killed
+
+    trainer = t.Trainer(replace(t.OPTIONS, steps=40), t.BoxRecordings(3), Path(sys.argv[1]), device=t.CPU)
+    trainer.train(report=t.quiet, every=tell, every_steps=10, checkpoint_s=0.0)
+""")
+
+
+def test_killed_with_no_warning_it_repeats_the_curve_it_would_have_had(tmp_path):
+    options = replace(OPTIONS, steps=40)
+    Trainer(options, BoxRecordings(3), tmp_path / "whole", device=CPU).train(report=quiet)
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(tmp_path / "killed")],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
+    )  # fmt: skip
+    with process:
+        for line in process.stdout:
+            if line.strip() == "20":
+                process.send_signal(signal.SIGKILL)
+                break
+    assert process.returncode == -signal.SIGKILL
+    resumed = Trainer(options, BoxRecordings(3), tmp_path / "killed", device=CPU)
+    assert 0 < resumed.step <= 20
+    resumed.train(report=quiet)
+    assert curve(tmp_path / "killed") == curve(tmp_path / "whole")
+
+
+def test_a_mirrored_example_is_the_mirrored_room():
+    """The same volume seen in a mirror gives the same light along mirrored rays."""
+    recordings = BoxRecordings(1)
+    plain = example_of(recordings.read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    batch = collate([plain, replace(plain, mirrored=True)], volume_shape=(16, 15, 21), panorama_height=None)
+    assert batch.volume[0].flip(-1).equal(batch.volume[1])
+    torch.manual_seed(0)
+    sglv = SingleModel(TINY)(batch.volume)
+    # lobes and alpha of the mirrored volume are those of the plain one, mirrored
+    sglv = sglv._replace(
+        alpha=torch.stack([sglv.alpha[0], sglv.alpha[0].flip(-1)]),
+        lobes=torch.stack([sglv.lobes[0], sglv.lobes[0].flip(-2) * torch.tensor([1.0] * 7 + [-1, 1, 1])]),
+    )
+    rays = torch.from_numpy(panorama_rays(8).copy()).expand(2, batch.origins.shape[1], -1, 3)
+    light = rendered(sglv, batch, rays)
+    torch.testing.assert_close(light[0], light[1], rtol=1e-3, atol=1e-4)
+
+
+def test_truth_and_image_are_in_the_same_units_and_at_the_same_place():
+    """What the frame's mesh shows at a probe is what the truth shows there: poses, units and mirroring all agree."""
+    example = example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+    seen = batch.mask.expand_as(batch.truth) > 0
+    assert seen.float().mean() > 0.05
+    assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
+
+
+def test_examples_follow_their_generator_and_frames_vary():
+    recordings = BoxRecordings(4)
+
+    def draw(seed):
+        rng = np.random.default_rng(seed)
+        return [read_example(recordings, 0, rng, depth="both", augment=True) for _ in range(6)]
+
+    once, again = draw(5), draw(5)
+    for a, b in zip(once, again, strict=True):
+        np.testing.assert_array_equal(a.frame.image, b.frame.image)
+        np.testing.assert_array_equal(a.frame.depth_m, b.frame.depth_m)
+        np.testing.assert_array_equal(a.truth, b.truth)
+        assert a.mirrored == b.mirrored
+    assert len({example.frame.camera_to_world.tobytes() for example in once}) > 1
+    assert len({example.mirrored for example in once}) == 2
+
+
+def test_losses_are_finite_in_bf16_too():
+    batch = collate(
+        [example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="arkit")],
+        volume_shape=(16, 15, 21), panorama_height=16,
+    )  # fmt: skip
+    for stage in ("single-sglv", "single-joint"):
+        options = replace(OPTIONS, stage=stage, bf16=True)
+        losses = stage_losses(SingleModel(TINY), batch, options, generator=torch.Generator().manual_seed(0), device=CPU)
+        total, log_l2, rendering = (float(part.detach()) for part in losses)
+        assert math.isfinite(total)
+        assert total == pytest.approx(log_l2 + 0.3 * rendering, rel=1e-5)
+
+
+def test_blending_needs_partial_panoramas():
+    example = example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    batch = collate([example], volume_shape=(16, 15, 21), panorama_height=None)
+    model = SingleModel(TINY)
+    with pytest.raises(ValueError, match="panorama_height"):
+        predicted_panoramas(model, model(batch.volume), batch, bf16=False, device=CPU)
+
+
+def test_another_runs_folder_is_refused_and_names_what_differs(tmp_path):
+    Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
+    with pytest.raises(ModelError, match=r"other options \(learning_rate, seed\)"):
+        Trainer(replace(OPTIONS, seed=1, learning_rate=0.1), BoxRecordings(3), tmp_path / "run", device=CPU)
+
+
+def test_a_foreign_folder_is_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("precious")
+    with pytest.raises(OutputError, match="something else"):
+        Trainer(OPTIONS, BoxRecordings(3), tmp_path, device=CPU)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_a_broken_checkpoint_is_named(tmp_path):
+    Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
+    (tmp_path / "run" / "last.pt").write_bytes(b"torn")
+    with pytest.raises(ModelError, match=r"last\.pt.*delete it to begin again"):
+        Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
+
+
+def test_too_few_sequences_are_refused(tmp_path):
+    with pytest.raises(ModelError, match="1 sequences are fewer than a batch of 2"):
+        Trainer(OPTIONS, BoxRecordings(1), tmp_path / "run", device=CPU)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"steps": 0}, "steps is 0"),
+        ({"batch": 0}, "batch is 0"),
+        ({"learning_rate": 0.0}, "learning_rate is 0.0"),
+        ({"volume_shape": (4, 30, 42)}, "volume_shape"),
+        ({"panorama_height": 61}, "panorama_height is 61"),
+    ],
+)
+def test_options_that_no_run_can_use_are_refused(changes, message):
+    with pytest.raises(ModelError, match=message):
+        replace(OPTIONS, **changes)
+
+
+def test_options_survive_json(tmp_path):
+    path = tmp_path / "options.json"
+    path.write_text(json.dumps(OPTIONS.to_dict()))
+    assert TrainOptions.read(path) == OPTIONS
+    path.write_text("[1]")
+    with pytest.raises(ModelError, match="not the options"):
+        TrainOptions.read(path)
+    path.write_text(json.dumps({"colour": "red"}))
+    with pytest.raises(ModelError, match="colour"):
+        TrainOptions.read(path)
