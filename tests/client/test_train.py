@@ -1,0 +1,68 @@
+"""`roomlight train` from the inside: held-out rooms, curves, pictures, stopping and going on."""
+
+import json
+from dataclasses import replace
+
+import pytest
+from rich.console import Console
+
+from recordings import BoxRecordings
+from roomlight.errors import ModelError
+from roomlight_client.train import split_off, train
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.training.options import TrainOptions
+
+OPTIONS = TrainOptions(
+    steps=4, batch=2, warm_up=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21),
+    panorama_height=16, bf16=False,
+    model=ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4)),
+)  # fmt: skip
+
+
+def run(tmp_path, options=OPTIONS, **changes):
+    given = {"device": "cpu", "start_from": None, "minutes": None, "every_steps": 2} | changes
+    return train(options, BoxRecordings(6), tmp_path / "run", console=Console(quiet=True), **given)
+
+
+def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
+    card = run(tmp_path)
+    assert card["steps"] == 4
+    assert card["sequences"] == 5  # one of six is held out
+    folder = tmp_path / "run"
+    assert load_checkpoint(folder / "model.pt").card["steps"] == 4
+    assert sorted(path.name for path in (folder / "pictures").iterdir()) == ["0000002.png", "0000004.png"]
+    assert any((folder / "tensorboard").iterdir())
+    assert [json.loads(line)["step"] for line in (folder / "log.jsonl").read_text().splitlines()] == [4]
+
+
+def test_the_next_stage_starts_from_the_one_before(tmp_path):
+    run(tmp_path)
+    weights = load_checkpoint(tmp_path / "run" / "model.pt")
+    card = train(
+        replace(OPTIONS, stage="single-blend", model=ModelConfig()), BoxRecordings(6), tmp_path / "blend",
+        device="cpu", start_from=tmp_path / "run" / "model.pt", minutes=None, every_steps=100,
+        console=Console(quiet=True),
+    )  # fmt: skip
+    assert card["options"]["model"]["sg"]["channels"] == 4  # the network is the one that was begun
+    after = load_checkpoint(tmp_path / "blend" / "model.pt")
+    before = weights.model.state_dict()
+    assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
+
+
+def test_a_run_out_of_time_stops_and_goes_on(tmp_path):
+    assert run(tmp_path, minutes=0.0)["steps"] == 0
+    assert run(tmp_path)["steps"] == 4
+
+
+def test_held_out_rooms_are_trained_on_by_nobody():
+    training, held_out = split_off(BoxRecordings(200))
+    assert (len(training), len(held_out)) == (176, 24)
+    assert not set(training.numbers) & set(held_out.numbers)
+    assert [len(part) for part in split_off(BoxRecordings(3))] == [3, 0]
+
+
+def test_a_missing_gpu_is_an_error_that_says_what_to_do(tmp_path, monkeypatch):
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    with pytest.raises(ModelError, match="use --device cpu"):
+        run(tmp_path, device="cuda")
