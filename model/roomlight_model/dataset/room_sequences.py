@@ -1,0 +1,147 @@
+"""From a room's number to its sequences: build it, solve its light once, walk through it several times."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+from warnings import warn
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.errors import DatasetError
+from roomlight_model.dataset.exposure import Exposure, expose
+from roomlight_model.dataset.probes import place_probes
+from roomlight_model.dataset.recording import Recording
+from roomlight_model.dataset.sensor import Sensor, develop
+from roomlight_model.dataset.walk import FreeSpace, camera_walk, phone_intrinsics, timestamps_s
+from roomlight_model.rooms.build import Room, build_room, room_generator
+from roomlight_model.rooms.furniture import Catalogue, load_catalogue
+from roomlight_model.rooms.model import Split
+from roomlight_model.rooms.planner import free_floor
+from roomlight_model.rooms.props import procedural_models
+from roomlight_model.transport import RoomLight, Tracer
+
+FRAMES: Final = 31
+PROBES: Final = 3
+PROBE_HEIGHT: Final = 120
+
+_BODY_M: Final = 0.25
+_WALKS: Final = 8
+"""Walks tried until one has room for its probes."""
+_HALF_MAX: Final = 60_000.0
+"""Panoramas are stored as half floats, whose largest is 65,504."""
+
+
+@dataclass(frozen=True, eq=False)
+class Stage:
+    """A room whose light is solved, ready to be filmed."""
+
+    room: Room
+    light: RoomLight
+    free: FreeSpace
+
+
+@dataclass(frozen=True, eq=False)
+class Shot:
+    """Where a sequence is filmed from, and where its probes are."""
+
+    intrinsics: Intrinsics
+    poses: Float[np.ndarray, "f 4 4"]
+    probes: Float[np.ndarray, "p 3"]
+
+
+def render_room(room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int) -> Iterator[Recording]:
+    """`count` sequences in one room, one by one; the same arguments give the same recordings.
+
+    DatasetError where a walk through it cannot be found.
+    """
+    stage = set_stage(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        yield film(stage, plan_shot(stage, rng), rng, name=f"{stage.room.name}-{walk}")
+
+
+def set_stage(room_index: int, *, seed: int, split: Split, catalogue: Catalogue) -> Stage:
+    """Build a room and solve its light."""
+    room = build_room(room_index, seed=seed, split=split, catalogue=catalogue)
+    tracer = Tracer(room.scene)
+    floor = free_floor(room.shell, room.placements, radius_m=_BODY_M)
+    light = RoomLight.solve(tracer, room_index)
+    return Stage(room, light, FreeSpace(floor.free, floor.origin, floor.cell_m, tracer.distances))
+
+
+def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES) -> Shot:
+    """A phone, its walk and the probes before its first frame; DatasetError where the room is too full for any."""
+    for _ in range(_WALKS):
+        intrinsics = phone_intrinsics(rng)
+        poses = camera_walk(stage.free, rng, intrinsics=intrinsics, frames=frames)
+        if poses is None:
+            continue
+        depth_m = stage.light.depth(intrinsics.resized(80, 60), poses[0])
+        positions = place_probes(
+            stage.free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=probes
+        )
+        if positions is not None:
+            return Shot(intrinsics, poses, positions)
+    raise DatasetError(f"room {stage.room.name}: {_WALKS} walks through it found no place for {probes} probes")
+
+
+def film(stage: Stage, shot: Shot, rng: np.random.Generator, *, name: str) -> Recording:
+    """The recording: frames as a phone would give them, exact depth, the light at the probes.
+
+    Its world is turned about the vertical by whole columns of the panoramas: walls stand along no axis in particular,
+    as where a phone's session began.
+    """
+    seeds = [int(value) for value in rng.integers(2**31, size=len(shot.poses) + len(shot.probes))]
+    views = [stage.light.frame(shot.intrinsics, pose, seed=own) for pose, own in zip(shot.poses, seeds, strict=False)]
+    radiance = np.stack([view.radiance for view in views])
+    exposure = expose(radiance, rng)
+    sensor = Sensor.draw(rng)
+    colour = np.stack([
+        develop(frame, sensor, rng, multiplier=float(multiplier), gains=exposure.gains)
+        for frame, multiplier in zip(radiance, exposure.multiplier, strict=True)
+    ])  # fmt: skip
+    panoramas = np.stack([
+        stage.light.panorama(position, height=PROBE_HEIGHT, seed=own)
+        for position, own in zip(shot.probes, seeds[len(shot.poses) :], strict=True)
+    ])  # fmt: skip
+    depth_m = np.stack([view.depth_m for view in views])
+    columns = int(rng.integers(2 * PROBE_HEIGHT))
+    turn = _turn(2 * np.pi * columns / (2 * PROBE_HEIGHT))
+    return Recording(
+        name=name,
+        colour=colour,
+        depth_mm=np.rint(np.clip(depth_m * 1000, 0, 65535)).astype(np.uint16),
+        surface=np.stack([view.surface for view in views]),
+        intrinsics=shot.intrinsics,
+        camera_to_world=turn @ shot.poses,
+        exposure=exposure.relative,
+        timestamp_s=timestamps_s(len(shot.poses)),
+        probe_positions=shot.probes @ turn[:3, :3].T,
+        probe_panoramas=np.roll(np.minimum(exposure.panorama(panoramas), _HALF_MAX), columns, 2).astype(np.float32),
+        facts={**stage.room.facts, **_facts(exposure, sensor, panoramas)},
+    )
+
+
+def _turn(angle: float) -> Float[np.ndarray, "4 4"]:
+    """Takes azimuth atan2(z, x) to azimuth + angle, as np.roll takes columns."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, -s, 0], [0, 1, 0, 0], [s, 0, c, 0], [0, 0, 0, 1]])
+
+
+def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h w 3"]) -> dict[str, Any]:
+    return {
+        "kcd_m2_of_white": [round(float(1 / (gain * exposure.multiplier[0])), 6) for gain in exposure.gains],
+        "brightest_kcd_m2": round(float(panoramas.max()), 3),
+        "exact_response": sensor.exact_response,
+    }
+
+
+@cache
+def catalogue_for(furniture: Path | None) -> Catalogue:
+    """The furniture library (once a process), with the procedural models that fill its gaps."""
+    catalogue = load_catalogue(furniture, warn=lambda text: warn(text, stacklevel=2))
+    return catalogue.joined([*procedural_models("train"), *procedural_models("test")])

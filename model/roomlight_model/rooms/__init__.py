@@ -1,0 +1,1 @@
+"""Furnished, lit rooms from a seed: shells, textures, furniture, placement and lights. Needs no PyTorch."""
