@@ -3,17 +3,20 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 from rich.markup import escape
 
 from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight_client import arguments as given
+from roomlight_client import dataset_commands
+from roomlight_client.console import err as _err
+from roomlight_client.console import out as _out
+from roomlight_client.console import run
+from roomlight_client.console import say as _say
 
 if TYPE_CHECKING:
     from roomlight_client.replay import ReplayOptions
@@ -26,12 +29,8 @@ app = typer.Typer(
     context_settings={"help_option_names": ["-h", "--help"]},
 )
 bench_app = typer.Typer(help="Measure speed: every figure as a ratio within one run.", no_args_is_help=True)
-dataset_app = typer.Typer(help="Make captures to train and test on.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
-app.add_typer(dataset_app, name="dataset")
-
-_err = Console(stderr=True, highlight=False)
-_out = Console(highlight=False)
+app.add_typer(dataset_commands.app, name="dataset")
 
 
 @app.callback(invoke_without_command=True)
@@ -286,24 +285,6 @@ def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
     _say(f"The panoramas are {out}/probe-*/*.exr; times and coverage are in {out / 'report.json'}")
 
 
-@dataset_app.command("sample")
-def dataset_sample(
-    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist or be empty.")],
-    seed: Annotated[int, typer.Option(help="The same seed gives the same bytes.")] = 7,
-) -> None:
-    """Make the sample room's capture again: what the package ships is seed 7. Takes some minutes."""
-    from roomlight_model.sample_room import generate_sample
-
-    with _err.status("solving the room's light and rendering"):
-        generate_sample(out, seed=seed)
-    _say(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
-
-
-def _say(text: str) -> None:
-    """A line that names files: as it is, neither wrapped nor read as markup."""
-    _out.print(text, soft_wrap=True, markup=False)
-
-
 def _count(number: int, noun: str) -> str:
     return f"{number} {noun}" + ("" if number == 1 else "s")
 
@@ -316,8 +297,4 @@ def _missing_extra(error: ModuleNotFoundError, extra: str) -> RoomLightError:
 
 def main() -> None:
     """Entry point: errors of RoomLight as one line on standard error, exit code 1."""
-    try:
-        app()
-    except RoomLightError as error:
-        _err.print(f"[red]error:[/] {escape(str(error))}", soft_wrap=True)
-        sys.exit(1)
+    run(app)

@@ -7,6 +7,8 @@ RoomLightError
 ├── ImageError            a file does not decode, or its size is absurd (names the file)
 ├── ProbeError            a probe position is not usable
 ├── ModelError            weights are missing, foreign or do not fit
+├── FurnitureError        a furniture library or its cache is unusable (names file and model)
+├── WireError             a message from the network is refused (names field, value and rule)
 └── OutputError           a result cannot be written
 
 Every message says what was wrong, with which value, and what to do.
@@ -40,6 +42,30 @@ class ProbeError(RoomLightError):
 
 class ModelError(RoomLightError):
     """Weights are missing, of another version, or do not fit what is asked for."""
+
+
+class FurnitureError(RoomLightError):
+    """A furniture library, one of its models, or the cache made of it cannot be used."""
+
+
+class DatasetError(RoomLightError):
+    """A dataset, or one sequence of it, cannot be read, continued or made; the other sequences are not touched."""
+
+
+class WireError(RoomLightError):
+    """A message of the wire format is refused; nothing was done with it.
+
+    kind:   a short name of what is wrong, e.g. `bad-header`; `too-large` where a limit was passed.
+    field:  where, as a path in the message (`depth.width`), or "" for the message as a whole.
+    value:  what stood there, shortened.
+    rule:   what would have been right.
+    """
+
+    def __init__(self, kind: str, *, field: str, value: object, rule: str) -> None:
+        """The message is made of the parts."""
+        self.kind, self.field, self.rule = kind, field, rule
+        self.value = shown if len(shown := str(value)) <= 120 else f"{shown[:117]}..."
+        super().__init__(f"{field or 'the message'}: {rule}; got {self.value}")
 
 
 class OutputError(RoomLightError):

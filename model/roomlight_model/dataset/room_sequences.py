@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.errors import DatasetError
 from roomlight_model.dataset.exposure import Exposure, expose
 from roomlight_model.dataset.probes import place_probes
 from roomlight_model.dataset.recording import Recording
@@ -56,7 +55,7 @@ class Shot:
 def render_room(room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int) -> Iterator[Recording]:
     """`count` sequences in one room, one by one; the same arguments give the same recordings.
 
-    DatasetError where a walk through it cannot be found.
+    ValueError where a walk through it cannot be found: the generator then takes another room.
     """
     stage = set_stage(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
     for walk in range(count):
@@ -74,7 +73,7 @@ def set_stage(room_index: int, *, seed: int, split: Split, catalogue: Catalogue)
 
 
 def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES) -> Shot:
-    """A phone, its walk and the probes before its first frame; DatasetError where the room is too full for any."""
+    """A phone, its walk and the probes before its first frame; ValueError where the room is too full for any."""
     for _ in range(_WALKS):
         intrinsics = phone_intrinsics(rng)
         poses = camera_walk(stage.free, rng, intrinsics=intrinsics, frames=frames)
@@ -86,7 +85,7 @@ def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, p
         )
         if positions is not None:
             return Shot(intrinsics, poses, positions)
-    raise DatasetError(f"room {stage.room.name}: {_WALKS} walks through it found no place for {probes} probes")
+    raise ValueError(f"room {stage.room.name}: {_WALKS} walks through it found no place for {probes} probes")
 
 
 def film(stage: Stage, shot: Shot, rng: np.random.Generator, *, name: str) -> Recording:
@@ -134,7 +133,8 @@ def _turn(angle: float) -> Float[np.ndarray, "4 4"]:
 
 def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h w 3"]) -> dict[str, Any]:
     return {
-        "kcd_m2_of_white": [round(float(1 / (gain * exposure.multiplier[0])), 6) for gain in exposure.gains],
+        "white_kcd_m2": round(float(1 / exposure.multiplier[0]), 6),
+        "white_balance": [round(float(gain), 4) for gain in exposure.gains],
         "brightest_kcd_m2": round(float(panoramas.max()), 3),
         "exact_response": sensor.exact_response,
     }
