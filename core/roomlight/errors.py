@@ -9,6 +9,7 @@ RoomLightError
 ├── ModelError            weights are missing, foreign or do not fit
 ├── FurnitureError        a furniture library or its cache is unusable (names file and model)
 ├── WireError             a message from the network is refused (names field, value and rule)
+├── ServerError           a server cannot start with these settings (names the setting)
 └── OutputError           a result cannot be written
 
 Every message says what was wrong, with which value, and what to do.
@@ -66,6 +67,10 @@ class WireError(RoomLightError):
         self.kind, self.field, self.rule = kind, field, rule
         self.value = shown if len(shown := str(value)) <= 120 else f"{shown[:117]}..."
         super().__init__(f"{field or 'the message'}: {rule}; got {self.value}")
+
+
+class ServerError(RoomLightError):
+    """A session server's settings are not usable, or not safe."""
 
 
 class OutputError(RoomLightError):

@@ -1,6 +1,7 @@
-"""Takes one sequence out of its shard, as a capture folder of its own."""
+"""Takes one sequence out of its shard, as a capture folder of its own; makes the sample capture that way too."""
 
 import shutil
+from collections.abc import Mapping
 from pathlib import Path
 
 from roomlight.errors import OutputError
@@ -14,7 +15,11 @@ def extract(dataset: Dataset, name: str, out: Path) -> None:
     DatasetError where there is no such sequence or it is damaged; OutputError where `out` holds something already or
     cannot be written.
     """
-    files = dataset.files(dataset.number_of(name))
+    write_capture(dataset.files(dataset.number_of(name)), out)
+
+
+def write_capture(files: Mapping[str, bytes | memoryview], out: Path) -> None:
+    """Write a capture's files, whole or not at all; OutputError where `out` holds something already."""
     partial = out.with_name(f".{out.name}.part")
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):

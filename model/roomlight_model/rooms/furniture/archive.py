@@ -1,0 +1,81 @@
+"""Zip files from strangers: members are read into memory under limits, never unpacked to disk."""
+
+import zipfile
+import zlib
+from pathlib import Path
+from types import TracebackType
+from typing import Final
+from urllib.parse import unquote
+
+from roomlight.errors import FurnitureError
+
+MAX_MEMBER_BYTES: Final = 192 << 20
+"""The largest model of the Debian libraries is 21 MB of text; ten times that is a bomb or a mistake."""
+
+_MAX_MEMBERS: Final = 50_000
+
+
+class Archive:
+    """A zip file with an index of names; every failure is a FurnitureError that names the file and the member."""
+
+    def __init__(self, path: Path) -> None:
+        """FurnitureError when the file is missing, no zip, or has an absurd number of members."""
+        self.path: Final = path
+        try:
+            self._zip = zipfile.ZipFile(path)
+        except FileNotFoundError as error:
+            raise FurnitureError(f"{path}: there is no such file") from error
+        except (OSError, zipfile.BadZipFile, ValueError) as error:
+            raise FurnitureError(f"{path}: is not a zip file ({error}); a furniture library is a .sh3f file") from error
+        names = self._zip.namelist()
+        if len(names) > _MAX_MEMBERS:
+            self._zip.close()
+            raise FurnitureError(f"{path}: has {len(names)} files in it; {_MAX_MEMBERS} are the most that is read")
+        self._names = set(names)
+        # Libraries made on Windows differ from their catalogue in case and slashes.
+        self._folded = {name.replace("\\", "/").lower(): name for name in names}
+
+    def __enter__(self) -> "Archive":
+        """The archive itself; closed on leaving."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the file."""
+        self._zip.close()
+
+    def find(self, name: str, *, relative_to: str = "") -> str | None:
+        """The member of that name (from the root, or beside the member `relative_to`), or None.
+
+        FurnitureError for a name that climbs out of the archive.
+        """
+        spelled = name.replace("\\", "/")
+        if relative_to and not spelled.startswith("/"):
+            spelled = relative_to.rpartition("/")[0] + "/" + spelled
+        parts: list[str] = []
+        for part in spelled.split("/"):
+            if part == "..":
+                if not parts:
+                    raise FurnitureError(f"{self.path}: the path {name!r} leads out of the file")
+                parts.pop()
+            elif part not in ("", "."):
+                parts.append(part)
+        wanted = "/".join(parts)
+        for spelling in (wanted, unquote(wanted)):
+            if spelling in self._names:
+                return spelling
+            if spelling.lower() in self._folded:
+                return self._folded[spelling.lower()]
+        return None
+
+    def read(self, member: str, *, limit: int = MAX_MEMBER_BYTES) -> bytes:
+        """The bytes of a member `find` gave; FurnitureError when damaged or longer than the limit."""
+        try:
+            with self._zip.open(member) as stream:
+                data = stream.read(limit + 1)
+        except (OSError, zipfile.BadZipFile, zlib.error, EOFError, RuntimeError, NotImplementedError) as error:
+            raise FurnitureError(f"{self.path}: {member} cannot be unpacked ({error})") from error
+        if len(data) > limit:
+            raise FurnitureError(f"{self.path}: {member} is longer than {limit >> 20} MB unpacked")
+        return data

@@ -1,0 +1,248 @@
+# pyright: reportMissingParameterType=false
+"""Edge collapses of a triangle mesh by quadric error (Garland and Heckbert 1997), one round of them at a time.
+
+A collapse moves vertex u onto its neighbour v, so that no new positions or texture coordinates arise. Corners carry a
+`wedge` (which texture coordinate they use): u's wedges become those that v has in the triangles that vanish, and a
+collapse across a seam, for which there is none, does not happen.
+"""
+
+import numpy as np
+from numba import njit
+
+_BORDER = 8.0
+"""Weight of the planes that hold open borders, seams and edges between materials in place."""
+
+_TURN = 0.3
+"""Least cosine between a triangle's normal before and after: a collapse may not fold a surface over."""
+
+
+@njit(cache=True, nogil=True)
+def incidence(faces, vertex_count):
+    """Triangles around each vertex: those of v are `around[starts[v] : starts[v + 1]]`."""
+    starts = np.zeros(vertex_count + 1, np.int64)
+    for face in range(len(faces)):
+        for corner in range(3):
+            starts[faces[face, corner] + 1] += 1
+    for vertex in range(vertex_count):
+        starts[vertex + 1] += starts[vertex]
+    fill = starts[:-1].copy()
+    around = np.empty(3 * len(faces), np.int64)
+    for face in range(len(faces)):
+        for corner in range(3):
+            vertex = faces[face, corner]
+            around[fill[vertex]] = face
+            fill[vertex] += 1
+    return starts, around
+
+
+@njit(cache=True, nogil=True)
+def _add_plane(quadric, nx, ny, nz, d, weight):
+    plane = (nx, ny, nz, d)
+    k = 0
+    for i in range(4):
+        for j in range(i, 4):
+            quadric[k] += weight * plane[i] * plane[j]
+            k += 1
+
+
+@njit(cache=True, nogil=True)
+def _error(quadric, p):
+    x, y, z = p[0], p[1], p[2]
+    return (
+        quadric[0] * x * x
+        + quadric[4] * y * y
+        + quadric[7] * z * z
+        + 2 * (quadric[1] * x * y + quadric[2] * x * z + quadric[5] * y * z)
+        + 2 * (quadric[3] * x + quadric[6] * y + quadric[8] * z)
+        + quadric[9]
+    )
+
+
+@njit(cache=True, nogil=True)
+def quadrics(points, faces, wedges, materials):
+    """The quadric of every vertex: planes of its triangles by area, and of the borders they end at."""
+    result = np.zeros((len(points), 10))
+    starts, around = incidence(faces, len(points))
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        normal = np.cross(points[b] - points[a], points[c] - points[a])
+        length = np.sqrt(np.sum(normal * normal))
+        if length <= 0:
+            continue
+        normal = normal / length
+        d = -np.sum(normal * points[a])
+        for corner in range(3):
+            _add_plane(result[faces[face, corner]], normal[0], normal[1], normal[2], d, length / 2)
+        for corner in range(3):
+            u, v = faces[face, corner], faces[face, (corner + 1) % 3]
+            sharers = 0
+            joined = False
+            for k in range(starts[u], starts[u + 1]):
+                other = around[k]
+                at_u, at_v = -1, -1
+                for place in range(3):
+                    if faces[other, place] == u:
+                        at_u = place
+                    if faces[other, place] == v:
+                        at_v = place
+                if at_v < 0:
+                    continue
+                sharers += 1
+                if (
+                    other != face
+                    and materials[other] == materials[face]
+                    and wedges[other, at_u] == wedges[face, corner]
+                    and wedges[other, at_v] == wedges[face, (corner + 1) % 3]
+                ):
+                    joined = True
+            if joined and sharers == 2:
+                continue
+            edge = points[v] - points[u]
+            side = np.cross(edge, normal)
+            size = np.sqrt(np.sum(side * side))
+            if size <= 0:
+                continue
+            side = side / size
+            weight = _BORDER * size * size
+            offset = -np.sum(side * points[u])
+            _add_plane(result[u], side[0], side[1], side[2], offset, weight)
+            _add_plane(result[v], side[0], side[1], side[2], offset, weight)
+    return result
+
+
+@njit(cache=True, nogil=True)
+def _wedge_of_target(faces, wedges, starts, around, u, v, wedge):
+    """Which wedge of v a corner of u with `wedge` takes over: -2 where the two share no triangle with it."""
+    for k in range(starts[u], starts[u + 1]):
+        face = around[k]
+        at_u, at_v = -1, -1
+        for place in range(3):
+            if faces[face, place] == u:
+                at_u = place
+            if faces[face, place] == v:
+                at_v = place
+        if at_v >= 0 and wedges[face, at_u] == wedge:
+            return wedges[face, at_v]
+    return -2
+
+
+@njit(cache=True, nogil=True)
+def _may_collapse(points, faces, wedges, starts, around, u, v, strict):
+    survivors = 0
+    for k in range(starts[u], starts[u + 1]):
+        face = around[k]
+        at_u = -1
+        vanishes = False
+        for place in range(3):
+            if faces[face, place] == u:
+                at_u = place
+            if faces[face, place] == v:
+                vanishes = True
+        if vanishes:
+            continue
+        survivors += 1
+        if strict and _wedge_of_target(faces, wedges, starts, around, u, v, wedges[face, at_u]) == -2:
+            return False
+        b, c = points[faces[face, (at_u + 1) % 3]], points[faces[face, (at_u + 2) % 3]]
+        before = np.cross(b - points[u], c - points[u])
+        after = np.cross(b - points[v], c - points[v])
+        product = np.sum(before * after)
+        size = np.sqrt(np.sum(before * before) * np.sum(after * after))
+        if product <= _TURN * size:
+            return False
+    # Where nothing would survive, a leaf's tip or a whole small part would be gone.
+    return survivors > 0
+
+
+@njit(cache=True, nogil=True)
+def collapse_round(points, faces, wedges, quadric, target, strict):
+    """One round: the cheapest edges that do not touch each other. Changes faces, wedges and quadric in place.
+
+    Not strict, it crosses seams too, and a little of the texture goes astray. Returns which faces are left.
+    """
+    count = len(faces)
+    starts, around = incidence(faces, len(points))
+    edges = np.empty((3 * count, 2), np.int64)
+    costs = np.empty(3 * count)
+    for face in range(count):
+        for corner in range(3):
+            u, v = faces[face, corner], faces[face, (corner + 1) % 3]
+            both = quadric[u] + quadric[v]
+            length = np.sum((points[u] - points[v]) ** 2)
+            forward, backward = _error(both, points[v]), _error(both, points[u])
+            row = 3 * face + corner
+            if forward <= backward:
+                edges[row, 0], edges[row, 1] = u, v
+            else:
+                edges[row, 0], edges[row, 1] = v, u
+            costs[row] = max(min(forward, backward), 0.0) + 1e-9 * length
+    order = np.argsort(costs)
+    keep = np.ones(count, np.bool_)
+    locked = np.zeros(len(points), np.bool_)
+    left = count
+    # Edges far dearer than the last one needed wait for the next round, when cheaper ones may have come up.
+    needed = min(3 * (count - target), len(order) - 1)
+    limit = 1.5 * costs[order[needed]] + 1e-12
+    for row in order:
+        if left <= target or costs[row] > limit:
+            break
+        for way in range(2):
+            u, v = edges[row, way], edges[row, 1 - way]
+            if locked[u] or locked[v]:
+                break
+            if way == 1 and _error(quadric[u] + quadric[v], points[v]) > limit:
+                break
+            if not _may_collapse(points, faces, wedges, starts, around, u, v, strict):
+                continue
+            for k in range(starts[u], starts[u + 1]):
+                for place in range(3):
+                    locked[faces[around[k], place]] = True
+            for k in range(starts[v], starts[v + 1]):
+                for place in range(3):
+                    locked[faces[around[k], place]] = True
+            quadric[v] += quadric[u]
+            moved = np.empty(starts[u + 1] - starts[u], np.int64)
+            for k in range(starts[u], starts[u + 1]):
+                moved[k - starts[u]] = -1
+                face = around[k]
+                for place in range(3):
+                    if faces[face, place] == u:
+                        wedge = _wedge_of_target(faces, wedges, starts, around, u, v, wedges[face, place])
+                        # Across a seam the corner keeps its own coordinates.
+                        moved[k - starts[u]] = wedges[face, place] if wedge == -2 else wedge
+            for k in range(starts[u], starts[u + 1]):
+                face = around[k]
+                vanishes = False
+                for place in range(3):
+                    if faces[face, place] == v:
+                        vanishes = True
+                if vanishes:
+                    if keep[face]:
+                        keep[face] = False
+                        left -= 1
+                    continue
+                for place in range(3):
+                    if faces[face, place] == u:
+                        faces[face, place] = v
+                        wedges[face, place] = moved[k - starts[u]]
+            break
+    return keep
+
+
+@njit(cache=True, nogil=True)
+def crease_normals(points, faces, normals, areas, cosine):
+    """A normal for each corner: the mean, by area, of those triangles around its vertex that bend away less than the
+    crease angle from its own triangle."""
+    starts, around = incidence(faces, len(points))
+    result = np.empty((len(faces), 3, 3))
+    for face in range(len(faces)):
+        for corner in range(3):
+            vertex = faces[face, corner]
+            total = np.zeros(3)
+            for k in range(starts[vertex], starts[vertex + 1]):
+                other = around[k]
+                if np.sum(normals[other] * normals[face]) >= cosine:
+                    total += areas[other] * normals[other]
+            length = np.sqrt(np.sum(total * total))
+            result[face, corner] = total / length if length > 0 else normals[face]
+    return result

@@ -1,0 +1,273 @@
+"""Wavefront OBJ and MTL text as arrays, with a material for each face.
+
+trimesh is not used: it merges parts by material, drops groups it does not know and takes four times as long. Read are
+`v`, `vt`, `f`, `usemtl`, `mtllib`; normals are made anew later, for shading normals in these files are often missing.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from roomlight.errors import FurnitureError
+
+MAX_TRIANGLES: Final = 3_000_000
+"""The largest of Debian's 820 models has 198,396."""
+
+_LARGEST_CLIPPED: Final = 256
+"""Corners of a polygon that ears are clipped from (the time is cubic); a larger one becomes a fan."""
+
+
+@dataclass(frozen=True, eq=False)
+class Obj:
+    """A model as its file has it. uv_faces is -1 where a corner has no texture coordinates; v points up."""
+
+    positions: Float[np.ndarray, "v 3"]
+    uvs: Float[np.ndarray, "t 2"]
+    faces: Int[np.ndarray, "f 3"]
+    uv_faces: Int[np.ndarray, "f 3"]
+    face_materials: Int[np.ndarray, " f"]
+    material_names: tuple[str, ...]
+    libraries: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Finish:
+    """A material of an MTL file, as written there: colours as displayed (sRGB), opacity 1 = opaque."""
+
+    name: str
+    diffuse: tuple[float, float, float] = (0.8, 0.8, 0.8)
+    specular: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    shininess: float = 0.0
+    opacity: float = 1.0
+    texture: str | None = None
+
+
+def parse_obj(data: bytes, name: str) -> Obj:
+    """The triangles of an OBJ file (polygons are cut into ears). FurnitureError, naming it, when it is damaged."""
+    positions: list[bytes] = []
+    uvs: list[bytes] = []
+    corners: list[bytes] = []
+    sizes: list[int] = []
+    face_materials: list[int] = []
+    materials: dict[str, int] = {}
+    libraries: list[str] = []
+    current = -1
+    for line in data.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines():
+        if line.startswith(b"v "):
+            positions.append(line[2:])
+        elif line.startswith(b"vt "):
+            uvs.append(line[3:])
+        elif line.startswith(b"f "):
+            tokens = line.split()[1:]
+            if b"-" in line:
+                tokens = _absolute(tokens, len(positions), len(uvs), name)
+            if len(tokens) < 3:
+                continue
+            corners += tokens
+            sizes.append(len(tokens))
+            if current < 0:
+                current = materials.setdefault("", len(materials))
+            face_materials.append(current)
+        elif line.startswith(b"usemtl"):
+            current = materials.setdefault(_text(line[6:]), len(materials))
+        elif line.startswith(b"mtllib"):
+            libraries.append(_text(line[6:]))
+    triangles = sum(sizes) - 2 * len(sizes)
+    if not triangles:
+        raise FurnitureError(f"{name}: has no faces")
+    if triangles > MAX_TRIANGLES:
+        raise FurnitureError(f"{name}: has {triangles} triangles; {MAX_TRIANGLES} are the most that is read")
+    points = _numbers(positions, 3, name)
+    coordinates = _numbers(uvs, 2, name)
+    corner_points, corner_uvs = _corners(corners, len(points), len(coordinates), name)
+    index, face_of = _triangulated(points, corner_points, np.array(sizes))
+    return Obj(
+        positions=points,
+        uvs=coordinates,
+        faces=corner_points[index],
+        uv_faces=corner_uvs[index],
+        face_materials=np.array(face_materials, np.int32)[face_of],
+        material_names=tuple(materials),
+        libraries=tuple(libraries),
+    )
+
+
+def parse_mtl(data: bytes) -> dict[str, Finish]:
+    """The materials of an MTL file by name. Lines that make no sense are passed over: a colour is not worth a model."""
+    found: dict[str, dict[str, object]] = {}
+    current: dict[str, object] = {}
+    for line in data.decode("utf-8", "replace").splitlines():
+        key, *others = line.split(maxsplit=1)[:2] or [""]
+        rest = others[0] if others else ""
+        words = rest.split()
+        if key == "newmtl":
+            current = found.setdefault(rest.strip(), {})
+        elif key == "map_Kd" and words:
+            current["texture"] = _texture_name(rest)
+        elif key in ("Kd", "Ks", "Ns", "d", "Tr"):
+            numbers = [_number(word) for word in words[:3]]
+            if not numbers or None in numbers:
+                continue
+            values = [min(max(value, 0.0), 1.0) for value in numbers if value is not None]
+            if key in ("Kd", "Ks"):
+                colour = tuple(values) if len(values) == 3 else (values[0],) * 3
+                current["diffuse" if key == "Kd" else "specular"] = colour
+            elif key == "Ns":
+                current["shininess"] = max(float(numbers[0] or 0.0), 0.0)
+            else:
+                current["opacity"] = values[0] if key == "d" else 1 - values[0]
+    return {name: Finish(name, **values) for name, values in found.items()}  # pyright: ignore[reportArgumentType]
+
+
+def _texture_name(rest: str) -> str:
+    """The file of a map statement: its name may have spaces in it, and options (`-s 1 1 1`) may stand before it."""
+    words = rest.strip().split(" ")
+    while words and words[0].startswith("-"):
+        words = words[1:]
+        while words and (_number(words[0]) is not None or words[0] in ("on", "off")):
+            words = words[1:]
+    return " ".join(words) or rest.strip()
+
+
+def _text(raw: bytes) -> str:
+    return raw.decode("utf-8", "replace").strip()
+
+
+def _number(word: str) -> float | None:
+    try:
+        value = float(word)
+    except ValueError:
+        return None
+    return value if math.isfinite(value) else None
+
+
+def _numbers(lines: list[bytes], count: int, name: str) -> Float[np.ndarray, "n count"]:
+    """The first `count` numbers of each line."""
+    try:
+        flat = np.array(b" ".join(lines).split(), np.float64)
+        if flat.size != count * len(lines):
+            rows = [(line.split() + [b"0"] * count)[:count] for line in lines]
+            flat = np.array([word for row in rows for word in row], np.float64)
+    except ValueError as error:
+        raise FurnitureError(f"{name}: has coordinates that are no numbers ({error})") from error
+    if not np.isfinite(flat).all():
+        raise FurnitureError(f"{name}: has coordinates that are not finite")
+    return flat.reshape(-1, count)
+
+
+def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[bytes]:
+    """Indices that count back from the latest line, as ones that count from the first."""
+    try:
+        out: list[bytes] = []
+        for token in tokens:
+            parts = token.split(b"/")
+            for place, total in ((0, points), (1, uvs)):
+                if place < len(parts) and parts[place] and int(parts[place]) < 0:
+                    parts[place] = b"%d" % (total + 1 + int(parts[place]))
+            out.append(b"/".join(parts[:2]))
+        return out
+    except ValueError as error:
+        raise FurnitureError(f"{name}: has a face that makes no sense ({error})") from error
+
+
+def _corners(
+    tokens: list[bytes], points: int, uvs: int, name: str
+) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
+    """Point and texture indices of corner texts `p`, `p/t`, `p/t/n`, `p//n`; each spelling is parsed once."""
+    spellings: dict[bytes, int] = {}
+    which = np.array([spellings.setdefault(token, len(spellings)) for token in tokens], np.int64)
+    table = np.empty((len(spellings), 2), np.int64)
+    try:
+        for row, token in enumerate(spellings):
+            parts = token.split(b"/")
+            table[row] = int(parts[0]) - 1, int(parts[1]) - 1 if len(parts) > 1 and parts[1] else -1
+    except (ValueError, OverflowError) as error:
+        raise FurnitureError(f"{name}: has a face that makes no sense ({error})") from error
+    if table[:, 0].min() < 0 or table[:, 0].max() >= points:
+        raise FurnitureError(f"{name}: has faces with vertices that are not in the file (it has {points})")
+    table[(table[:, 1] < 0) | (table[:, 1] >= uvs), 1] = -1
+    return table[which, 0], table[which, 1]
+
+
+def _triangulated(
+    points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], sizes: Int[np.ndarray, " p"]
+) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, " f"]]:
+    """Places in the list of corners for each triangle, and the polygon it came from, in the polygons' order."""
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
+    places: list[np.ndarray] = []
+    owners: list[np.ndarray] = []
+    for size in np.unique(sizes):
+        chosen = np.flatnonzero(sizes == size)
+        if size <= 4:
+            fans = np.array([[0, k, k + 1] for k in range(1, size - 1)])
+            if size == 4:
+                places.append(_quads(points, corners, starts[chosen]).reshape(-1, 3))
+            else:
+                places.append((starts[chosen][:, None, None] + fans).reshape(-1, 3))
+            owners.append(np.repeat(chosen, len(fans)))
+        else:
+            for polygon in chosen:
+                at = int(starts[polygon])
+                ears = _ears(points[corners[at : at + int(size)]])
+                places.append(at + ears)
+                owners.append(np.full(len(ears), polygon))
+    place, owner = np.concatenate(places), np.concatenate(owners)
+    order = np.argsort(owner, kind="stable")
+    return place[order], owner[order]
+
+
+def _quads(
+    points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], starts: Int[np.ndarray, " q"]
+) -> Int[np.ndarray, "q 2 3"]:
+    """Two triangles for each quad, cut along the diagonal on which both look the same way (a dart has only one)."""
+    index = starts[:, None] + np.arange(4)
+    p = points[corners[index]]
+    one = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    two = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])
+    opposed = (one * two).sum(1) < 0
+    cut = np.where(opposed[:, None, None], [[1, 2, 3], [1, 3, 0]], [[0, 1, 2], [0, 2, 3]])
+    return starts[:, None, None] + cut
+
+
+def _ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
+    """A flat polygon cut into triangles by clipping ears; a fan of the rest where none is left (self-crossing)."""
+    following = np.roll(polygon, -1, axis=0)
+    normal = np.cross(polygon - polygon[0], following - polygon[0]).sum(0)
+    drop = int(np.argmax(np.abs(normal)))
+    flat = np.delete(polygon, drop, axis=1) * [1.0, 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0]
+    left = list(range(len(flat)))
+    found: list[tuple[int, int, int]] = []
+    while 3 < len(left) <= _LARGEST_CLIPPED:
+        ear = next((k for strict in (False, True) for k in range(len(left)) if _is_ear(flat, left, k, strict)), None)
+        if ear is None:
+            break
+        found.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
+        left.pop(ear)
+    found += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
+    return np.array(found)
+
+
+def _is_ear(flat: Float[np.ndarray, "n 2"], left: list[int], k: int, strict: bool) -> bool:
+    """Whether corner k can be cut off: it bends outward and no other lies in it (nor on its edge, unless strict)."""
+    a, b, c = flat[left[k - 1]], flat[left[k]], flat[left[(k + 1) % len(left)]]
+    if _turn(a, b, c) <= 0:
+        return False
+    rest = flat[[i for i in left if i not in (left[k - 1], left[k], left[(k + 1) % len(left)])]]
+    sides = np.stack([_turns(a, b, rest), _turns(b, c, rest), _turns(c, a, rest)])
+    inside = (sides > 0).all(0) if strict else (sides >= 0).all(0)
+    # A hole's bridge passes the same point twice.
+    same = ((rest == a).all(1)) | ((rest == b).all(1)) | ((rest == c).all(1))
+    return not bool((inside & ~same).any())
+
+
+def _turns(
+    a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"]
+) -> Float[np.ndarray, " n"]:
+    return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
+
+
+def _turn(a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], c: Float[np.ndarray, "2"]) -> float:
+    return float(_turns(a, b, c[None])[0])
