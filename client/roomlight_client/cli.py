@@ -12,7 +12,7 @@ from rich.markup import escape
 from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight_client import arguments as given
-from roomlight_client import dataset_commands
+from roomlight_client import dataset_commands, train_command
 from roomlight_client.console import err as _err
 from roomlight_client.console import out as _out
 from roomlight_client.console import run
@@ -31,6 +31,7 @@ app = typer.Typer(
 bench_app = typer.Typer(help="Measure speed: every figure as a ratio within one run.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
 app.add_typer(dataset_commands.app, name="dataset")
+app.command()(train_command.train)
 
 
 @app.callback(invoke_without_command=True)

@@ -34,7 +34,7 @@ class Recordings(Protocol):
         """How many there are."""
         ...
 
-    def read(self, index: int, *, frames: list[int]) -> Recording:
+    def read(self, index: int, /, *, frames: list[int]) -> Recording:
         """One sequence with those frames only, in that order, and all its probes."""
         ...
 
