@@ -86,34 +86,42 @@ def read_panorama(path: Path) -> Float[np.ndarray, "h w 3"]:
     return image
 
 
-def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
-    """Write linear RGB as a half-float, ZIP-compressed EXR; whole or not at all (as `write_whole`).
+def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> bytes:
+    """Linear RGB as the bytes of a half-float, ZIP-compressed EXR; the same image and metadata, the same bytes.
 
     Values beyond half's range are clipped to 65504, the largest half, so that no infinity reaches a renderer.
     """
     half = np.clip(image, -65504, 65504).astype(np.float16)
     header: dict[str, object] = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     header.update(metadata or {})
-    temporary = path.with_name(f".{path.name}.part")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        OpenEXR.File(header, {"RGB": np.ascontiguousarray(half)}).write(str(temporary))
-        temporary.replace(path)
+        with tempfile.TemporaryDirectory() as folder:  # the library writes into memory from 3.5 on only
+            path = Path(folder) / "image.exr"
+            OpenEXR.File(header, {"RGB": np.ascontiguousarray(half)}).write(str(path))
+            return path.read_bytes()
     except (OSError, RuntimeError) as error:
-        with contextlib.suppress(OSError):  # it may never have been made
-            temporary.unlink()
-        raise OutputError(f"{path}: cannot be written ({error})") from error
+        raise OutputError(f"an EXR of {image.shape[1]} x {image.shape[0]} cannot be encoded ({error})") from error
 
 
-def write_png(path: Path, image: Shaped[np.ndarray, "h w *c"]) -> None:
-    """Write uint8/uint16 as it is, or linear float RGB encoded as sRGB; whole or not at all."""
+def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
+    """Write `encode_exr`'s bytes; whole or not at all (as `write_whole`)."""
+    write_whole(path, encode_exr(image, metadata=metadata))
+
+
+def encode_png(image: Shaped[np.ndarray, "h w *c"]) -> bytes:
+    """The bytes of a PNG: uint8/uint16 as it is, or linear float RGB encoded as sRGB."""
     pixels = linear_to_srgb8(image) if np.issubdtype(image.dtype, np.floating) else image
     if pixels.ndim == 3:
         pixels = pixels[..., ::-1]
     ok, data = cv2.imencode(".png", np.ascontiguousarray(pixels))
     if not ok:
-        raise OutputError(f"{path}: PNG encoding of {pixels.shape} {pixels.dtype} failed")
-    write_whole(path, data.tobytes())
+        raise OutputError(f"PNG encoding of {pixels.shape} {pixels.dtype} failed")
+    return data.tobytes()
+
+
+def write_png(path: Path, image: Shaped[np.ndarray, "h w *c"]) -> None:
+    """Write `encode_png`'s bytes; whole or not at all."""
+    write_whole(path, encode_png(image))
 
 
 def write_whole(path: Path, data: bytes) -> None:

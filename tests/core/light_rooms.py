@@ -1,0 +1,49 @@
+"""Panoramas whose light is known: lamps at given directions, rooms, and light of nine harmonics."""
+
+import numpy as np
+
+from roomlight.conventions import panorama_directions, panorama_solid_angles
+
+
+def unit(x, y, z):
+    direction = np.array([x, y, z], np.float64)
+    return direction / np.linalg.norm(direction)
+
+
+def lit(height, lamps, level=0.0):
+    """An even surrounding with lamps (direction, radius in degrees, RGB or grey radiance added)."""
+    directions = panorama_directions(height)
+    panorama = np.full((height, 2 * height, 3), level, np.float32)
+    for direction, radius_deg, radiance in lamps:
+        inside = directions @ unit(*direction).astype(np.float32) > np.cos(np.radians(radius_deg))
+        panorama[inside] += np.float32(radiance)
+    return panorama
+
+
+def room(height):
+    """Dim coloured walls, a window of 28 degrees across at radiance 8, and a lamp of 6 degrees at 60."""
+    directions = panorama_directions(height)
+    walls = 0.3 + 0.1 * directions @ np.float32([[1.0, 0.2, -0.5], [0.3, 0.6, 0.9], [-0.4, 0.5, 0.1]])
+    return walls + lit(height, [((0.6, 0.3, 0.742), 14, 8.0), ((-0.5, 0.7, -0.51), 3, 60.0)])
+
+
+def disc(radius_deg):
+    """Solid angle in steradians."""
+    return 2 * np.pi * (1 - np.cos(np.radians(radius_deg)))
+
+
+def mean_light(panorama):
+    """Mean radiance over the sphere, by solid angle."""
+    weight = panorama_solid_angles(len(panorama)).astype(np.float64)[..., None]
+    return (panorama * weight).sum(axis=(0, 1)) / (4 * np.pi)
+
+
+def quarter_turn(panorama):
+    """The panorama turned by 90 degrees about +Y: what came from +X comes from +Z."""
+    return np.roll(panorama, panorama.shape[1] // 4, axis=1)
+
+
+def turned(directions):
+    """Directions turned as `quarter_turn` turns a panorama."""
+    x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
+    return np.stack([-z, y, x], axis=-1)

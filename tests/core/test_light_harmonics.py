@@ -1,0 +1,217 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from light_rooms import lit, mean_light, quarter_turn, room, turned, unit
+
+from roomlight.conventions import panorama_directions, panorama_solid_angles
+from roomlight.light.checks import check_panorama
+from roomlight.light.main_light import main_light
+from roomlight.light.spherical_harmonics import SphericalHarmonics, basis, project
+
+AXES = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1]], np.float64)
+# Index of the first band's coefficient for light from +X, +Y, +Z: the order is C1-1 (y), C10 (z), C11 (x).
+FIRST_BAND = {0: 3, 1: 1, 2: 2}
+
+
+@given(seed=st.integers(0, 2**32 - 1), height=st.sampled_from([4, 5, 16, 47, 120]))
+@settings(max_examples=20, deadline=None)
+@pytest.mark.parametrize("phase", ["condon-shortley", "positive"])
+def test_light_of_nine_harmonics_comes_back_exactly(phase, seed: int, height: int) -> None:
+    coefficients = np.random.default_rng(seed).normal(size=(9, 3))
+    directions = panorama_directions(height).reshape(-1, 3)
+    panorama = (basis(directions, phase=phase) @ coefficients).reshape(height, 2 * height, 3)
+    found = project(panorama, phase=phase)
+    # What is left is rounding: the panorama, its directions and the row sums are float32.
+    np.testing.assert_allclose(found.coefficients, coefficients, atol=3e-6)
+    np.testing.assert_allclose(found.evaluate(directions), panorama.reshape(-1, 3), atol=1e-5)
+    assert found.phase == phase
+    assert (found.kind, found.quantity) == ("total", "radiance")
+
+
+@pytest.mark.parametrize("height", [16, 60, 120])
+def test_harmonics_of_a_room_agree_with_summing_over_its_pixels(height: int) -> None:
+    panorama = room(height)
+    directions = panorama_directions(height).reshape(-1, 3)
+    weight = np.repeat(panorama_solid_angles(height)[:, 0], 2 * height)
+    summed = (basis(directions, phase="positive") * weight[:, None]).T @ panorama.reshape(-1, 3)
+    # The basis at pixel centres is orthonormal within (pi / height)^2 / 6 only; the fit undoes that.
+    np.testing.assert_allclose(
+        project(panorama, phase="positive").coefficients, summed, atol=0.5 * (np.pi / height) ** 2 * summed.max()
+    )
+
+
+def test_constant_light_is_its_mean_and_nothing_else() -> None:
+    harmonics = project(lit(32, [], level=2.0))
+    np.testing.assert_allclose(harmonics.coefficients[0], 2 * np.sqrt(4 * np.pi), rtol=1e-6)
+    np.testing.assert_allclose(harmonics.coefficients[1:], 0, atol=1e-5)
+    np.testing.assert_allclose(harmonics.irradiance().evaluate(AXES), 2 * np.pi, rtol=1e-5)
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_lamp_on_an_axis_has_the_signs_of_the_tables(axis: int, sign: int) -> None:
+    lamp = lit(120, [(sign * AXES[axis], 5, [4.0, 2.0, 1.0])])
+    positive, phased = project(lamp, phase="positive"), project(lamp)
+    assert phased.phase == "condon-shortley"
+    first = np.sqrt(3 / (4 * np.pi)) * 4 * np.pi * mean_light(lamp)
+    # A disc of 5 degrees is a point to the first band within 1 - (1 + cos(5)) / 2 = 0.2 %.
+    np.testing.assert_allclose(positive.coefficients[FIRST_BAND[axis]], sign * first, rtol=4e-3)
+    others = [index for name, index in FIRST_BAND.items() if name != axis]
+    np.testing.assert_allclose(positive.coefficients[others], 0, atol=0.01 * first.max())
+    odd = -1 if axis in (0, 1) else 1  # x and y are m = +-1, z is m = 0
+    np.testing.assert_allclose(phased.coefficients[FIRST_BAND[axis]], odd * positive.coefficients[FIRST_BAND[axis]])
+
+
+@pytest.mark.parametrize(
+    ("lamp", "index", "phased_sign"),
+    [((1, 1, 0), 4, 1), ((0, 1, 1), 5, -1), ((0, 0, 1), 6, 1), ((1, 0, 1), 7, -1), ((1, 0, 0), 8, 1)],
+)
+def test_the_second_band_in_order_and_sign(lamp, index: int, phased_sign: int) -> None:
+    panorama = lit(120, [(lamp, 5, 1.0)])
+    positive = project(panorama, phase="positive").coefficients[:, 0]
+    assert positive[index] > 0
+    assert positive[index] == pytest.approx(np.abs(positive[4:]).max(), rel=1e-6)
+    assert np.sign(project(panorama).coefficients[index, 0]) == phased_sign
+
+
+def test_arcore_and_threejs_shade_alike_from_their_own_signs() -> None:
+    """Both formulas are spelled out as their shaders have them, with their constants."""
+    panorama = room(60)
+    normals = np.random.default_rng(0).normal(size=(50, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    x, y, z = normals.T[..., None]
+
+    c = project(panorama).flat("interleaved").reshape(9, 3)
+    factors = [0.282095, -0.325735, 0.325735, -0.325735, 0.273137, -0.273137, 0.078848, -0.273137, 0.136569]
+    p = c * np.array(factors)[:, None]
+    arcore = p[0] + p[1] * y + p[2] * z + p[3] * x + p[4] * x * y + p[5] * y * z
+    arcore = arcore + p[6] * (3 * z * z - 1) + p[7] * z * x + p[8] * (x * x - y * y)
+
+    c = project(panorama, phase="positive").flat("interleaved").reshape(9, 3)
+    three = c[0] * 0.886227 + c[1] * 2 * 0.511664 * y + c[2] * 2 * 0.511664 * z + c[3] * 2 * 0.511664 * x
+    three = three + c[4] * 2 * 0.429043 * x * y + c[5] * 2 * 0.429043 * y * z
+    three = three + c[6] * (0.743125 * z * z - 0.247708) + c[7] * 2 * 0.429043 * x * z
+    three = three + c[8] * 0.429043 * (x * x - y * y)
+
+    np.testing.assert_allclose(arcore * np.pi, three, rtol=1e-4)
+    np.testing.assert_allclose(three, project(panorama).irradiance().evaluate(normals), rtol=1e-4)
+
+
+def test_irradiance_is_near_the_cosine_integral() -> None:
+    panorama = room(60)
+    normals = panorama_directions(8).reshape(-1, 3)
+    light = panorama_directions(60).reshape(-1, 3)
+    weight = np.repeat(panorama_solid_angles(60)[:, 0], 120)[:, None]
+    exact = np.maximum(normals @ light.T, 0) @ (panorama.reshape(-1, 3) * weight)
+    found = project(panorama).irradiance().evaluate(normals)
+    # Nine harmonics carry 99 % of a clamped cosine's energy; a lamp's shading is off by up to 6 % of its peak.
+    assert np.abs(found - exact).max() < 0.07 * exact.max()
+    assert np.sqrt(np.mean((found - exact) ** 2)) < 0.04 * exact.mean()
+
+
+@pytest.mark.parametrize("phase", ["condon-shortley", "positive"])
+def test_turning_the_room_turns_its_harmonics(phase) -> None:
+    directions = panorama_directions(8).reshape(-1, 3)
+    before, after = project(room(40), phase=phase), project(quarter_turn(room(40)), phase=phase)
+    np.testing.assert_allclose(after.evaluate(turned(directions)), before.evaluate(directions), atol=1e-5)
+
+
+def test_layouts() -> None:
+    harmonics = SphericalHarmonics(np.arange(27, dtype=np.float64).reshape(9, 3))
+    assert harmonics.flat("interleaved").tolist() == list(range(27))
+    planar = harmonics.flat("planar")
+    assert planar[:9].tolist() == list(range(0, 27, 3))  # all of red first
+    assert planar[9:18].tolist() == list(range(1, 27, 3))
+    assert planar.dtype == np.float32
+    for layout in ("interleaved", "planar"):
+        back = SphericalHarmonics.from_flat(
+            harmonics.flat(layout), layout=layout, phase="positive", quantity="irradiance", kind="ambient"
+        )
+        np.testing.assert_array_equal(back.coefficients, harmonics.coefficients)
+        assert (back.phase, back.quantity, back.kind) == ("positive", "irradiance", "ambient")
+
+
+def test_phases_are_two_spellings_of_one_light() -> None:
+    directions = panorama_directions(6).reshape(-1, 3)
+    phased = project(room(20))
+    positive = phased.with_phase("positive")
+    assert phased.with_phase("condon-shortley") is phased
+    np.testing.assert_allclose(positive.evaluate(directions), phased.evaluate(directions), atol=1e-12)
+    np.testing.assert_array_equal(positive.with_phase("condon-shortley").coefficients, phased.coefficients)
+    irradiance = phased.irradiance()
+    assert irradiance.irradiance() is irradiance
+    np.testing.assert_allclose(positive.irradiance().evaluate(directions), irradiance.evaluate(directions), rtol=1e-12)
+
+
+@pytest.mark.parametrize("phase", ["condon-shortley", "positive"])
+def test_total_is_ambient_and_the_main_light_together(phase) -> None:
+    panorama = room(60)
+    light = main_light(panorama)
+    total, ambient = project(panorama, phase=phase), project(panorama, kind="ambient", phase=phase)
+    assert ambient.kind == "ambient"
+    point = basis(light.direction[None], phase=phase)[0][:, None] * light.intensity
+    np.testing.assert_allclose(ambient.coefficients + point, total.coefficients, atol=1e-12)
+    given = project(panorama, kind="ambient", phase=phase, light=light)
+    np.testing.assert_array_equal(given.coefficients, ambient.coefficients)
+
+
+def test_ambient_is_the_room_with_its_lamp_out() -> None:
+    dark = lit(120, [], level=0.3)
+    lamp = lit(120, [((0.3, 0.9, 0.2), 6, [20.0, 15.0, 10.0])], level=0.3)
+    ambient = project(lamp, kind="ambient")
+    # A lamp of 6 degrees is a point to nine harmonics within 1 - cos(6) (1 + cos(6)) / 2 = 0.8 %.
+    lamp_alone = project(lamp).coefficients - project(dark).coefficients
+    np.testing.assert_allclose(ambient.coefficients, project(dark).coefficients, atol=0.02 * np.abs(lamp_alone).max())
+
+
+def test_ambient_of_even_light_is_all_of_it() -> None:
+    even = lit(24, [], level=1.5)
+    np.testing.assert_array_equal(project(even, kind="ambient").coefficients, project(even).coefficients)
+
+
+def test_mean_light_is_the_first_coefficient() -> None:
+    panorama = room(120)
+    first = project(panorama).coefficients[0] / np.sqrt(4 * np.pi)
+    np.testing.assert_allclose(first, mean_light(panorama), rtol=2e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "rule"),
+    [((8, 16), r"\(H, 2H, 3\)"), ((8, 16, 4), r"\(H, 2H, 3\)"), ((8, 17, 3), "17 x 8"), ((3, 6, 3), "4 to 4096 rows")],
+)
+def test_shapes_that_are_no_panorama(shape, rule: str) -> None:
+    with pytest.raises(ValueError, match=rule):
+        check_panorama(np.zeros(shape, np.float32))
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_numbers_that_are_none(value: float) -> None:
+    panorama = lit(8, [], level=1.0)
+    panorama[3, 5, 1] = value
+    with pytest.raises(ValueError, match=r"finite numbers only, got .* in row 3, column 5"):
+        project(panorama)
+    with pytest.raises(ValueError, match="finite"):
+        SphericalHarmonics(np.full((9, 3), value))
+
+
+def test_values_beyond_float32_are_refused() -> None:
+    with pytest.raises(ValueError, match="finite"):
+        check_panorama(np.full((8, 16, 3), 1e300))
+
+
+def test_a_light_is_taken_out_of_total_radiance_only() -> None:
+    light = main_light(room(16))
+    with pytest.raises(ValueError, match="not of total irradiance"):
+        project(room(16)).irradiance().without(light)
+    with pytest.raises(ValueError, match="not of ambient radiance"):
+        project(room(16)).without(light).without(light)
+
+
+def test_27_numbers() -> None:
+    with pytest.raises(ValueError, match="27 numbers, got 26"):
+        SphericalHarmonics.from_flat(np.zeros(26), layout="planar", phase="positive")
+
+
+def test_unit_directions_are_read_as_they_are() -> None:
+    assert basis(unit(3, 4, 0)[None], phase="positive")[0, 4] == pytest.approx(1.0925484 * 0.6 * 0.8)
