@@ -4,7 +4,7 @@ Photometry: luminous flux in kilolumen, illuminance in kilolux, luminance in kcd
 luminance for a Lambertian surface. Colours come from `blackbody_rgb`, normalised to luminance 1.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
@@ -90,8 +90,9 @@ def light_room(
     flux_klm = _total_flux(shell, rng, evening=windows and scenario == "night")
     weights = {i: _FLUX_SHARE.get(placements[i].model.role, 0.5) * float(rng.uniform(0.6, 1.6)) for i in lit}
     total = sum(weights.values()) + len(extra)
+    bulbs = {role: kelvin if rng.random() > 0.3 else _room_kelvin(rng) for role in sorted({*_roles(placements, lit)})}
     for i in sorted(lit):
-        own = kelvin if rng.random() > 0.25 else _room_kelvin(rng)
+        own = bulbs[placements[i].model.role] * float(np.exp(rng.normal(0, 0.015)))
         flux = flux_klm * weights[i] / total
         item = switch_on(items[i], placements[i], flux_klm=flux, colour=blackbody_rgb(own))
         out[i] = item
@@ -154,6 +155,10 @@ def _has_windows(shell: Shell) -> bool:
     """Whether daylight could come in; windows that are wholly covered have no opening but cloth that glows."""
     cloths = (material for item in shell.items for material in item.mesh.materials)
     return bool(shell.openings) or any(material.name.startswith("daylit") for material in cloths)
+
+
+def _roles(placements: Sequence[Placement], chosen: Iterable[int]) -> list[str]:
+    return [placements[i].model.role for i in chosen]
 
 
 def _is_lamp(placement: Placement) -> bool:
