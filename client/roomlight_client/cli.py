@@ -12,7 +12,7 @@ from rich.markup import escape
 from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight_client import arguments as given
-from roomlight_client import dataset_commands, train_command
+from roomlight_client import dataset_commands, serve_command, stream_command, train_command
 from roomlight_client.console import err as _err
 from roomlight_client.console import out as _out
 from roomlight_client.console import run
@@ -31,6 +31,8 @@ app = typer.Typer(
 bench_app = typer.Typer(help="Measure speed: every figure as a ratio within one run.", no_args_is_help=True)
 app.add_typer(bench_app, name="bench")
 app.add_typer(dataset_commands.app, name="dataset")
+app.command()(serve_command.serve)
+app.command()(stream_command.stream)
 app.command()(train_command.train)
 
 
@@ -66,6 +68,8 @@ def replay(
         bool, typer.Option("--interpolate", help="With --every: also write the frames in between, interpolated.")
     ] = False,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace what --out holds of another replay.")] = False,
+    server: stream_command.Server = None,
+    token: stream_command.Token = None,
     format_name: given.Format = None,
     depth_key: given.DepthKey = None,
     depth_unit: given.DepthUnit = None,
@@ -107,7 +111,9 @@ def replay(
         interpolate=interpolate,
         overwrite=overwrite,
     )
-    _replay_and_tell(capture, out, options)
+    if server:
+        stream_command.refuse_local_model(server, options.session)
+    _replay_and_tell(capture, out, options, server=server, token=token)
 
 
 @app.command()
@@ -239,23 +245,30 @@ def bench_widths(
     _out.print(format_widths(rows), soft_wrap=True)
 
 
-def _replay_and_tell(capture: Path, out: Path, options: ReplayOptions) -> None:
+def _replay_and_tell(
+    capture: Path, out: Path, options: ReplayOptions, *, server: str | None = None, token: str | None = None
+) -> None:
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
+    from roomlight_client.remote_replay import replay_through
     from roomlight_client.replay import replay as run
     from roomlight_server.session import warm_up
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
     with Progress(*columns, console=_err, transient=True) as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
-        warm_up()
+        if server is None:
+            warm_up()
         bars.update(task, description="replaying")
 
         def show(done: int, total: int) -> None:
             bars.update(task, completed=done, total=total)
 
         try:
-            result = run(capture, out, options, progress=show)
+            if server is None:
+                result = run(capture, out, options, progress=show)
+            else:
+                result = replay_through(server, capture, out, options, token=token, progress=show)
         except KeyboardInterrupt:
             bars.stop()
             afresh = "starts afresh" if options.overwrite else "continues where it was"

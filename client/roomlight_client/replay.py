@@ -1,5 +1,7 @@
 """Replay of a recorded capture through a session: one HDR panorama a frame at each probe, pictures and a report.
 
+The session is the engine here, or one behind a server (`remote_replay`): the loop is the same.
+
 What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last
 of all, `report.json`: a folder without it is not whole. `replay.json` is written first, once a frame has proved usable,
 and says what the folder is for, so that the same command continues an interrupted replay and another one refuses to
@@ -11,7 +13,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -22,9 +24,10 @@ from roomlight.errors import CaptureError, FrameError, OutputError, ProbeError
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.sglv import check_position
+from roomlight.volume import VolumeGrid
 from roomlight_client.output import write_json
 from roomlight_client.pictures import FILM, SUMMARY, ReplayPictures
-from roomlight_server.session import FrameReport, Light, Position, Session, SessionOptions
+from roomlight_server.session import FrameReport, Position, Session, SessionOptions
 
 REPORT: Final = "report.json"
 INTENT: Final = "replay.json"
@@ -39,6 +42,7 @@ class ReplayOptions:
     every:         a session frame is every n-th of the capture.
     interpolate:   also write the frames in between, linearly interpolated in radiance (paper, section 5.2).
     overwrite:     replace what the output folder holds of another replay.
+    server:        the address that the session is behind; None: the engine here.
     """
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
@@ -48,6 +52,7 @@ class ReplayOptions:
     every: int = 1
     interpolate: bool = False
     overwrite: bool = False
+    server: str | None = None
 
     def __post_init__(self) -> None:
         """Refuse steps that select nothing."""
@@ -69,15 +74,74 @@ Progress = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""
 
 
-def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress | None = None) -> ReplayResult:
-    """Replay a capture into a folder. Raises RoomLightError.
+@runtime_checkable  # so that a checker of annotations can look at it in the test run
+class ReplayLight(Protocol):
+    """What is kept of the light at a probe; `roomlight_server.session.Light` is one."""
+
+    @property
+    def position(self) -> Position:
+        """World metres."""
+        ...
+
+    @property
+    def panorama(self) -> Float[np.ndarray, "h w 3"]:
+        """Linear RGB, float32."""
+        ...
+
+    @property
+    def coverage(self) -> float:
+        """Share of the sphere that was observed."""
+        ...
+
+
+@runtime_checkable
+class ReplaySession(Protocol):
+    """What a replay asks of a session; `roomlight_server.session.Session` is one."""
+
+    @property
+    def model(self) -> str:
+        """The model in use."""
+        ...
+
+    @property
+    def grid(self) -> VolumeGrid | None:
+        """The volume's frame, once there is one."""
+        ...
+
+    @property
+    def keyframes(self) -> int:
+        """Keyframes held."""
+        ...
+
+    def track(self, position: Position) -> int:
+        """Follow a position from now on."""
+        ...
+
+    def push(self, frame: Frame) -> FrameReport:
+        """Take the next frame; FrameError if it cannot be used."""
+        ...
+
+    def lights(self) -> Sequence[ReplayLight]:
+        """The light at every tracked position."""
+        ...
+
+
+def replay(
+    path: Path,
+    out: Path,
+    options: ReplayOptions,
+    *,
+    session: ReplaySession | None = None,
+    progress: Progress | None = None,
+) -> ReplayResult:
+    """Replay a capture into a folder, by the engine here or by a fresh `session`. Raises RoomLightError.
 
     An interruption leaves what is written, without a report; the next call with the same arguments continues.
     """
     read = options.capture
     stride = 1 if options.interpolate else options.every
     capture = open_capture(path, replace(read, every=read.every * stride))
-    session = Session(options.session)
+    session = session or Session(options.session)
     positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
     intent = _intent(path, session.model, options)
     _refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
@@ -87,6 +151,7 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
     unusable: list[dict[str, Any]] = []
     pictures: ReplayPictures | None = None
     writer: _Writer | None = None
+    tracked = False
     waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
     try:
         for frame in capture:
@@ -96,9 +161,11 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
                 continue
             try:
                 if writer is None or pictures is None:
-                    positions = positions or (_point_in_view(frame),)
-                    for position in positions:
-                        session.track(position)
+                    if not tracked:  # a frame that cannot start the session must not track its probes twice
+                        positions = positions or (point_in_view(frame),)
+                        for position in positions:
+                            session.track(position)
+                        tracked = True
                     report = session.push(frame)
                     _claim(out, intent, overwrite=options.overwrite)  # not before: a mistaken command leaves nothing
                     writer = _Writer(out, len(positions))
@@ -149,7 +216,7 @@ def replay(path: Path, out: Path, options: ReplayOptions, *, progress: Progress 
 def _report(
     path: Path,
     capture: Capture,
-    session: Session,
+    session: ReplaySession,
     reports: Sequence[FrameReport],
     *,
     wall_s: float,
@@ -192,7 +259,7 @@ class _Writer:
         self._before: tuple[int, list[Float[np.ndarray, "h w 3"]]] | None = None
         self.count_interpolated = 0
 
-    def write(self, frame: Frame, lights: Sequence[Light]) -> None:
+    def write(self, frame: Frame, lights: Sequence[ReplayLight]) -> None:
         """One session frame."""
         self._before = (frame.index, [light.panorama for light in lights])
         for folder, light in zip(self._folders, lights, strict=True):
@@ -200,7 +267,7 @@ class _Writer:
             self._save(folder, frame.index, light.panorama, {"roomlight:coverage": coverage})
 
     def interpolated(
-        self, between: Sequence[Frame], frame: Frame, lights: Sequence[Light]
+        self, between: Sequence[Frame], frame: Frame, lights: Sequence[ReplayLight]
     ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
         """Write and yield the frames between the last session frame and this one."""
         if self._before is None:
@@ -245,7 +312,7 @@ def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.nd
     return [measured[position].panorama() if position in measured else None for position in positions]
 
 
-def _point_in_view(frame: Frame) -> Position:
+def point_in_view(frame: Frame) -> Position:
     """A point in free space that the first camera looks at: on the optical axis, at 60 % of the median depth."""
     known = frame.depth_m[frame.depth_m > 0]
     if known.size == 0:

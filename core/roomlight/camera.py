@@ -37,6 +37,8 @@ class Intrinsics:
         for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
             if not np.isfinite(value) or not -size <= value <= 2 * size:
                 raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
+        for name in ("fx", "fy", "cx", "cy"):  # NumPy's own scalars would turn float32 rays into float64
+            object.__setattr__(self, name, float(getattr(self, name)))
 
     def resized(self, width: int, height: int) -> "Intrinsics":
         """The same camera for the same view resampled to another pixel size (K scales with the ratio)."""
@@ -73,7 +75,8 @@ def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, 
     """Return the pose as a clean float64 rigid transform, or raise ValueError saying what is wrong with it.
 
     Rounding in text files is repaired (nearest rotation by SVD); NaN, inf, mirror images, scales and shears
-    are not: they are lost tracking or a misread convention.
+    are not: they are lost tracking or a misread convention. A rotation within 1e-12 stays to the bit, so that a pose
+    that was cleaned before it crossed the network is the same pose after it.
     """
     matrix = np.asarray(camera_to_world, np.float64)
     if matrix.shape != (4, 4):
@@ -82,8 +85,10 @@ def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, 
         raise ValueError("the pose holds NaN or infinity (lost tracking)")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         raise ValueError(f"the pose's last row is {matrix[3].tolist()}, not 0 0 0 1")
-    u, scale, vt = np.linalg.svd(matrix[:3, :3])
-    rotation = u @ vt
+    rotation = matrix[:3, :3]
+    u, scale, vt = np.linalg.svd(rotation)
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-12:
+        rotation = u @ vt
     if np.linalg.det(rotation) < 0:
         raise ValueError("the pose's rotation is a mirror image (determinant -1)")
     if np.abs(scale - 1).max() > 0.02:

@@ -17,6 +17,8 @@ from jaxtyping import Float, Float32
 UnknownDepth = Literal["rim", "far", "drop"]
 """How pixels without depth enter: at their rim's depth, on the volume's far boundary, or not at all."""
 
+MAX_DEPTH_M: Final = 100_000.0
+"""Deeper is no reading but a damaged one. Millimetres taken for metres stay below it, for a later check to name."""
 _NEAREST_INVERSE: Final = 20.0
 """1/m: nothing is assumed closer than 5 cm."""
 _SWEEPS: Final = 4
@@ -25,15 +27,15 @@ within 1.7 % without any."""
 
 
 def clean_depth(depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Depth as contiguous float32 with everything that is not a positive finite number set to 0 (unknown).
+    """Depth as contiguous float32 with everything that is not positive and at most `MAX_DEPTH_M` set to 0 (unknown).
 
     The array itself where it is so already.
     """
     with np.errstate(over="ignore"):
         depth = np.ascontiguousarray(depth_m, np.float32)
-    if depth.size == 0 or (depth.min() >= 0 and depth.max() < np.inf):  # NaN compares as neither
+    if depth.size == 0 or (depth.min() >= 0 and depth.max() <= MAX_DEPTH_M):  # NaN compares as neither
         return depth
-    return np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+    return np.where((depth > 0) & (depth <= MAX_DEPTH_M), depth, np.float32(0))
 
 
 def complete_depth(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:

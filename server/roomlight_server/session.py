@@ -145,8 +145,9 @@ class Session:
         self._latest: FrameMesh | None = None
         self._keyframes: KeyframeStore | None = None
         self._latest_is_keyframe = False
-        self._probes: list[_Probe] = []
-        self._waiting: list[Position] = []
+        self._probes: dict[int, _Probe] = {}  # by handle
+        self._waiting: dict[int, Position] = {}
+        self._next_handle = 0
         self.frames = 0
 
     @property
@@ -170,13 +171,20 @@ class Session:
         return len(self._keyframes) if self._keyframes else 0
 
     def track(self, position: Position) -> int:
-        """Follow a position from now on, caught up; returns its handle. Raises ProbeError."""
+        """Follow a position from now on, caught up; returns its handle: 0, 1, 2, ... Raises ProbeError."""
         x, y, z = check_position(position).tolist()
+        handle = self._next_handle
         if self._sglv is None:  # the volume's size, and so the probe's memory, comes with the first frame
-            self._waiting.append((x, y, z))
-            return len(self._waiting) - 1
-        self._probes.append(self._new_probe((x, y, z)))
-        return len(self._probes) - 1
+            self._waiting[handle] = (x, y, z)
+        else:
+            self._probes[handle] = self._new_probe((x, y, z))
+        self._next_handle += 1
+        return handle
+
+    def untrack(self, handle: int) -> None:
+        """No longer follow a position; its handle is not used again. Raises ProbeError if it is none."""
+        if self._probes.pop(handle, None) is None and self._waiting.pop(handle, None) is None:
+            raise ProbeError(f"there is no tracked probe {handle} to give up")
 
     def push(self, frame: Frame) -> FrameReport:
         """Take the next frame. Raises FrameError if it cannot be used; the session is then as before."""
@@ -201,21 +209,27 @@ class Session:
             self._latest.build()
         with clock.stage("keyframes"):
             self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)
-        while self._waiting:
-            self._probes.append(self._fresh_probe(self._waiting.pop(0)))
-        for probe in self._probes:
+        for handle, position in self._waiting.items():
+            self._probes[handle] = self._fresh_probe(position)
+        self._waiting.clear()
+        for probe in self._probes.values():
             with clock.stage("render"):
                 rendered = self._render(probe)
             self._observe(probe, self._latest, rendered, clock)
         self.frames += 1
-        coverage = tuple(probe.state.coverage() for probe in self._probes)
+        coverage = tuple(probe.state.coverage() for probe in self._probes.values())
         return FrameReport(frame.index, clock.stage_ms, self._latest_is_keyframe, coverage)
+
+    @property
+    def handles(self) -> tuple[int, ...]:
+        """Of the tracked positions, in the order of `lights` and of a report's coverage."""
+        return (*self._probes, *self._waiting)
 
     def light(self, handle: int) -> Light:
         """The light at a tracked position, as of the last frame."""
-        if not 0 <= handle < len(self._probes):
+        if handle not in self._probes:
             tracked = f"this session tracks {len(self._probes)}"
-            reason = "no frame has been pushed yet" if self._waiting else tracked
+            reason = "no frame has been pushed yet" if handle in self._waiting else tracked
             raise ProbeError(f"no light for tracked probe {handle}: {reason}")
         return self._light_of(self._probes[handle])
 
@@ -231,7 +245,7 @@ class Session:
 
     def lights(self) -> Sequence[Light]:
         """The light at every tracked position, in order of their handles."""
-        return [self._light_of(probe) for probe in self._probes]
+        return [self._light_of(probe) for probe in self._probes.values()]
 
     def _fresh_probe(self, position: Position) -> _Probe:
         assert self._grid is not None

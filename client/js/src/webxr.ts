@@ -1,0 +1,178 @@
+// A frame of WebXR as a frame to send: view, CPU depth (depth-sensing) and camera image (camera-access). Types are the
+// parts of WebXR's that are read, so that no type package is needed; XRView and the others fit them.
+
+import type { Frame } from "./frame.js";
+import type { WireIntrinsics } from "./wire.js";
+
+type Matrix = ArrayLike<number>; // 16 numbers, column by column
+
+/** `XRView`, in the reference space in which light is wanted (`local`, say): metres, y up. */
+export interface ViewLike {
+  readonly projectionMatrix: Matrix;
+  readonly transform: { readonly matrix: Matrix };
+}
+
+/** `XRCPUDepthInformation`, of a session asked for `cpu-optimized` depth in any of the three formats. */
+export interface CpuDepthLike {
+  readonly data: ArrayBuffer;
+  readonly width: number;
+  readonly height: number;
+  readonly rawValueToMeters: number;
+  readonly normDepthBufferFromNormView: { readonly matrix: Matrix };
+}
+
+/** An encoded image of the view: a JPEG of `cameraImage`, or of any canvas that shows just what the view sees. */
+export interface ViewImage {
+  readonly data: Blob | ArrayBuffer | Uint8Array | Promise<Blob>;
+  readonly width: number;
+  readonly height: number;
+  readonly encoding?: "jpeg" | "png";
+}
+
+export interface ViewFrame {
+  view: ViewLike;
+  depth: CpuDepthLike;
+  image: ViewImage;
+  /** `XRFrame.predictedDisplayTime`, or the callback's time, in milliseconds. */
+  time_ms?: number;
+  /** `XRViewerPose.emulatedPosition`: the device has lost its place, and only guesses. */
+  emulatedPosition?: boolean;
+  exposure?: number;
+}
+
+/** A frame to push, from what one animation frame of WebXR gives; all of it is copied before this returns. */
+export function frameOfView({ view, depth, image, time_ms, emulatedPosition = false, exposure }: ViewFrame): Frame {
+  return {
+    colour: { encoding: image.encoding ?? "jpeg", data: image.data },
+    depth: depthOfView(depth, image),
+    intrinsics: intrinsicsOfView(view.projectionMatrix, image),
+    camera_to_world: Array.from(view.transform.matrix),
+    tracking_state: emulatedPosition ? "limited" : "normal",
+    ...(time_ms === undefined ? {} : { timestamp_s: time_ms / 1000 }),
+    ...(exposure === undefined ? {} : { exposure }),
+  };
+}
+
+/**
+ * The pinhole camera of a projection matrix, for an image that shows all of the view, its first row on top.
+ *
+ * Clip x = (p0 X + p8 Z) / -Z spans -1 .. 1 over the width, clip y = (p5 Y + p9 Z) / -Z over the height, upward.
+ */
+export function intrinsicsOfView(
+  projection: Matrix,
+  { width, height }: { width: number; height: number },
+): WireIntrinsics {
+  const p = (at: number) => projection[at]!;
+  if (projection.length !== 16 || Math.abs(p(4)) > 1e-6 * p(0) || p(11) !== -1) {
+    throw new RangeError(`a perspective projection without skew is wanted, got ${Array.from(projection)}`);
+  }
+  return {
+    fx: (width / 2) * p(0),
+    fy: (height / 2) * p(5),
+    cx: (width / 2) * (1 - p(8)),
+    cy: (height / 2) * (1 + p(9)),
+    width,
+    height,
+  };
+}
+
+/**
+ * The depth of the view, upright and of the image's aspect, as `XRCPUDepthInformation.getDepthInMeters` reads it.
+ *
+ * Depth buffers stand as their sensor does, a quarter turn from a phone held upright, and see more or less than the
+ * view. Each value is the nearest one, for between two surfaces there is nothing; what the buffer does not see is 0.
+ */
+export function depthOfView(info: CpuDepthLike, image: { width: number; height: number }): Frame["depth"] {
+  const texels = info.width * info.height;
+  const isFloat = info.data.byteLength === 4 * texels;
+  if (!isFloat && info.data.byteLength !== 2 * texels) {
+    throw new RangeError(
+      `depth of ${info.width} x ${info.height} in ${info.data.byteLength} bytes: 2 or 4 bytes each are read`,
+    );
+  }
+  const raw = isFloat ? new Float32Array(info.data) : new Uint16Array(info.data);
+  const longest = Math.max(info.width, info.height);
+  const scale = longest / Math.max(image.width, image.height);
+  const [width, height] = [Math.max(Math.round(image.width * scale), 2), Math.max(Math.round(image.height * scale), 2)];
+  const isMillimetres = !isFloat && Math.abs(info.rawValueToMeters * 1000 - 1) < 1e-6;
+  const data = isMillimetres ? new Uint16Array(width * height) : new Float32Array(width * height);
+  const m = info.normDepthBufferFromNormView.matrix as ArrayLike<number> & { [at: number]: number };
+  for (let row = 0; row < height; row++) {
+    for (let column = 0; column < width; column++) {
+      const [x, y] = [(column + 0.5) / width, (row + 0.5) / height]; // of the view, from its top left corner
+      const [bufferX, bufferY] = [m[0]! * x + m[4]! * y + m[12]!, m[1]! * x + m[5]! * y + m[13]!];
+      if (bufferX >= 0 && bufferX < 1 && bufferY >= 0 && bufferY < 1) {
+        const value = raw[Math.floor(bufferY * info.height) * info.width + Math.floor(bufferX * info.width)]!;
+        data[row * width + column] = isMillimetres ? value : value * info.rawValueToMeters;
+      }
+    }
+  }
+  return { format: isMillimetres ? "uint16_mm" : "float32_m", encoding: "raw", width, height, data };
+}
+
+/**
+ * The camera image of a view as a JPEG: `cameraImage(gl, binding.getCameraImage(view.camera), view.camera)`.
+ *
+ * The texture is read before this returns, as WebXR wants it; what takes its time is the JPEG, so `data` is a promise,
+ * which `packFrame` awaits. `longest`: side in pixels to which a larger image is shrunk; the server works at 320 x 240,
+ * and 640 keeps its lamps sharp. Tried on textures of a browser, not on a phone's camera.
+ */
+export function cameraImage(
+  gl: WebGL2RenderingContext,
+  texture: WebGLTexture,
+  camera: { readonly width: number; readonly height: number },
+  { longest = 640, quality = 0.85 }: { longest?: number; quality?: number } = {},
+): ViewImage & { data: Promise<Blob> } {
+  const scale = Math.min(1, longest / Math.max(camera.width, camera.height));
+  const [width, height] = [Math.round(camera.width * scale), Math.round(camera.height * scale)];
+  const image = new ImageData(readTexture(gl, texture, camera, { width, height }), width, height);
+  const canvas = new OffscreenCanvas(width, height);
+  canvas.getContext("2d")!.putImageData(image, 0, 0);
+  return { data: canvas.convertToBlob({ type: "image/jpeg", quality }), width, height, encoding: "jpeg" };
+}
+
+type Size = { readonly width: number; readonly height: number };
+
+/** RGBA of a texture, shrunk on the GPU, its first row on top. The framebuffers in use are put back. */
+function readTexture(
+  gl: WebGL2RenderingContext,
+  texture: WebGLTexture,
+  from: Size,
+  to: Size,
+): Uint8ClampedArray<ArrayBuffer> {
+  const [reading, drawing] = [
+    gl.getParameter(gl.READ_FRAMEBUFFER_BINDING),
+    gl.getParameter(gl.DRAW_FRAMEBUFFER_BINDING),
+  ];
+  const renderbufferInUse = gl.getParameter(gl.RENDERBUFFER_BINDING);
+  const scissors = gl.isEnabled(gl.SCISSOR_TEST); // they would cut the copy
+  const [source, target, small] = [gl.createFramebuffer(), gl.createFramebuffer(), gl.createRenderbuffer()];
+  const rgba = new Uint8ClampedArray(to.width * to.height * 4);
+  try {
+    gl.disable(gl.SCISSOR_TEST);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, small);
+    gl.renderbufferStorage(gl.RENDERBUFFER, gl.RGBA8, to.width, to.height);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, target);
+    gl.framebufferRenderbuffer(gl.DRAW_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.RENDERBUFFER, small);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, source);
+    gl.framebufferTexture2D(gl.READ_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
+    if (gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
+      throw new RangeError(`the camera's texture cannot be read: ${gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER)}`);
+    }
+    // Upside down: GL's rows go up, an image's go down.
+    gl.blitFramebuffer(0, 0, from.width, from.height, 0, to.height, to.width, 0, gl.COLOR_BUFFER_BIT, gl.LINEAR);
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, target);
+    gl.readPixels(0, 0, to.width, to.height, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
+  } finally {
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, reading);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, drawing);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, renderbufferInUse);
+    if (scissors) {
+      gl.enable(gl.SCISSOR_TEST);
+    }
+    gl.deleteFramebuffer(source);
+    gl.deleteFramebuffer(target);
+    gl.deleteRenderbuffer(small);
+  }
+  return rgba;
+}

@@ -1,0 +1,136 @@
+// A page in Chromium: its renderer sees light where it comes from, and its frames reach the server at ROOMLIGHT_SERVER.
+
+import assert from "node:assert/strict";
+import { existsSync, readFileSync } from "node:fs";
+import { after, before, test } from "node:test";
+import { chromium, type Browser, type Page } from "playwright-core";
+import type { Vector } from "roomlight";
+import * as field from "../light_field.js";
+import { serve } from "../server.js";
+import { vectors } from "../vectors.js";
+import type { Calls } from "./page.js";
+
+const ROOT = new URL("../../../", import.meta.url);
+const TYPES: Record<string, string> = { html: "text/html", js: "text/javascript" };
+const PLACES = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+const ARGUMENTS = [
+  ...["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"],
+  ...["--disable-background-networking", "--disable-component-update", "--disable-sync"],
+];
+
+let browser: Browser;
+let page: Page;
+const complaints: string[] = [];
+const ends: (() => void)[] = [];
+
+before(async () => {
+  const executablePath = process.env["CHROMIUM"] ?? PLACES.find((place) => existsSync(place));
+  assert.ok(executablePath, `Chromium is needed, at one of ${PLACES.join(", ")} or where CHROMIUM says`);
+  const server = await serve({ after: (end) => void ends.push(end as () => void) }, ({ path }) => {
+    const file = new URL(`.${path}`, ROOT);
+    return existsSync(file)
+      ? { body: readFileSync(file), headers: { "content-type": TYPES[path.split(".").pop()!] ?? "text/plain" } }
+      : { status: 404 };
+  });
+  browser = await chromium.launch({ executablePath, args: ARGUMENTS });
+  page = await browser.newPage();
+  page.on("pageerror", (error) => complaints.push(String(error)));
+  page.on("console", (message) => void (message.type() === "error" && complaints.push(message.text())));
+  await page.goto(`${server.url}/test/real_server/page.html`);
+  await page.waitForFunction("globalThis.calls");
+});
+
+after(async () => {
+  await browser?.close();
+  ends.forEach((end) => end());
+});
+
+/** A function of page.ts, in the page. */
+function call<Name extends keyof Calls>(
+  name: Name,
+  ...parameters: Parameters<Calls[Name]>
+): Promise<Awaited<ReturnType<Calls[Name]>>> {
+  return page.evaluate(([name, parameters]) => (globalThis as never as { calls: any }).calls[name](...parameters), [
+    name,
+    parameters,
+  ] as [string, any[]]);
+}
+
+function near(shown: readonly number[][], wanted: readonly (readonly number[])[], within: number) {
+  assert.equal(shown.length, wanted.length);
+  shown.forEach((pixel, at) =>
+    pixel.forEach((value, channel) => {
+      const what = `direction ${field.DIRECTIONS[at]}: ${pixel} is not ${wanted[at]}`;
+      assert.ok(Math.abs(value - Math.min(wanted[at]![channel]!, 1)) <= within, what);
+    }),
+  );
+}
+
+const all = (of: (direction: Vector) => number[]) => field.DIRECTIONS.map(of);
+const lambert = (normal: Vector) => normal.map((part) => 0.5 + (2 / 3) * 0.4 * part); // irradiance / pi
+
+test("a mirror and a panorama show light where it comes from", async () => {
+  const wanted = all((direction) => [...field.radiance(direction)]);
+  near(await call("mirrored"), wanted, 0.02); // after three.js's own filtering of the cube
+  near(await call("panorama"), wanted, 0.02);
+});
+
+test("harmonics shade as the light does, and a main light is not counted twice", async () => {
+  for (const basis of ["arcore", "arkit", "threejs"] as const) {
+    near(await call("matt", [field.harmonicsForm(basis)]), all(lambert), 0.01);
+  }
+  const weak = { direction: field.unit([1, 2, 2]), intensity: [0.3, 0.2, 0.1] as Vector };
+  const dim = await call("matt", [field.harmonicsForm("threejs"), { ...field.MAIN_LIGHT, values: weak }]);
+  // Its lobe of nine harmonics is replaced by a point: clamped cosine against the harmonics' own.
+  const lobe = (cosine: number) => 1 / 4 + cosine / 2 + (5 / 32) * (3 * cosine * cosine - 1);
+  near(
+    dim,
+    all((normal) => {
+      const cosine = normal.reduce((sum, part, axis) => sum + part * weak.direction[axis]!, 0);
+      return lambert(normal).map(
+        (value, at) => value + (weak.intensity[at]! / Math.PI) * (Math.max(cosine, 0) - lobe(cosine)),
+      );
+    }),
+    0.01,
+  );
+});
+
+test("a shader reads each level of the specular mips", async () => {
+  for (const [level, gain] of [1, 0.5, 0.25].entries()) {
+    const texels = all((direction) => field.radiance(direction).map((value) => value * gain));
+    near(await call("specular", level), texels, 0.03 + 0.08 * level * gain); // the smallest has two texels a side
+  }
+});
+
+test("a main light of intensity 0 casts its shadow all the same", async () => {
+  const [under, beside] = (await call("shadows")) as [number[], number[]];
+  assert.ok(under[0]! < 0.6 && beside[0]! > 0.95, `${under} under the box, ${beside} beside it`);
+});
+
+test("a camera's texture becomes an upright JPEG", async () => {
+  const { size, pixels } = await call("quarters");
+  assert.deepEqual(size, [320, 240]);
+  const [topLeft, topRight, bottomLeft, bottomRight] = pixels as [number[], number[], number[], number[]];
+  const isNear = (pixel: number[], wanted: number[]) => pixel.every((value, at) => Math.abs(value - wanted[at]!) < 16);
+  assert.ok(isNear(topLeft, [60, 0, 0]) && isNear(topRight, [0, 60, 0]), `${pixels}`);
+  assert.ok(isNear(bottomLeft, [240, 0, 0]) && isNear(bottomRight, [0, 240, 0]), `${pixels}`);
+});
+
+test("frames of the page reach the server, and its light the scene", async () => {
+  const [url, token] = [process.env["ROOMLIGHT_SERVER"]!, process.env["ROOMLIGHT_TOKEN"]!];
+  const plain = vectors().map(({ frame }) => frame);
+  const asArrays = JSON.parse(JSON.stringify(plain, (_, value) => (value instanceof Uint8Array ? [...value] : value)));
+  const { statuses, gone, ahead, coverage, unchanged } = await call("session", url, token, asArrays);
+  assert.deepEqual(statuses, ["processed", "processed", "processed"]);
+  assert.deepEqual([gone, unchanged], [404, true]);
+  assert.ok(coverage > 0.03);
+  const [left, right] = ahead as [number[], number[]];
+  assert.ok(
+    left[0]! > 2 * left[1]! && right[1]! > 2 * right[0]!,
+    `red on the left, green on the right: ${left}, ${right}`,
+  );
+  assert.deepEqual(
+    complaints.filter((text) => !text.includes("404")),
+    [],
+  );
+});

@@ -1,0 +1,227 @@
+// What the browser test calls in its page. Radiances come back as the renderer's pixels, linear, 1.0 = 255.
+
+import { RoomLight, RoomLightError, type Frame, type Light, type LightData, type Lights, type Vector } from "roomlight";
+import { applyToScene, environmentTexture, removeFromScene, specularTexture } from "roomlight/three";
+import { cameraImage, frameOfView } from "roomlight/webxr";
+import * as THREE from "three";
+import * as field from "../light_field.js";
+
+const renderer = new THREE.WebGLRenderer({ antialias: false });
+renderer.setSize(32, 32);
+renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
+renderer.shadowMap.enabled = true;
+
+/** Linear RGB in the middle of the picture. */
+function shot(scene: THREE.Scene, camera: THREE.Camera): number[] {
+  renderer.render(scene, camera);
+  const gl = renderer.getContext();
+  const pixel = new Uint8Array(4);
+  gl.readPixels(16, 16, 1, 1, gl.RGBA, gl.UNSIGNED_BYTE, pixel);
+  return [...pixel.subarray(0, 3)].map((value) => value / 255);
+}
+
+/** A camera at a distance from the origin, looking along a direction. */
+function looking(direction: Vector, from_m = 0): THREE.PerspectiveCamera {
+  const camera = new THREE.PerspectiveCamera(60, 1, 0.01, 50);
+  const along = new THREE.Vector3(...direction);
+  camera.up.set(0, Math.abs(along.y) > 0.9 ? 0 : 1, Math.abs(along.y) > 0.9 ? 1 : 0);
+  camera.position.copy(along).multiplyScalar(-from_m);
+  camera.lookAt(camera.position.clone().add(along));
+  camera.updateMatrixWorld();
+  return camera;
+}
+
+/** A disc at the origin that faces a direction. */
+function disc(normal: Vector, material: THREE.Material): THREE.Mesh {
+  const mesh = new THREE.Mesh(new THREE.CircleGeometry(1), material);
+  mesh.lookAt(...normal);
+  return mesh;
+}
+
+const against = (direction: Vector) => direction.map((part) => -part) as unknown as Vector;
+const cube = () => field.binary("cube", field.cubeBytes(32));
+
+/** What three.js's shaders find in a texture, in each of some directions: its own `equirectUv`, and cubes with -x. */
+function looked(map: THREE.Texture, directions: readonly Vector[], level = 0): number[][] {
+  const material = new THREE.ShaderMaterial({
+    uniforms: { map: { value: map }, direction: { value: new THREE.Vector3() }, level: { value: level } },
+    vertexShader: "void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }",
+    fragmentShader: (map as THREE.CubeTexture).isCubeTexture
+      ? `uniform samplerCube map; uniform vec3 direction; uniform float level;
+         void main() { gl_FragColor = textureLod(map, vec3(-direction.x, direction.yz), level); }`
+      : `#include <common>
+         uniform sampler2D map; uniform vec3 direction;
+         void main() { gl_FragColor = texture2D(map, equirectUv(direction)); }`,
+  });
+  const scene = new THREE.Scene();
+  const sheet = new THREE.Mesh(new THREE.PlaneGeometry(2, 2), material);
+  sheet.frustumCulled = false;
+  scene.add(sheet);
+  return directions.map((direction) => {
+    material.uniforms["direction"]!.value.set(...direction);
+    return shot(scene, looking([0, 0, -1]));
+  });
+}
+
+/** The panorama of a form `hdr`, and a level of `specular`, in each direction. */
+const panorama = () => looked(environmentTexture(field.binary("hdr", field.hdrBytes(64, true))), field.DIRECTIONS);
+function specular(level: number): number[][] {
+  const levels = [field.cubeBytes(8), field.cubeBytes(4, 0.5), field.cubeBytes(2, 0.25)];
+  return looked(specularTexture(field.binary("specular", field.ktx2Bytes(levels, 8))), field.DIRECTIONS, level);
+}
+
+/** A mirror facing each direction, lit by an environment. */
+function mirrored(): number[][] {
+  const scene = new THREE.Scene();
+  applyToScene(scene, field.light([cube(), field.harmonicsForm("arcore"), field.MAIN_LIGHT]));
+  const mirror = disc([0, 0, 1], new THREE.MeshStandardMaterial({ metalness: 1, roughness: 0 }));
+  scene.add(mirror);
+  const shots = field.DIRECTIONS.map((direction) => {
+    mirror.lookAt(...direction);
+    return shot(scene, looking(against(direction), 3));
+  });
+  removeFromScene(scene);
+  return shots;
+}
+
+/** White matt discs in each direction, lit by harmonics of light about the origin, and a main light if it is given. */
+function matt(parts: readonly LightData[]): number[][] {
+  return field.DIRECTIONS.map((direction) => {
+    const scene = new THREE.Scene();
+    applyToScene(scene, { ...field.light(parts), position: [0, 0, 0] });
+    scene.add(disc(direction, new THREE.MeshLambertMaterial()));
+    return shot(scene, looking(against(direction), 3));
+  });
+}
+
+/** A floor that takes nothing but shadow, beside and under a box, in the light of an environment. */
+function shadows(): number[][] {
+  const scene = new THREE.Scene();
+  scene.background = new THREE.Color(1, 1, 1);
+  const overhead = { ...field.MAIN_LIGHT, values: { direction: [0, 1, 0], intensity: [3, 3, 3] } };
+  const { directional } = applyToScene(scene, { ...field.light([cube(), overhead]), position: [0, 0, 0] });
+  directional.castShadow = true;
+  const floor = disc([0, 1, 0], new THREE.ShadowMaterial({ opacity: 0.5 }));
+  floor.receiveShadow = true;
+  const box = new THREE.Mesh(new THREE.BoxGeometry(0.4, 0.1, 0.4), new THREE.MeshBasicMaterial());
+  box.position.y = 2;
+  box.castShadow = true;
+  scene.add(floor, box);
+  return [
+    [0, 0],
+    [0.7, 0],
+  ].map(([x, z]) => {
+    const camera = new THREE.PerspectiveCamera(5, 1, 0.1, 10);
+    camera.position.set(x! + 1, 1, z!);
+    camera.lookAt(x!, 0, z!);
+    camera.updateMatrixWorld();
+    return shot(scene, camera);
+  });
+}
+
+/** A picture of a room on a texture, its first row the lowest as WebGL has it: left red, right green, its top dark. */
+function paintedTexture(gl: WebGL2RenderingContext, width: number, height: number): WebGLTexture {
+  const texture = gl.createTexture();
+  const rgba = new Uint8Array(width * height * 4);
+  for (let at = 0; at < width * height; at++) {
+    const [column, row] = [at % width, Math.floor(at / width)];
+    const gain = row < height / 2 ? 1 : 0.25;
+    rgba.set([column < width / 2 ? 240 * gain : 0, column < width / 2 ? 0 : 240 * gain, 0, 255], 4 * at);
+  }
+  gl.bindTexture(gl.TEXTURE_2D, texture);
+  gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
+  gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+  gl.bindTexture(gl.TEXTURE_2D, null);
+  return texture;
+}
+
+/** A view as WebXR would give it: the painted room, 1.5 m away. */
+function xrFrame(): Frame {
+  const gl = renderer.getContext() as WebGL2RenderingContext;
+  const [width, height] = [960, 720];
+  gl.enable(gl.SCISSOR_TEST);
+  gl.scissor(0, 0, 1, 1);
+  const image = cameraImage(gl, paintedTexture(gl, width, height), { width, height }, { longest: 320 });
+  gl.disable(gl.SCISSOR_TEST);
+  renderer.resetState();
+  const view = new THREE.PerspectiveCamera(50, 4 / 3, 0.1, 10);
+  const depth = {
+    width: 40,
+    height: 30,
+    data: new Uint16Array(1200).fill(1500).buffer,
+    rawValueToMeters: 0.001,
+    normDepthBufferFromNormView: { matrix: new THREE.Matrix4().elements },
+  };
+  const pose = {
+    projectionMatrix: view.projectionMatrix.elements,
+    transform: { matrix: new THREE.Matrix4().elements },
+  };
+  return frameOfView({ view: pose, depth, image, time_ms: performance.now() });
+}
+
+/** The pixels in the middle of an image's quarters: top left, top right, bottom left, bottom right. */
+async function quarters(): Promise<{ size: number[]; pixels: number[][] }> {
+  const { data } = xrFrame().colour;
+  const bitmap = await createImageBitmap(await (data as Promise<Blob>));
+  const context = new OffscreenCanvas(bitmap.width, bitmap.height).getContext("2d")!;
+  context.drawImage(bitmap, 0, 0);
+  const pixel = (x: number, y: number) => [
+    ...context.getImageData(x * bitmap.width, y * bitmap.height, 1, 1).data.subarray(0, 3),
+  ];
+  return {
+    size: [bitmap.width, bitmap.height],
+    pixels: [pixel(0.25, 0.25), pixel(0.75, 0.25), pixel(0.25, 0.75), pixel(0.75, 0.75)],
+  };
+}
+
+/** A session with the server, from another origin: over HTTP and the WebSocket, its light in a scene. */
+async function session(url: string, token: string, vector: readonly Frame[]) {
+  const server = new RoomLight(url, { token });
+  const options = { mode: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
+  const shared = await server.open(options);
+  const statuses: string[] = [];
+  for (const frame of vector) {
+    const revived = {
+      ...frame,
+      colour: { ...frame.colour, data: bytesOf(frame.colour.data) },
+      depth: { ...frame.depth, data: bytesOf(frame.depth.data) },
+    };
+    const { confidence } = frame;
+    statuses.push(
+      (
+        await shared.push(
+          confidence ? { ...revived, confidence: { ...confidence, data: bytesOf(confidence.data) } } : revived,
+        )
+      ).status,
+    );
+  }
+  await shared.delete();
+  const gone = await shared.state().then(
+    () => 0,
+    (error: RoomLightError) => error.status,
+  );
+
+  const live = await server.open(options);
+  let followed: Light | null = null;
+  const update = new Promise<Lights>((resolve) => {
+    void live.stream({ onLighting: resolve }).then(async (stream) => {
+      stream.track("here", [0, 0, -0.5]);
+      stream.subscribe([{ format: "cube", size: 32 }, { format: "sh" }, { format: "main_light" }]);
+      statuses.push((await stream.push(xrFrame())).status);
+    });
+  });
+  followed = (await update).results[0]!;
+  const first = await live.probe("here", { format: "sh" });
+  const again = await live.probe("here", { format: "sh" }, { etag: first!.etag });
+  const scene = new THREE.Scene();
+  const { environment } = applyToScene(scene, followed);
+  const ahead = looked(environment!, [field.unit([-0.3, 0, -1]), field.unit([0.3, 0, -1])]);
+  await live.delete();
+  return { statuses, gone, ahead, coverage: followed.coverage, unchanged: again === null };
+}
+
+const bytesOf = (data: unknown) => Uint8Array.from(data as number[]);
+
+const calls = { mirrored, panorama, matt, specular, shadows, quarters, session, harmonicsForm: field.harmonicsForm };
+export type Calls = typeof calls;
+Object.assign(globalThis, { calls });

@@ -1,0 +1,180 @@
+// A session's WebSocket: order, answers matched to what was asked, refusals, and its end.
+
+import assert from "node:assert/strict";
+import { test, type TestContext } from "node:test";
+import { RoomLight, RoomLightError, type ClientOptions, type Lights, type StreamOptions } from "roomlight";
+import { lightMessage, serve } from "./server.js";
+import { plainFrame, vectors } from "./vectors.js";
+
+interface Text {
+  type: string;
+  [name: string]: unknown;
+}
+type Received = Buffer | Text;
+
+const isFrame = (message: Received): message is Buffer => Buffer.isBuffer(message);
+
+/** A stream to a server that sends what `reply` says for each message. */
+async function streamTo(
+  context: TestContext,
+  reply: (message: Received) => (object | Uint8Array)[],
+  options: StreamOptions = {},
+  client: ClientOptions = {},
+) {
+  const received: Received[] = [];
+  const server = await serve(
+    context,
+    () => ({ body: {} }),
+    (socket) =>
+      socket.on("message", (data: Buffer, binary) => {
+        const message = binary ? data : (JSON.parse(data.toString()) as Received);
+        received.push(message);
+        reply(message).forEach((one) => socket.send(one instanceof Uint8Array ? one : JSON.stringify(one)));
+      }),
+  );
+  const session = await new RoomLight(server.url, client).open();
+  return { server, session, received, stream: await session.stream(options) };
+}
+
+const indexOf = (message: Buffer) =>
+  (JSON.parse(message.subarray(8, 8 + message.readUInt32LE(4)).toString()) as { index: number }).index;
+const fate = (index: number) => ({
+  type: "frame",
+  index,
+  status: "processed",
+  replay: false,
+  stage_ms: {},
+  coverage: {},
+});
+const refused = { type: "about:blank", title: "Refused", status: 409, detail: "older" };
+const isRefusal = (error: unknown) => error instanceof RoomLightError && error.status === 409;
+
+test("frames go in order, and each hears of its own fate", async (context) => {
+  const held: object[] = [];
+  const reply = (message: Received) => {
+    held.unshift(fate(indexOf(message as Buffer)));
+    return held.length === 3 ? held : [];
+  };
+  const { stream, received, server } = await streamTo(context, reply, {}, { token: "secret" });
+  const { frame, bytes } = vectors()[0]!;
+  const slow = { ...frame.colour, data: new Blob([frame.colour.data as Uint8Array<ArrayBuffer>]) };
+  const results = await Promise.all([
+    stream.push({ ...frame, colour: slow }),
+    stream.push(plainFrame()),
+    stream.push(plainFrame()),
+  ]);
+  assert.deepEqual(
+    results.map(({ index }) => index),
+    [7, 8, 9],
+  );
+  assert.deepEqual(
+    received.map((message) => indexOf(message as Buffer)),
+    [7, 8, 9],
+  );
+  assert.deepEqual(received[0], bytes);
+  assert.deepEqual(server.protocols, [["roomlight.v1", "bearer.secret"]]);
+  assert.equal(stream.bufferedAmount, 0);
+});
+
+test("light is asked for, followed and told", async (context) => {
+  const results = (forms: object[]) => [{ position: [0, 0, 0], name: "table", coverage: 1, etag: "e", forms }];
+  const binary = { format: "cube", media_type: "m", bytes: 2 };
+  const updates: Lights[] = [];
+  const probes: object[] = [];
+  const { stream, received } = await streamTo(
+    context,
+    (message) => {
+      if (isFrame(message)) {
+        return [];
+      }
+      const values = { format: "sh", media_type: "j", values: { request: message["request"] } };
+      const answers: Record<string, (object | Uint8Array)[]> = {
+        light: [{ type: "light", request: message["request"], frame: 1, results: results([values]) }],
+        subscribe: [lightMessage({ type: "lighting", frame: 2, results: results([binary]) }, [Uint8Array.of(5, 6)])],
+        track: [{ type: "probes", probes: { [message["name"] as string]: message["position"] } }],
+        untrack: [{ type: "probes", probes: {} }],
+      };
+      return answers[message.type]!;
+    },
+    { onLighting: (update) => updates.push(update), onProbes: (all) => probes.push(all) },
+  );
+  stream.track("table", [1, 2, 3]);
+  stream.subscribe([{ format: "cube" }]);
+  stream.untrack("table");
+  const asked = { probes: [{ name: "table" }], forms: [{ format: "sh" }] } as const;
+  const [first, second] = await Promise.all([stream.light(asked), stream.light(asked)]);
+  assert.deepEqual(
+    [first, second].map((light) => light.results[0]!.forms[0]!.values),
+    [{ request: "r1" }, { request: "r2" }],
+  );
+  assert.deepEqual(updates[0]!.results[0]!.forms, [{ format: "cube", media_type: "m", data: Uint8Array.of(5, 6) }]);
+  assert.deepEqual(probes, [{ table: [1, 2, 3] }, {}]);
+  assert.deepEqual(received[0], { type: "track", name: "table", position: [1, 2, 3] });
+});
+
+test("a refusal reaches who asked, and the connection goes on", async (context) => {
+  const problems: RoomLightError[] = [];
+  const { stream } = await streamTo(
+    context,
+    (message) => {
+      if (isFrame(message)) {
+        const index = indexOf(message);
+        return index === 0 ? [{ type: "problem", problem: refused, index }] : [fate(index)];
+      }
+      return [
+        { type: "problem", problem: refused, ...(message.type === "light" ? { request: message["request"] } : {}) },
+      ];
+    },
+    { onProblem: (error) => problems.push(error) },
+  );
+  await assert.rejects(stream.push(plainFrame()), isRefusal);
+  stream.track("no such", [0, 0, 0]);
+  await assert.rejects(stream.light({ probes: [{ name: "gone" }], forms: [{ format: "sh" }] }), isRefusal);
+  assert.equal((await stream.push(plainFrame())).index, 1);
+  assert.equal(problems.length, 3);
+});
+
+test("what cannot be read is told, and a frame that is wrong is not sent", async (context) => {
+  const problems: string[] = [];
+  const { stream } = await streamTo(context, (message) => [Uint8Array.of(1, 2), fate(indexOf(message as Buffer))], {
+    onProblem: (error) => problems.push(error.message),
+  });
+  await assert.rejects(stream.push({ ...plainFrame(), camera_to_world: [1] }), RangeError);
+  assert.equal((await stream.push(plainFrame())).index, 1);
+  assert.deepEqual(problems, ["a message that cannot be read"]);
+});
+
+test("nobody waits for ever", async (context) => {
+  const { stream } = await streamTo(context, () => [], {}, { timeout_s: 0.05 });
+  await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.05 s/);
+  const twice = stream.push({ ...plainFrame(), index: 4 });
+  await Promise.all([
+    assert.rejects(twice, /sent again/),
+    assert.rejects(stream.push({ ...plainFrame(), index: 4 }), /no answer/),
+  ]);
+});
+
+test("the end of a connection is told to all who wait", async (context) => {
+  const closed: RoomLightError[] = [];
+  const { stream, server } = await streamTo(context, () => [], { onClose: (error) => closed.push(error) });
+  const pushed = stream.push(plainFrame());
+  setTimeout(() => server.sockets[0]!.close(4404, "session-not-found"), 20);
+  await assert.rejects(pushed, /4404: session-not-found/);
+  await assert.rejects(stream.push(plainFrame()), /4404/);
+  assert.throws(() => stream.untrack("table"), /4404/);
+  assert.equal(closed.length, 1);
+});
+
+test("a stream is closed by its owner, by a signal, or never opens", async (context) => {
+  const { stream, session } = await streamTo(context, () => []);
+  const pushed = stream.push(plainFrame());
+  stream.close();
+  await assert.rejects(pushed, /closed/);
+  const aborted = new AbortController();
+  const second = await session.stream({ signal: aborted.signal });
+  aborted.abort();
+  await assert.rejects(second.push(plainFrame()));
+  await assert.rejects(session.stream({ signal: aborted.signal }));
+  const silent = await new RoomLight("http://127.0.0.1:1", { fetch: async () => new Response("{}") }).open();
+  await assert.rejects(silent.stream(), RoomLightError);
+});

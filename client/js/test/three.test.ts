@@ -1,0 +1,147 @@
+// The scene against three.js's own mathematics: probes, lights, and how it looks directions up.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { formOf, type LightData, type Vector } from "roomlight";
+import { applyToScene, environmentTexture, removeFromScene, specularTexture } from "roomlight/three";
+import { CubeTexture, DataTexture, DirectionalLight, LightProbe, Scene, Texture, Vector3 } from "three";
+import { HDRLoader } from "three/addons/loaders/HDRLoader.js";
+import * as field from "./light_field.js";
+
+const vector = (of: Vector) => new Vector3(...of);
+const close = (actual: Vector3, wanted: readonly number[], within: number) =>
+  assert.ok(actual.distanceTo(new Vector3(...wanted)) <= within, `${actual.toArray()} is not ${wanted}`);
+const CUBE = field.binary("cube", field.cubeBytes(16));
+const HDR = field.binary("hdr", field.hdrBytes(16, true));
+
+test("a LightProbe shades as the light does, whatever the basis", () => {
+  for (const basis of ["arcore", "arkit", "threejs"] as const) {
+    const { probe } = applyToScene(new Scene(), field.light([field.harmonicsForm(basis)]));
+    for (const direction of field.DIRECTIONS) {
+      close(probe.sh.getAt(vector(direction), new Vector3()), field.radiance(direction), 1e-5);
+      const wanted = direction.map((part) => Math.PI * 0.5 + ((2 * Math.PI) / 3) * 0.4 * part);
+      close(probe.sh.getIrradianceAt(vector(direction), new Vector3()), wanted, 1e-5);
+    }
+    assert.equal(probe.intensity, 1);
+  }
+});
+
+test("harmonics and main light together are counted once", () => {
+  const [direction, intensity] = [field.MAIN_LIGHT.values!["direction"] as Vector, [3, 2, 1]];
+  for (const kind of ["total", "ambient"] as const) {
+    const { probe, directional } = applyToScene(
+      new Scene(),
+      field.light([field.harmonicsForm("threejs", kind), field.MAIN_LIGHT]),
+    );
+    const mean = probe.sh.coefficients[0]!.clone().multiplyScalar(Math.sqrt(4 * Math.PI)); // over the sphere
+    close(
+      mean,
+      intensity.map((value) => 4 * Math.PI * 0.5 - (kind === "total" ? value : 0)),
+      1e-5,
+    );
+    const shed = new Vector3(...directional.color.toArray()).multiplyScalar(directional.intensity);
+    close(shed, intensity, 1e-6);
+    const toward = directional.position.clone().sub(directional.target.position);
+    close(toward.clone().normalize(), direction, 1e-12);
+    close(directional.target.position, [1, 2, 3], 0);
+    assert.ok(Math.abs(toward.length() - 5) < 1e-12);
+  }
+});
+
+/** As three.js's shaders do: x negated, then OpenGL's face and texel. */
+function lookUp(texture: CubeTexture, [x, y, z]: Vector, level = 0): number[] {
+  const images = (
+    level === 0 ? texture.images : (texture.mipmaps as unknown as CubeTexture[])[level - 1]!.images
+  ) as DataTexture[];
+  const side = images[0]!.image.width;
+  const { face, row, column } = field.faceOf([-x, y, z], side);
+  const texels = images[face]!.image.data as unknown as Uint16Array;
+  return Array.from(texels.subarray((row * side + column) * 4).slice(0, 4), field.fromHalf);
+}
+
+test("a cube is seen in the directions that it was made of", () => {
+  for (const form of [CUBE, field.binary("ktx2", field.ktx2Bytes([field.cubeBytes(16)], 16))]) {
+    const texture = environmentTexture(form) as CubeTexture;
+    assert.ok(texture.isCubeTexture && !texture.isRenderTargetTexture && !texture.flipY && texture.version > 0);
+    for (const direction of field.DIRECTIONS) {
+      const [red, green, blue, alpha] = lookUp(texture, direction) as [number, number, number, number];
+      close(new Vector3(red, green, blue), field.radiance(direction), 0.4 * (3 / 16));
+      assert.equal(alpha, 1);
+    }
+  }
+});
+
+test("specular mips are a cube texture with levels", () => {
+  const levels = [field.cubeBytes(8), field.cubeBytes(4, 0.5), field.cubeBytes(2, 0.25)];
+  const texture = specularTexture(field.binary("specular", field.ktx2Bytes(levels, 8)));
+  assert.equal(texture.mipmaps!.length, 2);
+  for (const [level, gain] of [1, 0.5, 0.25].entries()) {
+    const [red] = lookUp(texture, [1, 0, 0], level);
+    assert.ok(Math.abs(red! - 0.9 * gain) < 0.1 * gain);
+  }
+});
+
+test("a panorama is seen in the directions that it was made of, as three.js's own loader reads it", () => {
+  const texture = environmentTexture(HDR) as DataTexture;
+  const { width, height, data } = texture.image as unknown as { width: number; height: number; data: Uint16Array };
+  for (const [x, y, z] of field.DIRECTIONS) {
+    const u = Math.atan2(z, x) / (2 * Math.PI) + 0.5; // three.js's equirectUv; v counts from the data's first row
+    const v = Math.asin(Math.min(Math.max(y, -1), 1)) / Math.PI + 0.5;
+    const [column, row] = [Math.min(Math.floor(u * width), width - 1), Math.min(Math.floor(v * height), height - 1)];
+    const texel = Array.from(data.subarray((row * width + column) * 4).slice(0, 3), field.fromHalf);
+    close(new Vector3(...texel), field.radiance([x, y, z]), 0.4 * (5 / 16));
+  }
+  const theirs = new HDRLoader().parse(HDR.data!.buffer) as unknown as { data: Uint16Array };
+  for (let row = 0; row < height; row++) {
+    const [ours, wanted] = [data.subarray(row * width * 4), theirs.data.subarray((height - 1 - row) * width * 4)].map(
+      (from) => Array.from(from.slice(0, width * 4), field.fromHalf),
+    );
+    // Theirs takes a mantissa's 255 for 1, where Radiance's own writer and the server's mean 256: 0.4 % apart.
+    ours!.forEach((value, at) => assert.ok(Math.abs(value - wanted![at]!) <= wanted![at]! / 250));
+  }
+});
+
+test("an environment lights alone, and the same light again is no work", () => {
+  const scene = new Scene();
+  const full = field.light([CUBE, field.harmonicsForm("arcore"), field.MAIN_LIGHT]);
+  const { probe, directional, environment } = applyToScene(scene, full, { intensity: 2, distance_m: 3 });
+  assert.equal(scene.environment, environment);
+  assert.deepEqual([scene.environmentIntensity, probe.intensity, directional.intensity], [2, 0, 0]);
+  assert.equal(directional.position.distanceTo(directional.target.position).toFixed(6), "3.000000");
+  assert.equal(applyToScene(scene, { ...full }, { intensity: 2, distance_m: 3 }).environment, environment);
+
+  let disposed = 0;
+  environment!.addEventListener("dispose", () => disposed++);
+  const next = applyToScene(scene, { ...full, etag: "b" });
+  assert.notEqual(next.environment, environment);
+  assert.deepEqual([disposed, next.probe, scene.children.length], [1, probe, 3]);
+
+  const without = applyToScene(scene, field.light([field.harmonicsForm("arcore"), field.MAIN_LIGHT], "c"), {
+    intensity: 2,
+  });
+  assert.deepEqual([scene.environment, without.probe.intensity, without.directional.intensity], [null, 2, 6]);
+  assert.equal(applyToScene(scene, field.light([], "d")).directional.intensity, 0);
+  assert.deepEqual(probe.sh.coefficients[0]!.toArray(), [0, 0, 0]);
+});
+
+test("what the app put into its scene stays", () => {
+  const scene = new Scene();
+  const own = (scene.environment = new Texture());
+  applyToScene(scene, field.light([field.harmonicsForm("arkit")]));
+  assert.equal(scene.environment, own);
+  applyToScene(scene, field.light([HDR], "b"));
+  assert.notEqual(scene.environment, own);
+  removeFromScene(scene);
+  assert.deepEqual([scene.environment, scene.children], [null, []]);
+  removeFromScene(scene);
+  const { probe, directional } = applyToScene(scene, field.light([HDR], "b"));
+  assert.ok(probe instanceof LightProbe && directional instanceof DirectionalLight && scene.environment);
+});
+
+test("an environment is not made of other forms", () => {
+  assert.throws(
+    () => environmentTexture(formOf(field.light([field.MAIN_LIGHT]), "main_light") as LightData),
+    RangeError,
+  );
+  assert.throws(() => environmentTexture(field.binary("exr", new Uint8Array(8))), /not of exr/);
+});

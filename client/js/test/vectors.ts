@@ -1,0 +1,57 @@
+// The shared vector, and a frame that any server takes.
+
+import { readFileSync } from "node:fs";
+import type { Frame, FrameHeader } from "roomlight";
+
+const FOLDER = new URL("../../../../tests/core/", import.meta.url);
+
+interface Vector {
+  name: string;
+  frame: Frame;
+  bytes: Buffer;
+}
+
+interface Listed {
+  name: string;
+  header: FrameHeader;
+  parts: Record<"colour" | "depth" | "confidence", string>;
+  offset: number;
+  length: number;
+}
+
+export function vectors(): Vector[] {
+  const { file, vectors: listed } = JSON.parse(readFileSync(new URL("wire_vector.json", FOLDER), "utf8")) as {
+    file: string;
+    vectors: Listed[];
+  };
+  const whole = readFileSync(new URL(file, FOLDER));
+  return listed.map(({ name, header, parts, offset, length }) => {
+    const { version: _version, colour, depth, confidence, ...rest } = header;
+    const data = (part: keyof typeof parts) => new Uint8Array(Buffer.from(parts[part], "hex"));
+    const frame: Frame = {
+      ...rest,
+      colour: { encoding: colour.encoding, data: data("colour") },
+      depth: {
+        format: depth.format,
+        encoding: depth.encoding!,
+        width: depth.width,
+        height: depth.height,
+        data: data("depth"),
+      },
+      ...(confidence
+        ? { confidence: { width: confidence.width, height: confidence.height, data: data("confidence") } }
+        : {}),
+    };
+    return { name, frame, bytes: whole.subarray(offset, offset + length) };
+  });
+}
+
+/** 4 x 3 pixels of grey, 1.5 m away. */
+export function plainFrame(): Frame {
+  return {
+    colour: { encoding: "rgb8", data: new Uint8Array(36).fill(128) },
+    depth: { format: "uint16_mm", width: 4, height: 3, data: new Uint16Array(12).fill(1500) },
+    intrinsics: { fx: 3.5, fy: 3.5, cx: 2, cy: 1.5, width: 4, height: 3 },
+    camera_to_world: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1],
+  };
+}

@@ -1,0 +1,155 @@
+// WebXR's views and depth: as its own specification reads them.
+
+import assert from "node:assert/strict";
+import { test } from "node:test";
+import { packFrame } from "roomlight";
+import {
+  depthOfView,
+  frameOfView,
+  intrinsicsOfView,
+  type CpuDepthLike,
+  type ViewFrame,
+  type ViewLike,
+} from "roomlight/webxr";
+import { Matrix4, PerspectiveCamera, Vector3 } from "three";
+
+/** WebXR's own types fit: this does not compile if they do not. */
+export const fits = (view: XRView, depth: XRCPUDepthInformation): [ViewLike, CpuDepthLike] => [view, depth];
+
+const IDENTITY = new Matrix4();
+const image = { data: new Uint8Array([255, 216, 255]), width: 40, height: 30 };
+
+/** A camera whose principal point is off the centre, as a phone's is. */
+function camera() {
+  const found = new PerspectiveCamera(50, 4 / 3, 0.1, 100);
+  found.setViewOffset(400, 300, 12, -7, 400, 300);
+  found.updateProjectionMatrix();
+  return found;
+}
+
+test("a point falls on the pixel that the projection matrix says", () => {
+  const { projectionMatrix } = camera();
+  const size = { width: 640, height: 480 };
+  const { fx, fy, cx, cy } = intrinsicsOfView(projectionMatrix.elements, size);
+  for (const point of [new Vector3(0.3, -0.2, -2), new Vector3(-1, 0.5, -3), new Vector3(0, 0, -1)]) {
+    const clip = point.clone().applyMatrix4(projectionMatrix);
+    const wanted = [((clip.x + 1) / 2) * size.width, ((1 - clip.y) / 2) * size.height]; // rows go down
+    const found = [cx + (fx * point.x) / -point.z, cy - (fy * point.y) / -point.z];
+    found.forEach((value, at) => assert.ok(Math.abs(value - wanted[at]!) < 1e-3, `${found} is not ${wanted}`));
+  }
+  assert.notEqual(cx, 320);
+});
+
+test("other projections are refused", () => {
+  const skewed = [...camera().projectionMatrix.elements];
+  skewed[4] = 0.1;
+  for (const projection of [skewed, IDENTITY.elements, [1, 2]]) {
+    assert.throws(() => intrinsicsOfView(projection, image), RangeError);
+  }
+});
+
+/** A depth buffer as a browser hands it out, and the specification's way of reading it. */
+function buffer(width: number, height: number, matrix: Matrix4, isFloat: boolean, rawValueToMeters: number) {
+  const values = Array.from({ length: width * height }, (_, at) => 1000 + at);
+  const data = (isFloat ? Float32Array.from(values) : Uint16Array.from(values)).buffer;
+  const info: CpuDepthLike = {
+    width,
+    height,
+    data,
+    rawValueToMeters,
+    normDepthBufferFromNormView: { matrix: matrix.elements },
+  };
+  const depthInMetres = (x: number, y: number) => {
+    const at = new Vector3(x, y, 0).applyMatrix4(matrix);
+    const column = Math.min(Math.max(Math.trunc(at.x * width), 0), width - 1);
+    return values[Math.min(Math.max(Math.trunc(at.y * height), 0), height - 1) * width + column]! * rawValueToMeters;
+  };
+  return { info, depthInMetres };
+}
+
+test("depth is turned upright, in millimetres or metres", () => {
+  // A phone held upright: the buffer's columns are the view's rows.
+  const turned = new Matrix4().set(0, 1, 0, 0, -1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1);
+  const cases = [
+    {
+      matrix: IDENTITY,
+      size: [16, 12],
+      view: { width: 400, height: 300 },
+      isFloat: false,
+      raw: 0.001,
+      format: "uint16_mm",
+    },
+    {
+      matrix: turned,
+      size: [16, 12],
+      view: { width: 300, height: 400 },
+      isFloat: false,
+      raw: 0.001,
+      format: "uint16_mm",
+    },
+    { matrix: turned, size: [16, 12], view: { width: 300, height: 400 }, isFloat: true, raw: 0.5, format: "float32_m" },
+    {
+      matrix: IDENTITY,
+      size: [16, 12],
+      view: { width: 400, height: 300 },
+      isFloat: false,
+      raw: 0.002,
+      format: "float32_m",
+    },
+  ] as const;
+  for (const { matrix, size, view, isFloat, raw, format } of cases) {
+    const { info, depthInMetres } = buffer(size[0], size[1], matrix, isFloat, raw);
+    const { width, height, data, ...rest } = depthOfView(info, view);
+    assert.deepEqual(rest, { format, encoding: "raw" });
+    assert.deepEqual([width, height].sort(), [...size].sort());
+    assert.ok(Math.abs(width / height - view.width / view.height) < 0.01);
+    const scale = format === "uint16_mm" ? 0.001 : 1;
+    for (const [column, row] of [
+      [0, 0],
+      [width - 1, 0],
+      [3, 5],
+      [width - 1, height - 1],
+    ] as const) {
+      const found = (data as Uint16Array)[row * width + column]! * scale;
+      assert.ok(Math.abs(found - depthInMetres((column + 0.5) / width, (row + 0.5) / height)) < 1e-4);
+    }
+  }
+});
+
+test("what the depth sensor does not see is unknown, and a wider view has its own aspect", () => {
+  const narrower = new Matrix4()
+    .makeTranslation(-0.5, -0.5, 0)
+    .premultiply(new Matrix4().makeScale(2, 1, 1))
+    .premultiply(new Matrix4().makeTranslation(0.5, 0.5, 0));
+  const { info } = buffer(16, 12, narrower, false, 0.001);
+  const { width, height, data } = depthOfView(info, { width: 1920, height: 1080 });
+  assert.deepEqual([width, height], [16, 9]);
+  const row = Array.from((data as Uint16Array).subarray(4 * width, 5 * width));
+  assert.ok(row.slice(0, 4).every((value) => value === 0) && row.slice(12).every((value) => value === 0));
+  assert.ok(row.slice(4, 12).every((value) => value > 0));
+  assert.throws(() => depthOfView({ ...info, data: new ArrayBuffer(7) }, image), RangeError);
+});
+
+test("a frame of a view can be packed", async () => {
+  const pose = new Matrix4().makeRotationY(0.3).setPosition(1, 2, 3);
+  const whole: ViewFrame = {
+    view: {
+      projectionMatrix: camera().projectionMatrix.elements,
+      transform: { matrix: Float32Array.from(pose.elements) },
+    },
+    depth: buffer(16, 12, IDENTITY, false, 0.001).info,
+    image,
+    time_ms: 2500,
+    exposure: 0.25,
+  };
+  const frame = frameOfView(whole);
+  assert.deepEqual(
+    [frame.timestamp_s, frame.exposure, frame.tracking_state, frame.colour.encoding],
+    [2.5, 0.25, "normal", "jpeg"],
+  );
+  assert.equal(frameOfView({ ...whole, emulatedPosition: true }).tracking_state, "limited");
+  const packed = Buffer.from(await packFrame(frame));
+  const header = JSON.parse(packed.subarray(8, 8 + packed.readUInt32LE(4)).toString());
+  assert.deepEqual(header.camera_to_world.slice(12), [1, 2, 3, 1]);
+  assert.deepEqual([header.colour.bytes, header.depth.bytes, header.intrinsics.width], [3, 2 * 16 * 12, 40]);
+});

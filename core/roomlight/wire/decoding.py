@@ -1,0 +1,153 @@
+"""A parsed frame message into a `Frame`: colour to linear RGB, depth to metres, exposure and confidence applied.
+
+Every size was held to the header by `frame_message.parse`; decompression stops at it. Failures are WireErrors.
+"""
+
+import importlib
+import importlib.util
+from typing import Any, Final
+
+import numpy as np
+import zstandard
+from jaxtyping import Bool, Float, UInt8
+
+from roomlight.captures.capture import DEPTH_MEDIAN_M
+from roomlight.conventions import srgb8_to_linear
+from roomlight.depth import clean_depth
+from roomlight.errors import RoomLightError, WireError
+from roomlight.frame import CLIPPED_SRGB8, Frame
+from roomlight.images import decode_colour, decode_depth, decode_grey8
+from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart
+from roomlight.wire.frame_message import FrameMessage
+
+_HEIC: Final = "pillow_heif"
+
+
+def heic_available() -> bool:
+    """Whether this install decodes HEIC (the extra `heic`)."""
+    return importlib.util.find_spec(_HEIC) is not None
+
+
+def decode_frame(
+    message: FrameMessage, index: int, *, reference_exposure: float = 1.0, min_confidence: int = 1
+) -> Frame:
+    """The message as a frame, radiance in units of the reference exposure. Raises WireError with the field."""
+    image, clipped = _colour(message)
+    ratio = message.header.exposure / reference_exposure
+    if ratio != 1.0:  # so that what was not scaled keeps its bits
+        image = image / np.float32(ratio)
+    depth_m = _depth(message, min_confidence)
+    try:
+        return Frame(
+            index=index,
+            image=image,
+            clipped=clipped,
+            depth_m=depth_m,
+            intrinsics=message.intrinsics,
+            camera_to_world=message.camera_to_world,
+            timestamp_s=message.header.timestamp_s,
+            source=f"frame {index}",
+        )
+    except RoomLightError as error:
+        raise WireError("bad-frame", field="colour", value=message.header.colour.encoding, rule=str(error)) from error
+
+
+def _colour(message: FrameMessage) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+    encoding, data = message.header.colour.encoding, message.colour
+    width, height = message.intrinsics.width, message.intrinsics.height
+    if encoding == "linear_f32":
+        image = np.frombuffer(data, "<f4", height * width * 3).reshape(height, width, 3).astype(np.float32)
+        clipped = np.frombuffer(data, np.uint8, offset=12 * height * width).reshape(height, width)
+        return image, clipped > 0
+    if encoding in ("rgb8", "heic"):
+        rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3) if encoding == "rgb8" else _heic(message)
+        return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
+    try:
+        image, clipped = decode_colour(bytes(data), "the image")
+    except RoomLightError as error:
+        raise _refused("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
+    if image.shape[:2] != (height, width):
+        rule = f"the pixels must stand as {width} x {height}, without an EXIF turn"
+        raise _refused("colour", f"{image.shape[1]} x {image.shape[0]}", rule)
+    return image, clipped
+
+
+def _heic(message: FrameMessage) -> UInt8[np.ndarray, "h w 3"]:
+    """8-bit sRGB; the size is read from the file's boxes before a pixel is decoded."""
+    if not heic_available():
+        rule = "this server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
+        raise _refused("colour.encoding", "heic", rule)
+    heif: Any = importlib.import_module(_HEIC)
+    size = (message.intrinsics.width, message.intrinsics.height)
+    try:
+        image = heif.open_heif(bytes(message.colour), convert_hdr_to_8bit=True)
+        if image.size != size:
+            rule = f"the image must have the size that the header states, {size[0]} x {size[1]}"
+            raise _refused("colour", f"{image.size[0]} x {image.size[1]}", rule)
+        pixels = np.asarray(image)
+    except (ValueError, RuntimeError, OSError, EOFError, SyntaxError) as error:
+        raise _refused("colour", f"{len(message.colour)} bytes of heic", f"does not decode ({error})") from error
+    if pixels.dtype != np.uint8 or pixels.shape not in ((size[1], size[0], 3), (size[1], size[0], 4)):
+        raise _refused("colour", f"{pixels.dtype} {pixels.shape}", "8-bit RGB")
+    return np.ascontiguousarray(pixels[..., :3])
+
+
+def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh dw"]:
+    part = message.header.depth
+    if part.encoding == "png":
+        try:
+            depth_m = decode_depth(bytes(message.depth), "the depth map", unit_m=0.001)
+        except RoomLightError as error:
+            raise _refused("depth", f"{len(message.depth)} bytes of png", str(error)) from error
+    else:
+        raw = _plane(part, message.depth, DEPTH_BYTES[part.format], "depth")
+        if part.format == "uint16_mm":
+            millimetres = np.frombuffer(raw, "<u2")
+            depth_m = millimetres.astype(np.float32) * np.float32(0.001)
+            depth_m[millimetres == 65535] = 0.0
+        else:
+            depth_m = np.frombuffer(raw, "<f2" if part.format == "float16_m" else "<f4").astype(np.float32)
+    depth_m = clean_depth(depth_m.reshape(part.height, part.width))
+    known = depth_m > 0
+    if not known.any():
+        raise _refused("depth", "0 known pixels", "at least one pixel must have a depth")
+    median_m, (low, high) = float(np.median(depth_m[known])), DEPTH_MEDIAN_M
+    if not low <= median_m <= high:
+        raise _refused("depth", f"a median of {median_m:.4g} m", f"{low:g} to {high:g} m; is {part.format} its unit?")
+    if message.confidence is None or message.header.confidence is None:
+        return depth_m
+    confidence = _confidence(message.header.confidence, message.confidence)
+    trusted = np.where(confidence >= min_confidence, depth_m, np.float32(0))
+    if not trusted.any():
+        rule = f"at least one pixel with depth must have a confidence of {min_confidence} or more"
+        raise _refused("confidence", f"at most {confidence.max()}", rule)
+    return trusted
+
+
+def _confidence(part: ConfidencePart, data: memoryview) -> UInt8[np.ndarray, "h w"]:
+    if part.encoding != "png":
+        return np.frombuffer(_plane(part, data, 1, "confidence"), np.uint8).reshape(part.height, part.width)
+    try:
+        return decode_grey8(bytes(data), "the confidence map")
+    except RoomLightError as error:
+        raise _refused("confidence", f"{len(data)} bytes of png", str(error)) from error
+
+
+def _plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field: str) -> bytes | memoryview:
+    """The raw values; decompression never writes more than they take."""
+    size = part.width * part.height * item
+    if part.encoding == "raw":
+        return data
+    try:
+        # a window over 8 MB is no depth map's; without this bound a header of 18 bytes asks for 128 MB
+        decompressor = zstandard.ZstdDecompressor(max_window_size=2**23)
+        raw = decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
+    except (zstandard.ZstdError, MemoryError) as error:
+        raise _refused(field, f"{len(data)} bytes of zstd", f"must decompress to {size} bytes ({error})") from error
+    if len(raw) != size:
+        raise _refused(field, f"{len(raw)} bytes decompressed", f"must be {size}")
+    return raw
+
+
+def _refused(field: str, value: object, rule: str) -> WireError:
+    return WireError("bad-frame", field=field, value=value, rule=rule)

@@ -1,0 +1,426 @@
+"""Retries, waits, refusals and requests of both clients, against prepared answers: no socket, no sleeping."""
+
+import asyncio
+import base64
+import inspect
+import io
+import json
+import subprocess
+import sys
+from datetime import UTC, datetime
+
+import httpx
+import numpy as np
+import pytest
+from either_client import Script
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomlight.errors import RoomLightError, WireError
+from roomlight.wire.light_message import MEDIA_TYPE
+from roomlight_client import sdk
+from roomlight_client.sdk import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
+from roomlight_client.sdk.errors import refusal
+from roomlight_client.sdk.retry import parse_retry_after
+
+BOTH = pytest.mark.parametrize("kind", ["sync", "async"])
+STATE = {
+    "id": "room", "status": "open", "model": "classical",
+    "options": {}, "probes": {}, "coverage": {}, "keyframes": 0, "volume": None, "idle_expiry_s": 600.0,
+    "frames": {
+        "accepted": 0, "processed": 0, "superseded": 0, "skipped": 0, "queued": 0, "gaps": 0, "replayed": 0,
+        "refused": 0, "last_index": None,
+    },
+    "memory": {"bytes": 0, "bound_bytes": 1},
+}  # fmt: skip
+ORIGIN = (0.0, 0.0, 0.0)
+OPENED = httpx.Response(201, json=STATE)
+
+
+def problem(status, kind, *, retry_after=None, **more):
+    body = {"type": f"urn:roomlight:problem:{kind}", "title": "No", "status": status, "detail": "because"} | more
+    headers = {} if retry_after is None else {"Retry-After": retry_after}
+    return httpx.Response(status, json=body, headers={"Content-Type": "application/problem+json"} | headers)
+
+
+def run(script, kind, work, **options):
+    """The result of `work(session)` after a session was opened."""
+
+    async def main():
+        async with script.client(kind, **options) as client:
+            return await work(await client.open("room"))
+
+    return asyncio.run(main())
+
+
+def refused(script, kind, work, **options):
+    with pytest.raises(RoomLightError) as caught:
+        run(script, kind, work, **options)
+    return caught.value
+
+
+# --- retries ----------------------------------------------------------------------------------------------------
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "first",
+    [httpx.ConnectError("no route"), httpx.ReadTimeout("slow"), problem(429, "session-full"), problem(503, "x")],
+)
+def test_what_may_pass_is_tried_again_with_the_same_bytes(kind, first):
+    script = Script(OPENED, first, problem(502, "x"), httpx.Response(200, json=STATE))
+    state = run(script, kind, lambda session: session.state())
+    assert state.id == "room"
+    assert len(script.requests) == 4
+    assert {(request.method, request.url.path, request.content) for request in script.requests[1:]} == {
+        ("GET", "/v1/sessions/room", b"")
+    }
+    assert len(script.waits_s) == 2
+    assert 0.1 <= script.waits_s[0] <= 0.2 <= script.waits_s[1] <= 0.4
+
+
+@BOTH
+def test_the_server_is_waited_for_as_long_as_it_asks(kind):
+    script = Script(OPENED, problem(429, "session-full", retry_after="7"), httpx.Response(200, json=STATE))
+    run(script, kind, lambda session: session.state())
+    assert len(script.waits_s) == 1
+    assert 7.0 <= script.waits_s[0] <= 7.7
+
+
+@BOTH
+def test_but_not_longer_than_our_patience(kind):
+    script = Script(OPENED, problem(503, "server-full", retry_after="60"))
+    error = refused(script, kind, lambda session: session.state(), retry=Retry(patience_s=30.0))
+    assert isinstance(error, sdk.BusyError)
+    assert (error.kind, error.retry_after_s) == ("server-full", 60.0)
+    assert script.waits_s == []
+
+
+@BOTH
+def test_attempts_end(kind):
+    script = Script(OPENED, httpx.ConnectError("connection refused"))
+    error = refused(script, kind, lambda session: session.state(), retry=Retry(attempts=3))
+    assert isinstance(error, sdk.UnreachableError)
+    assert "room.test" in str(error)
+    assert "3 attempts" in str(error)
+    assert "connection refused" in str(error)
+    assert len(script.requests) == 1 + 3
+    script = Script(OPENED, problem(429, "session-full"))
+    assert isinstance(refused(script, kind, lambda session: session.state()), sdk.BusyError)
+    assert len(script.requests) == 1 + 4
+
+
+@BOTH
+@pytest.mark.parametrize("status", [400, 401, 403, 404, 409, 410, 413, 422, 500])
+def test_what_would_come_out_the_same_is_not_tried_again(kind, status):
+    script = Script(OPENED, problem(status, "no"))
+    refused(script, kind, lambda session: session.state())
+    assert len(script.requests) == 2
+
+
+@BOTH
+def test_an_error_inside_a_session_is_not_hidden_by_its_end(kind):
+    script = Script(OPENED, httpx.ConnectError("gone"))
+
+    async def main():
+        async with script.client(kind) as client, await client.open("room"):
+            raise KeyError("mine")
+
+    with pytest.raises(KeyError, match="mine"):
+        asyncio.run(main())
+    assert [request.method for request in script.requests] == ["PUT", "DELETE"]
+    assert script.waits_s == []
+
+
+@BOTH
+@pytest.mark.parametrize("answer", [httpx.Response(204), problem(404, "session-not-found"), problem(410, "closed")])
+def test_a_session_that_is_gone_is_closed(kind, answer):
+    run(Script(OPENED, httpx.ReadError("cut"), answer), kind, lambda session: session.close())
+
+
+@given(
+    failed=st.integers(1, 200),
+    luck=st.floats(0, 1),
+    retry_after_s=st.none() | st.floats(0, 1e4),
+    retry=st.builds(
+        Retry,
+        attempts=st.integers(1, 300),
+        first_delay_s=st.floats(0, 10),
+        longest_delay_s=st.floats(0, 100),
+        patience_s=st.floats(0, 1e3),
+    ),
+)
+def test_waits_are_bounded_and_never_shorter_than_asked_for(failed, luck, retry_after_s, retry):
+    wait_s = retry.delay_s(failed, retry_after_s=retry_after_s, luck=luck)
+    if wait_s is None:
+        assert failed >= retry.attempts or (retry_after_s or 0) > retry.patience_s
+    else:
+        assert wait_s >= (retry_after_s or 0)
+        assert wait_s <= max(retry.longest_delay_s, 1.1 * (retry_after_s or 0))
+
+
+@pytest.mark.parametrize(
+    ("text", "seconds"),
+    [
+        (None, None), ("", None), ("3", 3.0), (" 12 ", 12.0), ("soon", None), ("-1", None), ("1e9", None), ("²", None),
+        ("Sat, 21 Nov 2026 08:00:30 GMT", 30.0), ("Sat, 21 Nov 2026 07:00:00 GMT", 0.0),
+        ("Sat, 21 Nov 2026 08:00:30 -0000", 30.0),
+    ],
+)  # fmt: skip
+def test_retry_after_is_seconds_or_a_date(text, seconds):
+    assert parse_retry_after(text, now=datetime(2026, 11, 21, 8, tzinfo=UTC)) == seconds
+
+
+# --- refusals ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("status", "kind", "expected"),
+    [
+        (401, "unauthorized", sdk.UnauthorizedError),
+        (403, "forbidden-origin", sdk.UnauthorizedError),
+        (404, "session-not-found", sdk.GoneError),
+        (410, "session-closed", sdk.GoneError),
+        (409, "frame-conflict", sdk.ConflictError),
+        (409, "no-light-yet", sdk.NoLightYetError),
+        (413, "too-large", sdk.InvalidError),
+        (422, "bad-frame", sdk.InvalidError),
+        (418, "teapot", sdk.InvalidError),
+        (429, "session-full", sdk.BusyError),
+        (503, "stopping", sdk.BusyError),
+        (500, "engine-failed", sdk.ServerFailedError),
+        (599, "odd", sdk.ServerFailedError),
+    ],
+)
+def test_a_problem_becomes_its_error(status, kind, expected):
+    answer = problem(status, kind, field="depth.width", value="9", rule="at most 8", extension="ignored")
+    error = refusal(status, answer.content)
+    assert type(error) is expected
+    assert (error.status, error.kind) == (status, kind)
+    assert (error.field, error.value, error.rule) == ("depth.width", "9", "at most 8")
+    for part in ("because", "depth.width", "at most 8", "got 9", str(status)):
+        assert part in str(error)
+
+
+@pytest.mark.parametrize("body", [b"<html>Bad Gateway</html>", b"", b"[1]", b'"text"', b"\xff\xfe", b'{"status": []}'])
+def test_a_refusal_without_a_problem_is_told_by_its_status(body):
+    error = refusal(502, body)
+    assert isinstance(error, sdk.BusyError)
+    assert "502" in str(error)
+
+
+def test_an_answer_that_no_server_of_ours_gives():
+    assert isinstance(refusal(302, b""), sdk.BadReplyError)
+
+
+@BOTH
+@pytest.mark.parametrize("body", [b"<html>", b"{}", b"[]", b""])
+def test_another_service_at_the_address_is_noticed(kind, body):
+    script = Script(OPENED, httpx.Response(200, content=body))
+    assert isinstance(refused(script, kind, lambda session: session.state()), sdk.BadReplyError)
+    assert isinstance(refused(script, kind, lambda session: session.light_at(ORIGIN)), sdk.BadReplyError)
+    script = Script(httpx.Response(200, content=body))
+    assert isinstance(refused(script, kind, lambda session: session.state()), sdk.BadReplyError)
+
+
+@pytest.mark.parametrize(
+    ("url", "token"),
+    [
+        ("room.test:8090", None), ("ftp://room.test", None), ("http://", None), ("http://room.test:99999", None),
+        ("http://[::1", None), ("", None), ("http://me:secret@room.test", None), ("http://room.test", ""),
+        ("http://room.test", "a\nb"), ("http://room.test", "tökén"),
+    ],
+)  # fmt: skip
+def test_addresses_and_tokens_that_are_none(url, token):
+    with pytest.raises(RoomLightError) as caught:
+        Client(url, token=token)
+    assert "secret" not in str(caught.value)
+
+
+def test_times_and_attempts_that_are_none():
+    for wrong in ({"attempts": 0}, {"first_delay_s": -1.0}, {"patience_s": -1.0}):
+        with pytest.raises(ValueError, match=r"attempt|wait"):
+            Retry(**wrong)
+    with pytest.raises(ValueError, match="answer_s"):
+        Timeouts(answer_s=0.0)
+
+
+# --- requests ---------------------------------------------------------------------------------------------------
+
+
+@BOTH
+def test_requests_carry_token_session_and_options(kind):
+    script = Script(OPENED)
+
+    async def main():
+        async with script.client(kind, token="t" * 16) as client:
+            await client.open("room", height=64, unknown_depth="far")
+            await client.join("room")
+            await client.open()
+
+    asyncio.run(main())
+    opened, joined, fresh = script.requests
+    assert opened.headers["authorization"] == "Bearer " + "t" * 16
+    assert opened.headers["x-session-id"] == joined.headers["x-session-id"] == "room"
+    assert (opened.method, joined.method) == ("PUT", "GET")
+    sent = json.loads(opened.content)
+    assert (sent["height"], sent["unknown_depth"], sent["mode"]) == (64, "far", "auto")
+    made = fresh.url.path.removeprefix("/v1/sessions/")
+    assert len(made) == 32
+    assert int(made, 16) >= 0
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "work",
+    [
+        lambda session: session.light_at((0.0, float("nan"), 0.0)),
+        lambda session: session.light_at((0.0, 5000.0, 0.0)),
+        lambda session: session.light_at("a/../b"),
+        lambda session: session.light_at(ORIGIN, ()),
+        lambda session: session.lights_at([]),
+        lambda session: session.lights_at([ORIGIN] * 65),
+        lambda session: session.file("a b"),
+        lambda session: session.track("../x", ORIGIN),
+        lambda session: session.track("x", (0.0, 0.0, float("inf"))),
+        lambda session: session.untrack("x/y"),
+    ],
+)
+def test_what_cannot_be_asked_is_not_sent(kind, work):
+    script = Script(OPENED)
+    error = refused(script, kind, work)
+    assert not isinstance(error, sdk.RemoteError)
+    assert len(script.requests) == 1
+
+
+@BOTH
+@pytest.mark.parametrize("session_id", ["", "a/b", "..", "x" * 65, "a\n"])
+def test_session_ids_stand_in_addresses(kind, session_id):
+    async def main():
+        async with Script(OPENED).client(kind) as client:
+            await client.open(session_id)
+
+    with pytest.raises(RoomLightError, match="session's id"):
+        asyncio.run(main())
+
+
+def test_options_that_are_none():
+    with pytest.raises(WireError, match="height") as caught:
+        asyncio.run(_open_with(height=5))
+    assert caught.value.field == "height"
+
+
+async def _open_with(**options):
+    async with Script(OPENED).client("async") as client:
+        await client.open("room", **options)
+
+
+@BOTH
+def test_an_unchanged_file_is_none(kind):
+    script = Script(OPENED, httpx.Response(304, headers={"ETag": '"abc-exr"'}))
+    assert run(script, kind, lambda session: session.file((1.0, 2.0, -0.5), "exr", unless="abc-exr")) is None
+    request = script.requests[-1]
+    assert request.headers["if-none-match"] == '"abc-exr"'
+    assert dict(request.url.params) == {"format": "exr", "x": "1.0", "y": "2.0", "z": "-0.5"}
+
+
+# --- light ------------------------------------------------------------------------------------------------------
+
+
+def light_json(*forms, probes=1):
+    one = {"position": [0, 1, 2], "coverage": 0.5, "etag": "e", "forms": list(forms)}
+    return httpx.Response(200, json={"frame": 3, "results": [one] * probes})
+
+
+def npy(array):
+    stream = io.BytesIO()
+    np.save(stream, array)
+    return {"format": "npy", "media_type": "x", "data": base64.b64encode(stream.getvalue()).decode()}
+
+
+@BOTH
+def test_light_in_json_is_read_too(kind):
+    panorama = np.arange(48, dtype=np.float32).reshape(2, 4, 6)[:, :, :3]
+    script = Script(OPENED, light_json(npy(panorama)))
+    light = run(script, kind, lambda session: session.light_at((0.0, 1.0, 2.0), ("npy",)))
+    assert script.requests[-1].headers["accept"] == MEDIA_TYPE
+    assert (light.panorama == panorama).all()
+    assert (light.position, light.frame, light.coverage, light.etag) == ((0.0, 1.0, 2.0), 3, 0.5, "e")
+
+
+@BOTH
+@pytest.mark.parametrize(
+    ("form", "read"),
+    [
+        (npy(np.zeros((2, 4), np.float32)), "panorama"),
+        (npy(np.zeros((2, 4, 3))), "panorama"),
+        ({"format": "npy", "media_type": "x", "data": "AAAA"}, "panorama"),
+        ({"format": "npy", "media_type": "x"}, "panorama"),
+        ({"format": "exr", "media_type": "x", "data": "AAAA"}, "panorama"),
+        ({"format": "confidence", "media_type": "x", "data": "AAAA"}, "observed"),
+        ({"format": "cube", "media_type": "x", "data": "AAAA"}, "cube"),
+        ({"format": "sh", "media_type": "x", "values": {}}, "harmonics"),
+        ({"format": "sh", "media_type": "x", "values": {"coefficients": [1, 2]}}, "harmonics"),
+        ({"format": "main_light", "media_type": "x", "values": {"direction": [0, 1, 0]}}, "main_light"),
+        ({"format": "main_light", "media_type": "x", "values": {"direction": 1, "intensity": "x"}}, "main_light"),
+    ],
+)
+def test_a_form_that_cannot_be_read_is_an_error_when_it_is_looked_at(kind, form, read):
+    light = run(Script(OPENED, light_json(form)), kind, lambda session: session.light_at((0.0, 1.0, 2.0)))
+    with pytest.raises(sdk.BadReplyError, match=form["format"]):
+        getattr(light, read)
+
+
+@pytest.mark.parametrize("name", ["panorama", "observed", "harmonics", "ambient", "main_light", "cube"])
+def test_a_form_that_was_not_asked_for_says_how(name):
+    form = {"format": "png", "media_type": "image/png", "data": ""}
+    light = run(Script(OPENED, light_json(form)), "sync", lambda session: session.light_at((0.0, 1.0, 2.0), ("png",)))
+    with pytest.raises(RoomLightError, match="asked for png; ask with forms="):
+        getattr(light, name)
+
+
+@BOTH
+@pytest.mark.parametrize(
+    "answer",
+    [
+        light_json(probes=2),
+        light_json({"format": "npy", "media_type": "x", "data": "no base64!"}),
+        httpx.Response(200, content=b"RLL1\xff\xff\xff\xff{}", headers={"Content-Type": MEDIA_TYPE}),
+        httpx.Response(200, content=b"{}", headers={"Content-Type": MEDIA_TYPE}),
+    ],
+)
+def test_answers_that_do_not_fit_the_question(kind, answer):
+    error = refused(Script(OPENED, answer), kind, lambda session: session.light_at((0.0, 1.0, 2.0)))
+    assert isinstance(error, sdk.BadReplyError)
+
+
+# --- both clients are one ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("one", "other"), [(Client, AsyncClient), (Session, AsyncSession)])
+def test_both_clients_have_the_same_names_and_arguments(one, other):
+    def public(kind):
+        return {name for name in vars(kind) if not name.startswith("_")}
+
+    assert public(one) == public(other)
+    for name in public(one) - {"next_index"}:
+        ours, theirs = (inspect.signature(getattr(kind, name)) for kind in (one, other))
+        assert list(ours.parameters.values()) == list(theirs.parameters.values()), name
+        assert inspect.iscoroutinefunction(inspect.unwrap(getattr(other, name)))
+
+
+def test_the_sdk_needs_no_engine():
+    code = "import sys, roomlight_client.sdk; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    loaded = set(done.stdout.split())
+    assert {"roomlight", "roomlight_client", "httpx"} <= loaded
+    assert not loaded & {
+        "torch",
+        "onnxruntime",
+        "roomlight_server",
+        "roomlight_model",
+        "embreex",
+        "numba",
+        "fastapi",
+        "av",
+    }

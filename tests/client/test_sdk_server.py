@@ -1,0 +1,250 @@
+"""Both clients against the real server over a real socket."""
+
+import asyncio
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from either_client import client_of
+
+from http_servers import HeldSession, RunningServer
+from roomlight.captures import CaptureWriter
+from roomlight.conventions import linear_to_srgb8
+from roomlight.images import decode_colour
+from roomlight.light.cube import CubeMap
+from roomlight.light.main_light import main_light
+from roomlight.light.spherical_harmonics import project
+from roomlight.wire.messages import Form
+from roomlight_client import sdk
+from roomlight_client.sdk import CameraFrame, Client, Retry
+from roomlight_server.session import Session, SessionOptions
+from rooms import BoxRoom, camera_at, pan
+
+ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
+FRAMES = tuple(pan(ROOM, 3, width=64, height=48))
+POINTS = ((0.4, 1.2, -0.3), (-0.8, 1.0, 0.6))
+SMALL = {"mode": "classical", "height": 16}
+BOTH = pytest.mark.parametrize("kind", ["sync", "async"])
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer(model="classical") as running:
+        yield running
+
+
+def url_of(running):
+    return f"http://127.0.0.1:{running.port}"
+
+
+def run(server, kind, work, **options):
+    async def main():
+        async with client_of(kind, url_of(server), **options) as client:
+            return await work(client)
+
+    return asyncio.run(main())
+
+
+@pytest.fixture(scope="module")
+def direct():
+    """The engine called directly: the followed probe's light, and the other's, asked for at the end."""
+    session = Session(SessionOptions(model="classical", height=16))
+    handle = session.track(POINTS[0])
+    for frame in FRAMES:
+        session.push(frame)
+    return session.light(handle), session.light_at(POINTS[1])
+
+
+@BOTH
+def test_frames_in_light_out_to_the_bit(server, kind, direct):
+    forms = ("npy", "sh", Form(format="sh", kind="ambient", basis="arkit"), "main_light", "cube", "confidence", "exr")
+
+    async def work(client):
+        session = await client.open(**SMALL)
+        await session.track("table", POINTS[0])
+        results = [await session.push(frame) for frame in FRAMES]
+        lights = await session.lights_at(["table", POINTS[1]], forms)
+        again = await session.light_at("table")
+        state = await session.state()
+        await session.untrack("table")
+        with pytest.raises(sdk.GoneError) as gone:
+            await session.light_at("table")
+        await session.close()
+        return results, lights, again, state, gone.value
+
+    results, lights, again, state, gone = run(server, kind, work)
+    assert [(result.index, result.status) for result in results] == [(n, "processed") for n in range(3)]
+    assert state.frames.processed == 3
+    assert gone.kind == "probe-not-found"
+    for light, expected in zip(lights, direct, strict=True):
+        assert (light.panorama == expected.panorama).all()
+        assert light.coverage == expected.coverage
+        assert light.position == expected.position
+        assert light.observed == pytest.approx(expected.observed, abs=0.5 / 255 + 1e-6)
+        total = project(expected.panorama)
+        assert light.harmonics.coefficients == pytest.approx(total.coefficients, rel=1e-6, abs=1e-7)
+        ambient = project(expected.panorama, kind="ambient")
+        assert light.ambient.coefficients == pytest.approx(ambient.coefficients, rel=1e-6, abs=1e-7)
+        assert light.ambient.kind == "ambient"
+        assert (light.main_light.direction == main_light(expected.panorama).direction).all()
+        assert light.cube.shape == (6, 32, 32, 4)
+        faces = CubeMap.from_panorama(expected.panorama, size=32).faces
+        assert light.cube[..., :3] == pytest.approx(faces.astype(np.float16), rel=1e-3)
+        exr, _ = decode_colour(light.file("exr"), "exr")
+        assert (exr == expected.panorama.astype(np.float16)).all()
+    assert lights[0].name == "table"
+    assert (again.panorama == lights[0].panorama).all()
+    assert again.etag == lights[0].etag
+
+
+@BOTH
+def test_a_file_comes_once_per_light(server, kind):
+    async def work(client):
+        session = await client.open(**SMALL)
+        await session.track("table", POINTS[0])
+        with pytest.raises(sdk.NoLightYetError, match="no frame"):
+            await session.file("table")
+        await session.push(FRAMES[0])
+        first = await session.file("table", "hdr")
+        same = await session.file("table", "hdr", unless=first.etag)
+        at_point = await session.file(POINTS[1], Form(format="ktx2", size=16))
+        await session.push(FRAMES[1])
+        changed = await session.file("table", "hdr", unless=first.etag)
+        await session.close()
+        return first, same, at_point, changed
+
+    first, same, at_point, changed = run(server, kind, work)
+    assert same is None
+    assert (first.data[:2], first.media_type) == (b"#?", "image/vnd.radiance")
+    assert (at_point.data[1:4], at_point.media_type) == (b"KTX", "image/ktx2")
+    assert changed.etag != first.etag
+
+
+@BOTH
+def test_frames_as_a_camera_gives_them_are_numbered(server, kind):
+    shot = FRAMES[0]
+    camera = CameraFrame(linear_to_srgb8(shot.image), shot.depth_m, shot.intrinsics, shot.camera_to_world)
+
+    async def work(client):
+        session = await client.open("phone-" + kind, **SMALL)
+        first = await session.push(camera)
+        limited = await session.push(replace(camera, tracking_state="limited"))
+        joined = await client.join("phone-" + kind)
+        third = await joined.push(replace(camera, exposure=2.0))
+        repeated = await joined.push(replace(camera, exposure=2.0), third.index)
+        with pytest.raises(sdk.ConflictError) as conflict:
+            await joined.push(camera, third.index)
+        queued = await joined.push(camera, wait=False)
+        state = await joined.state()
+        await joined.close()
+        await session.close()  # once more does no harm
+        with pytest.raises(sdk.GoneError):
+            await client.join("phone-" + kind)
+        return [first, limited, third, repeated, queued], conflict.value, state
+
+    results, conflict, state = run(server, kind, work)
+    assert [result.index for result in results] == [0, 1, 2, 2, 3]
+    assert [result.status for result in results][:4] == ["processed", "skipped", "processed", "processed"]
+    assert results[3].replay
+    assert results[4].status in ("queued", "processed")
+    assert (conflict.kind, conflict.field, conflict.value) == ("frame-conflict", "index", "2")
+    assert state.frames.replayed == 1
+
+
+@BOTH
+def test_the_server_s_refusals_name_field_value_and_rule(server, kind):
+    far = replace(FRAMES[0], depth_m=np.full((48, 64), 500.0, np.float32))
+
+    async def work(client):
+        session = await client.open("refused-" + kind, **SMALL)
+        with pytest.raises(sdk.InvalidError) as bad_depth:
+            await session.push(far)
+        with pytest.raises(sdk.ConflictError) as other_options:
+            await client.open("refused-" + kind, mode="classical", height=32)
+        counts = (await session.state()).frames
+        await session.close()
+        return bad_depth.value, other_options.value, counts
+
+    bad_depth, other_options, counts = run(server, kind, work)
+    assert (bad_depth.kind, bad_depth.field, bad_depth.status) == ("bad-frame", "depth", 422)
+    assert "500" in bad_depth.value
+    assert bad_depth.rule in str(bad_depth)
+    assert other_options.kind == "session-conflict"
+    assert (counts.accepted, counts.refused) == (0, 1)
+
+
+def test_sessions_belong_to_their_token():
+    with RunningServer(model="classical", tokens=("a" * 16, "b" * 16)) as running:
+        ours, theirs, none = (Client(url_of(running), token=token) for token in ("a" * 16, "b" * 16, None))
+        with ours, theirs, none:
+            ours.open("room", **SMALL)
+            with pytest.raises(sdk.GoneError):
+                theirs.join("room")
+            with pytest.raises(sdk.UnauthorizedError, match="Bearer"):
+                none.join("room")
+            assert none.ready() in (True, False)  # no token is needed to ask
+
+
+def test_a_full_server_is_asked_again_as_it_says():
+    waits_s = []
+
+    def make_room(seconds):
+        waits_s.append(seconds)
+        running.registry.delete("anyone", "first")
+
+    with RunningServer(model="classical", max_sessions=1, idle_expiry_s=20.0) as running:
+        client = Client(url_of(running), sleep=make_room)
+        client.open("first", **SMALL)
+        assert client.open("second", **SMALL).id == "second"
+        client.close()
+    assert len(waits_s) == 1
+    assert 19 <= waits_s[0] <= 22
+
+
+def test_a_lost_answer_is_asked_for_again_and_the_frame_counts_once(monkeypatch):
+    """The connection breaks while the engine works on the frame: the repetition waits for the same outcome."""
+    monkeypatch.setattr("roomlight_server.http.registry.Session", HeldSession)
+    HeldSession.reset()
+    with RunningServer(model="classical") as running:
+        released = []
+
+        def wait(_):
+            HeldSession.wait_entered()
+            HeldSession.release()
+            released.append(True)
+
+        timeouts = sdk.Timeouts(answer_s=0.3)
+        with Client(url_of(running), timeouts=timeouts, sleep=wait, retry=Retry(attempts=2)) as client:
+            session = client.open("room", **SMALL)
+            result = session.push(FRAMES[0])
+            counts = session.state().frames
+    assert released == [True]
+    assert result.status == "processed"
+    assert result.replay
+    assert result.keyframe
+    assert (counts.processed, counts.replayed, counts.accepted) == (1, 1, 1)
+
+
+def test_nobody_there():
+    with RunningServer(model="classical") as running:
+        url = url_of(running)
+    with Client(url, retry=Retry(attempts=1)) as client, pytest.raises(sdk.UnreachableError, match="roomlight serve"):
+        client.open()
+
+
+def test_the_example_runs_as_it_stands(server, tmp_path, monkeypatch, capsys):
+    text = sdk.__doc__
+    block = textwrap.dedent(text[text.index("    from pathlib") : text.index("`AsyncClient` has")])
+    assert sum(bool(line.strip()) for line in block.splitlines()) <= 11
+    with CaptureWriter(tmp_path / "my-capture") as writer:
+        shot = ROOM.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48)
+        writer.add(
+            srgb8=linear_to_srgb8(shot.image),
+            depth_m=shot.depth_m,
+            intrinsics=shot.intrinsics,
+            camera_to_world=shot.camera_to_world,
+        )
+    monkeypatch.chdir(tmp_path)
+    exec(compile(block.replace("http://localhost:8090", url_of(server)), "example", "exec"), {})
+    assert "(120, 240, 3)" in capsys.readouterr().out

@@ -1,0 +1,162 @@
+"""Frame messages into frames: every colour and depth encoding, exposure, confidence, HEIC."""
+
+import io
+import json
+
+import cv2
+import numpy as np
+import pillow_heif
+import pytest
+import zstandard
+
+from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
+from roomlight.errors import WireError
+from roomlight.wire.decoding import decode_frame
+from roomlight.wire.frame_header import FrameHeader
+from roomlight.wire.frame_message import pack, parse
+
+WIDTH, HEIGHT = 64, 48
+POSE = [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0.5, 1.5, -2.0, 1]
+RGB = np.stack(
+    [np.tile(np.linspace(0, 255, WIDTH), (HEIGHT, 1)), *np.full((2, HEIGHT, WIDTH), 128)], axis=-1
+).astype(np.uint8)  # fmt: skip
+DEPTH_M = np.tile(np.linspace(1, 3, WIDTH, dtype=np.float32), (HEIGHT, 1))
+compress = zstandard.ZstdCompressor().compress
+
+
+PLAIN_COLOUR = ("rgb8", RGB.tobytes())
+PLAIN_DEPTH = ("float32_m", "raw", DEPTH_M.tobytes())
+
+
+def message(colour=PLAIN_COLOUR, depth=PLAIN_DEPTH, confidence=None, **changes):
+    header = {
+        "colour": {"encoding": colour[0], "bytes": len(colour[1])},
+        "depth": {
+            "format": depth[0], "encoding": depth[1], "width": WIDTH, "height": HEIGHT, "bytes": len(depth[2]),
+        },
+        "intrinsics": {"fx": 60.0, "fy": 60.0, "cx": 32.0, "cy": 24.0, "width": WIDTH, "height": HEIGHT},
+        "camera_to_world": POSE,
+    }  # fmt: skip
+    parts = [colour[1], depth[2]]
+    if confidence is not None:
+        header["confidence"] = {
+            "encoding": confidence[0], "width": WIDTH, "height": HEIGHT, "bytes": len(confidence[1]),
+        }  # fmt: skip
+        parts.append(confidence[1])
+    return parse(pack(FrameHeader.model_validate_json(json.dumps(header | changes)), *parts))
+
+
+def png(array):
+    return cv2.imencode(".png", array[..., ::-1] if array.ndim == 3 else array)[1].tobytes()
+
+
+@pytest.mark.parametrize("encoding", ["rgb8", "png", "jpeg", "linear_f32"])
+def test_colour_comes_as_linear_light(encoding):
+    linear = srgb8_to_linear(RGB)
+    clipped = RGB.max(axis=-1) >= 250
+    data = {
+        "rgb8": RGB.tobytes(),
+        "png": png(RGB),
+        "jpeg": cv2.imencode(".jpg", RGB[..., ::-1], [cv2.IMWRITE_JPEG_QUALITY, 100])[1].tobytes(),
+        "linear_f32": linear.astype("<f4").tobytes() + clipped.astype(np.uint8).tobytes(),
+    }[encoding]
+    frame = decode_frame(message((encoding, data), timestamp_s=3.5), 7)
+    assert (frame.index, frame.timestamp_s) == (7, 3.5)
+    if encoding == "jpeg":
+        error = linear_to_srgb8(frame.image).astype(int) - RGB.astype(int)
+        assert np.abs(error).max() <= 12  # chroma is subsampled
+    else:
+        np.testing.assert_array_equal(frame.image, linear)
+        np.testing.assert_array_equal(frame.clipped, clipped)
+    assert frame.camera_to_world[:3, 3].tolist() == [0.5, 1.5, -2.0]
+
+
+def test_heic_is_read_where_its_decoder_is_installed():
+    stream = io.BytesIO()
+    pillow_heif.from_bytes("RGB", (WIDTH, HEIGHT), RGB.tobytes()).save(stream, format="HEIF", quality=95)
+    frame = decode_frame(message(("heic", stream.getvalue())), 0)
+    assert np.abs(linear_to_srgb8(frame.image).astype(int) - RGB.astype(int)).max() <= 16
+    small = io.BytesIO()
+    pillow_heif.from_bytes("RGB", (32, 32), bytes(32 * 32 * 3)).save(small, format="HEIF")
+    for data in (small.getvalue(), stream.getvalue()[:-40], stream.getvalue()[:60]):
+        with pytest.raises(WireError) as caught:
+            decode_frame(message(("heic", data)), 0)
+        assert caught.value.field == "colour"
+
+
+def test_without_the_decoder_heic_is_refused_with_advice(monkeypatch):
+    monkeypatch.setattr("roomlight.wire.decoding.heic_available", lambda: False)
+    with pytest.raises(WireError, match=r"roomlight\[heic\]"):
+        decode_frame(message(("heic", b"\0\0\0\x18ftypheic")), 0)
+
+
+@pytest.mark.parametrize(
+    ("format_", "dtype", "scale", "tolerance"),
+    [("uint16_mm", "<u2", 1000, 5.1e-4), ("float16_m", "<f2", 1, 1e-3), ("float32_m", "<f4", 1, 0)],
+)
+@pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
+def test_depth_comes_in_metres(format_, dtype, scale, tolerance, encoding):
+    if encoding == "png" and format_ != "uint16_mm":
+        with pytest.raises(WireError, match="png carries uint16_mm alone"):
+            message(depth=(format_, "png", png(np.ones((HEIGHT, WIDTH), np.uint16))))
+        return
+    stored = (np.rint(DEPTH_M * scale) if scale > 1 else DEPTH_M).astype(dtype)
+    data = {"raw": stored.tobytes(), "zstd": compress(stored.tobytes()), "png": png(stored.astype(np.uint16))}[encoding]
+    frame = decode_frame(message(depth=(format_, encoding, data)), 0)
+    np.testing.assert_allclose(frame.depth_m, DEPTH_M, atol=tolerance + 1e-7)
+
+
+def test_unknown_depth_is_zero():
+    metres = DEPTH_M.copy()
+    metres[0, :6] = [0, -1, np.nan, np.inf, -np.inf, 1e9]
+    assert decode_frame(message(depth=("float32_m", "raw", metres.tobytes())), 0).depth_m[0, :6].tolist() == [0.0] * 6
+    millimetres = np.full((HEIGHT, WIDTH), 1500, "<u2")
+    millimetres[0, :2] = [0, 65535]
+    for encoding, data in (("raw", millimetres.tobytes()), ("png", png(millimetres))):
+        first = decode_frame(message(depth=("uint16_mm", encoding, data)), 0).depth_m[0, :3]
+        np.testing.assert_allclose(first, [0, 0, 1.5], rtol=1e-6)
+
+
+@pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
+def test_confidence_removes_depth(encoding):
+    levels = np.zeros((HEIGHT, WIDTH), np.uint8)
+    levels[:, 20:], levels[:, 40:] = 1, 2
+    data = {"raw": levels.tobytes(), "zstd": compress(levels.tobytes()), "png": png(levels)}[encoding]
+    for least, known in ((0, 64), (1, 44), (2, 24)):
+        frame = decode_frame(message(confidence=(encoding, data)), 0, min_confidence=least)
+        assert (frame.depth_m[0] > 0).sum() == known
+
+
+def test_radiance_is_in_units_of_the_reference_exposure():
+    plain = decode_frame(message(), 0).image
+    np.testing.assert_allclose(decode_frame(message(exposure=4.0), 0).image, plain / 4, rtol=1e-6)
+    np.testing.assert_array_equal(decode_frame(message(exposure=4.0), 0, reference_exposure=4.0).image, plain)
+
+
+@pytest.mark.parametrize(
+    ("depth", "rule"),
+    [
+        (("float32_m", "raw", bytes(4 * WIDTH * HEIGHT)), "must have a depth"),
+        (("float32_m", "raw", (1000 * DEPTH_M / 2).tobytes()), "is float32_m its unit"),
+        (("uint16_mm", "raw", np.full((HEIGHT, WIDTH), 3, "<u2").tobytes()), "is uint16_mm its unit"),
+        (("uint16_mm", "png", png(np.ones((HEIGHT, WIDTH), np.uint8))), "16-bit grey"),
+        (("float32_m", "zstd", zstandard.ZstdCompressor(write_content_size=False).compress(bytes(9))), "must be 12288"),
+        (
+            ("float32_m", "zstd", zstandard.ZstdCompressor(write_content_size=False).compress(bytes(10**7))),
+            "must decompress to 12288 bytes",
+        ),
+    ],
+)
+def test_depth_that_is_none_is_refused(depth, rule):
+    with pytest.raises(WireError, match=rule) as caught:
+        decode_frame(message(depth=depth), 0)
+    assert caught.value.field == "depth"
+
+
+def test_an_image_that_an_exif_mark_turns_is_refused():
+    upright = cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH, 3), np.uint8))[1].tobytes()
+    tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
+    body = b"Exif\0\0" + tiff
+    turned = upright[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + upright[2:]
+    with pytest.raises(WireError, match="without an EXIF turn"):
+        decode_frame(message(("jpeg", turned)), 0)

@@ -1,0 +1,289 @@
+"""Frame messages: bytes that all clients share, round trips, and what is refused. `python THIS` writes the vector."""
+
+import json
+import math
+import struct
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.errors import WireError
+from roomlight.wire.frame_header import FrameHeader
+from roomlight.wire.frame_message import FrameLimits, FrameMessage, column_major, pack, parse
+
+VECTOR = Path(__file__).parent / "wire_vector.json"
+BYTES = VECTOR.with_suffix(".bin")
+POSE = np.array([[0.6, 0.0, 0.8, 1.5], [0.0, 1.0, 0.0, -0.25], [-0.8, 0.0, 0.6, 2.0], [0.0, 0.0, 0.0, 1.0]])
+
+
+def header_dict(width=4, height=3, **changes):
+    whole = {
+        "version": 1,
+        "colour": {"encoding": "rgb8", "bytes": 3 * width * height},
+        "depth": {
+            "format": "uint16_mm", "encoding": "raw", "width": width, "height": height, "bytes": 2 * width * height,
+        },
+        "intrinsics": {"fx": 3.5, "fy": 3.5, "cx": 2.0, "cy": 1.5, "width": width, "height": height},
+        "camera_to_world": column_major(POSE),
+        "timestamp_s": 12.125,
+        "exposure": 1.0,
+        "tracking_state": "normal",
+    }  # fmt: skip
+    return whole | changes
+
+
+def parts_of(header):
+    """Parts of the lengths that the header states, with some pattern."""
+    sizes = [header[name]["bytes"] for name in ("colour", "depth", "confidence") if name in header]
+    return [bytes((7 * at + number) % 251 for at in range(size)) for number, size in enumerate(sizes)]
+
+
+def build(header, *parts):
+    """A message as any client would build it, right or wrong."""
+    text = json.dumps(header).encode()
+    return b"RLF1" + struct.pack("<I", len(text)) + text + b"".join(parts)
+
+
+def message(**changes):
+    header = header_dict(**changes)
+    return build(header, *parts_of(header))
+
+
+def edited(path, value):
+    """A whole message but for one value of its header."""
+    header = header_dict()
+    *way, last = path.split(".")
+    place = header
+    for name in way:
+        place = place[name]
+    place[last] = value
+    return build(header, *parts_of(header_dict()))
+
+
+def refusal(body, limits=None):
+    with pytest.raises(WireError) as caught:
+        parse(body, limits)
+    return caught.value
+
+
+def vectors():
+    """What Python, TypeScript and Swift must all pack alike: every field, then as few as there can be."""
+    full = header_dict(
+        index=7,
+        exposure=0.5,
+        tracking_state="limited",
+        confidence={"format": "uint8", "encoding": "raw", "width": 4, "height": 3, "bytes": 12},
+    )
+    few = header_dict()
+    del few["timestamp_s"]
+    few["depth"] |= {"format": "float16_m", "encoding": "zstd"}
+    packed = zstandard.ZstdCompressor().compress(np.full((3, 4), 1.5, "<f2").tobytes())
+    few["depth"]["bytes"] = len(packed)
+    yield "every field", full, parts_of(full)
+    yield "few fields", few, [parts_of(few)[0], packed]
+
+
+def write_vector():
+    listed, whole = [], b""
+    for name, header, parts in vectors():
+        body = pack(FrameHeader.model_validate_json(json.dumps(header)), *parts)
+        hexed = dict(zip(("colour", "depth", "confidence"), (part.hex() for part in parts), strict=False))
+        listed.append({"name": name, "header": header, "parts": hexed, "offset": len(whole), "length": len(body)})
+        whole += body
+    VECTOR.write_text(json.dumps({"file": BYTES.name, "vectors": listed}, indent=1) + "\n")
+    BYTES.write_bytes(whole)
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_the_shared_vector_is_what_is_packed_and_parsed(which):
+    vector = json.loads(VECTOR.read_text())["vectors"][which]
+    body = BYTES.read_bytes()[vector["offset"] : vector["offset"] + vector["length"]]
+    header = FrameHeader.model_validate_json(json.dumps(vector["header"]))
+    parts = [bytes.fromhex(part) for part in vector["parts"].values()]
+    assert pack(header, *parts) == body
+    parsed = parse(body)
+    assert parsed.header == header
+    found = [parsed.colour, parsed.depth, *([] if parsed.confidence is None else [parsed.confidence])]
+    assert [bytes(part) for part in found] == parts
+
+
+def test_a_pose_is_sixteen_numbers_column_by_column():
+    assert column_major(POSE)[12:15] == [1.5, -0.25, 2.0]
+    np.testing.assert_allclose(parse(message()).camera_to_world, POSE, atol=1e-15)
+
+
+def test_a_clean_pose_crosses_to_the_bit():
+    turned = parse(message()).camera_to_world
+    again = parse(message(camera_to_world=column_major(turned))).camera_to_world
+    assert turned.tobytes() == again.tobytes()
+
+
+def test_optional_fields_have_defaults():
+    header = header_dict()
+    for name in ("timestamp_s", "exposure", "tracking_state"):
+        del header[name]
+    parsed = parse(build(header, *parts_of(header)))
+    assert (parsed.header.timestamp_s, parsed.header.exposure, parsed.header.tracking_state) == (None, 1.0, "normal")
+    assert parsed.header.index is None
+    assert parsed.confidence is None
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.floats(-100, 100), st.floats(1e-3, 1e3), st.integers(0, 2**53 - 1), st.integers(2, 40), st.integers(2, 40))
+def test_every_number_survives(position, exposure, index, width, height):
+    pose = POSE.copy()
+    pose[0, 3] = position
+    whole = header_dict(width, height, exposure=exposure, index=index, camera_to_world=column_major(pose))
+    whole["intrinsics"] |= {"fx": float(width), "fy": float(height), "cx": width / 3, "cy": height / 3}
+    header = FrameHeader.model_validate_json(json.dumps(whole))
+    parsed = parse(pack(header, *parts_of(whole)))
+    assert parsed.header == header
+    assert parsed.camera_to_world[0, 3] == position
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "field"),
+    [
+        ("version", 2, "version"),
+        ("index", -1, "index"),
+        ("index", True, "index"),
+        ("colour.encoding", "gif", "colour.encoding"),
+        ("colour.bytes", 0, "colour.bytes"),
+        ("colour.bytes", 35, ""),
+        ("colour.bytes", 10**12, "colour.bytes"),
+        ("depth.format", "uint8", "depth.format"),
+        ("depth.encoding", "gzip", "depth.encoding"),
+        ("depth.width", 0, "depth.width"),
+        ("depth.width", 10**9, "depth.width"),
+        ("depth.width", 4.5, "depth.width"),
+        ("depth.width", "4", "depth.width"),
+        ("depth.width", 2, "depth"),
+        ("depth.height", 1, "depth"),
+        ("intrinsics.fx", 0.0, "intrinsics"),
+        ("intrinsics.fy", -3.0, "intrinsics"),
+        ("intrinsics.fx", math.nan, "intrinsics.fx"),
+        ("intrinsics.cx", math.inf, "intrinsics.cx"),
+        ("intrinsics.cy", 1e9, "intrinsics"),
+        ("camera_to_world", [0.0] * 16, "camera_to_world"),
+        ("camera_to_world", [1.0] * 15, "camera_to_world"),
+        ("camera_to_world", column_major(np.diag([2.0, 2, 2, 1])), "camera_to_world"),
+        ("camera_to_world", column_major(np.diag([-1.0, 1, 1, 1])), "camera_to_world"),
+        ("camera_to_world", POSE.reshape(-1).tolist(), "camera_to_world"),
+        ("camera_to_world", [math.nan, *column_major(POSE)[1:]], "camera_to_world.0"),
+        ("camera_to_world", [1e308, *column_major(POSE)[1:]], "camera_to_world"),
+        ("camera_to_world", [*column_major(POSE)[:12], 1e6, 0, 0, 1], "camera_to_world"),
+        ("timestamp_s", math.nan, "timestamp_s"),
+        ("exposure", 0.0, "exposure"),
+        ("exposure", -1.0, "exposure"),
+        ("tracking_state", "lost", "tracking_state"),
+        ("colour", None, "colour"),
+        ("surprise", 1, "surprise"),
+    ],
+)
+def test_a_wrong_value_is_refused_by_its_name(path, value, field):
+    error = refusal(edited(path, value))
+    assert error.field == field
+    assert error.rule
+    assert error.value
+    assert error.kind in ("bad-frame", "too-large")
+
+
+def test_a_broken_envelope_is_refused():
+    body = message()
+    for damaged, field in (
+        (b"", ""),
+        (body[:7], ""),
+        (b"RLF2" + body[4:], "magic"),
+        (body[:4] + struct.pack("<I", 2**32 - 1) + body[8:], "header length"),
+        (body[:4] + struct.pack("<I", 0) + body[8:], "header length"),
+        (body[:4] + struct.pack("<I", len(body)) + body[8:], "header length"),
+        (body[:-1], ""),
+        (body + b"x", ""),
+        (body[:8] + b"[" + body[9:], ""),
+        (build([], b""), ""),
+        (build("x", b""), ""),
+        (b"RLF1" + struct.pack("<I", 12_000) + b"[" * 12_000, ""),
+        (b"RLF1" + struct.pack("<I", 4) + b"\xff\xfe{}", ""),
+    ):
+        assert refusal(damaged).field == field
+
+
+def test_limits_are_kept_before_anything_is_decoded():
+    small = FrameLimits(max_body_bytes=100)
+    assert refusal(message(), small).kind == "too-large"
+    assert refusal(message(), FrameLimits(max_colour_pixels=11)).field == "intrinsics"
+    assert refusal(message(), FrameLimits(max_depth_pixels=11)).field == "depth"
+
+
+def test_raw_parts_must_have_the_size_of_their_pixels():
+    whole = header_dict()
+    whole["depth"]["bytes"] = 23
+    assert refusal(build(whole, *parts_of(whole))).field == "depth.bytes"
+    whole = header_dict(colour={"encoding": "rgb8", "bytes": 37})
+    assert refusal(build(whole, *parts_of(whole))).field == "colour.bytes"
+    whole = header_dict(confidence={"width": 4, "height": 3, "bytes": 11})
+    assert refusal(build(whole, *parts_of(whole))).field == "confidence.bytes"
+    whole = header_dict(confidence={"width": 8, "height": 6, "bytes": 48})
+    assert refusal(build(whole, *parts_of(whole))).field == "confidence"
+
+
+def with_colour(encoding, data):
+    whole = header_dict(colour={"encoding": encoding, "bytes": len(data)})
+    return build(whole, data, parts_of(whole)[1])
+
+
+def with_depth(format_, encoding, data):
+    whole = header_dict()
+    whole["depth"] |= {"format": format_, "encoding": encoding, "bytes": len(data)}
+    return build(whole, parts_of(whole)[0], data)
+
+
+def encoded(suffix, width=4, height=3, dtype=np.uint8, channels=(3,)):
+    return cv2.imencode(suffix, np.zeros((height, width, *channels), dtype))[1].tobytes()
+
+
+def test_images_must_have_the_stated_size_and_kind():
+    for encoding, suffix in (("jpeg", ".jpg"), ("png", ".png")):
+        assert isinstance(parse(with_colour(encoding, encoded(suffix))), FrameMessage)
+        assert refusal(with_colour(encoding, encoded(suffix, 40, 30))).field == "colour"
+        assert refusal(with_colour(encoding, encoded(suffix)[:-20])).field == "colour"
+        assert refusal(with_colour(encoding, b"\x76\x2f\x31\x01" + bytes(50))).field == "colour"
+    assert refusal(with_colour("jpeg", encoded(".png"))).field == "colour"
+    assert refusal(with_colour("heic", encoded(".png"))).field == "colour"
+    grey = encoded(".png", dtype=np.uint16, channels=())
+    assert isinstance(parse(with_depth("uint16_mm", "png", grey)), FrameMessage)
+    assert refusal(with_depth("float32_m", "png", grey)).field == "depth.encoding"
+    big = encoded(".png", 4000, 3000, np.uint16, ())
+    assert refusal(with_depth("uint16_mm", "png", big)).field == "depth"
+
+
+def test_a_png_bomb_is_refused_by_its_header():
+    bomb = bytearray(encoded(".png"))
+    bomb[16:24] = struct.pack(">II", 60_000, 60_000)
+    assert refusal(with_colour("png", bytes(bomb))).value == "60000 x 60000"
+
+
+def test_zstd_must_state_the_right_size_or_none():
+    compress = zstandard.ZstdCompressor().compress
+    assert isinstance(parse(with_depth("uint16_mm", "zstd", compress(bytes(24)))), FrameMessage)
+    assert refusal(with_depth("uint16_mm", "zstd", compress(bytes(10**7)))).field == "depth"
+    assert refusal(with_depth("uint16_mm", "zstd", b"not zstd at all")).field == "depth"
+    streamed = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(24))
+    assert isinstance(parse(with_depth("uint16_mm", "zstd", streamed)), FrameMessage)
+
+
+def test_pack_holds_the_header_to_the_parts():
+    header = FrameHeader.model_validate_json(json.dumps(header_dict()))
+    with pytest.raises(WireError, match=r"depth\.bytes"):
+        pack(header, bytes(36), bytes(5))
+    with pytest.raises(WireError, match=r"confidence\.bytes"):
+        pack(header, bytes(36), bytes(24), bytes(3))
+
+
+if __name__ == "__main__":
+    write_vector()

@@ -1,0 +1,178 @@
+"""Session servers on real sockets for the tests, a plain HTTP client, frame messages, an engine that can be held."""
+
+import http.client
+import json
+import threading
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from roomlight.conventions import linear_to_srgb8
+from roomlight.wire.frame_header import FrameHeader
+from roomlight.wire.frame_message import column_major, pack
+from roomlight_server.http.app import create_app
+from roomlight_server.http.serving import server_of
+from roomlight_server.http.settings import ServerSettings
+from roomlight_server.session import Session
+from rooms import BoxRoom, camera_at
+
+SMALL = {"mode": "classical", "height": 16, "reference_exposure": 1.0}
+"""Options of a session that is quick."""
+
+
+class RunningServer:
+    """A server in a thread of its own, on a free port; use it in a `with` statement."""
+
+    def __init__(self, *, clock=None, **settings):
+        self.settings = ServerSettings(port=0, **settings)
+        self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
+        self._up = threading.Event()
+        self._server = server_of(self.settings, self.app)
+        self._thread = threading.Thread(target=self._run, daemon=True)
+
+    def _run(self):
+        startup = self._server.startup
+
+        async def startup_and_tell(sockets=None):
+            await startup(sockets)
+            self._up.set()
+
+        self._server.startup = startup_and_tell
+        self._server.run()
+        self._up.set()
+
+    def __enter__(self):
+        self._thread.start()
+        assert self._up.wait(60)
+        return self
+
+    def __exit__(self, *_):
+        self.stop()
+
+    def stop(self):
+        self._server.should_exit = True
+        self._thread.join(60)
+        assert not self._thread.is_alive()
+
+    @property
+    def registry(self):
+        return self.app.state.context.registry
+
+    @property
+    def port(self):
+        return self._server.servers[0].sockets[0].getsockname()[1]
+
+    def call(self, method, path, body=None, *, token=None, headers=None, timeout=60):
+        """One request on a connection of its own; a dict is sent as JSON."""
+        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout)
+        given = {} if token is None else {"Authorization": f"Bearer {token}"}
+        if isinstance(body, dict):
+            body, given["Content-Type"] = json.dumps(body).encode(), "application/json"
+        try:
+            connection.request(method, path, body, given | (headers or {}))
+            response = connection.getresponse()
+            return Answer(response.status, {k.lower(): v for k, v in response.getheaders()}, response.read())
+        finally:
+            connection.close()
+
+    def open(self, name="room", options=None, **more):
+        answer = self.call("PUT", f"/v1/sessions/{name}", SMALL if options is None else options, **more)
+        assert answer.status in (200, 201), answer
+        return answer
+
+    def push(self, index, body=None, name="room", **more):
+        return self.call("PUT", f"/v1/sessions/{name}/frames/{index}", frame(index) if body is None else body, **more)
+
+    def state(self, name="room", **more):
+        return self.call("GET", f"/v1/sessions/{name}", **more).json
+
+
+@dataclass(frozen=True)
+class Answer:
+    status: int
+    headers: dict
+    body: bytes
+
+    @property
+    def json(self):
+        return json.loads(self.body)
+
+    @property
+    def kind(self):
+        """Of a problem, after checking that it is one."""
+        assert self.headers["content-type"] == "application/problem+json", self
+        assert {"type", "title", "status", "detail"} <= self.json.keys()
+        assert self.json["status"] == self.status
+        return self.json["type"].removeprefix("urn:roomlight:problem:")
+
+
+class InThread:
+    """A call in a thread; `result` waits for it."""
+
+    def __init__(self, work, *args, **kwargs):
+        self._outcome = []
+        self._thread = threading.Thread(target=lambda: self._outcome.append(work(*args, **kwargs)), daemon=True)
+        self._thread.start()
+
+    def result(self):
+        self._thread.join(60)
+        return self._outcome[0]
+
+
+class HeldSession(Session):
+    """An engine that waits for `release()` in every push, and fails on the frames in `broken`."""
+
+    entered = threading.Semaphore(0)
+    gate = threading.Semaphore(0)
+    broken = None
+
+    @classmethod
+    def reset(cls):
+        cls.entered, cls.gate, cls.broken = threading.Semaphore(0), threading.Semaphore(0), {}
+
+    @classmethod
+    def wait_entered(cls):
+        assert cls.entered.acquire(timeout=60)
+
+    @classmethod
+    def release(cls, count=1):
+        cls.gate.release(count)
+
+    def push(self, frame):
+        self.entered.release()
+        assert self.gate.acquire(timeout=60)
+        if frame.index in (self.broken or {}):
+            raise self.broken[frame.index]
+        return super().push(frame)
+
+
+@cache
+def box_shot(turn):
+    room = BoxRoom(size_m=(4.0, 2.6, 3.6), lamp=((0.5, 2.6, 0.3), 0.3))
+    return room.frame(camera_at((0.2, 1.4, 0.8), yaw_degrees=float(turn)), width=48, height=36)
+
+
+def header_of(shot, **changes):
+    height, width = shot.image.shape[:2]
+    k = shot.intrinsics
+    header = {
+        "colour": {"encoding": "rgb8", "bytes": 3 * width * height},
+        "depth": {
+            "format": "float32_m", "encoding": "raw", "width": width, "height": height, "bytes": 4 * width * height,
+        },
+        "intrinsics": {name: getattr(k, name) for name in ("fx", "fy", "cx", "cy", "width", "height")},
+        "camera_to_world": column_major(shot.camera_to_world),
+    }  # fmt: skip
+    return header | changes
+
+
+def parts_of(shot):
+    return linear_to_srgb8(np.clip(shot.image, 0, 1)).tobytes(), shot.depth_m.astype("<f4").tobytes()
+
+
+@cache
+def frame(turn=0, **changes):
+    """A frame message of a box room, the camera turned by so many degrees."""
+    shot = box_shot(turn)
+    return pack(FrameHeader.model_validate_json(json.dumps(header_of(shot, **changes))), *parts_of(shot))

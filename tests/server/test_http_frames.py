@@ -1,0 +1,275 @@
+"""Frames over a real socket: order, replays, the queue, what an engine's failure leaves, multipart."""
+
+import json
+import socket
+import threading
+
+import cv2
+import numpy as np
+import pytest
+
+from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, frame, header_of, parts_of
+from roomlight.errors import FrameError
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        yield running
+
+
+@pytest.fixture
+def held(monkeypatch):
+    """A server whose engine waits in every push."""
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.http.registry.Session", HeldSession)
+    with RunningServer(frames_in_flight=3) as running:
+        running.open()
+        yield running
+        HeldSession.release(100)
+
+
+def queued(server, index, **more):
+    """Send without waiting for the engine."""
+    answer = server.push(index, headers={"Prefer": "respond-async"}, **more)
+    assert (answer.status, answer.json["status"]) == (202, "queued")
+
+
+def test_a_frame_is_processed_and_reported(server):
+    server.open("one")
+    answer = server.push(0, name="one")
+    assert answer.status == 200
+    result = answer.json
+    assert (result["index"], result["status"], result["replay"], result["keyframe"]) == (0, "processed", False, True)
+    assert {"prepare", "volume", "sglv", "mesh"} <= result["stage_ms"].keys()
+
+
+def test_the_same_bytes_again_are_a_replay_and_others_a_conflict(server):
+    server.open("order")
+    first = server.push(5, name="order")
+    again = server.push(5, name="order")
+    assert again.json == first.json | {"replay": True}
+    other = server.push(5, frame(90), name="order")
+    older = server.push(4, name="order")
+    assert [(a.status, a.kind, a.json["field"]) for a in (other, older)] == [(409, "frame-conflict", "index")] * 2
+    counts = server.state("order")["frames"]
+    assert (counts["processed"], counts["replayed"], counts["refused"], counts["last_index"]) == (1, 1, 2, 5)
+
+
+def test_gaps_are_allowed_and_counted(server):
+    server.open("gaps")
+    for index in (3, 4, 9, 10, 20):
+        assert server.push(index, name="gaps").json["status"] == "processed"
+    counts = server.state("gaps")["frames"]
+    assert (counts["gaps"], counts["accepted"], counts["last_index"]) == (13, 5, 20)
+
+
+def test_lost_tracking_is_skipped_and_counted(server):
+    server.open("lost")
+    server.open("brave", SMALL | {"use_limited_tracking": True})
+    fates = {}
+    for name in ("lost", "brave"):
+        for index, state in enumerate(("normal", "limited", "not_available")):
+            fates[name, state] = server.push(index, frame(tracking_state=state), name=name).json["status"]
+    assert fates == {
+        ("lost", "normal"): "processed", ("lost", "limited"): "skipped", ("lost", "not_available"): "skipped",
+        ("brave", "normal"): "processed", ("brave", "limited"): "processed", ("brave", "not_available"): "skipped",
+    }  # fmt: skip
+    assert server.state("lost")["frames"]["skipped"] == 2
+
+
+def test_the_newest_frame_wins_and_the_others_are_told(held):
+    first = InThread(held.push, 0)
+    HeldSession.wait_entered()
+    second = InThread(held.push, 1, frame(1), headers={"X": "waits"})
+    wait_for_queue(held, last=1)
+    third = InThread(held.push, 2, frame(2))
+    assert second.result().json["status"] == "superseded"
+    assert held.state()["frames"]["queued"] == 2
+    HeldSession.release(2)
+    assert [first.result().json["status"], third.result().json["status"]] == ["processed", "processed"]
+    counts = held.state()["frames"]
+    assert (counts["processed"], counts["superseded"], counts["accepted"], counts["gaps"]) == (2, 1, 3, 0)
+
+
+def wait_for_queue(server, last):
+    """Until the frame was accepted: each request goes through the loop once."""
+    for _ in range(10_000):
+        if server.state()["frames"]["last_index"] == last:
+            return
+    raise AssertionError(f"frame {last} was not accepted")
+
+
+def test_a_session_with_its_hands_full_says_so(held):
+    waiting = [InThread(held.push, 0)]
+    HeldSession.wait_entered()
+    waiting.append(InThread(held.push, 1, frame(1)))
+    wait_for_queue(held, last=1)
+    waiting.append(InThread(held.push, 1, frame(1)))  # a retry takes a place too
+    for _ in range(10_000):
+        if held.state()["frames"]["replayed"]:
+            break
+    full = held.push(2)
+    assert (full.status, full.kind, full.headers["retry-after"]) == (429, "session-full", "1")
+    assert held.state()["frames"]["last_index"] == 1
+    HeldSession.release(2)
+    assert [call.result().json["status"] for call in waiting] == ["processed"] * 3
+    assert waiting[2].result().json["replay"]
+    HeldSession.release()
+    assert held.push(2).status == 200
+
+
+def test_who_does_not_wait_gets_an_answer_at_once(held):
+    queued(held, 0)
+    HeldSession.wait_entered()
+    queued(held, 1, body=frame(1))
+    queued(held, 2, body=frame(2))
+    assert held.state()["frames"]["superseded"] == 1
+    HeldSession.release(2)
+    replay = held.push(2, frame(2))
+    assert replay.json["status"] == "processed"
+    assert replay.json["replay"]
+
+
+def test_health_is_answered_while_a_frame_is_worked_on(held):
+    queued(held, 0)
+    HeldSession.wait_entered()
+    for path in ("/healthz", "/readyz", "/metrics", "/v1/sessions/room"):
+        assert held.call("GET", path, timeout=10).status == 200
+    HeldSession.release()
+
+
+@pytest.mark.parametrize("failure", [MemoryError("no room"), RuntimeError("ONNX Runtime: bad alloc")])
+def test_an_engine_failure_ends_its_session_alone(held, failure):
+    held.open("neighbour")
+    HeldSession.broken = {1: failure}
+    HeldSession.release(2)
+    assert held.push(0).status == 200
+    broken = held.push(1)
+    assert (broken.status, broken.kind) == (500, "engine-failed")
+    assert str(failure) not in broken.body.decode()
+    for answer in (held.push(2), held.call("GET", "/v1/sessions/room/probe?x=0&y=1&z=0")):
+        assert (answer.status, answer.kind) == (409, "session-failed")
+    state = held.state()
+    assert (state["status"], state["memory"]["bytes"]) == ("failed", 0)
+    HeldSession.broken = {}
+    HeldSession.release()
+    assert held.push(0, name="neighbour").status == 200
+    assert held.call("DELETE", "/v1/sessions/room").status == 204
+    assert held.open().status == 201
+
+
+def test_a_frame_that_the_engine_will_not_have_leaves_the_order_as_it_was(held):
+    HeldSession.broken = {3: FrameError("frame 3: too close to be a room")}
+    HeldSession.release(4)
+    assert held.push(0).status == 200
+    refused = held.push(3)
+    assert (refused.status, refused.kind) == (422, "bad-frame")
+    HeldSession.broken = {}
+    counts = held.state()["frames"]
+    assert (counts["last_index"], counts["gaps"], counts["refused"], counts["accepted"]) == (0, 0, 1, 1)
+    assert held.push(0).json["replay"]
+    assert held.push(3, frame(9)).json["status"] == "processed"
+
+
+def test_deleting_does_not_leave_anyone_waiting(held):
+    first = InThread(held.push, 0)
+    HeldSession.wait_entered()
+    second = InThread(held.push, 1, frame(1))
+    wait_for_queue(held, last=1)
+    assert held.call("DELETE", "/v1/sessions/room").status == 204
+    assert [(call.result().status, call.result().kind) for call in (first, second)] == [(410, "session-closed")] * 2
+    HeldSession.release()
+    held.open()
+    HeldSession.release()
+    assert held.push(0).status == 200
+
+
+def test_stopping_finishes_the_frame_in_work(held):
+    port = held.port
+    working = InThread(held.push, 0)
+    HeldSession.wait_entered()
+    stopping = InThread(held.stop)
+    HeldSession.release()
+    assert working.result().json["status"] == "processed"
+    stopping.result()
+    with pytest.raises(ConnectionRefusedError):
+        socket.create_connection(("127.0.0.1", port), timeout=5)
+
+
+def multipart(parts):
+    """What `curl -F header=... -F colour=@... -F depth=@...` sends."""
+    body = b""
+    for name, data in parts.items():
+        file = "" if name == "header" else f'; filename="{name}"\r\nContent-Type: application/octet-stream'
+        body += f'--edge\r\nContent-Disposition: form-data; name="{name}"{file}\r\n\r\n'.encode() + data + b"\r\n"
+    return body + b"--edge--\r\n", {"Content-Type": "multipart/form-data; boundary=edge"}
+
+
+def curl_parts(**changes):
+    header = header_of(box_shot(0))
+    for part in ("colour", "depth"):
+        del header[part]["bytes"]
+    colour, depth = parts_of(box_shot(0))
+    return {"header": json.dumps(header).encode(), "colour": colour, "depth": depth} | changes
+
+
+def test_multipart_is_the_same_frame(server):
+    server.open("curl")
+    body, headers = multipart(curl_parts())
+    assert server.push(0, body, name="curl", headers=headers).json["status"] == "processed"
+    assert server.push(0, frame(0), name="curl").json["replay"]
+
+
+def test_multipart_of_a_png_of_over_a_megabyte(server):
+    server.open("big")
+    shot = box_shot(0)
+    noise = np.random.default_rng(1).integers(0, 255, (720, 960, 3), np.uint8)
+    png = cv2.imencode(".png", noise)[1].tobytes()
+    assert len(png) > 2**20
+    header = header_of(shot, colour={"encoding": "png"})
+    header["intrinsics"] = {"fx": 900.0, "fy": 900.0, "cx": 480.0, "cy": 360.0, "width": 960, "height": 720}
+    body, headers = multipart(curl_parts(header=json.dumps(header).encode(), colour=png))
+    assert server.push(0, body, name="big", headers=headers).json["status"] == "processed"
+
+
+@pytest.mark.parametrize(
+    ("changes", "field"),
+    [
+        ({"header": b"{"}, "header"),
+        ({"header": b"[]"}, None),
+        ({"header": b"[" * 9000}, "header"),
+        ({"header": b'{"colour": 3}'}, "colour"),
+        ({"depth": b""}, "depth.bytes"),
+        ({"surprise": b"x"}, None),
+        ({"confidence": b"xxxx"}, "confidence.bytes"),
+    ],
+)
+def test_multipart_is_checked_like_a_frame(server, changes, field):
+    server.open("curl-checked")
+    body, headers = multipart(curl_parts(**changes))
+    answer = server.push(0, body, name="curl-checked", headers=headers)
+    assert (answer.status, answer.kind, answer.json.get("field")) == (422, "bad-frame", field)
+    assert server.state("curl-checked")["frames"]["accepted"] == 0
+
+
+def test_multipart_that_is_none_is_refused(server):
+    server.open("curl-broken")
+    for headers, body in (
+        ({"Content-Type": "multipart/form-data"}, b"x"),
+        ({"Content-Type": "multipart/form-data; boundary=edge"}, b"--other\r\n"),
+        multipart({f"part{n}": b"" for n in range(20)})[::-1],
+    ):
+        answer = server.push(0, body, name="curl-broken", headers=headers)
+        assert answer.status in (400, 422)
+        assert answer.kind in ("bad-request", "bad-frame")
+
+
+def test_sessions_do_not_wait_for_each_other_longer_than_a_frame(held):
+    held.open("other")
+    queued(held, 0)
+    HeldSession.wait_entered()
+    waiting = InThread(held.push, 0, name="other")
+    HeldSession.release(2)
+    assert waiting.result().status == 200
+    assert threading.active_count() < 50

@@ -1,0 +1,321 @@
+"""What a careless or hostile client sends over a real socket: refused with a reason, and nothing else happens."""
+
+import http.client
+import json
+import random
+import socket
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+
+from http_servers import RunningServer, box_shot, frame, header_of, parts_of
+from roomlight.wire.frame_message import column_major
+
+LIMIT = 2**18
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer(max_body_bytes=LIMIT, max_colour_pixels=10**6, body_timeout_s=0.3) as running:
+        running.open()
+        running.push(0)
+        probe_tag(running)
+        yield running
+
+
+def build(header, *parts):
+    text = json.dumps(header).encode()
+    return b"RLF1" + struct.pack("<I", len(text)) + text + b"".join(parts)
+
+
+def with_parts(colour=None, depth=None, confidence=None, **changes):
+    """A box room's frame with parts given as (description, bytes), lengths filled in."""
+    header = header_of(box_shot(0), **changes)
+    parts = []
+    for name, given, default in zip(("colour", "depth"), (colour, depth), parts_of(box_shot(0)), strict=True):
+        described, data = given if given is not None else ({}, default)
+        header[name] = header[name] | described | {"bytes": len(data)}
+        parts.append(data)
+    if confidence is not None:
+        header["confidence"] = {"width": 48, "height": 36, "bytes": len(confidence[1])} | confidence[0]
+        parts.append(confidence[1])
+    return build(header, *parts)
+
+
+def png_bomb(width, height):
+    """A valid PNG of a few hundred kilobytes that decodes to gigabytes of nothing."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    packer = zlib.compressobj(9)
+    rows = b"".join(packer.compress(bytes(3 * width + 1)) for _ in range(200)) + packer.flush()
+    ihdr = struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", ihdr) + chunk(b"IDAT", rows) + chunk(b"IEND", b"")
+
+
+def jpeg(width=48, height=36):
+    return cv2.imencode(".jpg", np.full((height, width, 3), 90, np.uint8))[1].tobytes()
+
+
+def depth_png(value=1500, dtype=np.uint16, shape=(36, 48)):
+    return cv2.imencode(".png", np.full(shape, value, dtype))[1].tobytes()
+
+
+def depth(value):
+    return {"format": "float32_m"}, np.full((36, 48), value, "<f4").tobytes()
+
+
+def pose(**rows):
+    matrix = box_shot(0).camera_to_world.copy()
+    for name, values in rows.items():
+        matrix[int(name[3:])] = values
+    return column_major(matrix)
+
+
+def streamed(data):
+    """zstd that does not say how much it holds."""
+    return {"encoding": "zstd"}, zstandard.ZstdCompressor(write_content_size=False).compress(data)
+
+
+PNG_MM = {"format": "uint16_mm", "encoding": "png"}
+SIZE = {"width": 48, "height": 36}
+BOMB = zstandard.ZstdCompressor(level=19).compress(bytes(2**29))
+LENS = {"fx": 30.0, "fy": 30.0, "cx": 24.0, "cy": 18.0, **SIZE}
+HUGE = LENS | {"fx": 9e3, "fy": 9e3, "width": 16384, "height": 12288}
+
+HOSTILE = {
+    "empty": (b"", 422, None),
+    "other magic": (b"POST" + frame()[4:], 422, "magic"),
+    "header longer than the message": (b"RLF1\xff\xff\xff\x7f" + frame()[8:], 422, "header length"),
+    "header of nested lists": (build([], b"")[:4] + struct.pack("<I", 16000) + b"[" * 16000, 422, None),
+    "cut off": (frame()[:-1], 422, None),
+    "something after it": (frame() + b"?", 422, None),
+    "NaN in the pose": (with_parts(camera_to_world=pose(row0=[1, 0, 0, np.nan])), 422, "camera_to_world.12"),
+    "infinite position": (with_parts(camera_to_world=pose(row1=[0, 1, 0, np.inf])), 422, "camera_to_world.13"),
+    "no rotation": (with_parts(camera_to_world=[0.0] * 15 + [1.0]), 422, "camera_to_world"),
+    "a mirror": (with_parts(camera_to_world=column_major(np.diag([-1.0, 1, 1, 1]))), 422, "camera_to_world"),
+    "a scale": (with_parts(camera_to_world=column_major(np.diag([3.0, 3, 3, 1]))), 422, "camera_to_world"),
+    "zero focal length": (with_parts(intrinsics=LENS | {"fx": 0.0}), 422, "intrinsics"),
+    "negative focal length": (with_parts(intrinsics=LENS | {"fy": -30.0}), 422, "intrinsics"),
+    "other aspect": (with_parts(intrinsics=LENS | {"width": 36, "height": 48}), 422, "depth"),
+    "an image of 201 megapixels": (with_parts(intrinsics=HUGE), 413, "intrinsics"),
+    "a PNG bomb": (with_parts(({"encoding": "png"}, png_bomb(30000, 22500))), 422, "colour"),
+    "a PNG bomb that states a small size": (
+        with_parts(({"encoding": "png"}, png_bomb(48, 36).replace(b"\0\0\0\x30", b"\0\1\0\0", 1))), 422, "colour",
+    ),
+    "a JPEG of another size": (with_parts(({"encoding": "jpeg"}, jpeg(1200, 900))), 422, "colour"),
+    "a cut JPEG": (with_parts(({"encoding": "jpeg"}, jpeg()[:-40])), 422, "colour"),
+    "a JPEG of noise": (with_parts(({"encoding": "jpeg"}, jpeg()[:200] + b"\xff\xd9")), 422, "colour"),
+    "an EXR as JPEG": (with_parts(({"encoding": "jpeg"}, b"\x76\x2f\x31\x01" + bytes(99))), 422, "colour"),
+    "no HEIC": (with_parts(({"encoding": "heic"}, b"\0\0\0\x18ftypheic" + bytes(99))), 422, "colour"),
+    "NaN in linear light": (
+        with_parts(({"encoding": "linear_f32"}, np.full(48 * 36 * 3, np.nan, "<f4").tobytes() + bytes(48 * 36))),
+        422, "colour",
+    ),
+    "negative light": (
+        with_parts(({"encoding": "linear_f32"}, np.full(48 * 36 * 3, -1, "<f4").tobytes() + bytes(48 * 36))),
+        422, "colour",
+    ),
+    "a zstd bomb": (with_parts(depth=({"encoding": "zstd"}, BOMB)), 422, "depth"),
+    "a zstd bomb that states no size": (with_parts(depth=streamed(bytes(2**27))), 422, "depth"),
+    "a zstd frame with a huge window": (
+        with_parts(depth=({"encoding": "zstd"}, b"\x28\xb5\x2f\xfd\x00\xff" + bytes(40))), 422, "depth",
+    ),
+    "zstd of too little": (with_parts(depth=streamed(bytes(9))), 422, "depth"),
+    "zstd that breaks off": (
+        with_parts(depth=({"encoding": "zstd"}, zstandard.ZstdCompressor().compress(parts_of(box_shot(0))[1])[:-9])),
+        422, "depth",
+    ),
+    "depth of nothing": (with_parts(depth=depth(0.0)), 422, "depth"),
+    "depth of NaN": (with_parts(depth=depth(np.nan)), 422, "depth"),
+    "depth in millimetres": (with_parts(depth=depth(1500.0)), 422, "depth"),
+    "depth of 8 bits": (with_parts(depth=(PNG_MM, depth_png(9, np.uint8))), 422, "depth"),
+    "depth in colour": (with_parts(depth=(PNG_MM, depth_png(9, np.uint16, (36, 48, 3)))), 422, "depth"),
+    "no confidence at all": (with_parts(confidence=({}, bytes(48 * 36))), 422, "confidence"),
+    "confidence of 16 bits": (with_parts(confidence=({"encoding": "png"}, depth_png(2))), 422, "confidence"),
+    "confidence of another size": (with_parts(confidence=({"width": 24, "height": 18}, bytes(432))), 422, "confidence"),
+    "another index in the header": (frame(index=77), 422, "index"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_hostile_frames_are_refused_and_change_nothing(server, name):
+    body, status, field = HOSTILE[name]
+    before, tag = server.state(), probe_tag(server)
+    answer = server.push(5, body)
+    assert (answer.status, answer.json.get("field")) == (status, field), answer.json
+    assert answer.kind in ("bad-frame", "too-large")
+    assert answer.json["detail"]
+    assert len(answer.body) < 2000
+    after = server.state()
+    assert after["frames"].pop("refused") == before["frames"].pop("refused") + 1
+    assert after == before
+    assert probe_tag(server) == tag
+
+
+def probe_tag(server):
+    return server.call("GET", "/v1/sessions/room/probe?x=0.2&y=1.2&z=-0.2&format=sh").headers["etag"]
+
+
+@pytest.mark.parametrize("index", ["-1", "x", "1.5", "9007199254740992", "1e3", "%00", "0x1"])
+def test_an_index_is_a_whole_number(server, index):
+    answer = server.call("PUT", f"/v1/sessions/room/frames/{index}", frame())
+    assert (answer.status, answer.json["field"]) == (422, "index")
+
+
+def test_a_body_over_the_limit_is_stopped_whether_it_says_so_or_not(server):
+    declared = server.push(6, bytes(LIMIT + 1))
+    assert (declared.status, declared.kind) == (413, "too-large")
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+    chunks = (bytes(2**16) for _ in range(40))
+    connection.request(
+        "PUT", "/v1/sessions/room/frames/6", chunks, encode_chunked=True, headers={"Transfer-Encoding": "chunked"}
+    )
+    streamed = connection.getresponse()
+    assert streamed.status == 413
+    assert json.loads(streamed.read())["type"].endswith("too-large")
+    connection.close()
+
+
+def half_a_frame(server):
+    body = frame()
+    raw = socket.create_connection(("127.0.0.1", server.port), timeout=60)
+    raw.sendall(
+        b"PUT /v1/sessions/room/frames/8 HTTP/1.1\r\nHost: 127.0.0.1\r\n"
+        + f"Content-Length: {len(body)}\r\n\r\n".encode()
+        + body[: len(body) // 2]
+    )
+    return raw
+
+
+def test_a_body_that_does_not_come_is_given_up(server):
+    with half_a_frame(server) as raw:
+        answer = http.client.HTTPResponse(raw)
+        answer.begin()
+        assert answer.status == 408
+        assert json.loads(answer.read())["type"] == "urn:roomlight:problem:body-timeout"
+
+
+def test_a_client_that_hangs_up_takes_no_place(server):
+    for _ in range(10):  # more than have room
+        half_a_frame(server).close()
+    assert server.push(0).json["replay"]
+    assert server.state()["frames"]["last_index"] == 0
+
+
+STRANGE = {
+    "two by two pixels": build(
+        header_of(box_shot(0))
+        | {
+            "colour": {"encoding": "rgb8", "bytes": 12},
+            "depth": {"format": "float32_m", "width": 2, "height": 2, "bytes": 16},
+            "intrinsics": {"fx": 2.0, "fy": 2.0, "cx": 1.0, "cy": 1.0, "width": 2, "height": 2},
+        },
+        bytes(12),
+        np.full(4, 1.5, "<f4").tobytes(),
+    ),
+    "a ribbon": build(
+        header_of(box_shot(0))
+        | {
+            "colour": {"encoding": "rgb8", "bytes": 3 * 640 * 5},
+            "depth": {"format": "float32_m", "width": 256, "height": 2, "bytes": 4 * 512},
+            "intrinsics": {"fx": 500.0, "fy": 5.0, "cx": 320.0, "cy": 2.5, "width": 640, "height": 5},
+        },
+        bytes(3 * 640 * 5),
+        np.full(512, 1.5, "<f4").tobytes(),
+    ),
+    "the longest lens": with_parts(intrinsics=LENS | {"fx": 4800.0, "fy": 3600.0}),
+    "the shortest lens": with_parts(intrinsics=LENS | {"fx": 0.48, "fy": 0.36}),
+    "far from the origin": with_parts(
+        camera_to_world=pose(row0=[1, 0, 0, 9999.0], row1=[0, 1, 0, 0], row2=[0, 0, 1, 0])
+    ),
+    "one pixel at the edge of numbers": with_parts(
+        depth=({}, np.r_[np.full(48 * 36 - 2, 1.5), 3e38, 1e-38].astype("<f4").tobytes())
+    ),
+    "light as bright as numbers go": with_parts(
+        ({"encoding": "linear_f32"}, np.full(48 * 36 * 3, 3e38, "<f4").tobytes() + bytes(48 * 36))
+    ),
+    "darkness": with_parts(({}, bytes(48 * 36 * 3))),
+    "the longest exposure": with_parts(exposure=1e6),
+    "the shortest exposure": with_parts(exposure=1e-6),
+    "one pixel of depth": with_parts(depth=({}, np.r_[1.5, np.zeros(48 * 36 - 1)].astype("<f4").tobytes())),
+}
+
+
+@pytest.mark.parametrize("first", [True, False])
+@pytest.mark.parametrize("name", STRANGE)
+def test_strange_frames_are_taken_or_refused_and_never_break_a_session(server, name, first):
+    session = f"{name.replace(' ', '-')}-{first}"
+    server.open(session)
+    if not first:
+        assert server.push(0, name=session).status == 200
+    answer = server.push(1, STRANGE[name], name=session)
+    assert answer.status in (200, 422), answer.json
+    assert server.push(2, frame(10), name=session).status == 200
+    light = server.call("GET", f"/v1/sessions/{session}/probe?x=0.2&y=1.2&z=-0.2&format=main_light")
+    assert light.status == 200
+    assert np.isfinite(light.json["intensity"]).all()
+    assert server.call("DELETE", f"/v1/sessions/{session}").status == 204
+
+
+def seeds():
+    compress = zstandard.ZstdCompressor().compress
+    yield frame()
+    yield with_parts(({"encoding": "jpeg"}, jpeg()), (PNG_MM, depth_png()))
+    yield with_parts(
+        ({"encoding": "png"}, cv2.imencode(".png", np.full((36, 48, 3), 90, np.uint8))[1].tobytes()),
+        ({"encoding": "zstd"}, compress(parts_of(box_shot(0))[1])),
+        ({"encoding": "zstd"}, compress(bytes([2]) * (48 * 36))),
+    )
+
+
+def mutated(body, rng):
+    """The message with a few bytes changed, dropped or doubled, or a number of its header made another."""
+    body = bytearray(body)
+    length = struct.unpack_from("<I", body, 4)[0]
+    kind = rng.randrange(4)
+    if kind == 0:
+        for _ in range(rng.randint(1, 8)):
+            body[rng.randrange(len(body))] = rng.randrange(256)
+    elif kind == 1:
+        at = rng.randrange(len(body))
+        del body[at : at + rng.randint(1, 64)]
+    elif kind == 2:
+        at = rng.randrange(len(body))
+        body[at:at] = body[at : at + rng.randint(1, 64)]
+    else:
+        header = json.loads(body[8 : 8 + length])
+        place, name = header, rng.choice(list(header))
+        if isinstance(header[name], dict):
+            place, name = header[name], rng.choice(list(header[name]))
+        elif isinstance(header[name], list):
+            place, name = header[name], rng.randrange(16)
+        odd = [0, -1, 1, 2, 1e-9, 1e9, 1e300, -0.0, float("nan"), float("inf"), None, "", "raw", [], {}, True, 2**64]
+        place[name] = rng.choice(odd)
+        return build(header, bytes(body[8 + length :]))
+    return bytes(body)
+
+
+def test_mutated_frames_break_nothing(server):
+    server.open("fuzzed", {"mode": "classical", "height": 16})
+    rng, bodies = random.Random(7), list(seeds())
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+    index, counts = 0, {}
+    for number in range(2000):
+        connection.request("PUT", f"/v1/sessions/fuzzed/frames/{index}", mutated(bodies[number % 3], rng))
+        answer = connection.getresponse()
+        content = json.loads(answer.read())
+        counts[answer.status] = counts.get(answer.status, 0) + 1
+        assert answer.status in (200, 413, 422), content
+        index += answer.status == 200
+    connection.close()
+    frames = server.state("fuzzed")["frames"]
+    assert (frames["accepted"], frames["refused"]) == (counts[200], counts[422] + counts.get(413, 0))
+    assert counts[422] > 1000
+    assert server.state("fuzzed")["status"] == "open"
+    assert server.push(index, name="fuzzed").json["status"] == "processed"

@@ -1,0 +1,230 @@
+"""Light over a real socket: forms, ETags, named probes, batches."""
+
+import base64
+import io
+import json
+
+import cv2
+import numpy as np
+import pytest
+
+from http_servers import SMALL, RunningServer, frame
+from roomlight.images import decode_colour
+from roomlight.light.cube import CubeMap
+from roomlight.light.main_light import main_light
+from roomlight.light.spherical_harmonics import project
+from roomlight.wire.light_message import MEDIA_TYPE, parse_light
+from roomlight.wire.messages import LightResponse
+
+POINT = {"position": [0.2, 1.2, -0.2]}
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer(max_probes=3) as running:
+        running.open()
+        assert running.push(0).status == 200
+        yield running
+
+
+def get(server, query="", *, path="/probe?x=0.2&y=1.2&z=-0.2", name="room", **more):
+    return server.call("GET", f"/v1/sessions/{name}{path}{query}", **more)
+
+
+def post(server, body, *, name="room", **more):
+    return server.call("POST", f"/v1/sessions/{name}/probes", body, **more)
+
+
+def panorama(server):
+    answer = get(server, "&format=npy")
+    assert answer.headers["content-type"] == "application/x-npy"
+    return np.load(io.BytesIO(answer.body))
+
+
+def test_npy_is_what_the_engine_holds_and_exr_its_half(server):
+    exact = panorama(server)
+    assert (exact.shape, exact.dtype) == ((16, 32, 3), np.float32)
+    half, _ = decode_colour(get(server).body, "exr")
+    np.testing.assert_array_equal(half, exact.astype(np.float16).astype(np.float32))
+    rough, _ = decode_colour(get(server, "&format=hdr").body, "hdr")
+    np.testing.assert_allclose(rough, exact, atol=exact.max() / 128)
+
+
+def test_every_form_comes_in_its_media_type(server):
+    exact = panorama(server)
+    for kind, media_type, magic in (
+        ("exr", "image/x-exr", b"\x76\x2f\x31\x01"),
+        ("hdr", "image/vnd.radiance", b"#?"),
+        ("png", "image/png", b"\x89PNG"),
+        ("ktx2", "image/ktx2", b"\xabKTX 20"),
+        ("specular", "image/ktx2", b"\xabKTX 20"),
+        ("confidence", "image/png", b"\x89PNG"),
+    ):
+        answer = get(server, f"&format={kind}&size=16")
+        assert (answer.status, answer.headers["content-type"]) == (200, media_type)
+        assert answer.body.startswith(magic)
+        assert 0 < float(answer.headers["roomlight-coverage"]) < 1
+        assert answer.headers["roomlight-frame"] == "0"
+    cube = np.frombuffer(get(server, "&format=cube&size=16").body, "<f2").reshape(6, 16, 16, 4)
+    np.testing.assert_array_equal(cube[..., :3], CubeMap.from_panorama(exact, size=16).rgba16f()[..., :3])
+    assert 0 <= cube[..., 3].min() < cube[..., 3].max() <= 1
+    small = cv2.imdecode(np.frombuffer(get(server, "&format=png&size=8").body, np.uint8), cv2.IMREAD_COLOR)
+    assert small.shape == (8, 16, 3)
+
+
+def test_numbers_are_those_of_the_panorama(server):
+    exact = panorama(server)
+    values = get(server, "&format=sh").json
+    assert values["coefficients"] == project(exact).flat("interleaved").tolist()
+    assert (values["layout"], values["phase"], values["kind"]) == ("interleaved", "condon-shortley", "total")
+    planar = get(server, "&format=sh&basis=arkit&kind=ambient").json
+    assert planar["coefficients"] == project(exact, kind="ambient").flat("planar").tolist()
+    positive = get(server, "&format=sh&basis=threejs").json
+    assert positive["coefficients"] == project(exact, phase="positive").flat("interleaved").tolist()
+    light = get(server, "&format=main_light").json
+    assert light["direction"] == main_light(exact).direction.tolist()
+    assert light["coverage"] == pytest.approx(float(get(server).headers["roomlight-coverage"]), abs=1e-4)
+
+
+def test_an_etag_changes_when_the_light_does_and_only_then(server):
+    server.open("tagged")
+    server.push(0, name="tagged")
+    first = get(server, "&format=sh", name="tagged")
+    tag = first.headers["etag"]
+    known = {"If-None-Match": f'"other", W/{tag}'}
+    same = get(server, "&format=sh", name="tagged", headers=known)
+    assert (same.status, same.body, same.headers["etag"]) == (304, b"", tag)
+    assert get(server, "&format=exr", name="tagged", headers=known).status == 200
+    assert get(server, "&format=sh&kind=ambient", name="tagged", headers=known).status == 200
+    server.push(1, frame(tracking_state="not_available"), name="tagged")
+    assert get(server, "&format=sh", name="tagged", headers=known).status == 304
+    server.push(2, frame(40), name="tagged")
+    changed = get(server, "&format=sh", name="tagged", headers=known)
+    assert changed.status == 200
+    assert changed.headers["etag"] != tag
+
+
+def test_a_frame_that_changes_nothing_at_a_point_keeps_its_etag(server):
+    """The same light again is the same tag, though a frame was processed: a late look at keyframes that stayed."""
+    server.open("still")
+    server.push(0, name="still")
+    tags = set()
+    for index in range(1, 4):
+        server.push(index, frame(0), name="still")
+        tags.add(
+            (get(server, "&format=npy", name="still").headers["etag"], get(server, "&format=npy", name="still").body)
+        )
+    assert len({tag for tag, _ in tags}) == len({body for _, body in tags})
+
+
+def test_named_probes_are_followed(server):
+    server.open("named")
+    path = "/v1/sessions/named/probes"
+    assert server.call("PUT", f"{path}/table", POINT).status == 201
+    early = get(server, path="/probes/table", name="named")
+    assert (early.status, early.kind, early.headers["retry-after"]) == (409, "no-light-yet", "1")
+    first = server.push(0, name="named").json
+    assert 0 < first["coverage"]["table"] < 1
+    server.push(1, frame(30), name="named")
+    assert get(server, "?format=npy", path="/probes/table", name="named").status == 200
+    assert server.call("PUT", f"{path}/table", POINT).status == 200  # nothing changes
+    assert server.call("PUT", f"{path}/table", {"position": [0.0, 1.0, 0.0]}).status == 200  # it moves, caught up
+    assert server.call("PUT", f"{path}/late", POINT).status == 201
+    state = server.state("named")
+    assert state["probes"] == {"table": [0.0, 1.0, 0.0], "late": POINT["position"]}
+    assert all(0 < value < 1 for value in state["coverage"].values())
+    assert server.push(2, frame(60), name="named").json["coverage"].keys() == {"table", "late"}
+    assert server.call("PUT", f"{path}/third", POINT).status == 201
+    full = server.call("PUT", f"{path}/fourth", POINT)
+    assert (full.status, full.kind) == (409, "too-many-probes")
+    assert server.call("DELETE", f"{path}/table").status == 204
+    gone = server.call("DELETE", f"{path}/table")
+    assert (gone.status, gone.kind) == (404, "probe-not-found")
+    assert get(server, path="/probes/table", name="named").status == 404
+    assert server.call("PUT", f"{path}/fourth", POINT).status == 201
+
+
+def test_a_followed_probe_is_the_engines_own(server):
+    """What a session tracks from the first frame, not a late look at its keyframes."""
+    server.open("own")
+    server.call("PUT", "/v1/sessions/own/probes/table", POINT)
+    for index in range(3):
+        server.push(index, frame(20 * index), name="own")
+    followed = get(server, "?format=npy", path="/probes/table", name="own").body
+    batch = post(server, {"probes": [{"name": "table"}], "forms": [{"format": "npy"}]}, name="own").json
+    assert base64.b64decode(batch["results"][0]["forms"][0]["data"]) == followed
+
+
+def test_a_batch_answers_in_order_and_at_one_moment(server):
+    body = {
+        "probes": [POINT, {"position": [0, 1, 0]}],
+        "forms": [{"format": "sh"}, {"format": "exr"}, {"format": "cube"}],
+    }
+    answer = post(server, body)
+    assert answer.status == 200
+    assert answer.json["frame"] == 0
+    assert [result["position"] for result in answer.json["results"]] == [POINT["position"], [0, 1, 0]]
+    first = answer.json["results"][0]
+    assert [form["format"] for form in first["forms"]] == ["sh", "exr", "cube"]
+    assert base64.b64decode(first["forms"][1]["data"]) == get(server).body
+    assert get(server).headers["etag"].strip('"').startswith(first["etag"])
+    binary = post(server, body, headers={"Accept": MEDIA_TYPE})
+    assert binary.headers["content-type"] == MEDIA_TYPE
+    response, parts = parse_light(binary.body, LightResponse)
+    assert parts[0][0] is None
+    assert response.results[0].forms[0].values == first["forms"][0]["values"]
+    assert parts[0][1] == get(server).body
+    assert len(parts[1][2]) == 6 * 32 * 32 * 8
+
+
+@pytest.mark.parametrize(
+    ("body", "field"),
+    [
+        ({"probes": [], "forms": [{"format": "sh"}]}, "probes"),
+        ({"probes": [POINT] * 65, "forms": [{"format": "sh"}]}, "probes"),
+        ({"probes": [POINT], "forms": []}, "forms"),
+        ({"probes": [{}], "forms": [{"format": "sh"}]}, "probes.0"),
+        ({"probes": [POINT | {"name": "a"}], "forms": [{"format": "sh"}]}, "probes.0"),
+        ({"probes": [{"position": [0, 1]}], "forms": [{"format": "sh"}]}, "probes.0.position"),
+        ({"probes": [{"position": [0, 1, 2000]}], "forms": [{"format": "sh"}]}, "probes.0.position.2"),
+        ({"probes": [{"name": "../x"}], "forms": [{"format": "sh"}]}, "probes.0.name"),
+        ({"probes": [{"name": "nobody"}], "forms": [{"format": "sh"}]}, "name"),
+        ({"probes": [POINT], "forms": [{"format": "gif"}]}, "forms.0.format"),
+        ({"probes": [POINT], "forms": [{"format": "cube", "size": 33}]}, "forms.0"),
+        ({"probes": [POINT], "forms": [{"format": "exr", "size": 4096}]}, "forms.0.size"),
+        ({"probes": [POINT] * 64, "forms": [{"format": "specular", "size": 256}] * 8}, "forms"),
+        ({"probes": [POINT], "forms": [{"format": "png", "exposure_ev": 99}]}, "forms.0.exposure_ev"),
+    ],
+)
+def test_a_batch_is_checked_by_name(server, body, field):
+    answer = post(server, body)
+    assert answer.status in (404, 422)
+    assert answer.json["field"] == field, answer.json
+
+
+@pytest.mark.parametrize(
+    ("query", "field"),
+    [
+        ("x=nan&y=0&z=0", "x"), ("x=inf&y=0&z=0", "x"), ("x=0&y=0", "z"), ("x=0&y=0&z=1e9", "z"), ("x=a&y=0&z=0", "x"),
+        ("x=0&y=0&z=0&format=bmp", "format"), ("x=0&y=0&z=0&size=7", "size"), ("x=0&y=0&z=0&kind=some", "kind"),
+        ("x=0&y=0&z=0&format=cube&size=100", ""),
+    ],
+)  # fmt: skip
+def test_a_query_is_checked_by_name(server, query, field):
+    answer = get(server, path=f"/probe?{query}")
+    assert (answer.status, answer.kind, answer.json.get("field", "")) == (422, "invalid", field)
+
+
+def test_before_the_first_frame_there_is_no_light(server):
+    server.open("dark", SMALL)
+    for answer in (
+        get(server, name="dark"),
+        post(server, {"probes": [POINT], "forms": [{"format": "sh"}]}, name="dark"),
+    ):
+        assert (answer.status, answer.kind) == (409, "no-light-yet")
+
+
+def test_problems_are_json_to_the_letter(server):
+    problem = json.loads(get(server, path="/probe?x=0&y=0&z=9999").body)
+    assert problem["type"].startswith("urn:roomlight:problem:")
+    assert {"type", "title", "status", "detail", "field", "value", "rule"} == problem.keys()

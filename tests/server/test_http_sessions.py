@@ -1,0 +1,193 @@
+"""Sessions over a real socket: opened, found, owned, expired, counted."""
+
+import pytest
+
+from http_servers import SMALL, RunningServer, frame
+
+TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
+
+
+class Clock:
+    """Goes forward when it is told to."""
+
+    now_s = 1000.0
+
+    def __call__(self):
+        return self.now_s
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        yield running
+
+
+def test_opening_is_idempotent_and_options_stay(server):
+    first = server.open("twice")
+    again = server.open("twice")
+    assert (first.status, again.status) == (201, 200)
+    assert first.json == again.json
+    other = server.call("PUT", "/v1/sessions/twice", SMALL | {"height": 32})
+    assert (other.status, other.kind) == (409, "session-conflict")
+    assert server.call("PUT", "/v1/sessions/default").json["options"]["mode"] == "auto"
+
+
+def test_state_tells_memory_and_its_bound(server):
+    server.open("sized")
+    empty = server.state("sized")
+    assert empty["memory"]["bytes"] == 0
+    assert empty["volume"] is None
+    server.push(0, name="sized")
+    state = server.state("sized")
+    assert 10**6 < state["memory"]["bytes"] < state["memory"]["bound_bytes"] == empty["memory"]["bound_bytes"]
+    assert state["volume"]["shape"] == [64, 60, 84]
+    assert state["frames"] == {
+        "accepted": 1, "processed": 1, "superseded": 0, "skipped": 0, "queued": 0, "gaps": 0, "replayed": 0,
+        "refused": 0, "last_index": 0,
+    }  # fmt: skip
+
+
+def test_deleting_ends_a_session(server):
+    server.open("brief")
+    assert server.call("DELETE", "/v1/sessions/brief").status == 204
+    for method, path in (("GET", ""), ("DELETE", ""), ("PUT", "/frames/0"), ("GET", "/probe?x=0&y=0&z=0")):
+        answer = server.call(method, f"/v1/sessions/brief{path}", frame() if method == "PUT" else None)
+        assert (answer.status, answer.kind) == (404, "session-not-found")
+
+
+@pytest.mark.parametrize("name", ["a.b", "%2e%2e", "a%20b", "a%0a", "%C3%A9", "x" * 65, "a%00", "*"])
+def test_ids_are_plain(server, name):
+    answer = server.call("PUT", f"/v1/sessions/{name}", SMALL)
+    assert (answer.status, answer.json["field"]) == (422, "session_id")
+
+
+@pytest.mark.parametrize(
+    "path", ["/v1/sessions/..%2f..%2fetc", "/v1/sessions/a%2f", "/v1/sessions/", "/../x", "/nothing"]
+)
+def test_paths_that_are_none_are_not_found(server, path):
+    answer = server.call("PUT", path, SMALL)
+    assert answer.status == 404
+    assert answer.kind == "not-found"
+
+
+@pytest.mark.parametrize(
+    ("options", "field"),
+    [
+        ({"mode": "magic"}, "mode"),
+        ({"mode": "video"}, "mode"),
+        ({"height": 8}, "height"),
+        ({"height": 120.5}, "height"),
+        ({"height": "120"}, "height"),
+        ({"reference_exposure": 0}, "reference_exposure"),
+        ({"hieght": 120}, "hieght"),
+    ],
+)
+def test_options_are_checked_by_name(server, options, field):
+    answer = server.call("PUT", "/v1/sessions/picky", options)
+    assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", field)
+    assert answer.json["rule"]
+    assert server.call("GET", "/v1/sessions/picky").status == 404
+
+
+def test_a_body_that_is_no_json_is_refused(server):
+    for body in (b"{", b"\xff", b"[" * 5000, b'{"height": ' + b"9" * 5000 + b"}", b'{"reference_exposure": NaN}'):
+        answer = server.call("PUT", "/v1/sessions/json", body, headers={"Content-Type": "application/json"})
+        assert answer.status in (400, 422)
+        assert answer.kind in ("bad-request", "invalid")
+    long = server.call("PUT", "/v1/sessions/json", b" " * 70_000, headers={"Content-Type": "application/json"})
+    assert (long.status, long.kind) == (413, "too-large")
+
+
+def test_sessions_belong_to_the_token_that_made_them():
+    with RunningServer(tokens=TOKENS) as server:
+        mine, yours = ({"token": token} for token in TOKENS)
+        for wrong in (
+            {},
+            {"token": "third-token-of-this-test"},
+            {"token": ""},
+            {"headers": {"Authorization": "Basic x"}},
+        ):
+            answer = server.call("PUT", "/v1/sessions/room", SMALL, **wrong)
+            assert (answer.status, answer.kind) == (401, "unauthorized")
+            assert answer.headers["www-authenticate"] == "Bearer"
+        assert server.open(**mine).status == 201
+        assert server.call("GET", "/v1/sessions/room", **yours).status == 404
+        assert server.open(**yours).status == 201  # another of the same name
+        server.push(0, **mine)
+        assert server.state(**mine)["frames"]["processed"] == 1
+        assert server.state(**yours)["frames"]["processed"] == 0
+        assert server.call("DELETE", "/v1/sessions/room", **yours).status == 204
+        assert server.call("GET", "/v1/sessions/room", **mine).status == 200
+        for path in ("/healthz", "/readyz", "/metrics", "/openapi.json"):
+            assert server.call("GET", path).status in (200, 503)
+
+
+def test_idle_sessions_expire_and_used_ones_do_not():
+    clock = Clock()
+    with RunningServer(clock=clock, idle_expiry_s=100.0) as server:
+        server.open("used")
+        server.open("idle")
+        clock.now_s += 60
+        assert server.state("used")["status"] == "open"
+        clock.now_s += 60
+        assert server.call("GET", "/v1/sessions/used").status == 200
+        assert server.call("GET", "/v1/sessions/idle").status == 404
+        text = server.call("GET", "/metrics").body.decode()
+        assert 'roomlight_sessions_ended_total{reason="expired"} 1.0' in text
+        assert "\nroomlight_sessions 1.0" in text
+
+
+def test_a_full_server_says_when_to_come_back():
+    clock = Clock()
+    with RunningServer(clock=clock, max_sessions=2, idle_expiry_s=30.0) as server:
+        server.open("one")
+        server.open("two")
+        full = server.call("PUT", "/v1/sessions/three", SMALL)
+        assert (full.status, full.kind) == (503, "server-full")
+        assert full.headers["retry-after"] == "30"
+        assert server.open("one").status == 200
+        server.call("DELETE", "/v1/sessions/two")
+        assert server.open("three").status == 201
+        clock.now_s += 31
+        assert server.open("four").status == 201
+
+
+def test_a_session_that_could_grow_too_large_is_refused():
+    with RunningServer(max_session_bytes=190 * 2**20) as server:
+        assert server.open("low").status == 201
+        answer = server.call("PUT", "/v1/sessions/high", SMALL | {"height": 512})
+        assert (answer.status, answer.json["field"]) == (422, "height")
+
+
+def test_pages_of_other_origins_are_refused_unless_allowed(server):
+    for headers in ({"Origin": "https://evil.example"}, {"Host": "evil.example"}):
+        answer = server.call("PUT", "/v1/sessions/page", SMALL, headers=headers)
+        assert (answer.status, answer.kind) == (403, "forbidden-origin")
+    local = {"Origin": f"http://127.0.0.1:{server.port}"}
+    assert server.call("PUT", "/v1/sessions/page", SMALL, headers=local).status == 201
+    with RunningServer(allow_origins=("https://app.example",)) as open_server:
+        headers = {"Origin": "https://app.example"}
+        answer = open_server.call("PUT", "/v1/sessions/page", SMALL, headers=headers)
+        assert answer.status == 201
+        assert answer.headers["access-control-allow-origin"] == "https://app.example"
+        asked = {"Access-Control-Request-Method": "PUT", "Access-Control-Request-Headers": "authorization"}
+        assert open_server.call("OPTIONS", "/v1/sessions/page", headers=headers | asked).status == 200
+
+
+def test_a_method_that_is_none_is_told_what_there_is(server):
+    answer = server.call("PATCH", "/v1/sessions/room")
+    assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "DELETE, GET, PUT")
+
+
+def test_the_document_describes_every_route(server):
+    document = server.call("GET", "/openapi.json").json
+    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}")
+    ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
+    assert set(document["paths"]) == ours | {"/healthz", "/readyz", "/metrics"}
+    for operations in document["paths"].values():
+        for operation in operations.values():
+            for status, response in operation["responses"].items():
+                if status.startswith(("4", "5")) and status != "503":
+                    assert "application/problem+json" in response["content"], (operation["operationId"], status)
+    assert {"FrameHeader", "Problem", "LightingUpdate", "Subscribe"} <= document["components"]["schemas"].keys()
+    assert server.call("GET", "/docs").status == 200

@@ -1,0 +1,187 @@
+"""The WebSocket over a real socket: frames in, fates and light out, refusals that do not end it."""
+
+import json
+from contextlib import contextmanager
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect
+
+from http_servers import HeldSession, RunningServer, frame
+from roomlight.wire.light_message import parse_light
+from roomlight.wire.messages import LightAnswer, LightingUpdate
+
+POINT = [0.2, 1.2, -0.2]
+TOKEN = "token-of-the-stream-test"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        yield running
+
+
+class Stream:
+    """A connection: messages as dicts, whatever order kinds come in."""
+
+    def __init__(self, socket):
+        self.socket = socket
+
+    def send(self, message):
+        self.socket.send(json.dumps(message) if isinstance(message, dict) else message)
+
+    def receive(self):
+        return self.socket.recv(timeout=60)
+
+    def next(self, kind):
+        """The next message of a kind; the others may stand between."""
+        for _ in range(20):
+            message = self.receive()
+            if isinstance(message, str) and json.loads(message)["type"] == kind:
+                return json.loads(message)
+        raise AssertionError(f"no {kind} came")
+
+    def refused(self, message):
+        self.send(message)
+        return self.next("problem")["problem"]
+
+
+@contextmanager
+def streaming(server, name="room", **more):
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/{name}/stream", max_size=2**24, **more) as socket:
+        yield Stream(socket)
+
+
+def test_frames_go_in_and_light_comes_out(server):
+    server.open("flow")
+    with streaming(server, "flow") as stream:
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        assert stream.next("probes")["probes"] == {"table": POINT}
+        stream.send({"type": "subscribe", "forms": [{"format": "sh"}, {"format": "main_light"}]})
+        for index in range(3):
+            stream.send(frame(30 * index, index=index))
+            fate = stream.next("frame")
+            assert (fate["index"], fate["status"]) == (index, "processed")
+            update = stream.next("lighting")
+            assert update["frame"] == index
+            assert update["results"][0]["name"] == "table"
+        over_http = server.call("GET", "/v1/sessions/flow/probes/table?format=sh").json
+        assert update["results"][0]["forms"][0]["values"]["coefficients"] == over_http["coefficients"]
+        stream.send({"type": "untrack", "name": "table"})
+        assert stream.next("probes")["probes"] == {}
+    assert server.state("flow")["frames"]["processed"] == 3
+
+
+def test_binary_forms_come_as_light_messages(server):
+    server.open("binary")
+    server.push(0, name="binary")
+    with streaming(server, "binary") as stream:
+        stream.send({"type": "light", "request": "r1", "probes": [{"position": POINT}], "forms": [{"format": "exr"}]})
+        answer, parts = parse_light(stream.receive(), LightAnswer)
+        assert (answer.type, answer.request, answer.frame) == ("light", "r1", 0)
+        x, y, z = POINT
+        assert parts[0][0] == server.call("GET", f"/v1/sessions/binary/probe?x={x}&y={y}&z={z}").body
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        stream.next("probes")
+        stream.send({"type": "subscribe", "forms": [{"format": "cube", "size": 16}]})
+        update, parts = parse_light(stream.receive(), LightingUpdate)
+        assert update.results[0].name == "table"
+        assert len(parts[0][0]) == 6 * 16 * 16 * 8
+
+
+def test_refusals_do_not_end_the_connection(server):
+    server.open("patient")
+    with streaming(server, "patient") as stream:
+        assert stream.refused(frame(0))["field"] == "index"  # a frame here states its index
+        assert stream.refused(b"")["status"] == 422
+        assert stream.refused(b"garbage that is no frame")["field"] == "magic"
+        assert stream.refused("{")["status"] == 422
+        assert stream.refused("[]")["status"] == 422
+        assert stream.refused({"type": "dance"})["status"] == 422
+        assert stream.refused({"type": "track", "name": "a/b", "position": POINT})["field"] == "track.name"
+        assert stream.refused({"type": "untrack", "name": "nobody"})["status"] == 404
+        assert (
+            stream.refused({"type": "subscribe", "forms": [{"format": "specular", "size": 256}] * 8})["status"] == 422
+        )
+        assert stream.refused("x" * 70_000)["status"] == 413
+        light = {"type": "light", "request": "r7", "probes": [{"position": POINT}], "forms": [{"format": "sh"}]}
+        stream.send(light)
+        early = stream.next("problem")
+        assert (early["request"], early["problem"]["status"]) == ("r7", 409)
+        stream.send(frame(0, index=3))
+        assert stream.next("frame")["status"] == "processed"
+        stream.send(frame(1, index=2))
+        assert stream.next("problem")["problem"]["status"] == 409
+        stream.send(light)
+        assert stream.next("light")["results"][0]["coverage"] > 0
+
+
+def test_the_newest_frame_wins_here_too(monkeypatch):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.http.registry.Session", HeldSession)
+    with RunningServer(frames_in_flight=3) as server:
+        server.open()
+        with streaming(server) as stream:
+            stream.send(frame(0, index=0))
+            HeldSession.wait_entered()
+            for index in (1, 2, 3, 4):  # more than have room: the connection waits, no frame is refused
+                stream.send(frame(index, index=index))
+            assert stream.next("frame") | {"coverage": {}} == {
+                "type": "frame", "index": 1, "status": "superseded", "replay": False, "stage_ms": {}, "coverage": {},
+            }  # fmt: skip
+            HeldSession.release(10)
+            fates = {}
+            while not fates.keys() >= {0, 2, 3, 4}:
+                fate = stream.next("frame")
+                fates[fate["index"]] = fate["status"]
+            assert (fates[0], fates[4]) == ("processed", "processed")
+        counts = server.state()["frames"]
+        assert counts["accepted"] == counts["processed"] + counts["superseded"] == 5
+
+
+def test_a_connection_ends_with_its_session(server):
+    server.open("mortal")
+    with streaming(server, "mortal") as stream:
+        server.call("DELETE", "/v1/sessions/mortal")
+        assert stream.next("problem")["problem"]["status"] == 410
+        with pytest.raises(ConnectionClosed) as closed:
+            stream.receive()
+        assert closed.value.rcvd.code == 4410
+
+
+@pytest.mark.parametrize(("name", "status", "code"), [("nobody", 404, 4404), ("a.b", 422, 4422)])
+def test_no_session_no_stream(server, name, status, code):
+    with streaming(server, name) as stream:
+        assert stream.next("problem")["problem"]["status"] == status
+        with pytest.raises(ConnectionClosed) as closed:
+            stream.receive()
+        assert closed.value.rcvd.code == code
+
+
+def test_a_dropped_connection_leaves_its_session(server):
+    server.open("dropped")
+    with streaming(server, "dropped") as stream:
+        stream.send(frame(0, index=0))
+        stream.socket.socket.close()
+    assert server.state("dropped")["status"] == "open"
+    assert server.push(7, frame(7), name="dropped").json["status"] == "processed"
+
+
+def test_tokens_and_origins_hold_here_too(server):
+    server.open("guarded")
+    with pytest.raises(InvalidStatus, match="403"), streaming(server, "guarded", origin="https://evil.example"):
+        pass
+    with RunningServer(tokens=(TOKEN,)) as locked:
+        locked.open(token=TOKEN)
+        for more in (
+            {"additional_headers": {"Authorization": f"Bearer {TOKEN}"}},
+            {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]},
+        ):
+            with streaming(locked, **more) as stream:
+                stream.send(frame(0, index=0))
+                assert stream.next("frame")["status"] == "processed"
+        with (
+            pytest.raises(InvalidStatus, match="401"),
+            streaming(locked, subprotocols=["roomlight.v1", "bearer.wrong"]),
+        ):
+            pass
