@@ -1,0 +1,133 @@
+"""What every kernel uses: hashed random numbers, frames about a normal, keys of directions, the coat's tables."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+JIT = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
+
+_G1 = np.uint64(0x9E3779B97F4A7C15)
+_G2 = np.uint64(0xBF58476D1CE4E5B9)
+_G3 = np.uint64(0x94D049BB133111EB)
+PHI1 = 0.7548776662466927  # R2 sequence (Roberts): 1 / plastic number, and its square
+PHI2 = 0.5698402909980532
+
+
+@njit(**JIT)
+def mixed(value):
+    """A 64-bit hash (splitmix64's finaliser)."""
+    x = np.uint64(value) + _G1
+    x = (x ^ (x >> np.uint64(30))) * _G2
+    x = (x ^ (x >> np.uint64(27))) * _G3
+    return x ^ (x >> np.uint64(31))
+
+
+@njit(**JIT)
+def unit(value):
+    """Uniform in [0, 1) from a hash."""
+    return np.float64(value >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+
+
+@njit(**JIT)
+def fraction(value):
+    """Of a number that is not negative."""
+    return value - np.floor(value)
+
+
+@njit(**JIT)
+def tangents(x, y, z):
+    """Two unit vectors at right angles to a unit vector (Duff et al. 2017)."""
+    sign = 1.0 if z >= 0 else -1.0
+    a = -1.0 / (sign + z)
+    b = x * y * a
+    return 1 + sign * x * x * a, sign * b, -sign * x, b, sign + y * y * a, -y
+
+
+@njit(**JIT)
+def cosine_direction(nx, ny, nz, r1, r2):
+    """A direction about a normal in proportion to its cosine, which comes fourth."""
+    ax, ay, az, bx, by, bz = tangents(nx, ny, nz)
+    radius, angle = math.sqrt(r1), 2 * math.pi * r2
+    s, t, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(max(1 - r1, 1e-9))
+    return s * ax + t * bx + c * nx, s * ay + t * by + c * ny, s * az + t * bz + c * nz, c
+
+
+@njit(**JIT)
+def direction_bucket(x, y, z, half):
+    """An octahedral grid's node next to a direction; (2 half + 1)^2 of them, the axes among them.
+
+    Nodes, not cells: walls' normals lie on the axes and must not flicker between neighbours.
+    """
+    total = abs(x) + abs(y) + abs(z)
+    u, v = x / total, y / total
+    if z < 0:
+        u, v = (1 - abs(v)) * (1.0 if u >= 0 else -1.0), (1 - abs(u)) * (1.0 if v >= 0 else -1.0)
+    side = 2 * half + 1
+    return np.int64(np.floor(u * half + half + 0.5)) * side + np.int64(np.floor(v * half + half + 0.5))
+
+
+@njit(**JIT)
+def slot_of(keys, key):
+    """Where a key is, or the empty place (-1) where it would go, in a table of a power of two places."""
+    mask = np.int64(len(keys) - 1)
+    at = np.int64(mixed(np.uint64(key)) & np.uint64(mask))
+    while keys[at] != key and keys[at] != -1:
+        at = (at + 1) & mask
+    return at
+
+
+@njit(**JIT)
+def rehash(old_keys, old_values, keys, values):
+    """Move all entries to a larger table."""
+    for i in range(len(old_keys)):
+        if old_keys[i] != -1:
+            at = slot_of(keys, old_keys[i])
+            keys[at], values[at] = old_keys[i], old_values[i]
+
+
+@njit(**JIT)
+def in_table(table, alpha, cosine):
+    """Bilinear look-up of a coat table, whose rows reach alpha = 0.64 (`coat.ROUGHEST`)."""
+    row = min(alpha / 0.64, 0.999999) * (table.shape[0] - 1)
+    column = min(max(cosine, 0.0), 0.999999) * (table.shape[1] - 1)
+    i, j = np.int64(row), np.int64(column)
+    f, g = row - i, column - j
+    low = table[i, j] * (1 - g) + table[i, j + 1] * g
+    return low * (1 - f) + (table[i + 1, j] * (1 - g) + table[i + 1, j + 1] * g) * f
+
+
+@njit(**JIT)
+def in_row(row, alpha):
+    """Linear look-up of a value for each alpha."""
+    at = min(alpha / 0.64, 0.999999) * (len(row) - 1)
+    i = np.int64(at)
+    return row[i] * (1 - (at - i)) + row[i + 1] * (at - i)
+
+
+@njit(**JIT)
+def fresnel(cosine):
+    """Reflectance of a dielectric of index 1.5 seen from outside."""
+    sine_sq = (1 - cosine * cosine) / 2.25
+    inner = math.sqrt(max(1 - sine_sq, 0.0))
+    parallel = (1.5 * cosine - inner) / (1.5 * cosine + inner)
+    perpendicular = (cosine - 1.5 * inner) / (cosine + 1.5 * inner)
+    return (parallel * parallel + perpendicular * perpendicular) / 2
+
+
+@njit(**JIT)
+def sky_radiance(panorama, x, y, z):
+    """Bilinear look-up of an equirectangular panorama in the project's convention."""
+    height, width = panorama.shape[0], panorama.shape[1]
+    column = (0.5 + math.atan2(z, x) / (2 * math.pi)) * width - 0.5
+    row = math.acos(min(max(y, -1.0), 1.0)) / math.pi * height - 0.5
+    c0, r0 = np.int64(np.floor(column)), np.int64(np.floor(row))
+    f, g = column - c0, row - r0
+    c1, r1 = (c0 + 1) % width, min(max(r0 + 1, 0), height - 1)
+    c0, r0 = c0 % width, min(max(r0, 0), height - 1)
+    w00, w01, w10, w11 = (1 - g) * (1 - f), (1 - g) * f, g * (1 - f), g * f
+    return (
+        w00 * panorama[r0, c0, 0] + w01 * panorama[r0, c1, 0] + w10 * panorama[r1, c0, 0] + w11 * panorama[r1, c1, 0],
+        w00 * panorama[r0, c0, 1] + w01 * panorama[r0, c1, 1] + w10 * panorama[r1, c0, 1] + w11 * panorama[r1, c1, 1],
+        w00 * panorama[r0, c0, 2] + w01 * panorama[r0, c1, 2] + w10 * panorama[r1, c0, 2] + w11 * panorama[r1, c1, 2],
+    )
