@@ -34,6 +34,8 @@ float32's step at 5 m, and 1 % of the gaps that open between a bulb's facets."""
 _LEAST_AREA_M2: Final = 1e-11
 """Triangles below it have no normal worth the name."""
 
+_FARTHEST_UV: Final = 1e4
+
 _COVER_M: Final = 8e-3
 """Nearer covers may let aimed light through, from 9 m away at the most."""
 
@@ -266,6 +268,8 @@ def _write_ply(path: Path, item: Item, faces: Int[np.ndarray, "c 3"], *, offset:
         if offset < 0:
             faces = faces[:, ::-1]
     used, renumbered = np.unique(faces, return_inverse=True)
+    # A bitmap looked up at 1e9 gives weights outside of 0 to 1: light below zero and beyond all bounds.
+    uvs = np.where(np.abs(uvs) < _FARTHEST_UV, uvs, 0)
     points = np.concatenate([vertices[used], normals[used], uvs[used]], 1).astype("<f4")
     triangles = np.empty(len(faces), [("count", "u1"), ("corner", "<i4", 3)])
     triangles["count"], triangles["corner"] = 3, renumbered.reshape(-1, 3)

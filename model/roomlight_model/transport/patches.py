@@ -16,7 +16,7 @@ from roomlight_model.transport.emitters import OPENING, TRIANGLE
 from roomlight_model.transport.kernels import patches as kernels
 from roomlight_model.transport.sun_spots import NEAR_SPOT_M2
 from roomlight_model.transport.tables import Table, grown
-from roomlight_model.transport.tracer import Tracer
+from roomlight_model.transport.tracer import OFFSET_M, Tracer
 
 GATHER_RAYS: Final = 64
 MOST_BOUNCES: Final = 60
@@ -221,7 +221,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
         begin = np.where(kind == TRIANGLE, on_face, np.where(kind == OPENING, on_opening, first)).astype(np.float32)
     along = rng.standard_normal((SEED_RAYS, 3)).astype(np.float32)
     along /= np.linalg.norm(along, axis=1, keepdims=True)
-    return follow(tracer, light, begin + np.float32(2e-3) * along, along)
+    return follow(tracer, light, begin + np.float32(OFFSET_M) * along, along)
 
 
 def _gather(

@@ -13,7 +13,7 @@ from roomlight_model.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight_model.transport.kernels.glossy import pane_shares
 from roomlight_model.transport.kernels.patches import mirrored
 from roomlight_model.transport.kernels.surfaces import surface_points
-from roomlight_model.transport.tracer import Tracer
+from roomlight_model.transport.tracer import OFFSET_M, Tracer
 
 MIRRORS: Final = 3
 """Mirrors seen in mirrors; what is behind the last is black."""
@@ -134,7 +134,7 @@ def _through_panes(
             result = at.copy(), reflected, turned, part, gone[at]
         share[at] *= 1 - part
         begin = through
-        gone[at] += np.float32(5e-4)  # the kernel's start beyond the pane
+        gone[at] += np.float32(OFFSET_M)  # the kernel's start beyond the pane
     return result
 
 

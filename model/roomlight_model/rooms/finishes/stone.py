@@ -47,8 +47,8 @@ def concrete(rng: np.random.Generator) -> Texture:
 def plaster(rng: np.random.Generator, *, depth: float | None = None) -> Texture:
     """The faint relief of rolled paint or of a float, around white: to be tinted by the material's albedo."""
     shape = (256, 256)
-    depth = float(rng.uniform(0.006, 0.03)) if depth is None else depth
-    coarse = int(rng.choice([4, 8, 24]))
+    depth = float(rng.uniform(0.003, 0.016)) if depth is None else depth
+    coarse = int(rng.choice([4, 12, 24]))
     depth *= 0.5 if coarse == 4 else 1.0  # broad clouds show from afar
     field = fbm(rng, shape, (coarse, coarse), octaves=4, gain=0.7)
     shade = 0.975 + depth * field + 0.3 * depth * speckle(rng, shape, (0.7, 0.7))

@@ -25,7 +25,7 @@ from roomlight_model.transport.kernels.common import (
 from roomlight_model.transport.kernels.surfaces import texel, uv_of
 
 FAR = 1e4  # `tracer.FAR_M`
-SHORT = 1e-3  # shadow rays stop this far before the light's own surface
+SHORT = 1e-4  # shadow rays stop so far before a light: the skin of a lampshade may lie a millimetre before it
 NEAR_SQ = 1e-8  # a light's squared distance is held off zero: a millimetre's hundredth
 
 

@@ -7,7 +7,7 @@ from numba import njit
 
 from roomlight_model.transport.kernels.common import JIT
 
-OFFSET = 5e-4  # `tracer.OFFSET_M`
+OFFSET = 1e-4  # `tracer.OFFSET_M`
 
 
 @njit(**JIT)
