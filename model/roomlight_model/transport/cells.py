@@ -13,7 +13,8 @@ from jaxtyping import Float32, Int32
 
 from roomlight_model.transport.direct import DirectLight, Points
 from roomlight_model.transport.kernels import cells as kernels
-from roomlight_model.transport.kernels.patches import find, find_points, gather_rays
+from roomlight_model.transport.kernels.gather import gather_rays, gather_sum
+from roomlight_model.transport.kernels.patches import find, find_points
 from roomlight_model.transport.kernels.surfaces import surface_points
 from roomlight_model.transport.patches import RoomCache, follow
 from roomlight_model.transport.sun_spots import NEAR_SPOT_M2
@@ -21,6 +22,9 @@ from roomlight_model.transport.tables import Table, grown
 from roomlight_model.transport.tracer import Tracer
 
 GATHER_RAYS: Final = 320
+CONE_SHARE: Final = 0.3
+"""Of the gather rays, so many go into cones about the lights."""
+
 CANDIDATES: Final = 20
 PICKS: Final = 10
 SUN_PICKS: Final = 4
@@ -140,29 +144,34 @@ class Cells:
         count = len(points.position)
         irradiance, clear = np.empty((count, 3), np.float32), np.empty(count, np.float32)
         step = max(1, _RAYS_AT_ONCE // rays)
+        cones = int(rays * CONE_SHARE)
         for start in range(0, count, step):
             some = points.part(start, start + step)
             number = np.arange(first + start, first + start + len(some.position), dtype=np.int64)
             total = len(number) * rays
             origin, direction = np.empty((total, 3), np.float32), np.empty((total, 3), np.float32)
-            passed = np.empty(total, np.float32)
+            weight, passed = np.empty(total, np.float32), np.empty(total, np.float32)
             gather_rays(
-                np.ascontiguousarray(some.position[:, None]),
-                np.ascontiguousarray(some.normal[:, None]),
-                np.ascontiguousarray(some.wound[:, None]),
+                self.light.lights,
+                self.light.vis,
+                some.position,
+                some.normal,
+                some.wound,
                 some.alpha,
-                self.light.coat.through,
-                np.ones(len(number), np.int32),
+                some.row,
                 number,
-                rays,
+                self.light.coat.through,
+                rays - cones,
+                cones,
                 self._seed + 3,
                 origin,
                 direction,
+                weight,
                 passed,
             )
             face, distance, radiance = self._seen(origin, direction, (first + start) * rays)
             each = slice(start, start + len(number))
-            kernels.gather_sum(radiance, passed, face, distance, rays, irradiance[each], clear[each])
+            gather_sum(radiance, weight, passed, face, distance, rays, irradiance[each], clear[each])
         return irradiance, clear
 
     def _seen(

@@ -27,6 +27,7 @@ FINE_WITHIN_M: Final = ((1, 0.5), (2, 0.2), (3, 0.08))
 """Patches are halved so often so near to lights; twice at most near openings."""
 
 SEED_RAYS: Final = 32768
+FIRST_RAYS: Final = 16
 MOST_WAVES: Final = 8
 _RAYS_AT_ONCE: Final = 1 << 16
 
@@ -130,14 +131,14 @@ class _Found:
         self.fineness = fineness
         self.table = Table()
         self.count = 0
-        self.position, self.normal, self.wound = (np.empty((0, kernels.POINTS, 3), np.float32) for _ in range(3))
-        self.albedo = np.zeros((0, 3), np.float32)
-        self.used, self.material = np.zeros(0, np.int32), np.zeros(0, np.int32)
+        shape = 0, kernels.POINTS, 3
+        self.position, self.normal, self.wound, self.albedo = (np.empty(shape, np.float32) for _ in range(4))
+        self.used, self.visits, self.material = (np.zeros(0, np.int32) for _ in range(3))
 
     def visit(self, ends: Arrivals) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
         """Patch of each hit (-1 without one) and the cosine that its ray leaves it at."""
         count = len(ends.face)
-        for name in ("position", "normal", "wound", "albedo", "used", "material"):
+        for name in ("position", "normal", "wound", "albedo", "used", "visits", "material"):
             setattr(self, name, grown(getattr(self, name), self.count, self.count + count))
         self.table.reserve(self.count + count)
         patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
@@ -158,6 +159,7 @@ class _Found:
             self.wound,
             self.albedo,
             self.used,
+            self.visits,
             self.material,
             patch,
             cosine,
@@ -186,19 +188,26 @@ class RoomCache:
 
 def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
     """Find the patches, light them and let the light bounce; fills `light.vis` for each row of the cache."""
-    found = _Found(tracer, _fineness(tracer, light))
-    found.visit(_seed_rays(tracer, light, seed))
-    parts = [_gather(tracer, light, found, 0, 0, seed)]
+    fineness = _fineness(tracer, light)
+    lit = _Found(tracer, fineness)
+    lit.visit(_seed_rays(tracer, light, seed))
+    # What the lights see is no fair sample of a patch that is half in shadow: start from what that sees.
+    found = _Found(tracer, fineness)
+    step = _RAYS_AT_ONCE // FIRST_RAYS
+    for start in range(0, lit.count, step):
+        found.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
+    parts = [_linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed))]
     done = 0
+    step = _RAYS_AT_ONCE // GATHER_RAYS
     for _ in range(MOST_WAVES):
         stop = found.count
         if stop == done:
             break
-        for start in range(done, stop, _RAYS_AT_ONCE // GATHER_RAYS):
-            parts.append(_gather(tracer, light, found, start, min(start + _RAYS_AT_ONCE // GATHER_RAYS, stop), seed))
+        for start in range(done, stop, step):
+            rays = _gather(tracer, light, found, start, min(start + step, stop), GATHER_RAYS, seed)
+            parts.append(_linked(found, rays))
         done = stop
-    solved = found.count if done == found.count else done
-    return _bounced(tracer, light, found, solved, parts, seed)
+    return _bounced(tracer, light, found, done, parts, seed)
 
 
 def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
@@ -224,36 +233,47 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
     return follow(tracer, light, begin + np.float32(OFFSET_M) * along, along)
 
 
-def _gather(
-    tracer: Tracer, light: DirectLight, found: _Found, start: int, stop: int, seed: int
-) -> tuple[np.ndarray, ...]:
-    """Rays of some patches: target, cosine there, mirrors' factor, length, share passed here; and irradiance that comes
-    from no patch."""
-    each = slice(start, stop)
-    rays = (stop - start) * GATHER_RAYS
-    origin, direction = np.empty((rays, 3), np.float32), np.empty((rays, 3), np.float32)
-    passed = np.empty(rays, np.float32)
+class _Rays(NamedTuple):
+    """Gather rays' ends, what a coat lets through of each where it arrives, and how many each patch has."""
+
+    ends: Arrivals
+    passed: Float32[np.ndarray, " n"]
+    each: int
+
+
+def _gather(tracer: Tracer, light: DirectLight, found: _Found, start: int, stop: int, rays: int, seed: int) -> _Rays:
+    """Cosine-weighted rays of some patches."""
+    some = slice(start, stop)
+    count = (stop - start) * rays
+    origin, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    passed = np.empty(count, np.float32)
     kernels.gather_rays(
-        found.position[each],
-        found.normal[each],
-        found.wound[each],
-        tracer.materials.roughness[found.material[each]],
+        found.position[some],
+        found.normal[some],
+        found.wound[some],
+        tracer.materials.roughness[found.material[some]],
         light.coat.through,
-        found.used[each],
+        found.used[some],
         np.arange(start, stop, dtype=np.int64),
-        GATHER_RAYS,
+        rays,
         seed,
         origin,
         direction,
         passed,
     )
-    ends = follow(tracer, light, origin, direction)
+    return _Rays(follow(tracer, light, origin, direction), passed, rays)
+
+
+def _linked(found: _Found, rays: _Rays) -> tuple[np.ndarray, ...]:
+    """Target patch, cosine there, mirrors' factor, length, share passed here; and irradiance that comes from no
+    patch."""
+    ends = rays.ends
     target, cosine = found.visit(ends)
-    radiance = ends.radiance.reshape(-1, GATHER_RAYS, 3)
-    through = passed.reshape(-1, GATHER_RAYS, 1)
-    scale = np.float32(np.pi / GATHER_RAYS)
+    radiance = ends.radiance.reshape(-1, rays.each, 3)
+    through = rays.passed.reshape(-1, rays.each, 1)
+    scale = np.float32(np.pi / rays.each)
     beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
-    return target, cosine, ends.factor, ends.distance_m, passed, beside, beside_coated
+    return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
 
 
 def _direct(
@@ -293,7 +313,8 @@ def _bounced(
     materials, coat = tracer.materials, light.coat
     material = found.material[:count].copy()
     alpha = materials.roughness[material]
-    albedo = found.albedo[:count] / np.maximum(found.used[:count], 1)[:, None]
+    point = np.arange(kernels.POINTS) < found.used[:count, None]
+    albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
     direct, seen = _direct(tracer, light, found, count, seed)
     target, cosine, factor, distance, passed, beside, beside_coated = (
         np.concatenate(column) for column in zip(*parts, strict=True)

@@ -1,6 +1,5 @@
 """Growing arrays and open-addressed tables for the kernels."""
 
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +27,7 @@ class Table:
         self.keys, self.values = keys, values
 
 
-def grown(array: np.ndarray[Any, Any], used: int, needed: int) -> np.ndarray[Any, Any]:
+def grown(array: np.ndarray, used: int, needed: int) -> np.ndarray:
     """The array, or one at least as long as needed (and twice as long as before) with the used rows copied."""
     if needed <= len(array):
         return array

@@ -17,7 +17,7 @@ from roomlight_model.rooms.scene import Material, Scene, Texture
 from roomlight_model.transport.atlas import Atlas, build_atlas
 
 OFFSET_M: Final = 1e-4
-"""Rays start this far off a surface: a hundred times float32's step at 5 m; models have skins half a millimetre apart."""
+"""Rays start this far off a surface: 200 times float32's step at 5 m; lampshades have skins 1 mm apart."""
 
 FAR_M: Final = 1e4
 """Longer than any room: the reach of a ray toward the sky."""

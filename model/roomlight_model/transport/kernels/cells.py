@@ -218,21 +218,6 @@ def reflected_light(irradiance, coated, albedo, alpha, cosine, coat, out):
 
 
 @njit(**JIT)
-def gather_sum(radiance, passed, face, distance, rays, irradiance, clear):
-    """Irradiance of each record from its rays, and the harmonic mean of the distances to what it sees."""
-    for p in range(len(clear)):
-        red, green, blue, near = 0.0, 0.0, 0.0, 0.0
-        for k in range(p * rays, (p + 1) * rays):
-            t = passed[k]
-            red, green, blue = red + t * radiance[k, 0], green + t * radiance[k, 1], blue + t * radiance[k, 2]
-            if face[k] >= 0:
-                near += 1 / max(distance[k], 1e-3)
-        scale = math.pi / rays
-        irradiance[p, 0], irradiance[p, 1], irradiance[p, 2] = red * scale, green * scale, blue * scale
-        clear[p] = rays / max(near, 1e-6)
-
-
-@njit(**JIT)
 def diffuse_light(received, albedo, alpha, cosine, coat, with_lobe, out):
     """Radiance that surfaces send out, from what their cells received (let through by the coat where there is one).
 

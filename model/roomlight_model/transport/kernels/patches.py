@@ -66,12 +66,12 @@ def coarse_key(x, y, z, material):
 @njit(**JIT)
 def visit(
     geometry, materials, atlas, fine, face, u, v, directions, keys, values, known, position, normal, wound, albedo,
-    used, material, patch, cosine,
+    used, visits, material, patch, cosine,
 ):  # fmt: skip
     """Patch and cosine of the leaving ray for each hit (-1 without a face); new ones are appended after `known`.
 
-    Returns how many there are now. position, normal, wound: [patches, POINTS, 3]; used: points of each; albedo: sums
-    over them.
+    Returns how many there are now. position, normal, wound, albedo: [patches, POINTS, 3]; used: points of each, visits:
+    hits.
     """
     for i in range(len(face)):
         f = face[i]
@@ -94,22 +94,26 @@ def visit(
         if keys[at] == -1:
             keys[at], values[at] = key, known
             material[known] = m
-            used[known] = 0
+            used[known], visits[known] = 0, 0
             known += 1
         p = values[at]
         patch[i] = p
-        n = used[p]
+        # A reservoir: each hit is kept with the same chance, whether it came early or late.
+        n = visits[p]
+        visits[p] = n + 1
+        if n >= POINTS:
+            n = np.int64(unit(mixed(np.uint64(p) * np.uint64(1048583) + np.uint64(n))) * (n + 1))
         if n < POINTS:
+            used[p] = max(used[p], n + 1)
             position[p, n, 0], position[p, n, 1], position[p, n, 2] = x + OFFSET * gx, y + OFFSET * gy, z + OFFSET * gz
             normal[p, n, 0], normal[p, n, 1], normal[p, n, 2] = nx, ny, nz
             wound[p, n, 0], wound[p, n, 1], wound[p, n, 2] = gx, gy, gz
             r, g, b = 1.0, 1.0, 1.0
             if materials.texture[m] >= 0:
                 r, g, b = texture_at(geometry, atlas, materials.texture[m], f, s, t, -gx, -gy, -gz, gx, gy, gz, FOOT_M)
-            albedo[p, 0] += materials.albedo[m, 0] * r
-            albedo[p, 1] += materials.albedo[m, 1] * g
-            albedo[p, 2] += materials.albedo[m, 2] * b
-            used[p] = n + 1
+            albedo[p, n, 0] = materials.albedo[m, 0] * r
+            albedo[p, n, 1] = materials.albedo[m, 1] * g
+            albedo[p, n, 2] = materials.albedo[m, 2] * b
     return known
 
 
