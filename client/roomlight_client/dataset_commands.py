@@ -14,6 +14,7 @@ import typer
 from roomlight.errors import DatasetError, FurnitureError
 from roomlight_client import console
 from roomlight_client.console import run, say
+from roomlight_client.dataset_check import check
 from roomlight_model.rooms.model import Split
 
 if TYPE_CHECKING:
@@ -151,6 +152,9 @@ def extract(
 
     write(_open(folder, None), name, out)
     say(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
+
+
+app.command()(check)
 
 
 @app.command()

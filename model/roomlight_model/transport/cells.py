@@ -25,8 +25,8 @@ GATHER_RAYS: Final = 320
 CONE_SHARE: Final = 0.3
 """Of the gather rays, so many go into cones about the lights."""
 
-CANDIDATES: Final = 20
-PICKS: Final = 10
+CANDIDATES: Final = 32
+PICKS: Final = 12
 SUN_PICKS: Final = 4
 
 REACH_PIXELS: Final = (18.0, 8.0, 3.5)
@@ -40,8 +40,8 @@ FARTHEST_M: Final = 0.35
 CLEARANCE: Final = 0.35
 """A record reaches this share of its harmonic mean distance."""
 
-NEAR_M: Final = 0.15
-"""Nearer hits are lit afresh: a patch of the room's cache is 0.12 m wide and would light its own corner."""
+NEAR_M: Final = 0.1
+"""Nearer hits are lit afresh: a patch of the room's cache is 0.08 m wide and would light its own corner."""
 
 _RAYS_AT_ONCE: Final = 1 << 16
 _FOOT_RANGE: Final = (2e-4, 1.0)

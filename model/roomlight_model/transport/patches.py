@@ -18,7 +18,7 @@ from roomlight_model.transport.sun_spots import NEAR_SPOT_M2
 from roomlight_model.transport.tables import Table, grown
 from roomlight_model.transport.tracer import OFFSET_M, Tracer
 
-GATHER_RAYS: Final = 64
+GATHER_RAYS: Final = 32
 MOST_BOUNCES: Final = 60
 SETTLED: Final = 2e-3
 """Bounces stop when one adds less than this share of all light: 8 in a room of albedo 0.5, 25 in a white one."""
@@ -297,7 +297,7 @@ def _direct(
     def tally(start: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], written: int) -> None:
         kernels.visibility(rays.owner, rays.cluster, seen, written, owner[start:], tried, seen_count)
 
-    each = light.received(points, candidates=32, picks=12, sun_picks=3, seed=seed + 1, on_rays=tally)
+    each = light.received(points, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=tally)
     share = (seen_count + np.float32(1)) / (tried + np.float32(1.5))
     weight = (1 / used[owner]).astype(np.float32)
     means = (

@@ -1,6 +1,5 @@
 """Growing arrays and open-addressed tables for the kernels."""
 
-
 import numpy as np
 
 from roomlight_model.transport.kernels.common import rehash

@@ -329,16 +329,17 @@ class _Grid:
 
     def smoothed(self, coated: bool) -> tuple[Float32[np.ndarray, "m 3"], Float32[np.ndarray, "m 3"]]:
         """Smooth what the points received and reflect; returns both as lists again."""
-        self.received = self._smooth(self.received, np.ones(self._shape, np.float32))
+        even = np.ones(self._shape, np.float32)
+        self.received = self._smooth(self._smooth(self.received, even, 1), np.float32(0.5) * even, 2)
         if coated:
-            self.lobe = self._smooth(self.lobe, self._lobe_spread)
+            self.lobe = self._smooth(self.lobe, self._lobe_spread, 1)
         return self.received.reshape(-1, 3)[self._ray], self.lobe.reshape(-1, 3)[self._ray]
 
     def _smooth(
-        self, image: Float32[np.ndarray, "h w 3"], spread: Float32[np.ndarray, "h w"]
+        self, image: Float32[np.ndarray, "h w 3"], spread: Float32[np.ndarray, "h w"], step: int
     ) -> Float32[np.ndarray, "h w 3"]:
         out = np.empty_like(image)
-        images.smooth(image, self.position, self.normal, self.kind, self.foot, spread, 2, out)
+        images.smooth(image, self.position, self.normal, self.kind, self.foot, spread, step, out)
         return out
 
     def edges(self, image: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:

@@ -11,15 +11,15 @@ ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise
 
 
 @njit(**JIT)
-def smooth(image, position, normal, kind, foot, spread, radius, out):
-    """A bilateral mean over (2 radius + 1)^2 pixels: same kind, one plane, one direction, alike in brightness (within
+def smooth(image, position, normal, kind, foot, spread, step, out):
+    """A bilateral mean over 5 x 5 pixels `step` apart: same kind, one plane, one direction, alike in brightness (within
     the pixel's spread times `ALIKE`). kind -1 is left out."""
     height, width = kind.shape
-    count = 2 * radius + 1
+    radius, count = 2, 5
     fall = np.empty((count, count))
     for a in range(count):
         for b in range(count):
-            fall[a, b] = math.exp(-((a - radius) ** 2 + (b - radius) ** 2) / max(radius * radius, 1))
+            fall[a, b] = math.exp(-((a - radius) ** 2 + (b - radius) ** 2) / 4.0)
     for y in range(height):
         for x in range(width):
             k = kind[y, x]
@@ -30,15 +30,15 @@ def smooth(image, position, normal, kind, foot, spread, radius, out):
             px, py, pz = position[y, x, 0], position[y, x, 1], position[y, x, 2]
             nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
             here = image[y, x, 0] + image[y, x, 1] + image[y, x, 2] + 1e-7
-            narrow = 1 / (1.5 * foot[y, x])
+            narrow = 1 / (1.5 * step * foot[y, x])
             likeness = 1 / (ALIKE * spread[y, x])
             total, red, green, blue = 0.0, 0.0, 0.0, 0.0
             for a in range(count):
-                j = y + a - radius
+                j = y + (a - radius) * step
                 if j < 0 or j >= height:
                     continue
                 for b in range(count):
-                    i = x + b - radius
+                    i = x + (b - radius) * step
                     if i < 0 or i >= width or kind[j, i] != k:
                         continue
                     agree = nx * normal[j, i, 0] + ny * normal[j, i, 1] + nz * normal[j, i, 2]

@@ -27,8 +27,8 @@ from roomlight_model.transport.kernels.common import (
 from roomlight_model.transport.kernels.lights import crossings, emission_at, left_to_gathering
 from roomlight_model.transport.kernels.surfaces import OFFSET, face_normal, shading_normal, texture_at
 
-CELL_M = 0.12
-POINTS = 6
+CELL_M = 0.08
+POINTS = 4
 COARSE = 3  # the fallback's cells are so many times as wide, of any normal
 FOOT_M = 0.04  # textures are averaged over this at each of a patch's points
 
