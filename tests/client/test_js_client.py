@@ -1,7 +1,7 @@
 """The TypeScript client: its own tests under Node, then against a real server, from Node and from a page in Chromium.
 
-Run by `pytest -m js`, which wants Node 20 or newer, `npm ci` in client/js, and Debian's chromium (or the path of another
-in CHROMIUM); plain `pytest` leaves them out.
+Run by `pytest -m js`, which wants Node 20 or newer, `npm ci` in client/js, and Debian's chromium (or the path of
+another in CHROMIUM); plain `pytest` leaves them out.
 """
 
 import json

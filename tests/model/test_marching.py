@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+
 from roomlight_model.marching import march
 from roomlight_model.render import render_rays
 

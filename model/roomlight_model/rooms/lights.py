@@ -260,7 +260,9 @@ def _extras(
     units = [placement for placement in placements if placement.model.role == "wall_unit"]
     if units and rng.random() < (0.5 if night else 0.2):
         for placement in units:
-            strip = clad(box(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8,) * 3))
+            strip = clad(
+                box(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8, 0.8, 0.8))
+            )
             placed = strip.placed(placement.x, placement.y - 0.016, placement.z, degrees=placement.degrees)
             found.append((Item("light strip", "wall_lamp", placed), "strip"))
     if shell.spots and rng.random() < (0.65 if night else 0.35):

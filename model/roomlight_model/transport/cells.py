@@ -27,12 +27,12 @@ CONE_SHARE: Final = 0.3
 
 CANDIDATES: Final = 32
 PICKS: Final = 12
-SUN_PICKS: Final = 4
+SUN_PICKS: Final = 2
 
 REACH_PIXELS: Final = (18.0, 8.0, 3.5)
 """Reach of the records of each round: corners get more in the later ones."""
 
-ROUND_SHARE: Final = (4, 2, 1)
+ROUND_SHARE: Final = (8, 4, 2)
 """Each round looks at every so many-th new cell: records are far apart in the first."""
 
 SMALLEST_PIXELS: Final = 3.0
@@ -79,7 +79,7 @@ class Cells:
         foot_m: Float32[np.ndarray, " n"],
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
         """Irradiance at surface points (off the surface; see `Points`), as let through by the coat where there is one;
-        and what of it the sun sends straight through an opening.
+        and what of it comes straight from the sun.
 
         foot_m is the width of a pixel there, across the ray.
         """
@@ -118,7 +118,12 @@ class Cells:
         number = np.arange(first, first + len(material), dtype=np.int64)
         points = Points(position, normal, wound, alpha, row, number)
         direct = self.light.received(
-            points, candidates=CANDIDATES, picks=PICKS, sun_picks=SUN_PICKS, seed=self._seed + 2
+            points,
+            candidates=CANDIDATES,
+            picks=PICKS,
+            sun_picks=SUN_PICKS,
+            seed=self._seed + 2,
+            sun_outside=True,
         )
         records = self._records
         for reach, share in zip(REACH_PIXELS, ROUND_SHARE, strict=True):

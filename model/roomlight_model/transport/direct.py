@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 from roomlight_model.transport.coat import CoatTable, coat_table
 from roomlight_model.transport.emitters import Lights, Outdoors, build_lights
 from roomlight_model.transport.kernels import lights as kernels
-from roomlight_model.transport.tracer import Tracer
+from roomlight_model.transport.tracer import FAR_M, Tracer
 
 _RAYS_AT_ONCE: Final = 1 << 16
 """Shadow rays of a batch: their arrays stay in the second-level cache."""
@@ -101,9 +101,11 @@ class DirectLight:
         picks: int,
         sun_picks: int,
         seed: int,
+        sun_outside: bool = False,
         on_rays: OnRays | None = None,
     ) -> Received:
-        """Irradiance of each point from the lights, sunlit spots among them."""
+        """Irradiance of each point from the lights, sunlit spots among them. sun_outside counts sunlight that passed no
+        opening (on a sill) with the sun's."""
         count = len(points.position)
         out = Received(*(np.zeros((count, 3), np.float32) for _ in range(4)))
         step = max(1, _RAYS_AT_ONCE // (picks + sun_picks))
@@ -132,8 +134,36 @@ class DirectLight:
                 rays.cluster,
                 seen,
                 written,
+                sun_outside,
                 *(column[start : start + step] for column in out),
             )
             if on_rays is not None:
                 on_rays(start, rays, seen, written)
+        return out
+
+    def sunlight(self, points: Points, *, seed: int) -> Float32[np.ndarray, "n 3"]:
+        """Irradiance straight from the sun by one ray each, as let through by the points' coats."""
+        count = len(points.position)
+        out = np.zeros((count, 3), np.float32)
+        if self.outdoors.sun_irradiance.max() <= 0:
+            return out
+        owner = np.empty(count, np.int32)
+        origin, direction, weight = (np.empty((count, 3), np.float32) for _ in range(3))
+        written = kernels.sun_rays(
+            self.outdoors,
+            self.coat.through,
+            points.position,
+            points.normal,
+            points.wound,
+            points.alpha,
+            points.number,
+            seed,
+            owner,
+            origin,
+            direction,
+            weight,
+        )
+        reach = np.full(written, FAR_M, np.float32)
+        seen = self.tracer.visible(origin[:written], direction[:written], reach)
+        out[owner[:written][seen]] = weight[:written][seen]
         return out

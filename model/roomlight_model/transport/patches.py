@@ -23,8 +23,8 @@ MOST_BOUNCES: Final = 60
 SETTLED: Final = 2e-3
 """Bounces stop when one adds less than this share of all light: 8 in a room of albedo 0.5, 25 in a white one."""
 
-FINE_WITHIN_M: Final = ((1, 0.5), (2, 0.2), (3, 0.08))
-"""Patches are halved so often so near to lights; twice at most near openings."""
+FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
+"""Patches are halved so often so near to lamps, and told apart by face at level 3; openings have level 1 only."""
 
 SEED_RAYS: Final = 32768
 FIRST_RAYS: Final = 16
@@ -113,7 +113,7 @@ def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
     lights = light.lights
     lamp = np.flatnonzero(lights.kind[lights.start, 0] == TRIANGLE)
     for halvings, beyond_m in FINE_WITHIN_M:
-        some = lamp if halvings > 2 else np.arange(lights.real)
+        some = lamp if halvings > 1 else np.arange(lights.real)
         middle, reach = lights.centre[some], lights.radius[some] + np.float32(beyond_m)
         first = np.maximum(np.floor((middle - reach[:, None] - low) / cell), 0).astype(np.int64)
         last = np.floor((middle + reach[:, None] - low) / cell).astype(np.int64) + 1

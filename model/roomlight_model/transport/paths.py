@@ -162,4 +162,5 @@ def surfaces_of(
 
 def unit_rows(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """Each divided by its length."""
-    return (vectors / np.linalg.norm(vectors, axis=1, keepdims=True)).astype(np.float32)
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return (vectors / length[:, None]).astype(np.float32)

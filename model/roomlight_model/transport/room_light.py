@@ -19,7 +19,7 @@ from roomlight_model.transport.kernels import glossy
 from roomlight_model.transport.patches import solve_room
 from roomlight_model.transport.paths import unit_rows
 from roomlight_model.transport.tracer import FAR_M, OFFSET_M, Tracer
-from roomlight_model.transport.view import Viewer
+from roomlight_model.transport.view import Camera, Viewer
 
 FINER: Final = 2
 """A panorama is drawn at so many times its height and averaged."""
@@ -63,14 +63,15 @@ class RoomLight:
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """What a pinhole camera sees."""
-        rotation = camera_to_world[:3, :3].astype(np.float64)
+        rotation = camera_to_world[:3, :3].astype(np.float32)
 
         def rays_at(row: Float[np.ndarray, " n"], column: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
             x, y = (column - intrinsics.cx) / intrinsics.fx, -(row - intrinsics.cy) / intrinsics.fy
-            return unit_rows(np.stack([x, y, np.full_like(x, -1.0)], 1) @ rotation.T)
+            return unit_rows(np.stack([x, y, np.full_like(x, -1.0)], 1).astype(np.float32) @ rotation.T)
 
         shape = intrinsics.height, intrinsics.width
-        picture = self._viewer.picture(camera_to_world[:3, 3], rays_at, shape, pixel_angle=1 / intrinsics.fx, seed=seed)
+        camera = Camera(camera_to_world[:3, 3], rays_at, shape, 1 / intrinsics.fx)
+        picture = self._viewer.picture(camera, seed=seed)
         depth = _depth(intrinsics, picture.distance_m.reshape(-1))
         return FrameView(picture.radiance, depth, picture.surface)
 
@@ -90,7 +91,7 @@ class RoomLight:
         fine = FINER * height
 
         def rays_at(row: Float[np.ndarray, " n"], column: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
-            return unit_rows(uv_to_direction(np.stack([column / (2 * fine), row / fine], 1)))
+            return unit_rows(uv_to_direction(np.stack([column / (2 * fine), row / fine], 1).astype(np.float32)))
 
         lights = self.light.lights
         small = small_from(lights, np.asarray(position), SMALL_PIXELS * np.pi / height)
@@ -100,15 +101,8 @@ class RoomLight:
         # A face that is cut between a small and a large cluster is seen by rays.
         dark[lights.face[(lights.face >= 0) & ~shown]] = False
         shown &= dark[np.maximum(lights.face, 0)]
-        picture = self._viewer.picture(
-            position,
-            rays_at,
-            (fine, 2 * fine),
-            pixel_angle=1.5 * np.pi / fine,
-            seed=seed,
-            dark_faces=dark,
-            show_sun=False,
-        )
+        camera = Camera(position, rays_at, (fine, 2 * fine), 1.5 * np.pi / fine, dark_faces=dark, show_sun=False)
+        picture = self._viewer.picture(camera, seed=seed)
         image = picture.radiance.reshape(height, FINER, 2 * height, FINER, 3).mean((1, 3))
         self._splat(image, np.asarray(position, np.float32), shown, seed)
         return image

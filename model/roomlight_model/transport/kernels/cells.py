@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Kernels of the irradiance cells: keys, records of indirect light and their interpolation."""
 
 import math
@@ -8,7 +9,7 @@ from numba import njit
 from roomlight_model.transport.kernels.common import JIT, direction_bucket, in_row, in_table, slot_of
 from roomlight_model.transport.kernels.lights import left_to_gathering
 
-CELL_PIXELS = 1.4  # a cell is a power of two in metres, nearest to so many pixels' footprint
+CELL_PIXELS = 1.9  # a cell is a power of two in metres, nearest to so many pixels' footprint
 LOWEST_LEVEL = -12
 NORMAL_AGREES = 0.8  # records count for normals within 37 degrees, in full at 0
 BLEND = 1.6  # a record counts to so many times its reach: more of them share out their noise

@@ -1,11 +1,13 @@
+# pyright: reportMissingParameterType=false
 """What every kernel uses: hashed random numbers, frames about a normal, keys of directions, the coat's tables."""
 
 import math
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-JIT = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
+JIT: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
 
 _G1 = np.uint64(0x9E3779B97F4A7C15)
 _G2 = np.uint64(0xBF58476D1CE4E5B9)

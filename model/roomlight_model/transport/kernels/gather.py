@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Gather rays of the records: by cosine, and into cones about the lights, where the brightest surfaces are.
 
 A lamp's housing and a window's reveals are small, and a hundred times as bright as the walls: by cosine alone they are

@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Kernels of the coat's specular lobe: GGX, sampled by visible normals and by the lights, joined by the balance
 heuristic.
 

@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Kernels over pixel grids: smoothing within surfaces, edges that want more rays, what such rays take from pixels."""
 
 import math
@@ -11,9 +12,11 @@ ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise
 
 
 @njit(**JIT)
-def smooth(image, position, normal, kind, foot, spread, step, out):
+def smooth(image, position, normal, kind, foot, known, spread, step, out):
     """A bilateral mean over 5 x 5 pixels `step` apart: same kind, one plane, one direction, alike in brightness (within
-    the pixel's spread times `ALIKE`). kind -1 is left out."""
+    the pixel's spread times `ALIKE`). Only known pixels count; known is set where out then has a value. kind -1 is left
+    out."""
+    had = known.copy()
     height, width = kind.shape
     radius, count = 2, 5
     fall = np.empty((count, count))
@@ -31,7 +34,7 @@ def smooth(image, position, normal, kind, foot, spread, step, out):
             nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
             here = image[y, x, 0] + image[y, x, 1] + image[y, x, 2] + 1e-7
             narrow = 1 / (1.5 * step * foot[y, x])
-            likeness = 1 / (ALIKE * spread[y, x])
+            likeness = 1 / (ALIKE * spread[y, x]) if had[y, x] else 0.0
             total, red, green, blue = 0.0, 0.0, 0.0, 0.0
             for a in range(count):
                 j = y + (a - radius) * step
@@ -39,7 +42,7 @@ def smooth(image, position, normal, kind, foot, spread, step, out):
                     continue
                 for b in range(count):
                     i = x + (b - radius) * step
-                    if i < 0 or i >= width or kind[j, i] != k:
+                    if i < 0 or i >= width or kind[j, i] != k or not had[j, i]:
                         continue
                     agree = nx * normal[j, i, 0] + ny * normal[j, i, 1] + nz * normal[j, i, 2]
                     if agree < 0.9:
@@ -59,6 +62,7 @@ def smooth(image, position, normal, kind, foot, spread, step, out):
                     blue += w * image[j, i, 2]
             if total > 1e-9:
                 out[y, x, 0], out[y, x, 1], out[y, x, 2] = red / total, green / total, blue / total
+                known[y, x] = True
             else:
                 out[y, x, 0], out[y, x, 1], out[y, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
 

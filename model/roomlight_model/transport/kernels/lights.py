@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """Samples of direct light: candidates from the clusters, resampled by what they would give unshadowed.
 
 Each shading point draws `candidates` points on the lights (a cluster in proportion to its estimated contribution times
@@ -311,15 +312,45 @@ def propose(
 
 
 @njit(**JIT)
-def received(owner, weight, passed, cluster, seen, count, irradiance, coated, sun, sun_coated):
+def received(owner, weight, passed, cluster, seen, count, outside, irradiance, coated, sun, sun_coated):
     """Add the visible rays to each point's irradiance, and what of it a coat lets through; of both, what came straight
-    from the sun through an opening."""
+    from the sun through an opening, or also outside of any."""
     for k in range(count):
         if seen[k]:
             i = owner[k]
             for c in range(3):
                 irradiance[i, c] += weight[k, c]
                 coated[i, c] += weight[k, c] * passed[k]
-                if cluster[k] == -1:
+                if cluster[k] == -1 or (cluster[k] == -2 and outside):
                     sun[i, c] += weight[k, c]
                     sun_coated[i, c] += weight[k, c] * passed[k]
+
+
+@njit(**JIT)
+def sun_rays(outdoors, through, position, normal, wound, alpha, number, seed, owner, origin, direction, weight):
+    """One shadow ray toward the sun's disc from each point that it may reach; returns how many. weight is what the
+    point's coat then lets through."""
+    hole, parts = outdoors.hole, outdoors.parts
+    sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
+    ax, ay, az, bx, by, bz = tangents(sx, sy, sz)
+    written = 0
+    for i in range(len(position)):
+        cosine = normal[i, 0] * sx + normal[i, 1] * sy + normal[i, 2] * sz
+        if cosine <= 0 or wound[i, 0] * sx + wound[i, 1] * sy + wound[i, 2] * sz <= 0:
+            continue
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        radius = outdoors.sun_radius * math.sqrt(unit(state))
+        angle = 2 * math.pi * unit(mixed(state))
+        s, t = radius * math.cos(angle), radius * math.sin(angle)
+        dx, dy, dz = sx + s * ax + t * bx, sy + s * ay + t * by, sz + s * az + t * bz
+        if sun_may_reach(hole, parts, position[i, 0], position[i, 1], position[i, 2], dx, dy, dz) == 0:
+            continue
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        passed = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0
+        owner[written] = i
+        for c in range(3):
+            origin[written, c] = position[i, c]
+            weight[written, c] = outdoors.sun_irradiance[c] * cosine * passed
+        direction[written, 0], direction[written, 1], direction[written, 2] = dx / length, dy / length, dz / length
+        written += 1
+    return written

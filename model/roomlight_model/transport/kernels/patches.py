@@ -1,6 +1,7 @@
+# pyright: reportMissingParameterType=false
 """Kernels of the room's cache: surface cells as patches, rays between them, bounces.
 
-A patch is what lies in one cell of `CELL_M` (a half to an eighth of it near lights and openings) with one material and
+A patch is what lies in one cell of `CELL_M` (a half or a quarter of it near lights and openings) with one material and
 one bucket of face normals. Hits create patches, so that only what light reaches has one; each keeps up to `POINTS` of
 the places where it was hit.
 """
@@ -35,7 +36,7 @@ FOOT_M = 0.04  # textures are averaged over this at each of a patch's points
 
 @njit(**JIT)
 def patch_key(fine, x, y, z, gx, gy, gz, material, face):
-    """11 bits an axis (30 m at least), 7 for the normal, 2 for the fineness, 20 for the material; at the finest, the
+    """11 bits an axis (30 m at least), 7 for the normal, 2 for the fineness, 20 for the material; at level 3, the
     face stands for normal and material: a lampshade's two skins are a millimetre apart."""
     level = 0
     i = np.int64(np.floor((x - fine.low[0]) / fine.cell_m))
@@ -43,7 +44,7 @@ def patch_key(fine, x, y, z, gx, gy, gz, material, face):
     k = np.int64(np.floor((z - fine.low[2]) / fine.cell_m))
     if 0 <= i < fine.level.shape[0] and 0 <= j < fine.level.shape[1] and 0 <= k < fine.level.shape[2]:
         level = np.int64(fine.level[i, j, k])
-    scale = (1 << level) / CELL_M
+    scale = (1 << level) / CELL_M if level < 3 else 1 / CELL_M
     i = np.int64(np.floor(x * scale + 0.37)) & 2047
     j = np.int64(np.floor(y * scale + 0.37)) & 2047
     k = np.int64(np.floor(z * scale + 0.37)) & 2047

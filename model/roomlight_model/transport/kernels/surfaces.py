@@ -1,3 +1,4 @@
+# pyright: reportMissingParameterType=false
 """What rays hit: position, normals, reflectance and emission there, textures averaged over the ray's footprint."""
 
 import math
