@@ -177,5 +177,5 @@ class Viewer:
 def _sparse(
     row: Int64[np.ndarray, " n"], column: Int64[np.ndarray, " n"], alpha: Float32[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Pixels whose lobes are worked out: half of the sharp ones, a quarter of the rough; smoothing fills in the rest."""
+    """Pixels whose lobes are worked out: half of the sharp ones, a quarter of the rough; smoothing fills in others."""
     return np.where(alpha < SHARP, (row + column) % 2 == 0, (column + 2 * row) % 4 == 0)
