@@ -46,7 +46,7 @@ class Habits:
         """One phone at random."""
         return cls(
             bias=float(rng.normal(0.0, 0.4)),
-            highlights=float(rng.uniform(0.15, 0.75)),
+            highlights=float(rng.uniform(0.3, 0.9)),
             settle_s=float(rng.uniform(0.3, 1.5)),
             locked=bool(rng.random() < 0.25),
             first_error=float(rng.normal(0, 0.12)),

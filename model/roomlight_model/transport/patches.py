@@ -169,7 +169,8 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class RoomCache:
-    """What patches send out and receive. Rows: patches, then wider surroundings, then whole materials.
+    """What patches send out and receive. Rows: patches, then wider surroundings, then whole materials,
+    then one of nothing (the last, so that -1 finds it).
 
     base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat reflects;
     sun_base and sun_lobe what of both is the sun's direct light, which spots stand for; indirect and indirect_coated
@@ -363,16 +364,13 @@ def _with_fallbacks(
         owner,
     )
     materials = len(tracer.materials.mirror)
-    base, lobe, sun_base, sun_lobe, indirect, indirect_coated, seen = (
-        np.concatenate(
-            [
-                column,
-                _means(column, owner, count=wide),
-                _means(column, found.material[:count], count=materials, fill=True),
-            ]
-        ).astype(np.float32)
-        for column in columns
-    )
+    tables: list[np.ndarray] = []
+    for column in columns:
+        around = _means(column, owner, count=wide)
+        whole = _means(column, found.material[:count], count=materials, fill=True)
+        nothing = np.zeros((1, column.shape[1]), np.float32)
+        tables.append(np.concatenate([column, around, whole, nothing]).astype(np.float32))
+    base, lobe, sun_base, sun_lobe, indirect, indirect_coated, seen = tables
     light.vis = np.clip(np.rint(seen * 255), 0, 255).astype(np.uint8)
     return RoomCache(
         (found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),

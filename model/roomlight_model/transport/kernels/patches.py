@@ -44,7 +44,7 @@ def patch_key(fine, x, y, z, gx, gy, gz, material, face):
     k = np.int64(np.floor((z - fine.low[2]) / fine.cell_m))
     if 0 <= i < fine.level.shape[0] and 0 <= j < fine.level.shape[1] and 0 <= k < fine.level.shape[2]:
         level = np.int64(fine.level[i, j, k])
-    scale = (1 << level) / CELL_M if level < 3 else 1 / CELL_M
+    scale = (1 << min(level, 2)) / CELL_M
     i = np.int64(np.floor(x * scale + 0.37)) & 2047
     j = np.int64(np.floor(y * scale + 0.37)) & 2047
     k = np.int64(np.floor(z * scale + 0.37)) & 2047
