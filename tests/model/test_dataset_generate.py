@@ -230,7 +230,7 @@ def test_the_furniture_is_part_of_the_settings_by_its_content(tmp_path):
     moved = tmp_path / "moved.sh3f"
     library.rename(moved)
     assert generate(out, options(2, furniture=moved), workers=1).made == 0
-    with pytest.raises(DatasetError, match=r"furniture .* not as installed"):
+    with pytest.raises(DatasetError, match=r"was made with furniture \w+, not"):
         generate(out, options(2))
     moved.write_bytes(b"tables")
     with pytest.raises(DatasetError, match="furniture"):
@@ -241,6 +241,14 @@ def test_the_furniture_is_part_of_the_settings_by_its_content(tmp_path):
     (many / "a").mkdir(parents=True)
     (many / "a" / "one.sh3f").write_bytes(b"lamps")
     assert generate(tmp_path / "third", options(2, furniture=many), workers=1).made == 2
+
+
+def test_furniture_named_by_the_environment_is_furniture_given(tmp_path, monkeypatch):
+    library = tmp_path / "chairs.sh3f"
+    library.write_bytes(b"chairs")
+    assert generate(tmp_path / "out", options(2, furniture=library), workers=1).made == 2
+    monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(library))
+    assert generate(tmp_path / "out", options(2), workers=1).made == 0
 
 
 def test_a_foreign_folder_is_refused_and_left_alone(tmp_path):

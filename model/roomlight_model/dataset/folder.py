@@ -20,6 +20,7 @@ from roomlight import __version__
 from roomlight.errors import DatasetError, OutputError
 from roomlight.images import write_whole
 from roomlight_model.dataset.shards import sync_folder
+from roomlight_model.rooms.furniture.catalogue import installed_libraries, named_library
 from roomlight_model.rooms.model import Split
 
 MANIFEST: Final = "dataset.json"
@@ -32,7 +33,7 @@ VERSION: Final = 1
 class Settings:
     """What decides the bytes of a dataset.
 
-    furniture:  SHA-256 of the furniture file or folder given, None for what is installed.
+    furniture:  SHA-256 of the furniture library (`digest`), None where all furniture is procedural.
     renderer:   `module:function` that makes the recordings of a room.
     generator:  RoomLight's version.
     """
@@ -173,26 +174,36 @@ def shard_files(folder: Path, split: str | None = None) -> list[Path]:
 
 
 def digest(furniture: Path | None) -> str | None:
-    """SHA-256 of a furniture file, or of all files of a folder with their names; DatasetError if there is none."""
-    if furniture is None:
-        return None
+    """SHA-256 of the furniture: of a file, or of all files of a folder with their names.
+
+    Without a path, of what `rooms.furniture.load_catalogue` would take, and None where that is nothing. DatasetError
+    where there is no such file or it cannot be read.
+    """
+    root = furniture if furniture is not None else named_library()
     try:
-        if furniture.is_file():
-            return hashlib.sha256(furniture.read_bytes()).hexdigest()
-        found = hashlib.sha256()
-        files = sorted(path for path in furniture.rglob("*") if path.is_file())
-        for path in files:
-            content = hashlib.sha256(path.read_bytes()).hexdigest()
-            found.update(f"{path.relative_to(furniture)} {content}\n".encode())
+        if root is None:
+            return _digest_of({path.name: path for path in installed_libraries()})
+        if root.is_file():
+            return hashlib.sha256(root.read_bytes()).hexdigest()
+        found = _digest_of({str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()})
     except OSError as error:
-        raise DatasetError(f"{furniture}: cannot be read ({error.strerror or error})") from error
+        raise DatasetError(f"{root or 'furniture'}: cannot be read ({error.strerror or error})") from error
+    if found is None:
+        raise DatasetError(f"{root}: there is no such file, or no file in it; name a furniture library or cache")
+    return found
+
+
+def _digest_of(files: dict[str, Path]) -> str | None:
     if not files:
-        raise DatasetError(f"{furniture}: there is no such file, or no file in it; name a furniture library or cache")
+        return None
+    found = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
     return found.hexdigest()
 
 
 def _told(value: object) -> object:
-    return "as installed" if value is None else value
+    return "procedural alone" if value is None else value
 
 
 def _check_equal(folder: Path, old: Settings, new: Settings) -> None:

@@ -97,9 +97,7 @@ def load_catalogue(path: Path | None = None, *, warn: Warn, progress: Progress |
     installed the catalogue is empty, and `warn` is told what to do about it. FurnitureError where what was named
     cannot be used.
     """
-    named = path
-    if named is None and os.environ.get(ENVIRONMENT):
-        named = Path(os.environ[ENVIRONMENT])
+    named = path if path is not None else named_library()
     if named is not None and is_cache(named):
         return catalogue_of(Cache(named))
     sources = library_files(named) if named is not None else installed_libraries()
@@ -137,6 +135,12 @@ def library_files(path: Path) -> list[Path]:
     if not path.exists():
         raise FurnitureError(f"{path}: there is no such file or folder")
     return [path]
+
+
+def named_library() -> Path | None:
+    """What the variable ROOMLIGHT_FURNITURE names, if it is set."""
+    named = os.environ.get(ENVIRONMENT)
+    return Path(named) if named else None
 
 
 def installed_libraries(root: Path | None = None) -> list[Path]:

@@ -78,6 +78,8 @@ EXCLUDED: Final = frozenset(
         # Outdoors, or nothing that one sees in a room.
         "S:chimney S:round-chimney S:farola1 S:candelabre K:classic-lamppost K:park-light K:flashlight B0:urinal "
         "S:small-urinal B0:bidet S:CCTV S:hospital-bed S:air-mattress S:sleepingBag S:bar_table S:ryokanChair "
+        # Texture coordinates that smear its picture over it.
+        "S:vase1 "
         # Parts of something: a shower's fittings, units that want a corner or a neighbour.
         "B0:shower K:showerHeadAndFaucet B0:showerDoor K:showerCurtain B0:lowerCornerCabinet B0:upperCornerCabinet "
         "B0:islandExtension B0:oven K:propane-stove B0:whiteBoard BY:workbench "

@@ -153,11 +153,11 @@ def lamps_at_bed(layout: Layout) -> None:
 
 
 def radiators(layout: Layout, probability: float) -> None:
-    """One below each window whose sill is high enough, with that probability."""
+    """One below each bare window whose sill is high enough, with that probability."""
     model: Model | None = None
     for wall in layout.shell.walls:
         for gap in wall.gaps:
-            if gap.kind != "window" or gap.bottom_m < 0.4 or not layout.chance(probability):
+            if gap.kind != "window" or gap.covered or gap.bottom_m < 0.4 or not layout.chance(probability):
                 continue
             widest = min(gap.end_m - gap.start_m + 0.2, 2.0)
             fits = _below(widest, gap.bottom_m - 0.06)
