@@ -1,0 +1,45 @@
+"""The small dataset in `tests/data/rooms`: real sequences of the generator, short, for tests that need real light.
+
+`python tests/fixture_rooms.py` makes it anew (two minutes): procedural furniture alone, so that nobody needs to be
+credited, two rooms of the train split and two of the test split, a sequence of four frames in each.
+"""
+
+import shutil
+import sys
+from pathlib import Path
+
+from roomlight_model.dataset.generate import GenerateOptions, generate
+from roomlight_model.dataset.room_sequences import film, plan_shot, set_stage
+from roomlight_model.rooms.build import room_generator
+from roomlight_model.rooms.furniture import Catalogue, catalogue
+from roomlight_model.rooms.props import procedural_models
+
+FOLDER = Path(__file__).parent / "data" / "rooms"
+ROOMS = {"train": 2, "test": 2}
+FRAMES = 4
+SEED = 21
+
+
+def render_room(room_index, *, seed, split, furniture, count):
+    """What `roomlight_model.dataset.room_sequences.render_room` does, four frames long and without a library."""
+    assert furniture is None
+    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+    stage = set_stage(room_index, seed=seed, split=split, catalogue=models)
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        yield film(stage, plan_shot(stage, rng, frames=FRAMES), rng, name=f"{stage.room.name}-{walk}")
+
+
+def main():
+    shutil.rmtree(FOLDER, ignore_errors=True)
+    catalogue.INSTALLED = FOLDER  # what is installed here has no part in it
+    for split, rooms in ROOMS.items():
+        options = GenerateOptions(
+            rooms, seed=SEED, split=split, shard_size=rooms, sequences_per_room=1, renderer="fixture_rooms:render_room"
+        )
+        generate(FOLDER, options, workers=1)
+    (FOLDER / "dataset.lock").unlink()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
