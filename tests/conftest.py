@@ -1,11 +1,12 @@
 """The test run checks array shapes: every annotated function of the project is wrapped by jaxtyping and beartype.
 
 Installed before any import of the project. Packages called `kernels` are left out, because numba compiles their
-functions from their own source and takes no wrapper.
+functions from their own source and takes no wrapper. And networks that are tiny, exported once a run.
 """
 
 from pathlib import Path
 
+import pytest
 from jaxtyping import install_import_hook
 
 _ROOT = Path(__file__).parent.parent
@@ -23,3 +24,22 @@ def _modules() -> list[str]:
 
 
 install_import_hook(_modules(), "beartype.beartype")
+
+
+@pytest.fixture(scope="session")
+def tiny_video(tmp_path_factory):
+    """(checkpoint, model folder) of the video form, which holds the single-view graphs too: untrained, for volumes of
+    16 x 15 x 21 voxels and panoramas of 32 rows.
+    """
+    from roomlight_export.exporting import export_checkpoint
+    from roomlight_model.checkpoint import save_untrained
+    from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+
+    folder = tmp_path_factory.mktemp("tiny")
+    config = ModelConfig(
+        sg=SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),
+        blend=BlendConfig(height=32, channels=4, full_channels=4),
+    )
+    save_untrained(folder / "video.pt", "video", config, seed=3)
+    export_checkpoint(folder / "video.pt", folder / "video", ort=False)
+    return folder / "video.pt", folder / "video"

@@ -72,6 +72,18 @@ def parse_world_up(text: str | None) -> str | Position | None:
     return _three(text, "world up is an axis (x, -z, ...) or three numbers X,Y,Z") if text and "," in text else text
 
 
+def parse_counts(text: str) -> tuple[int, ...]:
+    """1,4,16: whole numbers from 1 to 1000; typer's own error otherwise."""
+    rule = f"numbers of sessions are whole, 1 to 1000, with commas: 1,4,16; got {text!r}"
+    try:
+        counts = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(rule) from None
+    if not all(1 <= count <= 1000 for count in counts):
+        raise typer.BadParameter(rule)
+    return counts
+
+
 def _three(text: str, rule: str) -> Position:
     try:
         x, y, z = (float(part) for part in text.split(","))

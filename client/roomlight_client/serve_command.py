@@ -66,5 +66,8 @@ def serve(
         log_level=log_level,
         access_log=access_log or None,
     )
-    err.print(f"Serving on http://{settings.host}:{settings.port} (documentation at /docs); stop with Ctrl-C")
-    run_server(settings)
+    run_server(settings, listening=_tell)
+
+
+def _tell(address: str) -> None:
+    err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True)

@@ -29,7 +29,6 @@ from roomlight_client.sdk import (
     ConflictError,
     InvalidError,
     Light,
-    NoLightYetError,
     UnreachableError,
 )
 from roomlight_server.session import Position
@@ -261,7 +260,7 @@ class _Player:
         began_s = self._clock.now()
         try:
             self._tally.light = await self._session.light_at(PROBE, ("sh", "main_light"))
-        except (BusyError, NoLightYetError, UnreachableError):
+        except (BusyError, UnreachableError):
             return
         self._tally.light_ms.append(1e3 * (self._clock.now() - began_s))
         self._show(self._tally)

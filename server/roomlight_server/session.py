@@ -308,10 +308,11 @@ class Session:
         return Light(probe.position, state.radiance.copy(), state.seen.copy(), state.coverage())
 
 
-def warm_up() -> None:
-    """Compile (or load from numba's cache) every kernel a session uses, on a frame of 32 x 24 pixels."""
+def warm_up(graphs: LightingGraphs | None = None) -> None:
+    """Compile (or load from numba's cache) every kernel a session uses, on a frame of 32 x 24 pixels; and run graphs
+    once, for their first run plans their memory."""
     intrinsics = Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
     grey, near = np.full((24, 32, 3), 0.5, np.float32), np.ones((24, 32), np.float32)
-    session = Session(SessionOptions(model="classical", height=16))
+    session = Session(SessionOptions(model="classical", height=16), graphs=graphs)
     session.track((0.0, 0.0, -0.5))
     session.push(Frame(0, grey, near < 0, near, intrinsics, np.eye(4)))

@@ -70,27 +70,6 @@ def video(tmp_path_factory) -> Path:
     return path
 
 
-class NoPictures:
-    """Film and sheet are compared in one test; elsewhere their balls would take most of the time."""
-
-    def __init__(self, *_, **__):
-        pass
-
-    def add(self, *_):
-        pass
-
-    def close(self):
-        pass
-
-    def abandon(self, _):
-        pass
-
-
-@pytest.fixture
-def no_pictures(monkeypatch):
-    monkeypatch.setattr("roomlight_client.replay.ReplayPictures", NoPictures)
-
-
 def panoramas(out: Path) -> dict[str, bytes]:
     return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*.exr"))}
 
@@ -114,6 +93,25 @@ def test_every_byte_is_the_same(native, server, tmp_path):
     assert there.report["stage_ms_median"].keys() == here.report["stage_ms_median"].keys()
     for name in ("summary.png", "replay.mp4"):
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize("model", ["video", "single"])
+def test_every_byte_of_the_networks_too(native, tiny_video, model, tmp_path):
+    """The server has the weights; the replay that goes through it says which model, and nothing of them."""
+    untrained = {"weights": tiny_video[1], "allow_untrained": True}
+    here = replay(
+        native,
+        tmp_path / "here",
+        ReplayOptions(session=SessionOptions(model=model, height=32, **untrained), probes=PROBES),
+    )
+    asked = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
+    with RunningServer(model="video", **untrained) as running:
+        there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", asked)
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
+    assert lasting(there.report)["frames"] == lasting(here.report)["frames"]
+    assert there.report["model"] == here.report["model"] == model
 
 
 @pytest.mark.usefixtures("no_pictures")

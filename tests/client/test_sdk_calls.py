@@ -182,7 +182,7 @@ def test_retry_after_is_seconds_or_a_date(text, seconds):
         (404, "session-not-found", sdk.GoneError),
         (410, "session-closed", sdk.GoneError),
         (409, "frame-conflict", sdk.ConflictError),
-        (409, "no-light-yet", sdk.NoLightYetError),
+        (409, "session-failed", sdk.ConflictError),
         (413, "too-large", sdk.InvalidError),
         (422, "bad-frame", sdk.InvalidError),
         (418, "teapot", sdk.InvalidError),

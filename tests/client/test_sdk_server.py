@@ -103,9 +103,14 @@ def test_a_file_comes_once_per_light(server, kind):
     async def work(client):
         session = await client.open(**SMALL)
         await session.track("table", POINTS[0])
-        with pytest.raises(sdk.NoLightYetError, match="no frame"):
-            await session.file("table")
+        before = await session.light_at("table")
+        assert before.is_prior
+        assert before.coverage == 0
+        prior = await session.file("table", "hdr")
+        assert await session.file("table", "hdr", unless=prior.etag) is None
         await session.push(FRAMES[0])
+        assert (await session.file("table", "hdr", unless=prior.etag)).etag != prior.etag
+        assert not (await session.light_at("table")).is_prior
         first = await session.file("table", "hdr")
         same = await session.file("table", "hdr", unless=first.etag)
         at_point = await session.file(POINTS[1], Form(format="ktx2", size=16))

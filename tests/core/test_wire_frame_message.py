@@ -11,10 +11,11 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pydantic import ValidationError
 
 from roomlight.errors import WireError
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import FrameLimits, FrameMessage, column_major, pack, parse
+from roomlight.wire.frame_message import FrameLimits, FrameMessage, column_major, pack, parse, stated_index
 
 VECTOR = Path(__file__).parent / "wire_vector.json"
 BYTES = VECTOR.with_suffix(".bin")
@@ -283,6 +284,44 @@ def test_pack_holds_the_header_to_the_parts():
         pack(header, bytes(36), bytes(5))
     with pytest.raises(WireError, match=r"confidence\.bytes"):
         pack(header, bytes(36), bytes(24), bytes(3))
+
+
+def test_whole_numbers_may_have_a_point_as_in_json():
+    plain = json.dumps(header_dict(index=7), separators=(",", ":"))
+    pointed = plain
+    for name, value in (("version", 1), ("index", 7), ("width", 4), ("height", 3)):
+        pointed = pointed.replace(f'"{name}":{value}', f'"{name}":{value}.0')
+    assert pointed.count(".0") >= plain.count(".0") + 6
+    assert FrameHeader.model_validate_json(pointed) == FrameHeader.model_validate_json(plain)
+    for wrong in ("7.5", "1e999", "true", '"7"'):
+        with pytest.raises(ValidationError, match="index"):
+            FrameHeader.model_validate_json(plain.replace('"index":7', f'"index":{wrong}'))
+
+
+@pytest.mark.parametrize(
+    ("header", "index"),
+    [
+        ('{"index":7}', 7),
+        ('{"index":7,"colour":"not even an object"}', 7),
+        ('{"index":true}', None),
+        ('{"index":7.0}', 7),
+        ('{"index":7.5}', None),
+        ('{"index":1e999}', None),
+        ('{"index":-1}', None),
+        (f'{{"index":{2**53}}}', None),
+        (f'{{"index":{"9" * 5000}}}', None),
+        ("[7]", None),
+        ("[" * 16_000, None),
+        ('{"index":7', None),
+        ('{"index":"\udc80"}', None),
+    ],
+)
+def test_an_index_is_read_from_a_message_that_is_wrong(header, index):
+    text = header.encode(errors="surrogateescape")
+    assert stated_index(struct.pack("<4sI", b"RLF1", len(text)) + text) == index
+    assert stated_index(struct.pack("<4sI", b"RLF2", len(text)) + text) is None
+    assert stated_index(struct.pack("<4sI", b"RLF1", 2**31) + text) is None
+    assert stated_index(text[:7]) is None
 
 
 if __name__ == "__main__":

@@ -10,6 +10,9 @@ import pytest
 
 from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, frame, header_of, parts_of
 from roomlight.errors import FrameError
+from roomlight.wire.frame_header import FrameHeader
+from roomlight.wire.frame_message import pack
+from roomlight_server.http import live_session
 
 
 @pytest.fixture(scope="module")
@@ -132,6 +135,9 @@ def test_who_does_not_wait_gets_an_answer_at_once(held):
 
 
 def test_health_is_answered_while_a_frame_is_worked_on(held):
+    for _ in range(10_000):
+        if held.call("GET", "/readyz").status == 200:
+            break
     queued(held, 0)
     HeldSession.wait_entered()
     for path in ("/healthz", "/readyz", "/metrics", "/v1/sessions/room"):
@@ -273,3 +279,63 @@ def test_sessions_do_not_wait_for_each_other_longer_than_a_frame(held):
     HeldSession.release(2)
     assert waiting.result().status == 200
     assert threading.active_count() < 50
+
+
+def test_a_followed_points_light_waits_for_no_other_session(held):
+    """Its own session's next frame stands in the queue behind another's: the light is that of the frame before."""
+    held.call("PUT", "/v1/sessions/room/probes/table", {"position": [0.2, 1.2, -0.2]})
+    HeldSession.release()
+    assert held.push(0).status == 200
+    HeldSession.wait_entered()
+    held.open("other")
+    other = InThread(held.push, 0, name="other")
+    HeldSession.wait_entered()
+    queued(held, 1, body=frame(1))
+    light = held.call("GET", "/v1/sessions/room/probes/table?format=sh", timeout=10)
+    assert (light.status, light.headers["roomlight-frame"]) == (200, "0")
+    HeldSession.release(2)
+    assert other.result().status == 200
+    assert held.push(1, frame(1)).json["replay"]
+    light = held.call("GET", "/v1/sessions/room/probes/table?format=sh")
+    assert light.headers["roomlight-frame"] == "1"
+
+
+def test_a_frame_that_takes_anothers_place_is_decoded_when_its_turn_comes(held, monkeypatch):
+    decoded = []
+    decode = live_session.decode_to_size
+    monkeypatch.setattr(live_session, "decode_to_size", lambda *given: decoded.append(given[1]) or decode(*given))
+    queued(held, 0)
+    HeldSession.wait_entered()
+    for index in (1, 2, 3):
+        queued(held, index, body=frame(index))
+    fourth = InThread(held.push, 4, frame(4))
+    wait_for_queue(held, last=4)
+    assert decoded == [0, 1]
+    HeldSession.release(2)
+    assert fourth.result().json["status"] == "processed"
+    assert decoded == [0, 1, 4]
+    assert held.state()["frames"]["superseded"] == 3
+
+
+def test_one_that_does_not_decode_then_is_refused_and_all_goes_on(held):
+    HeldSession.release()
+    assert held.push(0).status == 200
+    HeldSession.wait_entered()
+    queued(held, 1, body=frame(1))
+    HeldSession.wait_entered()
+    queued(held, 2, body=frame(2))
+    shot = box_shot(3)
+    header = header_of(shot, colour={"encoding": "png", "bytes": 0})
+    png = cv2.imencode(".png", np.random.default_rng(1).integers(0, 255, shot.image.shape, np.uint8))[1].tobytes()
+    torn = png[:60] + bytes(len(png) - 72) + png[-12:]  # whole by its header and end mark
+    header["colour"]["bytes"] = len(torn)
+    body = pack(FrameHeader.model_validate_json(json.dumps(header)), torn, parts_of(shot)[1])
+    broken = InThread(held.push, 3, body)
+    wait_for_queue(held, last=3)
+    HeldSession.release()
+    refused = broken.result()
+    assert (refused.status, refused.kind, refused.json["field"]) == (422, "bad-frame", "colour")
+    counts = held.state()["frames"]
+    assert (counts["last_index"], counts["superseded"], counts["refused"], counts["gaps"]) == (2, 1, 1, 0)
+    HeldSession.release()
+    assert held.push(3, frame(3)).json["status"] == "processed"

@@ -12,9 +12,14 @@ from http_servers import SMALL, RunningServer, frame
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
+from roomlight.light.prior import prior_panorama
+from roomlight.light.resample import panorama_to_cube
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import LightResponse
+from roomlight.wire.messages import Form, LightResponse
+from roomlight_server.http import light_forms
+from roomlight_server.http.live_session import PointLight
+from roomlight_server.session import Light
 
 POINT = {"position": [0.2, 1.2, -0.2]}
 
@@ -122,7 +127,11 @@ def test_named_probes_are_followed(server):
     path = "/v1/sessions/named/probes"
     assert server.call("PUT", f"{path}/table", POINT).status == 201
     early = get(server, path="/probes/table", name="named")
-    assert (early.status, early.kind, early.headers["retry-after"]) == (409, "no-light-yet", "1")
+    assert (early.status, early.headers["roomlight-frame"], early.headers["roomlight-coverage"]) == (
+        200,
+        "-1",
+        "0.0000",
+    )
     first = server.push(0, name="named").json
     assert 0 < first["coverage"]["table"] < 1
     server.push(1, frame(30), name="named")
@@ -190,7 +199,7 @@ def test_a_batch_answers_in_order_and_at_one_moment(server):
         ({"probes": [{"name": "../x"}], "forms": [{"format": "sh"}]}, "probes.0.name"),
         ({"probes": [{"name": "nobody"}], "forms": [{"format": "sh"}]}, "name"),
         ({"probes": [POINT], "forms": [{"format": "gif"}]}, "forms.0.format"),
-        ({"probes": [POINT], "forms": [{"format": "cube", "size": 33}]}, "forms.0"),
+        ({"probes": [POINT], "forms": [{"format": "cube", "size": 33}]}, "forms.0.size"),
         ({"probes": [POINT], "forms": [{"format": "exr", "size": 4096}]}, "forms.0.size"),
         ({"probes": [POINT] * 64, "forms": [{"format": "specular", "size": 256}] * 8}, "forms"),
         ({"probes": [POINT], "forms": [{"format": "png", "exposure_ev": 99}]}, "forms.0.exposure_ev"),
@@ -207,7 +216,7 @@ def test_a_batch_is_checked_by_name(server, body, field):
     [
         ("x=nan&y=0&z=0", "x"), ("x=inf&y=0&z=0", "x"), ("x=0&y=0", "z"), ("x=0&y=0&z=1e9", "z"), ("x=a&y=0&z=0", "x"),
         ("x=0&y=0&z=0&format=bmp", "format"), ("x=0&y=0&z=0&size=7", "size"), ("x=0&y=0&z=0&kind=some", "kind"),
-        ("x=0&y=0&z=0&format=cube&size=100", ""),
+        ("x=0&y=0&z=0&format=cube&size=100", "size"),
     ],
 )  # fmt: skip
 def test_a_query_is_checked_by_name(server, query, field):
@@ -215,16 +224,42 @@ def test_a_query_is_checked_by_name(server, query, field):
     assert (answer.status, answer.kind, answer.json.get("field", "")) == (422, "invalid", field)
 
 
-def test_before_the_first_frame_there_is_no_light(server):
+def test_before_the_first_frame_there_is_a_prior_that_says_so(server):
     server.open("dark", SMALL)
-    for answer in (
-        get(server, name="dark"),
-        post(server, {"probes": [POINT], "forms": [{"format": "sh"}]}, name="dark"),
-    ):
-        assert (answer.status, answer.kind) == (409, "no-light-yet")
+    server.call("PUT", "/v1/sessions/dark/probes/table", POINT)
+    anywhere = get(server, "&format=npy", name="dark")
+    assert (anywhere.headers["roomlight-frame"], anywhere.headers["roomlight-coverage"]) == ("-1", "0.0000")
+    np.testing.assert_array_equal(np.load(io.BytesIO(anywhere.body)), prior_panorama(16))
+    known = {"If-None-Match": anywhere.headers["etag"]}
+    assert get(server, "?format=npy", path="/probes/table", name="dark", headers=known).status == 304
+    batch = {"probes": [POINT, {"name": "table"}], "forms": [{"format": "sh"}, {"format": "main_light"}]}
+    answer = post(server, batch, name="dark").json
+    assert answer["frame"] == -1
+    assert [result["coverage"] for result in answer["results"]] == [0, 0]
+    assert answer["results"][0]["forms"][1]["values"]["direction"][1] > 0.99
+    seen = cv2.imdecode(np.frombuffer(get(server, "&format=confidence", name="dark").body, np.uint8), -1)
+    assert not seen.any()
+    missing = post(server, {"probes": [{"name": "nobody"}], "forms": [{"format": "sh"}]}, name="dark")
+    assert (missing.status, missing.kind) == (404, "probe-not-found")
+    assert server.push(0, name="dark", body=b"no frame").status == 422
+    assert get(server, "&format=npy", name="dark", headers=known).status == 304
+    assert server.push(0, name="dark").status == 200
+    seen = get(server, "&format=npy", name="dark", headers=known)
+    assert (seen.status, seen.headers["roomlight-frame"]) == (200, "0")
+    assert post(server, batch, name="dark").json["frame"] == 0
 
 
 def test_problems_are_json_to_the_letter(server):
     problem = json.loads(get(server, path="/probe?x=0&y=0&z=9999").body)
     assert problem["type"].startswith("urn:roomlight:problem:")
     assert {"type", "title", "status", "detail", "field", "value", "rule"} == problem.keys()
+
+
+def test_a_server_that_is_ready_has_made_the_usual_cubes():
+    """Their matrices, a quarter of a second each, are kept by height and width."""
+    light_forms.warm_up()
+    before = panorama_to_cube.cache_info().misses
+    light = Light((0.0, 0.0, 0.0), prior_panorama(120), np.zeros((120, 240), np.float32), 0.0)
+    for size in (16, 32, 64):
+        light_forms.encode(PointLight(light, "", 0), Form(format="cube", size=size))
+    assert panorama_to_cube.cache_info().misses == before

@@ -74,7 +74,6 @@ def test_paths_that_are_none_are_not_found(server, path):
     ("options", "field"),
     [
         ({"mode": "magic"}, "mode"),
-        ({"mode": "video"}, "mode"),
         ({"height": 8}, "height"),
         ({"height": 120.5}, "height"),
         ({"height": "120"}, "height"),
@@ -191,3 +190,10 @@ def test_the_document_describes_every_route(server):
                     assert "application/problem+json" in response["content"], (operation["operationId"], status)
     assert {"FrameHeader", "Problem", "LightingUpdate", "Subscribe"} <= document["components"]["schemas"].keys()
     assert server.call("GET", "/docs").status == 200
+
+
+def test_a_model_that_the_server_has_no_weights_of_is_not_the_clients_mistake(server):
+    answer = server.call("PUT", "/v1/sessions/untrained", {"mode": "video"})
+    assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
+    assert "auto" in answer.json["rule"]
+    assert server.call("GET", "/v1/sessions/untrained").status == 404

@@ -8,7 +8,7 @@ import pytest
 
 from http_servers import RunningServer
 from roomlight.errors import ModelError, ServerError
-from roomlight_server.http.serving import JsonLines, serve
+from roomlight_server.http.serving import JsonLines, address_of, listen, serve
 from roomlight_server.http.settings import ServerSettings, load_settings
 
 TOKEN = "a-token-of-sixteen-or-more"
@@ -71,7 +71,20 @@ def test_an_empty_token_file_is_no_permission(tmp_path):
 
 def test_missing_weights_are_an_error_before_a_socket_is_opened():
     with pytest.raises(ModelError, match="no trained weights"):
-        serve(ServerSettings(model="video", port=0))
+        serve(ServerSettings(model="video", port=0), listening=print)
+
+
+def test_an_address_that_is_taken_or_none_is_named():
+    free = ServerSettings(port=0)
+    with listen(free) as first:
+        port = first.getsockname()[1]
+        assert address_of(free, first) == f"http://127.0.0.1:{port}"
+        with pytest.raises(ServerError, match=rf"127\.0\.0\.1:{port}.*Address already in use.*--port"):
+            listen(ServerSettings(port=port))
+    with pytest.raises(ServerError, match=r"192\.0\.2\.1"):  # an address kept for documentation
+        listen(ServerSettings(host="192.0.2.1", port=0))
+    with pytest.raises(ServerError, match="no address"):
+        listen(ServerSettings(host="no such host", port=0))
 
 
 def test_logs_are_lines_of_json():

@@ -58,6 +58,8 @@ def test_frames_go_in_and_light_comes_out(server):
         stream.send({"type": "track", "name": "table", "position": POINT})
         assert stream.next("probes")["probes"] == {"table": POINT}
         stream.send({"type": "subscribe", "forms": [{"format": "sh"}, {"format": "main_light"}]})
+        prior = stream.next("lighting")
+        assert (prior["frame"], prior["results"][0]["coverage"]) == (-1, 0)
         for index in range(3):
             stream.send(frame(30 * index, index=index))
             fate = stream.next("frame")
@@ -106,14 +108,38 @@ def test_refusals_do_not_end_the_connection(server):
         assert stream.refused("x" * 70_000)["status"] == 413
         light = {"type": "light", "request": "r7", "probes": [{"position": POINT}], "forms": [{"format": "sh"}]}
         stream.send(light)
-        early = stream.next("problem")
-        assert (early["request"], early["problem"]["status"]) == ("r7", 409)
+        early = stream.next("light")
+        assert (early["request"], early["frame"], early["results"][0]["coverage"]) == ("r7", -1, 0)
+        stream.send(light | {"probes": [{"name": "nobody"}]})
+        nobody = stream.next("problem")
+        assert (nobody["request"], nobody["problem"]["status"]) == ("r7", 404)
         stream.send(frame(0, index=3))
         assert stream.next("frame")["status"] == "processed"
         stream.send(frame(1, index=2))
         assert stream.next("problem")["problem"]["status"] == 409
         stream.send(light)
         assert stream.next("light")["results"][0]["coverage"] > 0
+
+
+def test_a_refused_frame_is_named_wherever_its_header_can_be_read(server):
+    server.open("named")
+    whole = frame(0, index=5)
+    with streaming(server, "named") as stream:
+
+        def index_of_refusal(message):
+            stream.send(message)
+            return stream.next("problem").get("index")
+
+        assert index_of_refusal(whole[:-1]) == 5  # a part is missing
+        assert index_of_refusal(whole.replace(b'"exposure":1', b'"exposure":0')) == 5
+        assert index_of_refusal(whole.replace(b'"fx"', b'"xf"')) == 5
+        assert index_of_refusal(b"garbage") is None
+        assert index_of_refusal(whole.replace(b'"index":5', b'"index":-')) is None
+        stream.send(whole)
+        assert stream.next("frame")["status"] == "processed"
+        assert index_of_refusal(frame(1, index=5)) == 5  # a conflict
+        server.call("DELETE", "/v1/sessions/named")
+        assert "index" not in stream.next("problem")  # the session's end, not a frame's
 
 
 def test_the_newest_frame_wins_here_too(monkeypatch):

@@ -15,7 +15,7 @@ from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.networks import Observation
 from roomlight_server.graphs import load_graphs
 from roomlight_server.networks import NetworkBackend
-from roomlight_server.session import Session, SessionOptions
+from roomlight_server.session import Session, SessionOptions, warm_up
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
@@ -194,6 +194,15 @@ def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
         second.push(elsewhere)
         alone.push(frame)
     np.testing.assert_array_equal(first.light(0).panorama, alone.light(0).panorama)
+
+
+def test_warming_up_runs_every_graph_and_leaves_nothing_behind(graphs):
+    warm_up(graphs)
+    fresh, warm = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(2))
+    for session in (fresh, warm):
+        session.track(PROBE)
+        session.push(FRAMES[0])
+    np.testing.assert_array_equal(fresh.light(0).panorama, warm.light(0).panorama)
 
 
 def test_a_late_probe_gets_light_from_the_keyframes(tiny_video):

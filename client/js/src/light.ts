@@ -12,7 +12,7 @@ export interface Light extends Omit<ProbeLight, "forms"> {
   forms: readonly LightData[];
 }
 
-/** Light after `frame`, in the order in which it was asked for. */
+/** Light after `frame`, in the order in which it was asked for; `frame` -1: no frame is in it, it is the prior. */
 export interface Lights extends Omit<LightResponse, "results"> {
   results: readonly Light[];
 }

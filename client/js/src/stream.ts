@@ -101,7 +101,7 @@ export class Stream {
     return quiet(this.ask<Lights>(`light ${name}`, { type: "light", request: name, ...request }));
   }
 
-  /** Light of the followed points after each frame, to `onLighting`; no forms: no more. */
+  /** Light of the followed points, now and after each frame, to `onLighting`; no forms: no more. */
   subscribe(forms: readonly Form[]): void {
     this.send({ type: "subscribe", forms });
   }

@@ -188,7 +188,11 @@ export interface LightRequest {
   forms: readonly Form[]; // 1 to 8 of them
 }
 
-/** Light after `frame` (the index of the last processed frame), in the order it was asked for. */
+/**
+ * Light after `frame` (the index of the last processed frame), in the order it was asked for.
+ *
+ * frame: -1 before the first: the light is then the prior, grey and brighter from above, with coverage 0.
+ */
 export interface LightResponse {
   frame: number;
   results: readonly ProbeLight[];
@@ -251,7 +255,7 @@ export interface Problem {
 /**
  * WebSocket, to the client: a message was refused; the connection goes on.
  *
- * index:   of the frame it was about.  request: of the `light` message.
+ * index:   of the frame it was about, if its header could be read.  request: of the `light` message.
  */
 export interface ProblemEvent {
   type: "problem";
@@ -293,7 +297,7 @@ export interface SessionState {
   idle_expiry_s: number;
 }
 
-/** WebSocket, to the server: send every named probe's light in these forms after each frame; none: stop. */
+/** WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop. */
 export interface Subscribe {
   type: "subscribe";
   forms: readonly Form[]; // 0 to 8 of them

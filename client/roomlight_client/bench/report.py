@@ -74,15 +74,7 @@ class StagesReport:
         cls, rows: Sequence[StageRow], ceilings: Ceilings, *, repeats: int, networks: str, torch: bool
     ) -> "StagesReport":
         """The report of these rows, with the criteria judged and the machine described."""
-        machine = {
-            "processor": _processor(),
-            "system": platform.platform(terse=True),
-            "python": platform.python_version(),
-            "numpy": np.__version__,
-            "numba": numba.__version__,
-            "onnxruntime": onnxruntime.__version__,
-        }
-        return cls(tuple(rows), ceilings, judge(rows), machine, thread_count(), repeats, networks, torch)
+        return cls(tuple(rows), ceilings, judge(rows), machine_here(), thread_count(), repeats, networks, torch)
 
     def to_json(self) -> dict[str, Any]:
         """Plain JSON values; `from_json` gives an equal report back."""
@@ -108,7 +100,7 @@ class StagesReport:
 
     def table(self, *, width: int = 120) -> RenderableType:
         """The stages, then what the criteria say; below 120 columns without the figures behind the roofline."""
-        return Group(self._stages_table(brief=width < 120), self._criteria_table())
+        return Group(self._stages_table(brief=width < 120), criteria_table(self.criteria))
 
     def _stages_table(self, *, brief: bool) -> Table:
         table = Table(
@@ -136,23 +128,14 @@ class StagesReport:
             largest = max(row.differences.values(), default=None)
             table.add_row(
                 f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
-                f"{_short(row.ours.least_ms)} / {_short(row.ours.median_ms)}",
+                f"{short(row.ours.least_ms)} / {short(row.ours.median_ms)}",
                 _other(row, row.reference),
                 _other(row, row.torch),
                 *(() if brief else ("-" if largest is None else f"{largest:.1e}", *_millions(row.flops, row.bytes))),
-                _short(row.roof_ms),
-                _short(row.ours.least_ms / row.roof_ms),
+                short(row.roof_ms),
+                short(row.ours.least_ms / row.roof_ms),
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
-        return table
-
-    def _criteria_table(self) -> Table:
-        table = Table(title="Criteria", title_justify="left")
-        for heading in ("demand", "measured", ""):
-            table.add_column(heading)
-        for criterion in self.criteria:
-            verdict = "[green]holds[/green]" if criterion.holds else "[red]does not hold[/red]"
-            table.add_row(criterion.demand, f"{criterion.measured:.3g}", verdict)
         return table
 
 
@@ -188,16 +171,40 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
     return tuple(found)
 
 
+def criteria_table(criteria: Sequence[Criterion]) -> Table:
+    """Demands, figures and verdicts."""
+    table = Table(title="Criteria", title_justify="left")
+    for heading in ("demand", "measured", ""):
+        table.add_column(heading)
+    for criterion in criteria:
+        verdict = "[green]holds[/green]" if criterion.holds else "[red]does not hold[/red]"
+        table.add_row(criterion.demand, f"{criterion.measured:.3g}", verdict)
+    return table
+
+
+def machine_here() -> dict[str, str]:
+    """What a figure depends on besides the code."""
+    return {
+        "processor": _processor(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "onnxruntime": onnxruntime.__version__,
+    }
+
+
 def _other(row: StageRow, timing: Timing | None) -> str:
     ratio = row.ratio(timing)
-    return "-" if timing is None or ratio is None else f"{_short(timing.least_ms)}\n[bold]{_short(ratio)} x[/bold]"
+    return "-" if timing is None or ratio is None else f"{short(timing.least_ms)}\n[bold]{short(ratio)} x[/bold]"
 
 
 def _millions(*values: float) -> tuple[str, ...]:
-    return tuple(_short(value / 1e6) for value in values)
+    return tuple(short(value / 1e6) for value in values)
 
 
-def _short(value: float) -> str:
+def short(value: float) -> str:
+    """Three digits, or all before the point."""
     return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
 
 

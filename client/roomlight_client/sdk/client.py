@@ -155,7 +155,7 @@ class Session:
         return self._client.run(call, retry=None if retry else NEVER)
 
     def light_at(self, place: Where, forms: Sequence[Format | Form] = FORMS) -> Light:
-        """The light at a point or a tracked probe. Raises NoLightYetError before the first frame was processed."""
+        """The light at a point or a tracked probe; a prior before the first frame was processed (`Light.is_prior`)."""
         return self.lights_at([place], forms)[0]
 
     def lights_at(self, places: Sequence[Where], forms: Sequence[Format | Form] = FORMS) -> list[Light]:

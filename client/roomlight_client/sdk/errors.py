@@ -7,7 +7,6 @@ RemoteError                  a RoomLightError
     ├── UnauthorizedError    401, 403: the token, or the web origin
     ├── GoneError            404, 410: no such session or probe; it may have expired
     ├── ConflictError        409: an index or an id that is used up, a session that failed
-    │   └── NoLightYetError      no frame has been processed yet
     ├── InvalidError         400, 413, 415, 422: what was sent is malformed or too large
     ├── BusyError            408, 429, 502, 503, 504: try again after `retry_after_s`
     └── ServerFailedError    500 and above: the server's own fault
@@ -69,10 +68,6 @@ class ConflictError(RefusedError):
     """What was asked for does not fit what the session is by now."""
 
 
-class NoLightYetError(ConflictError):
-    """No frame of the session has been processed yet: push one first."""
-
-
 class InvalidError(RefusedError):
     """What was sent is malformed or larger than the server takes; `field`, `value` and `rule` say what."""
 
@@ -103,8 +98,6 @@ def refusal(status: int, body: bytes, *, retry_after_s: float | None = None) -> 
             return BadReplyError(f"the server answered {status}, which a RoomLight server does not")
         words = " ".join(body[:200].decode(errors="replace").split())
         problem = Problem(type="about:blank", title=f"status {status}", status=status, detail=words or "no explanation")
-    if problem.type.endswith(":no-light-yet"):
-        return NoLightYetError(problem, retry_after_s=retry_after_s)
     fallback = ServerFailedError if status >= 500 else InvalidError
     return _BY_STATUS.get(status, fallback)(problem, retry_after_s=retry_after_s)
 

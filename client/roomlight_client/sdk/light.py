@@ -16,7 +16,7 @@ from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.main_light import MainLight
 from roomlight.light.spherical_harmonics import Kind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import Format, LightForm, LightResponse
+from roomlight.wire.messages import NO_FRAME, Format, LightForm, LightResponse
 from roomlight_client.sdk.errors import BadReplyError
 
 Position = tuple[float, float, float]
@@ -36,7 +36,7 @@ class Light:
     """The light at one point, in the forms that were asked for; asking for another is a RoomLightError that says so.
 
     position:   world metres.
-    frame:      index of the last frame that is in it.
+    frame:      index of the last frame that is in it; -1: none is (`is_prior`).
     coverage:   share of the sphere that was observed, 0 to 1, by solid angle.
     etag:       the same as long as the light at this point is.
     name:       of a tracked probe.
@@ -48,6 +48,11 @@ class Light:
     etag: str
     name: str | None = None
     _forms: tuple[tuple[LightForm, bytes], ...] = field(default=(), repr=False)
+
+    @property
+    def is_prior(self) -> bool:
+        """Whether no frame is in it yet: grey light, brighter from above, that fits most rooms and shows none."""
+        return self.frame == NO_FRAME
 
     @property
     def panorama(self) -> Float32[np.ndarray, "h w 3"]:

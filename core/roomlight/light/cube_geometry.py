@@ -14,7 +14,7 @@ is stored first), both -1 .. 1 over the face (OpenGL's sc / |ma| and tc / |ma|):
 
 A sampler that is given a world direction returns the light from that direction. As every GL cube map, a face looks
 mirrored to someone inside the cube. three.js treats cube textures that it did not render itself as left-handed and
-negates x before it looks up: set `texture.isRenderTargetTexture = true`, as `WebGLCubeRenderTarget` does.
+negates x before it looks up: `environmentTexture` of `client/js/src/three.ts` mirrors the faces for it.
 """
 
 from functools import lru_cache

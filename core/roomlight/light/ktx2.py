@@ -4,8 +4,8 @@ Layout (KTX 2.0 specification, little endian): identifier, header, index, level 
 format descriptor, key/value data, then the levels, the smallest first, each at a multiple of 8 bytes. Orientation is
 `rd`: rows go down, as OpenGL's cube table has them.
 
-three.js: `KTX2Loader` (to r187) takes cubes of compressed formats only and makes a flat texture of this one; there
-read the file with `ktx-parse`, or take the raw bytes, and build a `CubeTexture` of six `DataTexture`s.
+three.js: `KTX2Loader` (to r187) takes cubes of compressed formats only and makes a flat texture of this one. `cubeOf`
+(`client/js/src/cube.ts`) reads it, and `environmentTexture` (`three.ts`) makes a `CubeTexture` of it.
 """
 
 import struct

@@ -6,11 +6,13 @@ y up). Pydantic checks types and ranges here; what needs two fields or the bytes
 
 from typing import Annotated, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 VERSION: Final = 1
 SIDE: Final = 16_384
 """Longest side of an image or a depth map in pixels; `FrameLimits` bounds the area."""
+MAX_INDEX: Final = 2**53 - 1
+"""The largest whole number that every client's arithmetic holds exactly."""
 
 ColourEncoding = Literal["jpeg", "png", "heic", "rgb8", "linear_f32"]
 DepthFormat = Literal["uint16_mm", "float16_m", "float32_m"]
@@ -20,8 +22,16 @@ TrackingState = Literal["normal", "limited", "not_available"]
 DEPTH_BYTES: Final[dict[str, int]] = {"uint16_mm": 2, "float16_m": 2, "float32_m": 4}
 """Bytes of one depth value, little-endian."""
 
-Pixels = Annotated[int, Field(ge=1, le=SIDE)]
-ByteCount = Annotated[int, Field(ge=1, le=2**31)]
+
+def whole(value: object) -> object:
+    """7.0 is the whole number 7, as in JSON, whose writers do not all tell them apart; anything else as it is."""
+    return int(value) if isinstance(value, float) and value.is_integer() else value
+
+
+WHOLE: Final = BeforeValidator(whole)
+"""After an integer's bounds, so that these stand in the schema."""
+Pixels = Annotated[int, Field(ge=1, le=SIDE), WHOLE]
+ByteCount = Annotated[int, Field(ge=1, le=2**31), WHOLE]
 Number = Annotated[float, Field(allow_inf_nan=False)]
 
 
@@ -87,8 +97,8 @@ class FrameHeader(WireModel):
     tracking_state:   ARKit's; frames that are not `normal` are not used unless the session asks for it.
     """
 
-    version: Literal[1] = VERSION
-    index: Annotated[int, Field(ge=0, le=2**53 - 1)] | None = None
+    version: Annotated[Literal[1], WHOLE] = VERSION
+    index: Annotated[int, Field(ge=0, le=MAX_INDEX), WHOLE] | None = None
     colour: ColourPart
     depth: DepthPart
     confidence: ConfidencePart | None = None

@@ -24,7 +24,7 @@ from roomlight.camera import Intrinsics, check_rigid
 from roomlight.errors import ImageError, WireError
 from roomlight.frame import ASPECT_TOLERANCE, MAX_POSITION_M
 from roomlight.images import peek_size
-from roomlight.wire.frame_header import DEPTH_BYTES, ConfidencePart, DepthPart, FrameHeader
+from roomlight.wire.frame_header import DEPTH_BYTES, MAX_INDEX, ConfidencePart, DepthPart, FrameHeader, whole
 
 MAGIC: Final = b"RLF1"
 _PREFIX: Final = struct.Struct("<4sI")
@@ -97,6 +97,24 @@ def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
     return FrameMessage(header, intrinsics, pose, colour, depth, confidence)
 
 
+def stated_index(body: bytes) -> int | None:
+    """The index in a message's header, whatever else is wrong with the message; None where it cannot be read.
+
+    For refusals: whoever sent several frames must know which one is meant.
+    """
+    if len(body) < _PREFIX.size:
+        return None
+    magic, length = _PREFIX.unpack_from(body)
+    if magic != MAGIC or length > MAX_HEADER_BYTES:
+        return None
+    try:
+        header = json.loads(bytes(body[_PREFIX.size : _PREFIX.size + length]))
+    except (ValueError, RecursionError):
+        return None
+    index = whole(header.get("index")) if isinstance(header, dict) else None
+    return index if type(index) is int and 0 <= index <= MAX_INDEX else None
+
+
 def column_major(camera_to_world: Float[np.ndarray, "4 4"]) -> list[float]:
     """A pose as the header carries it: column by column."""
     return [float(value) for value in camera_to_world.T.reshape(-1)]
@@ -108,7 +126,13 @@ def explain(error: ValidationError, *, kind: str, prefix: str = "") -> WireError
     field = ".".join(str(part) for part in (prefix, *first["loc"]) if part != "")
     given: Any = first["input"]
     value = "nothing" if first["type"] == "missing" else _shown(given)
-    return WireError(kind, field=field, value=value, rule=first["msg"][:1].lower() + first["msg"][1:])
+    return WireError(kind, field=field, value=value, rule=rule_of(first["msg"]))
+
+
+def rule_of(said: str) -> str:
+    """Pydantic's words for what would have been right, as the middle of a sentence."""
+    said = said.removeprefix("Value error, ")
+    return said[:1].lower() + said[1:]
 
 
 def _shown(value: object) -> str:

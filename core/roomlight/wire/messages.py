@@ -7,14 +7,17 @@ light. Light is linear RGB; 1.0 is what the session's reference exposure shows a
 import re
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import Field, StringConstraints, model_validator
+from pydantic import Field, StringConstraints, ValidationError, model_validator
+from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from roomlight.wire.frame_header import Number, WireModel
+from roomlight.wire.frame_header import WHOLE, Number, WireModel
 
 ID_PATTERN: Final = r"^[A-Za-z0-9_-]{1,64}\Z"
 """Of session ids and probe names: nothing a path, a log line or a metric could stumble over."""
 MAX_PROBES: Final = 64
 MAX_FORMS: Final = 8
+NO_FRAME: Final = -1
+"""The frame of a light that no frame is in: the prior."""
 
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_length=64)]
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
@@ -45,10 +48,10 @@ class SessionRequest(WireModel):
     """
 
     mode: Mode = "auto"
-    height: Annotated[int, Field(ge=16, le=512)] = 120
+    height: Annotated[int, Field(ge=16, le=512), WHOLE] = 120
     reference_exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] | None = None
     use_limited_tracking: bool = False
-    min_confidence: Annotated[int, Field(ge=0, le=2)] = 1
+    min_confidence: Annotated[int, Field(ge=0, le=2), WHOLE] = 1
     unknown_depth: Literal["rim", "far", "drop"] = "rim"
 
 
@@ -70,7 +73,7 @@ class Form(WireModel):
     """
 
     format: Format
-    size: Annotated[int, Field(ge=8, le=512)] | None = None
+    size: Annotated[int, Field(ge=8, le=512), WHOLE] | None = None
     kind: Kind = "total"
     basis: Basis = "arcore"
     exposure_ev: Annotated[float, Field(ge=-16, le=16, allow_inf_nan=False)] = 0.0
@@ -78,7 +81,10 @@ class Form(WireModel):
     @model_validator(mode="after")
     def _face_sizes(self) -> "Form":
         if self.format in CUBE_FORMATS and self.size not in (None, *FACE_SIZES):
-            raise ValueError(f"faces of {self.format} are {', '.join(map(str, FACE_SIZES))} pixels wide")
+            said = {"format": self.format, "sizes": ", ".join(map(str, FACE_SIZES))}
+            rule = PydanticCustomError("face_size", "faces of {format} are {sizes} pixels wide", said)
+            at = InitErrorDetails(type=rule, loc=("size",), input=self.size)  # the field that is wrong, not the whole
+            raise ValidationError.from_exception_data("Form", [at])
         return self
 
 
@@ -130,7 +136,10 @@ class ProbeLight(WireModel):
 
 
 class LightResponse(WireModel):
-    """Light after `frame` (the index of the last processed frame), in the order it was asked for."""
+    """Light after `frame` (the index of the last processed frame), in the order it was asked for.
+
+    frame: -1 before the first: the light is then the prior, grey and brighter from above, with coverage 0.
+    """
 
     frame: int
     results: list[ProbeLight]
@@ -221,7 +230,7 @@ class LightCall(LightRequest):
 
 
 class Subscribe(WireModel):
-    """WebSocket, to the server: send every named probe's light in these forms after each frame; none: stop."""
+    """WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop."""
 
     type: Literal["subscribe"]
     forms: Annotated[list[Form], Field(max_length=MAX_FORMS)]
@@ -275,7 +284,7 @@ class ProbesEvent(WireModel):
 class ProblemEvent(WireModel):
     """WebSocket, to the client: a message was refused; the connection goes on.
 
-    index:   of the frame it was about.  request: of the `light` message.
+    index:   of the frame it was about, if its header could be read.  request: of the `light` message.
     """
 
     type: Literal["problem"] = "problem"

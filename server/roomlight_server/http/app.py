@@ -3,7 +3,7 @@
 import asyncio
 import logging
 import time
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
 from typing import Any
 
@@ -17,7 +17,7 @@ from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight.wire import messages
 from roomlight.wire.frame_header import FrameHeader
-from roomlight_server.http import light_routes, problems, session_routes, stream
+from roomlight_server.http import light_forms, light_routes, problems, session_routes, stream
 from roomlight_server.http.auth import AuthMiddleware, Tokens
 from roomlight_server.http.bodies import BodyMiddleware
 from roomlight_server.http.context import Context, In
@@ -50,8 +50,12 @@ _SOCKET_MODELS = (
 """In the OpenAPI document for the clients' types, though no HTTP body is of them."""
 
 
-def create_app(settings: ServerSettings, *, clock: Clock = time.monotonic) -> FastAPI:
-    """A server's application. `clock`: seconds that only go forward, for the expiry of sessions."""
+def create_app(
+    settings: ServerSettings, *, clock: Clock = time.monotonic, when_ready: Callable[[], object] | None = None
+) -> FastAPI:
+    """A server's application. `clock`: seconds that only go forward, for the expiry of sessions. `when_ready`: called
+    once, when kernels are compiled and weights loaded.
+    """
     metrics = Metrics()
     workers = Workers(settings)
     registry = Registry(settings, workers, metrics, clock)
@@ -60,7 +64,7 @@ def create_app(settings: ServerSettings, *, clock: Clock = time.monotonic) -> Fa
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
         tasks = [
-            asyncio.create_task(_get_ready(context)),
+            asyncio.create_task(_get_ready(context, when_ready)),
             asyncio.create_task(_reap(registry, every_s=min(5.0, settings.idle_expiry_s / 4))),
         ]
         try:
@@ -81,6 +85,7 @@ def create_app(settings: ServerSettings, *, clock: Clock = time.monotonic) -> Fa
         lifespan=lifespan,
         redoc_url=None,
         redirect_slashes=False,
+        generate_unique_id_function=lambda route: route.name,
         exception_handlers={
             problems.ProblemError: problems.on_problem,
             RequestValidationError: problems.on_invalid,
@@ -114,13 +119,16 @@ def create_app(settings: ServerSettings, *, clock: Clock = time.monotonic) -> Fa
     return app
 
 
-async def _get_ready(context: Context) -> None:
+async def _get_ready(context: Context, when_ready: Callable[[], object] | None) -> None:
     """Beside the serving: the process answers for its health from the first moment."""
     try:
         await context.workers.start()
+        await context.workers.aside(light_forms.warm_up)
     except RoomLightError as error:
         _log.error("cannot get ready: %s", error)
     else:
+        if when_ready is not None:
+            when_ready()
         context.ready = True
         _log.info("ready")
 

@@ -7,17 +7,23 @@ import asyncio
 from dataclasses import dataclass, field
 
 from roomlight.frame import Frame
+from roomlight.wire.frame_message import FrameMessage
 from roomlight.wire.messages import FrameCounts, FrameResult
 from roomlight_server.http.problems import ProblemError
 
 
 @dataclass
 class Entry:
-    """An accepted frame. `outcome` is its result or the problem it ended with; nobody has to look at it."""
+    """An accepted frame. `outcome` is its result or the problem it ended with; nobody has to look at it.
+
+    One that took another's place comes as its `message`, to be decoded when its turn comes: on a busy server most never
+    have one. With neither, its tracking state rules it out.
+    """
 
     index: int
     digest: bytes
-    frame: Frame | None
+    frame: Frame | None = None
+    message: FrameMessage | None = None
     outcome: "asyncio.Future[FrameResult]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def settle(self, result: FrameResult) -> None:
@@ -56,19 +62,19 @@ class FrameQueue:
         raise ProblemError("frame-conflict", detail, field="index", value=index, rule=rule)
 
     def accept(self, entry: Entry) -> None:
-        """Take a new frame; it waits, and one that waited so far is superseded. Without a frame it is skipped."""
+        """Take a new frame; it waits, and one that waited so far is superseded. One without content is skipped."""
         self._before_last = self._last
         if self._last is not None:
             self._counts["gaps"] += entry.index - self._last.index - 1
         self._last = entry
-        if entry.frame is None:
+        if entry.frame is None and entry.message is None:
             self._counts["skipped"] += 1
             entry.settle(FrameResult(index=entry.index, status="skipped"))
             return
         if self._waiting is not None:
             self._counts["superseded"] += 1
             self._waiting.settle(FrameResult(index=self._waiting.index, status="superseded"))
-            self._waiting.frame = None
+            self._waiting.frame = self._waiting.message = None
         self._waiting = entry
 
     def take(self) -> Entry | None:
@@ -117,7 +123,7 @@ class FrameQueue:
         return FrameCounts(accepted=used + queued, queued=queued, last_index=last, **self._counts)
 
     def _done(self, entry: Entry) -> None:
-        entry.frame = None  # a replay needs the outcome alone
+        entry.frame = entry.message = None  # a replay needs the outcome alone
         if self._working is entry:
             self._working = None
 

@@ -1,4 +1,8 @@
-"""From a frame's bytes to a frame at the engine's size: what runs on a decoding thread before a frame is accepted."""
+"""From a frame's bytes to a frame at the engine's size: what runs on decoding threads.
+
+A frame is parsed, and all its sizes checked, before it is accepted. Decoded it is before, too, or, where it takes the
+place of one that still waits, when its turn comes.
+"""
 
 import hashlib
 

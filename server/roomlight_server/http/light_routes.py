@@ -30,14 +30,17 @@ COVERAGE_HEADER: Final = "Roomlight-Coverage"
 FRAME_HEADER: Final = "Roomlight-Frame"
 MOST_BYTES: Final = 64 * 2**20
 """Of one answer: 64 probes with a cube map of 128 pixels each."""
-_REFUSALS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid", "no-light-yet")
+_REFUSALS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
 _ONE: Final[dict[int | str, dict[str, Any]]] = {
     200: {
         "description": "The light, in its media type",
         "headers": {
             "ETag": {"description": "Changes when the light at this point does", "schema": {"type": "string"}},
             COVERAGE_HEADER: {"description": "Share of the sphere observed, 0 to 1", "schema": {"type": "number"}},
-            FRAME_HEADER: {"description": "Index of the last processed frame", "schema": {"type": "integer"}},
+            FRAME_HEADER: {
+                "description": "Index of the last processed frame; -1 before the first: the light is the prior",
+                "schema": {"type": "integer"},
+            },
         },
         "content": {kind: {} for kind in sorted(set(MEDIA_TYPES.values()) - {"application/json"})}
         | {
@@ -82,7 +85,10 @@ async def probe(
     basis: Basis = "arcore",
     exposure_ev: _Ev = 0.0,
 ) -> Response:
-    """Light at any position; it is caught up from what the session remembers."""
+    """Light at any position; it is caught up from what the session remembers.
+
+    Before the first frame it is the prior: grey, brighter from above, coverage 0, frame -1.
+    """
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
     return await _one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
 

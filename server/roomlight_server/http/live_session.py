@@ -1,8 +1,12 @@
 """One session of the server: the engine's `Session` behind turns, its frames in order, its named probes, its light.
 
-Everything here runs on the event loop; the engine is called on its threads, one call at a time a session (`_turn`).
-What is refused leaves the session as it was. An engine that fails in the middle of a frame may not be: the session
-is then failed, says so from then on, and its memory is given back.
+Everything here runs on the event loop; the engine is called on its threads. `_turn` puts what needs the engine in
+order, and is held while a session waits for an engine thread behind the others; `_changing` is held only while its
+state changes. The light of named probes is read between changes, so it waits for no other session. They are taken in
+this order: `_turn`, a thread, `_changing`.
+
+What is refused leaves the session as it was. An engine that fails in the middle of a frame may not be: the session is
+then failed, says so from then on, and its memory is given back.
 """
 
 import asyncio
@@ -12,12 +16,17 @@ from collections import OrderedDict
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final, Literal, TypeVar, cast
+
+import numpy as np
+from jaxtyping import Float
 
 from roomlight.errors import FrameError, ProbeError, WireError
 from roomlight.frame import Frame
-from roomlight.wire.frame_message import FrameLimits
-from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
+from roomlight.light.prior import prior_panorama
+from roomlight.wire.frame_message import FrameLimits, FrameMessage
+from roomlight.wire.messages import NO_FRAME, FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
 from roomlight_server.http.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.http.intake import decode_to_size, index_of, parse_frame
 from roomlight_server.http.metrics import Metrics
@@ -81,14 +90,14 @@ class LiveSession:
         self._model = engine.model
         self._keyframe_capacity = engine.options.keyframes
         self._workers, self._footprint, self._limits, self._metrics = workers, footprint, limits, metrics
-        self._turn, self._order = asyncio.Lock(), asyncio.Lock()
+        self._turn, self._changing, self._order = asyncio.Lock(), asyncio.Lock(), asyncio.Lock()
         self._in_flight = asyncio.Semaphore(limits.frames_in_flight)
         self._queue = FrameQueue()
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
         self._named: dict[str, _Named] = {}
         self._lights: OrderedDict[tuple[str | None, Position], PointLight] = OrderedDict()
-        self._light_frame = -1
+        self._light_frame = NO_FRAME
         self._ended: ProblemError | None = None
         self._listeners: set[Callable[[], None]] = set()
 
@@ -131,42 +140,52 @@ class LiveSession:
         self.check_open()
         repeated = self._queue.replay_of(index, digest)
         if repeated is not None:
-            return Entry(index, digest, None, replayed(repeated.outcome))
+            return Entry(index, digest, outcome=replayed(repeated.outcome))
         usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
-        entry = Entry(index, digest, None)
+        entry = Entry(index, digest)
         if message.header.tracking_state in usable:
-            reference = self._reference or message.header.exposure
-            entry.frame = await self._workers.aside(
-                decode_to_size, message, index, reference, self.request.min_confidence
-            )
-            self._reference = reference
+            if self._queue.has_waiting:
+                entry.message = message
+            else:
+                entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
         return entry
+
+    async def _decoded(self, message: FrameMessage, index: int) -> Frame:
+        reference = self._reference or message.header.exposure
+        frame = await self._workers.aside(decode_to_size, message, index, reference, self.request.min_confidence)
+        self._reference = reference
+        return frame
 
     async def _run(self) -> None:
         """Push what waits until nothing does; the newest is taken when an engine thread is free."""
         try:
             while self._queue.has_waiting:
-                async with self._turn, self._workers.engine_turn():
+                async with self._turn, self._workers.engine_turn(), self._changing:
                     entry = self._queue.take()
-                    if entry is not None and entry.frame is not None:
-                        await self._push(entry, entry.frame)
+                    if entry is not None:
+                        await self._push(entry)
                 for listener in tuple(self._listeners):
                     listener()
         finally:
             self._runner = None
 
-    async def _push(self, entry: Entry, frame: Frame) -> None:
-        engine = self._engine
+    async def _push(self, entry: Entry) -> None:
+        engine, frame = self._engine, entry.frame
         if engine is None:
             return  # ended: the entry has been told
         try:
+            if frame is None and entry.message is not None:
+                frame = await self._decoded(entry.message, entry.index)
+            assert frame is not None
             report = await self._workers.on_engine(engine.push, frame)
+        except WireError as error:
+            self._refuse(entry, ProblemError.from_wire(error))
         except FrameError as error:
-            refusal = ProblemError("bad-frame", str(error), field="frame", value=entry.index, rule=str(error))
-            self._metrics.refused.labels("bad-frame").inc()
-            self._queue.refused(entry, refusal)
+            self._refuse(
+                entry, ProblemError("bad-frame", str(error), field="frame", value=entry.index, rule=str(error))
+            )
         except Exception as error:  # out of memory, ONNX Runtime: half a frame may be in the state
             _log.exception("engine failed", extra={"session": self.name, "frame": entry.index})
             self._metrics.frames.labels("failed").inc()
@@ -176,6 +195,10 @@ class LiveSession:
             self._light_frame = entry.index
             self._metrics.observe_frame(report)
             self._queue.processed(entry, self._result(engine, entry.index, report))
+
+    def _refuse(self, entry: Entry, refusal: ProblemError) -> None:
+        self._metrics.refused.labels("bad-frame").inc()
+        self._queue.refused(entry, refusal)
 
     def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:
         coverage = dict(zip(engine.handles, report.coverage, strict=True))
@@ -210,14 +233,15 @@ class LiveSession:
             new = _Named(position, handle)
             if self.has_light:
                 new.coverage = (await self._workers.aside(engine.light, handle)).coverage
-            if old is not None:
-                self._forget(engine, name)
-            self._named[name] = new
+            async with self._changing:
+                if old is not None:
+                    self._forget(engine, name)
+                self._named[name] = new
             return old is None
 
     async def untrack(self, name: str) -> None:
         """No longer follow it. Raises ProblemError (404)."""
-        async with self._turn:
+        async with self._turn, self._changing:
             engine = self._live_engine()
             self._named_probe(name)
             self._forget(engine, name)
@@ -228,11 +252,15 @@ class LiveSession:
         self._lights.pop((name, named.position), None)
 
     async def lights(self, queries: Sequence[ProbeQuery]) -> list[PointLight]:
-        """Light at each point, all after the same frame. Raises ProblemError."""
-        async with self._turn:
+        """Light at each point, all after the same frame; the prior, of frame `NO_FRAME`, before the first.
+
+        Raises ProblemError.
+        """
+        named = all(query.name is not None for query in queries)
+        async with self._changing if named else self._turn:
             engine = self._live_engine()
             if not self.has_light:
-                raise ProblemError("no-light-yet", "no frame has been processed; push one first", retry_after_s=1)
+                return [self._prior(query) for query in queries]
             return [await self._light(engine, query) for query in queries]
 
     async def _light(self, engine: Session, query: ProbeQuery) -> PointLight:
@@ -253,6 +281,12 @@ class LiveSession:
             self._lights.popitem(last=False)
         return found
 
+    def _prior(self, query: ProbeQuery) -> PointLight:
+        name = query.name
+        position = self._named_probe(name).position if name is not None else _position(query)
+        panorama, observed, digest = _prior(self.request.height)
+        return PointLight(Light(position, panorama, observed, 0.0), digest, NO_FRAME, name)
+
     def _named_probe(self, name: str) -> _Named:
         named = self._named.get(name)
         if named is None:
@@ -267,7 +301,7 @@ class LiveSession:
     @property
     def has_light(self) -> bool:
         """Whether a frame was processed."""
-        return self._light_frame >= 0
+        return self._light_frame != NO_FRAME
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
         """Call `listener` after each frame (on the loop); returns how to stop it."""
@@ -358,6 +392,14 @@ def _position(query: ProbeQuery) -> Position:
     assert query.position is not None
     x, y, z = query.position
     return x, y, z
+
+
+@lru_cache(maxsize=4)
+def _prior(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], str]:
+    """Panorama, what was observed of it (nothing), and its digest."""
+    panorama = prior_panorama(height)
+    observed = np.zeros(panorama.shape[:2], np.float32)
+    return panorama, observed, _digest(Light((0.0, 0.0, 0.0), panorama, observed, 0.0))
 
 
 def _digest(light: Light) -> str:

@@ -11,6 +11,7 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from roomlight.errors import WireError
+from roomlight.wire.frame_message import rule_of
 from roomlight.wire.messages import Problem
 
 MEDIA_TYPE: Final = "application/problem+json"
@@ -27,7 +28,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "frame-conflict": (409, "The index was used already"),
     "session-conflict": (409, "The session exists with other options"),
     "session-failed": (409, "The session failed and must be opened anew"),
-    "no-light-yet": (409, "The session has no light yet"),
+    "model-not-here": (409, "This server has no weights of the model"),
     "too-many-probes": (409, "The session tracks as many probes as it may"),
     "session-closed": (410, "The session was deleted meanwhile"),
     "too-large": (413, "The message is larger than this server takes"),
@@ -97,7 +98,7 @@ async def on_invalid(_: Request, error: Exception) -> JSONResponse:
     first: dict[str, Any] = error.errors()[0]
     where = [str(part) for part in first["loc"]]
     field = ".".join(where[1:]) if len(where) > 1 else where[0]
-    rule = str(first["msg"])
+    rule = rule_of(str(first["msg"]))
     given = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
     return problem_response(ProblemError("invalid", f"{field}: {rule}", field=field, value=given, rule=rule))
 

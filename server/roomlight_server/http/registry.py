@@ -48,7 +48,9 @@ class Registry:
         try:
             graphs = await self._workers.graphs_of(request.mode)
         except ModelError as error:
-            raise ProblemError("invalid", str(error), field="mode", value=request.mode, rule=str(error)) from error
+            rule = "`auto` takes the best model that the server has"
+            detail = f"the server cannot serve it: {error}"
+            raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
         held = self._current(owner, name)  # another request may have made it meanwhile
         if held is not None:
             return self._same(held, request), False

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Body, Header, Path, Request, Response
 
+from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_server.http.bodies import read_frame
 from roomlight_server.http.context import In, Live, Owner, SessionId
@@ -60,7 +61,9 @@ _PROCESSED: Final[dict[str, Any]] = {
     summary="Open a session",
     response_model=SessionState,
     responses={201: {"model": SessionState, "description": "Opened"}}
-    | documented(*BODY_REFUSALS, "unauthorized", "session-conflict", "invalid", "server-full", "stopping"),
+    | documented(
+        *BODY_REFUSALS, "unauthorized", "session-conflict", "model-not-here", "invalid", "server-full", "stopping"
+    ),
 )
 async def open_session(
     session_id: SessionId,
@@ -118,7 +121,7 @@ async def delete_session(session_id: SessionId, context: In, owner: Owner) -> No
 )
 async def put_frame(
     live: Live,
-    index: Annotated[int, Path(ge=0, le=2**53 - 1)],
+    index: Annotated[int, Path(ge=0, le=MAX_INDEX)],
     request: Request,
     response: Response,
     prefer: Annotated[str, Header(description="`respond-async`: 202 as soon as the frame is accepted.")] = "",

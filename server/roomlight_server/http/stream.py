@@ -11,7 +11,7 @@ from typing import Final
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import TypeAdapter, ValidationError
 
-from roomlight.wire.frame_message import explain
+from roomlight.wire.frame_message import explain, stated_index
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import (
     ClientMessage,
@@ -33,7 +33,6 @@ from roomlight.wire.messages import (
 from roomlight_server.http.auth import SUBPROTOCOL
 from roomlight_server.http.bodies import JSON_BYTES
 from roomlight_server.http.context import Context
-from roomlight_server.http.frame_queue import Entry
 from roomlight_server.http.light_routes import answer, check_size
 from roomlight_server.http.live_session import LiveSession
 from roomlight_server.http.problems import ProblemError
@@ -102,7 +101,7 @@ class _Connection:
                     elif text is not None:
                         await self._text(text)
             except ProblemError as error:
-                await self._problem(error)
+                await self._problem(error, index=None if data is None else stated_index(data))
 
     async def _frame(self, data: bytes) -> None:
         """Take a frame in order, waiting for room (and so not reading on); its fate is told when it is known."""
@@ -113,13 +112,12 @@ class _Connection:
         await room.__aenter__()
 
         async def take() -> None:
-            entry: Entry | None = None
             try:
                 entry = await self._live.accept(data, None)
                 result = await asyncio.shield(entry.outcome)
                 await self._send(FrameEvent(**result.model_dump()))
             except ProblemError as error:
-                await self._problem(error, index=None if entry is None else entry.index)
+                await self._problem(error, index=stated_index(data))
             finally:
                 await room.__aexit__(None, None, None)
 
@@ -177,7 +175,7 @@ class _Connection:
                 await self._websocket.close(4410, self._live.ended.kind)
                 return
             named = [ProbeQuery(name=name) for name in self._live.probes]
-            if not self._forms or not named or not self._live.has_light:
+            if not self._forms or not named:
                 continue
             try:
                 frame, results, parts = await self._lights(named, self._forms)

@@ -43,9 +43,12 @@ class Workers:
         self._graphs[self._base.model] = choose_graphs(self._base)
 
     async def start(self) -> None:
-        """Load what `auto` means, if that is still to be done, and compile the kernels. Raises ModelError."""
-        await self.graphs_of(self._base.model)
-        await asyncio.get_running_loop().run_in_executor(self._engine, warm_up)
+        """Load what `auto` means, if that is still to be done, and run it once, which compiles the kernels.
+
+        Raises ModelError.
+        """
+        graphs = await self.graphs_of(self._base.model)
+        await asyncio.get_running_loop().run_in_executor(self._engine, warm_up, graphs)
 
     def stop(self) -> None:
         """Finish what is being worked on; drop what has not begun."""

@@ -204,7 +204,7 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
   const live = await server.open(options);
   let followed: Light | null = null;
   const update = new Promise<Lights>((resolve) => {
-    void live.stream({ onLighting: resolve }).then(async (stream) => {
+    void live.stream({ onLighting: (lights) => lights.frame < 0 || resolve(lights) }).then(async (stream) => {
       stream.track("here", [0, 0, -0.5]);
       stream.subscribe([{ format: "cube", size: 32 }, { format: "sh" }, { format: "main_light" }]);
       statuses.push((await stream.push(xrFrame())).status);

@@ -174,16 +174,17 @@ test("every form is the light of the panorama", async () => {
 
 test("a followed point's light comes after each frame, and by its ETag", async () => {
   const session = await server.open(options);
-  const [lit, followed] = [promised<Lights>(), promised<object>()];
+  const [prior, lit, followed] = [promised<Lights>(), promised<Lights>(), promised<object>()];
   const problems: RoomLightError[] = [];
   const stream = await session.stream({
-    onLighting: lit.resolve,
+    onLighting: (lights) => (lights.frame < 0 ? prior : lit).resolve(lights),
     onProbes: followed.resolve,
     onProblem: (error) => problems.push(error),
   });
   stream.track("table", [0, -0.5, -0.5]);
   assert.deepEqual(await followed.promise, { table: [0, -0.5, -0.5] });
   stream.subscribe([{ format: "sh" }, { format: "cube", size: 16 }]);
+  assert.equal((await prior.promise).results[0]!.coverage, 0); // at once, before any frame
   assert.equal((await stream.push(roomFrame(0))).status, "processed");
   const [table] = (await lit.promise).results;
   assert.deepEqual([table!.name, table!.forms.length, table!.forms[1]!.data!.length], ["table", 2, 6 * 16 * 16 * 8]);
