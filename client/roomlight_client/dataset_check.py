@@ -38,12 +38,10 @@ def check(
     seed: Annotated[int, typer.Option(min=0, help="The dataset's seed.")] = 0,
     first: Annotated[int, typer.Option(min=0, help="Number of the first room.")] = 0,
     split: Annotated[Split, typer.Option(help="Which split's rooms.")] = "train",
-    samples: Annotated[
-        int, typer.Option(min=2, help="Paths a pixel of the reference's frame, half as many of its probe.")
-    ] = 64,
+    samples: Annotated[int, typer.Option(min=2, help="Paths a pixel of the reference's frame and probe.")] = 64,
     paths: Annotated[
         int, typer.Option(min=1000, help="Paths for a room's points, at which surfaces are compared, at the most.")
-    ] = 8_000_000,
+    ] = 12_000_000,
     furniture: Annotated[
         Path | None, typer.Option(help="A .sh3f library, or the cache of several, instead of the installed ones.")
     ] = None,
@@ -79,13 +77,15 @@ def check(
 def print_check(terminal: Console, report: "CheckReport") -> None:
     """Surfaces and probes, a row a room, and what they are against the two targets.
 
-    Beside each error stands what the reference's noise alone would give."""
+    Beside each error stands what the reference's noise alone would give; rms is our error with it taken out."""
+    from roomlight_model.dataset.check import JUDGED_NOISE, CheckReport
+
     diffuse, coated, probe = report.diffuse(), report.coated(), report.probe()
     for title, parts, total in (
         ("Diffuse surfaces in frames", [room.diffuse for room in report.rooms], diffuse),
         ("Coated surfaces in frames", [room.coated for room in report.rooms], coated),
     ):
-        surfaces = _table(f"{title}: relative error in %", ("mean", "median", "noise", "4x4", "noise", "bias"))
+        surfaces = _table(f"{title}: relative error in %", ("mean", "noise", "4x4", "noise", "rms", "bias"))
         for room, part in zip(report.rooms, parts, strict=True):
             surfaces.add_row(room.name, *_surface(part))
         surfaces.add_section()
@@ -109,6 +109,21 @@ def print_check(terminal: Console, report: "CheckReport") -> None:
         terminal.print(
             f"frames, diffuse surfaces: {_percent(mean)} %, {_percent(diffuse.pixels.less_noise)} % without the "
             f"reference's noise, {_verdict(mean, DIFFUSE_TARGET)}",
+            soft_wrap=True,
+        )
+        blocks = diffuse.blocks
+        terminal.print(
+            f"over blocks of 4 x 4 pixels: {_percent(blocks.mean)} %, {_percent(blocks.less_noise)} % without the "
+            f"noise; rms {_percent(blocks.rms)} %",
+            soft_wrap=True,
+        )
+    judged = CheckReport(report.judged(), ())
+    known = judged.diffuse() if judged.rooms else None
+    if known is not None and len(judged.rooms) < len(report.rooms):
+        terminal.print(
+            f"in the {len(judged.rooms)} rooms where the reference knows diffuse blocks to {_percent(JUDGED_NOISE)} %: "
+            f"{_percent(known.blocks.mean)} %, {_percent(known.blocks.less_noise)} % without the noise; rms "
+            f"{_percent(known.blocks.rms)} %; probes {_percent(judged.probe().irradiance)} %",
             soft_wrap=True,
         )
     terminal.print(
@@ -174,7 +189,7 @@ def _table(title: str, headings: tuple[str, ...]) -> Table:
 def _surface(part: "SurfaceDeviation | None") -> tuple[str, ...]:
     if part is None:
         return ("-",) * 6
-    figures = (part.pixels.mean, part.pixels.median, part.pixels.noise, part.blocks.mean, part.blocks.noise)
+    figures = (part.pixels.mean, part.pixels.noise, part.blocks.mean, part.blocks.noise, part.blocks.rms)
     return (*(_percent(value) for value in figures), _signed(part.bias))
 
 

@@ -19,8 +19,10 @@ def view(height: int, width: int, factor: float) -> View:
     return View(halves[0] * np.float32(factor), halves, 0.2, 3.0)
 
 
-def room(name: str, mean: float, probe: float, *, coated: bool = True) -> RoomCheck:
-    surface = SurfaceDeviation(Deviation(100, mean, mean, 0.01), Deviation(100, mean / 2, mean / 2, 0.01), -0.012)
+def room(name: str, mean: float, probe: float, *, coated: bool = True, noise: float = 0.01) -> RoomCheck:
+    surface = SurfaceDeviation(
+        Deviation(100, mean, mean, 0.01, mean), Deviation(100, mean / 2, mean / 2, noise, mean / 2), -0.012
+    )
     everywhere = np.ones((30, 40), bool)
     return RoomCheck(
         name=name, about="study, night: floor_lamp", solve_s=1.5, frame=view(30, 40, 1.3), panorama=view(16, 32, 0.7),
@@ -46,6 +48,12 @@ def test_each_room_has_its_rows_and_the_verdict_is_on_the_mean() -> None:
     assert "frames, diffuse surfaces: 4.0 %, 3.9 % without the reference's noise, under the target of 5.0 %" in text
     assert "probes, irradiance: 4.0 %, over the target of 3.0 %" in text
     assert max(len(line.rstrip()) for line in text.splitlines() if "target" not in line) <= 80
+
+
+def test_rooms_that_the_reference_does_not_know_are_counted_apart() -> None:
+    text = printed(CheckReport((room("train-000000", 0.02, 0.01), room("train-000003", 0.3, 0.07, noise=0.1)), ()))
+    assert "in the 1 rooms where the reference knows diffuse blocks to 5.0 %: 1.0 %, 0.0 % without the noise" in text
+    assert "over blocks of 4 x 4 pixels: 8.0 %" in text
 
 
 def test_rooms_without_diffuse_surfaces_are_judged_by_their_probe_alone() -> None:

@@ -67,6 +67,8 @@ def test_noise_of_the_reference_is_told_apart() -> None:
     shifted = deviation(1.1 * truth, halves)
     # In squares exactly, in means nearly.
     assert shifted.less_noise == pytest.approx(0.1, rel=0.1)
+    assert shifted.rms == pytest.approx(0.1, rel=0.02)
+    assert found.rms < 0.02  # of 20,000 points: 0.9 % is one sigma of luck
 
 
 def test_a_black_point_does_not_count_endlessly() -> None:
@@ -85,6 +87,7 @@ def test_pooled_figures_are_weighted_by_points() -> None:
     assert together is not None
     assert together.points == 40
     assert together.mean == pytest.approx(0.2)
+    assert together.rms == pytest.approx(np.sqrt(0.75 * 0.01 + 0.25 * 0.25))
     assert pooled([]) is None
 
 

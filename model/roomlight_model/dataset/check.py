@@ -5,7 +5,9 @@ is taken out for both: the path tracer has none (`dataset.reference`).
 
 A path tracer's picture of a sunlit room keeps a quarter of noise after 500 paths a pixel. Errors are therefore measured
 at some of the frame's pixels, and over blocks of 4 x 4 around them (in which our own noise is averaged out), with as
-many paths each as it takes; the whole picture, with few paths, is for the eye and for sums.
+many paths each as it takes; the whole picture, with few paths, is for the eye and for sums. What noise is left in the
+reference counts as error, once as it is and once taken out (`dataset.deviation`); rooms in which it is larger than
+`JUDGED_NOISE` say nothing and are counted apart.
 """
 
 import time
@@ -23,22 +25,30 @@ from roomlight.errors import DatasetError
 from roomlight.metrics import log_l2
 from roomlight_model.dataset.deviation import Deviation, cube_normals, deviation, irradiance, luminance, pooled
 from roomlight_model.dataset.reference import Reference
-from roomlight_model.dataset.room_sequences import Stage, catalogue_for, plan_shot, set_stage
+from roomlight_model.dataset.room_sequences import Stage, catalogue_for, plan_shot
 from roomlight_model.dataset.surface_kinds import Kinds, surface_kinds, without_glass
-from roomlight_model.rooms.build import room_generator
+from roomlight_model.dataset.walk import FreeSpace
+from roomlight_model.rooms.build import build_room, room_generator
 from roomlight_model.rooms.model import Split
+from roomlight_model.rooms.planner import free_floor
 from roomlight_model.rooms.scene import Scene
 from roomlight_model.transport import RoomLight, Tracer
 
 FRAME: Final = (160, 120)
 PROBE_HEIGHT: Final = 120
+BODY_M: Final = 0.25
+"""As for a dataset's walks."""
 BLOCK: Final = 4
-POINTS: Final = 128
-"""Blocks of each kind of surface in a room: with errors that scatter by 5 %, their mean is known to 0.4 %."""
-NOISE: Final = 0.015
-"""The points' mean noise at which the reference stops: a tenth of a 5 % error, in squares."""
-PATHS: Final = 8_000_000
-"""Paths for a room's points, at the most: half a minute to a minute on two cores. Sunlit rooms would need more."""
+POINTS: Final = 96
+"""Blocks of each kind of surface in a room: with errors that scatter by 5 %, their mean is known to 0.5 %."""
+NOISE: Final = 0.02
+"""The points' mean noise at which the reference stops: a sixth of a 5 % error, in squares."""
+PATHS: Final = 12_000_000
+"""Paths for a room's points, at the most: a minute on two cores. Few rooms reach `NOISE` with so many."""
+BLOCK_SHARE: Final = 0.75
+"""Of these paths, for blocks; the rest is for single pixels."""
+JUDGED_NOISE: Final = 0.05
+"""Rooms whose blocks have more noise in the reference than the target allows for error are no measure of it."""
 
 _LEAST_BLOCKS: Final = 12
 _PATHS_A_ROUND: Final = 500_000
@@ -110,6 +120,11 @@ class CheckReport:
         """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
         return _pooled([room.diffuse for room in self.rooms])
 
+    def judged(self) -> tuple[RoomCheck, ...]:
+        """The rooms in which the reference knows the diffuse surfaces well enough."""
+        known = [room for room in self.rooms if room.diffuse is not None]
+        return tuple(room for room in known if room.diffuse and room.diffuse.blocks.noise <= JUDGED_NOISE)
+
     def coated(self) -> SurfaceDeviation | None:
         """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
         return _pooled([room.coated for room in self.rooms])
@@ -142,22 +157,27 @@ def check_rooms(
     left_out: list[str] = []
     index = first
     while len(found) < rooms:
-        stage = set_stage(index, seed=seed, split=split, catalogue=catalogue)
-        rng = room_generator(index, seed=seed, split=split, purpose=1)
+        room = build_room(index, seed=seed, split=split, catalogue=catalogue)
+        tracer = Tracer(without_glass(room.scene))
+        begin = time.perf_counter()
+        light = RoomLight.solve(tracer, index)
+        solve_s = time.perf_counter() - begin
+        floor = free_floor(room.shell, room.placements, radius_m=BODY_M)
+        free = FreeSpace(floor.free, floor.origin, floor.cell_m, Tracer(room.scene).distances)
+        stage = Stage(room, light, free)
         try:
-            shot = plan_shot(stage, rng, probes=1)
-        except DatasetError as error:
+            shot = plan_shot(stage, room_generator(index, seed=seed, split=split, purpose=1), probes=1)
+        except (DatasetError, ValueError) as error:
             left_out.append(str(error))
         else:
             camera = shot.intrinsics.resized(*FRAME)
-            about = f"{stage.room.room_type}, {_light(stage)}"
-            room = check_view(
-                stage.room.scene, camera, shot.poses[0], shot.probes[0], samples=samples, paths=paths, seed=index,
-                name=stage.room.name, about=about,
+            check = _compared(
+                light, camera, shot.poses[0], shot.probes[0], samples=samples, paths=paths, seed=index,
+                probe_height=PROBE_HEIGHT, solve_s=solve_s, name=room.name, about=f"{room.room_type}, {_light(stage)}",
             )  # fmt: skip
-            found.append(room)
+            found.append(check)
             if done:
-                done(room)
+                done(check)
         index += 1
     return CheckReport(tuple(found), tuple(left_out))
 
@@ -176,11 +196,32 @@ def check_view(
     about: str = "",
 ) -> RoomCheck:
     """One frame and one probe of a scene (its glass left out) by both."""
-    scene = without_glass(scene)
-    tracer = Tracer(scene)
     begin = time.perf_counter()
-    light = RoomLight.solve(tracer, seed)
+    light = RoomLight.solve(Tracer(without_glass(scene)), seed)
     solve_s = time.perf_counter() - begin
+    return _compared(
+        light, camera, camera_to_world, probe, samples=samples, paths=paths, seed=seed, probe_height=probe_height,
+        solve_s=solve_s, name=name, about=about,
+    )  # fmt: skip
+
+
+def _compared(
+    light: RoomLight,
+    camera: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    probe: Float[np.ndarray, "3"],
+    *,
+    samples: int,
+    paths: int,
+    seed: int,
+    probe_height: int,
+    solve_s: float,
+    name: str,
+    about: str,
+) -> RoomCheck:
+    """One frame and one probe of a solved scene by both."""
+    tracer = light.tracer
+    scene = tracer.scene
     reference = Reference(scene)
     seeds = np.random.SeedSequence([seed, 0x636B]).generate_state(6).tolist()
 
@@ -194,7 +235,7 @@ def check_view(
     panorama = light.panorama(probe, height=probe_height, seed=seed)
     panorama_s = time.perf_counter() - begin
     around = _Rays.around(probe, probe_height)
-    panoramas = _rendered(reference, panorama, panorama_s, around, samples=max(2, samples // 2), seeds=seeds[2:4])
+    panoramas = _rendered(reference, panorama, panorama_s, around, samples=samples, seeds=seeds[2:4])
     _add_sun(panoramas.halves, reference, scene, probe)
 
     begin = time.perf_counter()
@@ -202,9 +243,10 @@ def check_view(
     rng = np.random.default_rng(seeds[4])
     chosen = {"diffuse": _blocks_of(kinds.diffuse, rng), "coated": _blocks_of(kinds.coated, rng)}
     every = np.concatenate(list(chosen.values()))
-    blocks, spent = _points(reference, eye, every, size=BLOCK, paths=paths // 2, seed=seeds[5])
+    for_blocks = int(BLOCK_SHARE * paths)
+    blocks, spent = _points(reference, eye, every, size=BLOCK, paths=for_blocks, seed=seeds[5])
     pixel = every + rng.integers(BLOCK, size=every.shape)
-    pixels, spent_on_pixels = _points(reference, eye, pixel, size=1, paths=paths // 2, seed=seeds[5] + 1)
+    pixels, spent_on_pixels = _points(reference, eye, pixel, size=1, paths=paths - for_blocks, seed=seeds[5] + 1)
     surfaces: dict[str, SurfaceDeviation | None] = {}
     start = 0
     for kind, at in chosen.items():

@@ -1,7 +1,8 @@
 """How far a noisy estimate of light is from the same light estimated otherwise: relative errors, and what is noise.
 
 All figures are of relative luminance, |ours - reference| / reference. The reference comes as two independent halves:
-half of their difference is the noise of their mean.
+half of their difference is the noise of their mean, and since their errors have nothing to do with each other, the mean
+of (ours - one half) (ours - other half) is our own error's square, however noisy they are.
 """
 
 from collections.abc import Sequence
@@ -20,12 +21,14 @@ _LEAST_SHARE: Final = 0.02
 
 @dataclass(frozen=True)
 class Deviation:
-    """Over so many points: mean and median relative error, and the mean that the reference's noise alone would give."""
+    """Over so many points: mean and median relative error, the mean that the reference's noise alone would give, and
+    the root mean square of our error with that noise taken out by its halves."""
 
     points: int
     mean: float
     median: float
     noise: float
+    rms: float
 
     @property
     def less_noise(self) -> float:
@@ -41,17 +44,21 @@ def deviation(ours: Float[np.ndarray, "n 3"], halves: Float[np.ndarray, "2 n 3"]
     truth = (a + b) / 2
     scale = np.maximum(truth, max(_LEAST_SHARE * float(truth.mean()), 1e-12))
     error = np.abs(own - truth) / scale
-    return Deviation(len(own), float(error.mean()), float(np.median(error)), float((np.abs(a - b) / 2 / scale).mean()))
+    noise = np.abs(a - b) / 2 / scale
+    square = float(((own - a) * (own - b) / scale**2).mean())
+    rms = float(np.sqrt(max(square, 0.0)))
+    return Deviation(len(own), float(error.mean()), float(np.median(error)), float(noise.mean()), rms)
 
 
 def pooled(parts: Sequence[Deviation]) -> Deviation | None:
-    """Means of several deviations, weighted by their points; None of none."""
+    """Means of several deviations (of rms, in squares), weighted by their points; None of none."""
     if not parts:
         return None
     weights = [part.points for part in parts]
-    names = [field.name for field in fields(Deviation) if field.name != "points"]
+    names = [field.name for field in fields(Deviation) if field.name not in ("points", "rms")]
     means = {name: float(np.average([getattr(part, name) for part in parts], weights=weights)) for name in names}
-    return Deviation(points=sum(weights), **means)
+    rms = float(np.sqrt(np.average([part.rms**2 for part in parts], weights=weights)))
+    return Deviation(points=sum(weights), rms=rms, **means)
 
 
 def luminance(image: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape"]:

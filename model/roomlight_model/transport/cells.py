@@ -187,6 +187,7 @@ class Cells:
         ends = follow(tracer, self.light, origin, direction)
         row, cosine = np.empty(len(origin), np.int32), np.zeros(len(origin), np.float32)
         find(tracer.geometry, cache.table, ends.face, ends.u, ends.v, ends.direction, row, cosine)
+        row = cache.seen(row, ends.distance_m)
         material = tracer.geometry.material[ends.face]  # of no face: any
         alpha = materials.roughness[material]
         radiance = ends.radiance

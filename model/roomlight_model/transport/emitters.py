@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight_model.rooms.scene import Opening
+from roomlight_model.transport.coat import coat_table
 from roomlight_model.transport.kernels.surfaces import mean_over_pieces
 from roomlight_model.transport.outdoors import Outdoors, build_outdoors
 from roomlight_model.transport.sun_spots import NEAR_SPOT_M2, Spots, sun_spots
@@ -38,14 +39,16 @@ SPOT: Final = 2
 class Lights(NamedTuple):
     """Pieces in the order of their clusters, then the clusters (those of sun spots last, from `real` on).
 
-    Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's place and normal;
-    9 to 14 texture coordinates of the corners; 15 to 17 radiance; 18 the area that `left_to_gathering` takes; 19 the
-    share of the cluster's samples for each square metre; 20 the cumulative share. kind: what a piece is, and its
-    texture (-1: none). A cluster's power is area times luminance, for openings toward the sky's upper and lower half;
-    coherence is 1 where all pieces face along `axis` and
-    0 where they close around something; thickness is half its extent along the axis. The piece at (u, v) of a face
-    cut in n is piece_at[face_first + 2 (i n + j) + upper]; near_area is column 18 of a face's pieces, 0 where it does
-    not shine.
+    Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's place and its wound
+    and shading normals; 9 to 14 texture coordinates of the corners, or a spot's roughness (0: no coat) and the sun's
+    irradiance that its lobe reflects; 15 to 17 radiance (a spot's base's mean); 18 the area that `left_to_gathering`
+    takes; 19 the share of the cluster's samples for each square metre; 20 the cumulative share. kind: what a piece is,
+    and its texture (-1: none). A cluster's power is area times luminance, for openings toward the sky's upper and lower
+    half; coherence is 1 where all pieces face along `axis` and 0 where they close around something; thickness is half
+    its extent along the axis. lobe_power is area times the sun's irradiance on coats, lobe_alpha their roughness; sun
+    the direction toward it, coat_share what a coat lets out at a cosine over its mean (rows and columns of the coat's
+    table). The piece at (u, v) of a face cut in n is piece_at[face_first + 2 (i n + j) + upper]; near_area is column 18
+    of a face's pieces, 0 where it does not shine.
     """
 
     piece: Float32[np.ndarray, "p 21"]
@@ -61,6 +64,10 @@ class Lights(NamedTuple):
     axis: Float32[np.ndarray, "l 3"]
     coherence: Float32[np.ndarray, " l"]
     thickness: Float32[np.ndarray, " l"]
+    lobe_power: Float32[np.ndarray, " l"]
+    lobe_alpha: Float32[np.ndarray, " l"]
+    sun: Float32[np.ndarray, "3"]
+    coat_share: Float32[np.ndarray, "a c"]
     near_area: Float32[np.ndarray, " f"]
     face_cuts: Int32[np.ndarray, " f"]
     face_first: Int32[np.ndarray, " f"]
@@ -95,7 +102,8 @@ def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
     outdoors = build_outdoors(tracer, parts)
     spots = sun_spots(tracer, outdoors)
     pieces = _joined(_joined(glowing, openings), _spot_pieces(spots))
-    return _clustered(pieces, face_cuts, face_first, slots + int((parts[:, 1] * parts[:, 2]).sum())), outdoors
+    slots += int((parts[:, 1] * parts[:, 2]).sum())
+    return _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction), outdoors
 
 
 def small_from(lights: Lights, point: Float[np.ndarray, "3"], angle: float) -> Bool[np.ndarray, " l"]:
@@ -224,14 +232,14 @@ def _sky_halves(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "2"]:
 def _spot_pieces(spots: Spots) -> _Pieces:
     count = len(spots.area)
     return _Pieces(
-        shape=np.concatenate([spots.position, spots.normal, np.zeros((count, 3))], 1).astype(np.float64),
-        uv=np.zeros((count, 6)),
+        shape=np.concatenate([spots.position, spots.normal, spots.facing], 1).astype(np.float64),
+        uv=np.concatenate([spots.alpha[:, None], spots.lobe, np.zeros((count, 2))], 1).astype(np.float64),
         glow=spots.radiance.astype(np.float64),
         middle=spots.position.astype(np.float64),
         reach=np.sqrt(spots.area).astype(np.float64),
         normal=spots.normal.astype(np.float64),
         area=spots.area.astype(np.float64),
-        luminance=np.maximum(spots.radiance.mean(1), 1e-12).astype(np.float64),
+        luminance=np.maximum((spots.radiance + spots.lobe_mean).mean(1), 1e-12).astype(np.float64),
         ups=np.ones((count, 2)),
         kind=np.tile(np.array([[SPOT, -1]]), (count, 1)),
         face=np.full(count, -1),
@@ -251,7 +259,7 @@ def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
         while len(some):
             # An opening's piece is a cluster of its own, until there are too many of them.
             alone = np.where((kind[some] == OPENING) & (size == PIECE_M), some, -1)
-            side = np.argmax(np.abs(pieces.normal[some]), 1) * 2 if spots else kind[some]
+            side = np.argmax(np.abs(pieces.normal[some]), 1) * 2 + (pieces.uv[some, 0] > 0) if spots else kind[some]
             cell = np.floor(pieces.middle[some] / size + 0.37).astype(np.int64)
             keys = np.concatenate([cell, side[:, None], alone[:, None]], 1)
             place = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
@@ -264,7 +272,11 @@ def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
 
 
 def _clustered(
-    pieces: _Pieces, face_cuts: Int32[np.ndarray, " f"], face_first: Int32[np.ndarray, " f"], slots: int
+    pieces: _Pieces,
+    face_cuts: Int32[np.ndarray, " f"],
+    face_first: Int32[np.ndarray, " f"],
+    slots: int,
+    sun: Float32[np.ndarray, "3"],
 ) -> Lights:
     own = _grouped(pieces)
     count = len(own)
@@ -287,6 +299,9 @@ def _clustered(
     off = np.abs(((pieces.middle - centre[own]) * axis[own]).sum(1))
     lean = np.sqrt(np.clip(1 - (pieces.normal * axis[own]).sum(1) ** 2, 0, 1))
     np.maximum.at(thickness, own, off + lean * pieces.reach)
+    coated = np.where(kind == SPOT, pieces.uv[:, 0], 0)
+    thrown = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
+    coat = coat_table()
     # Triangles of one cluster stand in for each other near a point, pieces of openings for themselves.
     near = np.where(kind == TRIANGLE, np.minimum(per(pieces.area)[own], PIECE_M**2), pieces.area)
     near[kind == SPOT] = NEAR_SPOT_M2
@@ -330,6 +345,10 @@ def _clustered(
         axis=axis.astype(np.float32),
         coherence=coherence.astype(np.float32),
         thickness=thickness.astype(np.float32),
+        lobe_power=per(thrown).astype(np.float32),
+        lobe_alpha=(per(coated * thrown) / np.maximum(per(thrown), 1e-30)).astype(np.float32),
+        sun=sun.astype(np.float32),
+        coat_share=coat.through / coat.mean_through[:, None],
         near_area=near_area,
         face_cuts=face_cuts,
         face_first=face_first,

@@ -11,6 +11,10 @@ from roomlight_model.transport.paths import Surfaces
 SHARP: Final = 0.1
 """Reflections of a lower alpha have edges that smoothing must keep."""
 
+OUTSHINES: Final = 3.0
+"""A pixel's reflection may be so many times as bright as its surroundings': beyond it is a ray's luck, which smoothing
+would make a white dot. Highlights are wider than the pixels that this looks at."""
+
 
 class Grid:
     """Points of a picture with what they received and reflect; pixels that show none are left out."""
@@ -47,7 +51,9 @@ class Grid:
         """Spread what some of the points reflect over their surfaces; returns it, and which points then have it."""
         laid = np.zeros(self._shape, bool)
         laid.reshape(-1)[self._ray] = known
-        self.lobe = self._smooth(self._laid(lobe), laid, self._lobe_spread, 1)
+        image = self._laid(lobe)
+        images.tame(image, self.kind, laid, OUTSHINES)
+        self.lobe = self._smooth(image, laid, self._lobe_spread, 1)
         return self.lobe.reshape(-1, 3)[self._ray], laid.reshape(-1)[self._ray]
 
     def _laid(self, values: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "h w 3"]:

@@ -26,6 +26,11 @@ SETTLED: Final = 2e-3
 FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
 """Patches are halved so often so near to lamps, and told apart by face at level 3; openings have level 1 only."""
 
+ENCLOSED_M: Final = 0.3
+"""Where all rays from a point near a lamp end on lamps within this, it is inside of a closed one: its light gets
+nowhere. A bulb that sticks out of its shade has faces partly in there, a thousand times as bright as outside."""
+
+_ENCLOSED_RAYS: Final = 24
 SEED_RAYS: Final = 32768
 FIRST_RAYS: Final = 16
 MOST_WAVES: Final = 8
@@ -174,7 +179,8 @@ class RoomCache:
 
     base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat reflects;
     sun_base and sun_lobe what of both is the sun's direct light, which spots stand for; indirect and indirect_coated
-    the irradiance that comes from neither lights nor spots.
+    the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen from beyond `ENCLOSED_M`:
+    what a ray from there meets is a part of theirs outside, of which nothing is known.
     """
 
     table: tuple[Fineness, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int, int]
@@ -185,6 +191,11 @@ class RoomCache:
     sun_lobe: Float32[np.ndarray, "rows 3"]
     indirect: Float32[np.ndarray, "rows 3"]
     indirect_coated: Float32[np.ndarray, "rows 3"]
+    enclosed: Bool[np.ndarray, " rows"]
+
+    def seen(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+        """The rows, -1 in place of what cannot be seen from so far."""
+        return np.where(self.enclosed[row] & (distance_m > ENCLOSED_M), np.int32(-1), row)
 
 
 def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
@@ -208,7 +219,66 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
             rays = _gather(tracer, light, found, start, min(start + step, stop), GATHER_RAYS, seed)
             parts.append(_linked(found, rays))
         done = stop
-    return _bounced(tracer, light, found, done, parts, seed)
+    columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+    enclosed, changed = _opened(tracer, light, found, done, seed)
+    for start in range(0, len(changed), step):
+        some = changed[start : start + step]
+        again = _linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed, some=some))
+        for column, new in zip(columns, again, strict=True):
+            each = len(column) // done
+            column.reshape(done, each, *column.shape[1:])[some] = new.reshape(len(some), each, *new.shape[1:])
+    return _bounced(tracer, light, found, done, columns, enclosed, seed)
+
+
+def _opened(
+    tracer: Tracer, light: DirectLight, found: _Found, count: int, seed: int
+) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
+    """Drop points inside of closed lamps from patches that are also outside. Returns which patches are inside
+    altogether, and those that lost points."""
+    enclosed = np.zeros(count, bool)
+    near = found.table.values[found.table.keys >= 1 << 62]
+    near = np.sort(near[near < count])
+    used = found.used[near]
+    owner = np.repeat(np.arange(len(near)), used)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
+    position, normal, wound = (
+        column[near[owner], place][:, None] for column in (found.position, found.normal, found.wound)
+    )
+    points = len(owner)
+    if not points:
+        return enclosed, np.zeros(0, np.int32)
+    origin, direction = (np.empty((points * _ENCLOSED_RAYS, 3), np.float32) for _ in range(2))
+    kernels.gather_rays(
+        position,
+        normal,
+        wound,
+        np.zeros(points, np.float32),
+        light.coat.through,
+        np.ones(points, np.int32),
+        np.arange(points, dtype=np.int64),
+        _ENCLOSED_RAYS,
+        seed + 5,
+        origin,
+        direction,
+        np.empty(len(origin), np.float32),
+    )
+    hits = tracer.trace(origin, direction)
+    items, shown = tracer.geometry.item, tracer.geometry.material
+    lamp = np.zeros(int(items.max()) + 1, bool)
+    lamp[items[tracer.materials.emission[shown].max(1) > 0]] = True
+    stopped = (hits.face >= 0) & (hits.distance_m < ENCLOSED_M) & lamp[items[hits.face]]
+    inside = stopped.reshape(points, _ENCLOSED_RAYS).all(1)
+    outside = np.bincount(owner, ~inside, len(near))
+    enclosed[near[outside == 0]] = True
+    keep = ~inside | (outside == 0)[owner]
+    changed = np.unique(owner[~keep])
+    last = np.cumsum(used)
+    for which in changed.tolist():
+        patch, kept = near[which], np.flatnonzero(keep[last[which] - used[which] : last[which]])
+        for column in (found.position, found.normal, found.wound, found.albedo):
+            column[patch, : len(kept)] = column[patch, kept]
+        found.used[patch] = len(kept)
+    return enclosed, near[changed]
 
 
 def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
@@ -242,20 +312,31 @@ class _Rays(NamedTuple):
     each: int
 
 
-def _gather(tracer: Tracer, light: DirectLight, found: _Found, start: int, stop: int, rays: int, seed: int) -> _Rays:
-    """Cosine-weighted rays of some patches."""
-    some = slice(start, stop)
-    count = (stop - start) * rays
+def _gather(
+    tracer: Tracer,
+    light: DirectLight,
+    found: _Found,
+    start: int,
+    stop: int,
+    rays: int,
+    seed: int,
+    *,
+    some: Int32[np.ndarray, " c"] | None = None,
+) -> _Rays:
+    """Cosine-weighted rays of the patches from `start` to `stop`, or of some."""
+    numbers = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
+    some_or_all = slice(start, stop) if some is None else some
+    count = len(numbers) * rays
     origin, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     passed = np.empty(count, np.float32)
     kernels.gather_rays(
-        found.position[some],
-        found.normal[some],
-        found.wound[some],
-        tracer.materials.roughness[found.material[some]],
+        found.position[some_or_all],
+        found.normal[some_or_all],
+        found.wound[some_or_all],
+        tracer.materials.roughness[found.material[some_or_all]],
         light.coat.through,
-        found.used[some],
-        np.arange(start, stop, dtype=np.int64),
+        found.used[some_or_all],
+        numbers,
         rays,
         seed,
         origin,
@@ -309,7 +390,13 @@ def _direct(
 
 
 def _bounced(
-    tracer: Tracer, light: DirectLight, found: _Found, count: int, parts: list[tuple[np.ndarray, ...]], seed: int
+    tracer: Tracer,
+    light: DirectLight,
+    found: _Found,
+    count: int,
+    columns: tuple[np.ndarray, ...],
+    enclosed: Bool[np.ndarray, " p"],
+    seed: int,
 ) -> RoomCache:
     materials, coat = tracer.materials, light.coat
     material = found.material[:count].copy()
@@ -317,10 +404,9 @@ def _bounced(
     point = np.arange(kernels.POINTS) < found.used[:count, None]
     albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
     direct, seen = _direct(tracer, light, found, count, seed)
-    target, cosine, factor, distance, passed, beside, beside_coated = (
-        np.concatenate(column) for column in zip(*parts, strict=True)
-    )
+    target, cosine, factor, distance, passed, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
+    target[enclosed[target] & (distance > ENCLOSED_M)] = -1
     base_link, lobe_link = np.empty(len(target), np.float32), np.empty(len(target), np.float32)
     kernels.links(target, cosine, factor, material, materials, coat.through, coat.reflected, base_link, lobe_link)
     base, lobe, sun_base, sun_lobe, bounced, bounced_coated = (np.zeros((count, 3), np.float32) for _ in range(6))
@@ -342,12 +428,17 @@ def _bounced(
         if total - before <= SETTLED * total:
             break
         kernels.gathered(target, base_link, lobe_link, passed, base, lobe, GATHER_RAYS, bounced, bounced_coated)
-    columns = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated, seen
-    return _with_fallbacks(tracer, light, found, count, columns)
+    solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated, seen
+    return _with_fallbacks(tracer, light, found, count, solved, enclosed)
 
 
 def _with_fallbacks(
-    tracer: Tracer, light: DirectLight, found: _Found, count: int, columns: tuple[np.ndarray, ...]
+    tracer: Tracer,
+    light: DirectLight,
+    found: _Found,
+    count: int,
+    columns: tuple[np.ndarray, ...],
+    enclosed: Bool[np.ndarray, " p"],
 ) -> RoomCache:
     """Append means over wider cells and over materials to the rows; the last column becomes `light.vis`."""
     table = found.table
@@ -381,6 +472,7 @@ def _with_fallbacks(
         sun_lobe,
         indirect,
         indirect_coated,
+        np.concatenate([enclosed, np.zeros(len(indirect) - count, bool)]),
     )
 
 

@@ -23,13 +23,25 @@ NEAR_SPOT_M2: Final = 0.06
 """The area that `left_to_gathering` takes for spots: gather rays bring most of their light within 0.2 m."""
 
 
+LEAST_ALPHA: Final = 0.06
+"""Of the lobe that spots send out: too few of them would meet a sharper one. It blurs reflections by 3 degrees."""
+
+
 class Spots(NamedTuple):
-    """Points off sunlit surfaces, the side that is lit, the radiance they send out (the sun's direct light only, as if
-    diffuse), the area that each stands for."""
+    """Points off sunlit surfaces, the side that is lit, and what they send out of the sun's direct light.
+
+    radiance is that of the base, a coat's mean over directions; alpha the roughness of the coat's lobe about `facing`
+    (0: no coat), `lobe` the sun's irradiance that it reflects, lobe_mean the lobe's mean radiance; area what each
+    stands for.
+    """
 
     position: Float32[np.ndarray, "n 3"]
     normal: Float32[np.ndarray, "n 3"]
+    facing: Float32[np.ndarray, "n 3"]
     radiance: Float32[np.ndarray, "n 3"]
+    alpha: Float32[np.ndarray, " n"]
+    lobe: Float32[np.ndarray, "n 3"]
+    lobe_mean: Float32[np.ndarray, "n 3"]
     area: Float32[np.ndarray, " n"]
 
 
@@ -37,8 +49,8 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     """Spots of the sun that comes through the scene's openings."""
     openings = tracer.scene.openings
     if not openings or outdoors.sun_irradiance.max() <= 0:
-        nothing = np.zeros((0, 3), np.float32)
-        return Spots(nothing, nothing, nothing, np.zeros(0, np.float32))
+        nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        return Spots(nothing, nothing, nothing, nothing, none, nothing, nothing, none)
     rng = np.random.default_rng(7)
     sun = outdoors.sun_direction.astype(np.float64)
     across = [abs(float(np.cross(one.edge_u, one.edge_v) @ sun)) for one in openings]
@@ -71,17 +83,16 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     cosine = np.clip(-(normal * along).sum(1), 0, 1)
     slope = np.clip(-(wound * along).sum(1), 0.02, 1)
     alpha = materials.roughness[tracer.geometry.material[hits.face[struck]]]
-    brightness = albedo / np.pi * _coat_gain(alpha, cosine)[0][:, None] + _coat_gain(alpha, cosine)[1][:, None]
-    radiance = brightness * outdoors.sun_irradiance * cosine[:, None]
+    base, lobe = _coat_gain(alpha, cosine)
+    arriving = outdoors.sun_irradiance * cosine[:, None]
+    radiance = albedo / np.pi * base[:, None] * arriving
+    lobe_alpha = np.where(alpha > 0, np.maximum(alpha, LEAST_ALPHA), 0)
+    thrown = np.where(alpha[:, None] > 0, outdoors.sun_irradiance, 0)
     # A beam through two openings is found from both.
     own = area / slope / np.maximum(passed, 1)
     keep = (cosine > 0) & (passed > 0)
-    return Spots(
-        position[keep],
-        wound[keep],
-        radiance[keep].astype(np.float32),
-        own[keep].astype(np.float32),
-    )
+    columns = position, wound, normal, radiance, lobe_alpha, thrown, lobe[:, None] * arriving, own
+    return Spots(*(column[keep].astype(np.float32) for column in columns))
 
 
 def _coat_gain(

@@ -14,6 +14,7 @@ _G2 = np.uint64(0xBF58476D1CE4E5B9)
 _G3 = np.uint64(0x94D049BB133111EB)
 PHI1 = 0.7548776662466927  # R2 sequence (Roberts): 1 / plastic number, and its square
 PHI2 = 0.5698402909980532
+LEAST_COSINE = 0.02  # of the viewer to a shading normal that leans away from it
 
 
 @njit(**JIT)
@@ -115,6 +116,34 @@ def fresnel(cosine):
     parallel = (1.5 * cosine - inner) / (1.5 * cosine + inner)
     perpendicular = (cosine - 1.5 * inner) / (cosine + 1.5 * inner)
     return (parallel * parallel + perpendicular * perpendicular) / 2
+
+
+@njit(**JIT)
+def unmasked(cosine, alpha):
+    """Smith's G1."""
+    c_sq = cosine * cosine
+    return 2 / (1 + math.sqrt(1 + alpha * alpha * (1 - c_sq) / c_sq))
+
+
+@njit(**JIT)
+def lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, alpha):
+    """The lobe's BRDF times the light's cosine, and its density by visible normals, for a light direction."""
+    cos_l = nx * lx + ny * ly + nz * lz
+    if cos_l <= 0:
+        return 0.0, 0.0
+    cos_v = max(nx * vx + ny * vy + nz * vz, LEAST_COSINE)
+    hx, hy, hz = vx + lx, vy + ly, vz + lz
+    length = math.sqrt(hx * hx + hy * hy + hz * hz)
+    if length < 1e-6:
+        return 0.0, 0.0
+    cos_h = min((nx * hx + ny * hy + nz * hz) / length, 1.0)
+    toward = max((vx * hx + vy * hy + vz * hz) / length, 0.0)
+    a_sq = alpha * alpha
+    root = cos_h * cos_h * (a_sq - 1) + 1
+    spread = a_sq / (math.pi * root * root)
+    mask = unmasked(cos_v, alpha)
+    value = spread * fresnel(toward) * mask * unmasked(cos_l, alpha) / (4 * cos_v)
+    return value, mask * spread / (4 * cos_v)
 
 
 @njit(**JIT)

@@ -12,10 +12,12 @@ from numba import njit
 
 from roomlight_model.transport.kernels.common import (
     JIT,
+    LEAST_COSINE,
     PHI1,
     PHI2,
     fraction,
     fresnel,
+    lobe,
     mixed,
     sky_radiance,
     tangents,
@@ -33,7 +35,6 @@ from roomlight_model.transport.kernels.lights import (
 from roomlight_model.transport.kernels.surfaces import OFFSET, face_normal
 
 SPOT_M = 0.06  # spots stand for sunlit surfaces where a lobe is wider than this
-LEAST_COSINE = 0.02  # of the viewer to a shading normal that leans away from it
 
 
 @njit(**JIT)
@@ -48,34 +49,6 @@ def spot_shares(alpha, distance, rays, out):
     """`spot_share` for `rays` rays of each point, by the length of each."""
     for k in range(len(distance)):
         out[k] = spot_share(alpha[k // rays], distance[k])
-
-
-@njit(**JIT)
-def unmasked(cosine, alpha):
-    """Smith's G1."""
-    c_sq = cosine * cosine
-    return 2 / (1 + math.sqrt(1 + alpha * alpha * (1 - c_sq) / c_sq))
-
-
-@njit(**JIT)
-def lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, alpha):
-    """The lobe's BRDF times the light's cosine, and its density by visible normals, for a light direction."""
-    cos_l = nx * lx + ny * ly + nz * lz
-    if cos_l <= 0:
-        return 0.0, 0.0
-    cos_v = max(nx * vx + ny * vy + nz * vz, LEAST_COSINE)
-    hx, hy, hz = vx + lx, vy + ly, vz + lz
-    length = math.sqrt(hx * hx + hy * hy + hz * hz)
-    if length < 1e-6:
-        return 0.0, 0.0
-    cos_h = min((nx * hx + ny * hy + nz * hz) / length, 1.0)
-    toward = max((vx * hx + vy * hy + vz * hz) / length, 0.0)
-    a_sq = alpha * alpha
-    root = cos_h * cos_h * (a_sq - 1) + 1
-    spread = a_sq / (math.pi * root * root)
-    mask = unmasked(cos_v, alpha)
-    value = spread * fresnel(toward) * mask * unmasked(cos_l, alpha) / (4 * cos_v)
-    return value, mask * spread / (4 * cos_v)
 
 
 @njit(**JIT)
@@ -138,6 +111,7 @@ def lobe_lights(
     """Shadow rays for the lobe, as `lights.propose`; totals keeps each point's sum of estimates for `lobe_share`."""
     table, kind, start, pieces = lights.piece, lights.kind, lights.start, lights.pieces
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
+    coat_share, toward_sun = lights.coat_share, lights.sun
     clusters = len(start)
     running = np.empty(max(clusters, 1))
     aim = np.empty((candidates, 8))
@@ -170,7 +144,7 @@ def lobe_lights(
                 share = running[which] - low
                 piece = pick_piece(table, start[which], pieces[which], min((at - low) / max(share, 1e-30), 0.999999))
                 dx, dy, dz, far, red, green, blue, spread, _ = point_on(
-                    table, kind, hole, parts, panorama, atlas, piece,
+                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
                     fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
                 )  # fmt: skip
                 if far <= 0 or gx * dx + gy * dy + gz * dz <= 0:
@@ -333,8 +307,8 @@ def splat_rays(lights, outdoors, atlas, shown, samples, x, y, z, seed, origin, d
             if not shown[piece]:
                 continue
             dx, dy, dz, far, r, g, b, spread, _ = point_on(
-                lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, atlas, piece,
-                fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), x, y, z,
+                lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, atlas, lights.coat_share,
+                lights.sun, piece, fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), x, y, z,
             )  # fmt: skip
             if far <= 0:
                 continue

@@ -14,10 +14,12 @@ from numba import njit
 
 from roomlight_model.transport.kernels.common import (
     JIT,
+    LEAST_COSINE,
     PHI1,
     PHI2,
     fraction,
     in_table,
+    lobe,
     mixed,
     sky_radiance,
     tangents,
@@ -118,6 +120,33 @@ def estimate(lights, which, px, py, pz, nx, ny, nz):
 
 
 @njit(**JIT)
+def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
+    """Add to the running sum what sunlit coats throw toward a point; returns how much. Apart from `estimate`, whose
+    loop is five times as slow with a lobe in it."""
+    extra = 0.0
+    sx, sy, sz = lights.sun[0], lights.sun[1], lights.sun[2]
+    for which in range(lights.real, clusters):
+        if lights.lobe_power[which] > 0:
+            c, a = lights.centre[which], lights.axis[which]
+            x, y, z = c[0] - px, c[1] - py, c[2] - pz
+            d_sq = x * x + y * y + z * z + 1e-12
+            d = math.sqrt(d_sq)
+            r = lights.radius[which]
+            toward = -(a[0] * x + a[1] * y + a[2] * z) / d
+            facing = min((nx * x + ny * y + nz * z + r) / d, 1.0)
+            if facing > 0 and toward > -r / d:
+                # Half vectors turn half as far as directions do over the cluster's width.
+                alpha = min(math.sqrt(lights.lobe_alpha[which] ** 2 + 0.25 * r * r / max(d_sq, r * r)), 0.9)
+                value, _ = lobe(a[0], a[1], a[2], -x / d, -y / d, -z / d, sx, sy, sz, alpha)
+                share = lights.lobe_power[which] * value * max(toward, LEAST_COSINE) * facing / max(d_sq, r * r)
+                if row >= 0:
+                    share *= max(vis[row, which], 20) / 255.0
+                extra += share
+        running[which] += extra
+    return extra
+
+
+@njit(**JIT)
 def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
     """Fill the running sum of the first clusters' estimates times their measured visibility; returns the total."""
     total = 0.0
@@ -127,6 +156,8 @@ def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
             share *= max(vis[row, which], 20) / 255.0
         total += share
         running[which] = total
+    if clusters > lights.real:
+        total += add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running)
     return total
 
 
@@ -143,7 +174,7 @@ def emission_at(geometry, materials, atlas, face, u, v):
 
 
 @njit(**JIT)
-def point_on(table, kind, hole, parts, panorama, atlas, piece, r1, r2, px, py, pz):
+def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, r1, r2, px, py, pz):
     """A point of a piece seen from p, uniform over its area: direction, reach, radiance, the light's cosine over the
     squared distance, and the share of it that is left to gather rays."""
     c = table[piece]
@@ -155,6 +186,12 @@ def point_on(table, kind, hole, parts, panorama, atlas, piece, r1, r2, px, py, p
         dx, dy, dz = dx / d, dy / d, dz / d
         cosine = max(-(dx * c[3] + dy * c[4] + dz * c[5]), 0.0)
         red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
+        if c[9] > 0 and cosine > 0:
+            # A coat lets its base's light out by the cosine, and throws the sun's on about the mirrored direction.
+            nx, ny, nz = c[6], c[7], c[8]
+            out = in_table(coat_share, c[9], -(dx * nx + dy * ny + dz * nz))
+            value, _ = lobe(nx, ny, nz, -dx, -dy, -dz, sun[0], sun[1], sun[2], c[9])
+            red, green, blue = out * red + value * c[10], out * green + value * c[11], out * blue + value * c[12]
         return dx, dy, dz, d - SHORT, red, green, blue, cosine / d_sq, left_to_gathering(d_sq, c[18])
     if what == 1:
         a, b = r1, r2
@@ -214,6 +251,7 @@ def propose(
     position, normal, wound, alpha, row, number = points
     table, kind, start, pieces = lights.piece, lights.kind, lights.start, lights.pieces
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
+    coat_share, toward_sun = lights.coat_share, lights.sun
     clusters = len(start)
     running = np.empty(max(clusters, 1))
     aim = np.empty((candidates, 9))
@@ -245,7 +283,7 @@ def propose(
                 share = running[which] - low
                 piece = pick_piece(table, start[which], pieces[which], min((at - low) / max(share, 1e-30), 0.999999))
                 dx, dy, dz, far, red, green, blue, spread, near = point_on(
-                    table, kind, hole, parts, panorama, atlas, piece,
+                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
                     fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
                 )  # fmt: skip
                 cosine = nx * dx + ny * dy + nz * dz
