@@ -12,7 +12,14 @@ from rich.markup import escape
 from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight_client import arguments as given
-from roomlight_client import dataset_commands, serve_command, stream_command, train_command
+from roomlight_client import (
+    dataset_commands,
+    dataset_eval_command,
+    light_command,
+    serve_command,
+    stream_command,
+    train_command,
+)
 from roomlight_client.console import err as _err
 from roomlight_client.console import out as _out
 from roomlight_client.console import run
@@ -34,6 +41,10 @@ app.add_typer(dataset_commands.app, name="dataset")
 app.command()(serve_command.serve)
 app.command()(stream_command.stream)
 app.command()(train_command.train)
+app.command()(light_command.light)
+app.command()(dataset_eval_command.eval_dataset)
+bench_app.command("train")(train_command.bench_train)
+bench_app.command("rendering")(train_command.bench_rendering)
 
 
 @app.callback(invoke_without_command=True)
@@ -243,6 +254,36 @@ def bench_widths(
     with _err.status("measuring") as status:
         rows = measure_widths(rounds=rounds, progress=status.update)
     _out.print(format_widths(rows), soft_wrap=True)
+
+
+@bench_app.command("server")
+def bench_server(
+    sessions: Annotated[str, typer.Option(help="Numbers of sessions at once, one row each.")] = "1,4,16,64",
+    seconds: Annotated[float, typer.Option(min=0.5, max=3600, help="How long phones stream, for each row.")] = 12.0,
+    fps: Annotated[float, typer.Option(min=0.1, max=60, help="Frames a second that each phone sends.")] = 3.0,
+    mode: given.Model = "auto",
+    weights: given.Weights = None,
+    allow_untrained: given.AllowUntrained = False,
+    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
+) -> None:
+    """A real server on this machine under 1 to 64 streaming phones, beside the engine called directly (3 minutes)."""
+    from roomlight_client.bench.server import ServerBenchOptions, run_server_bench
+    from roomlight_client.output import write_json
+    from roomlight_client.tables import print_whole
+
+    options = ServerBenchOptions(
+        sessions=given.parse_counts(sessions),
+        seconds=seconds,
+        fps=fps,
+        mode=mode,
+        weights=weights,
+        allow_untrained=allow_untrained,
+    )
+    with _err.status("measuring") as status:
+        report = run_server_bench(options, progress=status.update)
+    print_whole(_out, report.table())
+    if json_out:
+        write_json(json_out, report.to_json())
 
 
 def _replay_and_tell(

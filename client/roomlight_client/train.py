@@ -2,11 +2,10 @@
 
 import signal
 import time
-from collections.abc import Generator, Sequence
+from collections.abc import Callable, Generator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -14,50 +13,29 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from roomlight.errors import ModelError
 
 if TYPE_CHECKING:
-    from roomlight_model.dataset.recording import Recording
     from roomlight_model.training.examples import Recordings
     from roomlight_model.training.options import TrainOptions
     from roomlight_model.training.trainer import Trainer
 
-_HELD_OUT: Final = 24
-"""Sequences kept from training for the run's own curve: the last ones, six rooms."""
-
-
-@dataclass(frozen=True)
-class Part:
-    """Some sequences of a dataset, numbered from 0."""
-
-    recordings: "Recordings"
-    numbers: Sequence[int]
-
-    def __len__(self) -> int:
-        """How many."""
-        return len(self.numbers)
-
-    def read(self, index: int, *, frames: list[int]) -> "Recording":
-        """One of them, with the frames asked for."""
-        return self.recordings.read(self.numbers[index], frames=frames)
-
-
-def split_off(recordings: "Recordings", held_out: int = _HELD_OUT) -> tuple[Part, Part]:
-    """(to train on, held out): whole rooms at the end, at most a quarter of everything."""
-    count = len(recordings)
-    kept = min(held_out, count // 4)
-    return Part(recordings, range(count - kept)), Part(recordings, range(count - kept, count))
-
 
 def train(
     options: "TrainOptions",
-    recordings: "Recordings",
+    training: "Recordings",
     out: Path,
     *,
+    held_out: "Recordings",
     device: str,
     start_from: Path | None,
     minutes: float | None,
     every_steps: int,
     console: Console,
+    grow: Callable[[], int] = lambda: 0,
 ) -> dict[str, Any]:
-    """Run a stage until its last step, for so many minutes, or until Ctrl-C; returns the card."""
+    """Run a stage until its last step, for so many minutes, or until Ctrl-C; returns the card.
+
+    grow: called at every look at the held-out rooms; takes in sequences that were finished since, says how many.
+    """
+    import cv2
     import torch
     from torch.utils.tensorboard import SummaryWriter
 
@@ -65,10 +43,8 @@ def train(
     from roomlight_model.training.trainer import Trainer
     from roomlight_model.training.validation import Validation
 
-    chosen = device if device != "auto" else ("cuda" if torch.cuda.is_available() else "cpu")
-    if chosen == "cuda" and not torch.cuda.is_available():
-        raise ModelError("no CUDA device is to be found; use --device cpu")
-    training, held_out = split_off(recordings)
+    chosen = choose_device(device)
+    cv2.setNumThreads(1)  # examples are made on threads of our own already
     trainer = Trainer(
         options,
         training,
@@ -78,10 +54,14 @@ def train(
     )
     validation = Validation(held_out, range(len(held_out)), trainer.options)
     curves = SummaryWriter(str(out / "tensorboard"), purge_step=trainer.step)
+    console.print(f"{len(training)} sequences to train on, {len(held_out)} held out", highlight=False)
     if trainer.step:
         console.print(f"going on from step {trainer.step} of {options.steps}", highlight=False)
 
     def look(now: "Trainer") -> None:
+        new = grow()
+        if new:
+            console.print(f"step {now.step}: {new} more sequences, {len(training)} in all", soft_wrap=True)
         if not len(held_out):
             return
         model = now.averaged()
@@ -89,8 +69,16 @@ def train(
         for name, value in scores.items():
             curves.add_scalar(f"held out/{name}", value, now.step)
         validation.draw(model, out / "pictures" / f"{now.step:07d}.png", device=now.device)
-        told = ", ".join(f"{name.removeprefix('log_l2_')} {value:.4f}" for name, value in scores.items())
-        console.print(f"step {now.step}: held-out log-L2: {told}", highlight=False)
+        best = now.keep_if_best(validation.loss(scores))
+        told = ", ".join(
+            f"{name.removeprefix('log_l2_')} {value:.4f} ({scores[name.replace('log_l2', 'rendering')]:.4f})"
+            for name, value in scores.items()
+            if name.startswith("log_l2")
+        )
+        console.print(
+            f"step {now.step}: held-out log-L2 (rendering loss): {told}" + (", the best yet" if best else ""),
+            soft_wrap=True,
+        )
 
     bar = Progress(
         TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
@@ -109,6 +97,17 @@ def train(
     look(trainer)
     curves.close()
     return trainer.card()
+
+
+def choose_device(device: str) -> str:
+    """`auto` made cpu or cuda; ModelError where there is no GPU to be had."""
+    import torch
+
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise ModelError("no CUDA device is to be found; use --device cpu")
+    return device
 
 
 @contextmanager

@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 import typer
 
 from roomlight.errors import ModelError
+from roomlight.volume import VOLUME_SHAPE
 from roomlight_client import console
 
 Stage = Literal["single-sglv", "single-blend", "single-joint"]
@@ -16,10 +17,14 @@ Resolution = Literal["half", "full"]
 
 
 def train(
-    data: Annotated[Path, typer.Argument(help="A dataset folder (roomlight dataset generate).")],
+    data: Annotated[
+        list[Path], typer.Argument(help="Dataset folders (roomlight dataset generate); they may grow meanwhile.")
+    ],
     out: Annotated[Path, typer.Option(help="Folder of the run: new, or one to go on with.")],
     stage: Annotated[Stage, typer.Option(help="What to train: the volume, the blending on it, or both.")],
-    steps: Annotated[int, typer.Option(min=1, help="Steps in all; the learning rate falls over them.")] = 20_000,
+    steps: Annotated[
+        int, typer.Option(min=1, help="Steps in all; the learning rate falls over them. May change between runs.")
+    ] = 20_000,
     minutes: Annotated[float | None, typer.Option(min=0, help="Stop after so long; the same command goes on.")] = None,
     start_from: Annotated[
         Path | None, typer.Option(help="Checkpoint of the stage before, whose weights and widths are taken.")
@@ -27,7 +32,7 @@ def train(
     batch: Annotated[int, typer.Option(min=1, help="Examples a step.")] = 4,
     learning_rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 1e-3,
     volume: Annotated[
-        Resolution, typer.Option(help="Half trains eight times as fast; its weights fit the full volume.")
+        Resolution, typer.Option(help="Half costs an eighth, in training and in use; graphs are exported for it.")
     ] = "half",
     depth: Annotated[
         Literal["exact", "arkit", "both"], typer.Option(help="Depth as it is, as a phone measures it, or half of each.")
@@ -43,12 +48,12 @@ def train(
     """Train one stage on the train split. Killed or stopped, the same command goes on from the last checkpoint."""
     from roomlight_client.train import train as run
     from roomlight_model.config import ModelConfig, SGConfig
-    from roomlight_model.dataset.loader import Dataset
 
     try:
         from roomlight_model.training.options import TrainOptions
+        from roomlight_model.training.rooms import TrainingRooms
 
-        dataset = Dataset(data, "train")
+        rooms = TrainingRooms(data)
         options = TrainOptions(
             stage=stage,
             steps=steps,
@@ -60,11 +65,13 @@ def train(
             model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha)),
         )
         if volume == "full":
-            options = replace(options, volume_shape=options.model.sg.volume_shape)
+            options = replace(options, volume_shape=VOLUME_SHAPE)
         card = run(
             options,
-            dataset,
+            rooms.training,
             out,
+            held_out=rooms.held_out,
+            grow=rooms.grow,
             device=device,
             start_from=start_from,
             minutes=minutes,
@@ -74,5 +81,80 @@ def train(
     except ModuleNotFoundError as error:
         raise ModelError(f"this command needs {error.name}: pip install 'roomlight[train]'") from error
     console.say(f"{out}: {card['steps']} of {steps} steps in {card['hours']:.2f} hours; weights in {out / 'model.pt'}")
-    if card["steps"] >= steps:
-        console.say(f"Export them: roomlight export {out / 'model.pt'} --out {out / 'onnx'}")
+    best = out / "best.pt"
+    if card["steps"] >= steps and best.exists():
+        console.say(f"Those that did best on held-out rooms: roomlight export {best} --out {out / 'onnx'}")
+
+
+def bench_train(
+    data: Annotated[list[Path], typer.Argument(help="Dataset folders (roomlight dataset generate).")],
+    stage: Annotated[Stage, typer.Option(help="The stage of training.")] = "single-sglv",
+    steps: Annotated[int, typer.Option(min=1, max=10_000, help="Steps to measure.")] = 20,
+    batch: Annotated[int, typer.Option(min=1, help="Examples a step.")] = 4,
+    volume: Annotated[Resolution, typer.Option(help="Resolution of the volume.")] = "half",
+    bf16: Annotated[bool, typer.Option("--bf16/--fp32", help="Arithmetic of the networks.")] = True,
+    device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where to train.")] = "auto",
+    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
+) -> None:
+    """What a training step costs by part: data, forward, render, backward, optimiser (needs the `train` extra)."""
+    from roomlight_client.output import write_json
+    from roomlight_client.tables import print_whole
+
+    try:
+        from roomlight_client.bench.train import measure
+        from roomlight_client.train import choose_device
+        from roomlight_model.training.options import TrainOptions
+        from roomlight_model.training.rooms import TrainingRooms
+
+        options = TrainOptions(stage=stage, batch=batch, bf16=bf16, steps=1_000_000)
+        if volume == "full":
+            options = replace(options, volume_shape=VOLUME_SHAPE)
+        with console.err.status("measuring") as status:
+            costs = measure(
+                options,
+                TrainingRooms(data).training,
+                steps=steps,
+                device=choose_device(device),
+                progress=status.update,
+            )
+    except ModuleNotFoundError as error:
+        raise ModelError(f"this command needs {error.name}: pip install 'roomlight[train]'") from error
+    print_whole(console.out, costs.table())
+    if json_out:
+        write_json(json_out, costs.to_json())
+
+
+def bench_rendering(
+    panorama: Annotated[
+        Path | None, typer.Argument(help="An HDR panorama (EXR) to light the ball; the sample room's if not given.")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="PNG of the balls.")] = None,
+    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
+) -> None:
+    """The rendering layer's importance sampling beside uniform directions, at the same count (needs `train`)."""
+    from roomlight.balls import view_toward
+    from roomlight.captures import open_capture
+    from roomlight.images import read_panorama
+    from roomlight_client.bench.rendering import compare_sampling
+    from roomlight_client.demo import sample_capture
+    from roomlight_client.output import write_json
+    from roomlight_client.tables import print_whole
+
+    view = (0.0, 0.0, -1.0)
+    if panorama is None:
+        capture = open_capture(sample_capture())
+        probe = capture.probes[0]
+        light, view = probe.panorama(), view_toward(next(iter(capture)).camera_to_world, probe.position)
+    else:
+        light = read_panorama(panorama)
+    try:
+        with console.err.status("rendering") as status:
+            report = compare_sampling(light, view, progress=status.update)
+    except ModuleNotFoundError as error:
+        raise ModelError(f"this command needs {error.name}: pip install 'roomlight[train]'") from error
+    print_whole(console.out, report.table())
+    if json_out:
+        write_json(json_out, report.to_json())
+    if picture:
+        report.write_picture(picture)
+        console.say(f"Look at {picture}")

@@ -37,6 +37,8 @@ class SGConfig:
     """Group normalisation at a quarter and an eighth of the resolution, or none at all."""
     fine_gate_kernel: GateKernel = 1
     """Kernel of the gates of SGGRU_0 (half resolution); its candidate is always 3 x 3 x 3."""
+    direct: bool = True
+    """The heads also see the initial volume itself and begin as its copy; False is the paper's two skips alone."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""

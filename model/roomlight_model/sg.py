@@ -20,6 +20,9 @@ MAX_LOG_RADIANCE = 10.0
 MAX_LOG_SHARPNESS = 7.0
 """lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
 
+DARKEST = 0.02
+"""Added to observed colours before their logarithm: what an 8-bit image cannot tell from black."""
+
 GROUPS = 4
 """Groups of a normalisation: the narrowest layer allowed (8 channels, one voxel) still has two values in each."""
 
@@ -85,6 +88,7 @@ class SGDecoder(nn.Module):
         self.at_half = nn.Sequential(block3d(3 * width, width), block3d(width, full))
         self.at_full = nn.Sequential(*(block3d(full, full) for _ in range(config.full_layers)))
         self.heads = _heads(full, spherical_gaussians=config.spherical_gaussians, recurrent=recurrent)
+        self.direct = _direct_heads(self.heads.out_channels) if config.direct else None
 
     def forward(
         self,
@@ -92,14 +96,17 @@ class SGDecoder(nn.Module):
         f1: Float[Tensor, "b c1 z1 y1 x1"],
         volume: Float[Tensor, "b 5 z y x"],
     ) -> SGVolume:
-        """The predicted volume; of `volume`, the encoder's input, only the size and e are used."""
+        """The predicted volume; `volume` is the encoder's input."""
         # global view: every voxel hears the mean of the whole volume, for one matrix product
         room = self.room(f1.mean(dim=(2, 3, 4)))[:, :, None, None, None]
         x = self.at_eighth(f1) + room
         x = self.at_quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
         x = self.at_half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
         x = self.at_full(resize_volume(x, volume.shape[2:]))
-        return self._activate(self.heads(x), volume[:, 4:])
+        raw = self.heads(x)
+        if self.direct is not None:
+            raw = raw + self.direct(_observed(volume))
+        return self._activate(raw, volume[:, 4:])
 
     def _activate(self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"]) -> SGVolume:
         if raw.dtype in (torch.bfloat16, torch.float16):  # autocast: exp of a bf16 keeps two digits
@@ -153,3 +160,28 @@ def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.C
     with torch.no_grad():
         heads.bias.copy_(torch.tensor(bias))  # pyright: ignore[reportOptionalMemberAccess]
     return heads
+
+
+def _direct_heads(outputs: int) -> nn.Conv3d:
+    """From what was observed straight to the heads, at the start a copy: alpha 0.88 and c as seen where the frame shows
+    a surface, untouched elsewhere. Without it the picture has to be learned through half the resolution: on 8 sequences
+    not trained on, mean log-L2 was 0.075 after 100 steps, the copy's 0.067 before the first.
+    """
+    direct = nn.Conv3d(5, outputs, 1, bias=False)
+    with torch.no_grad():
+        direct.weight.zero_()
+        for channel in range(3):
+            direct.weight[1 + channel, channel] = 1.0
+        direct.weight[0, 3] = 5.0
+    return direct
+
+
+def _observed(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 5 z y x"]:
+    """The initial volume as the heads count: c's logarithm above the heads' start, 0 where nothing was seen; alpha, e.
+
+    Counting from the frame's mean colour instead, for unseen walls too, learned more slowly: log-L2 on 9 rooms not
+    trained on 0.0905 after 200 steps, and 0.0858 so.
+    """
+    alpha = volume[:, 3:4]
+    colour = torch.relu(volume[:, :3]) / alpha.clamp(min=1e-3)  # c = alpha C
+    return torch.cat([alpha * (torch.log(colour + DARKEST) - _START["c"]), volume[:, 3:]], dim=1)

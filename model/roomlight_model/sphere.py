@@ -20,6 +20,9 @@ SPECULAR_SHARE = 0.5
 """Of the samples; the lobe carries a tenth of the energy and nearly all of the variance under small lamps."""
 
 
+_GOLDEN = 0.618033988749895
+
+
 class SphereSamples(NamedTuple):
     """Directions in which light is asked for, and each one's share: R_p = sum_s weight[p, s] L(direction[p, s])."""
 
@@ -72,7 +75,9 @@ def sample_sphere(
         [torch.full((specular,), 1 / specular), torch.full((samples - specular,), 1 / (samples - specular))]
     )
     radial = strata.to(normals) + uniform[..., 0] * widths.to(normals)
-    angle = 2 * math.pi * uniform[..., 1]
+    # a lattice turned by one random number a pixel: azimuths of neighbouring strata lie far apart
+    steps = torch.arange(samples, device=normals.device, dtype=normals.dtype) * _GOLDEN
+    angle = 2 * math.pi * ((uniform[..., :1, 1] + steps) % 1.0)
 
     first = torch.arange(samples, device=normals.device) < specular
     alpha = GLOSSY_ROUGHNESS**2

@@ -8,10 +8,11 @@ from rich.console import Console
 
 from recordings import BoxRecordings
 from roomlight.errors import ModelError
-from roomlight_client.train import split_off, train
+from roomlight_client.train import train
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.rooms import split_off
 
 OPTIONS = TrainOptions(
     steps=4, batch=2, warm_up=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21),
@@ -22,7 +23,8 @@ OPTIONS = TrainOptions(
 
 def run(tmp_path, options=OPTIONS, **changes):
     given = {"device": "cpu", "start_from": None, "minutes": None, "every_steps": 2} | changes
-    return train(options, BoxRecordings(6), tmp_path / "run", console=Console(quiet=True), **given)
+    training, held_out = split_off([BoxRecordings(6)])
+    return train(options, training, tmp_path / "run", held_out=held_out, console=Console(quiet=True), **given)
 
 
 def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
@@ -40,14 +42,31 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
     run(tmp_path)
     weights = load_checkpoint(tmp_path / "run" / "model.pt")
     card = train(
-        replace(OPTIONS, stage="single-blend", model=ModelConfig()), BoxRecordings(6), tmp_path / "blend",
-        device="cpu", start_from=tmp_path / "run" / "model.pt", minutes=None, every_steps=100,
-        console=Console(quiet=True),
+        replace(OPTIONS, stage="single-blend", model=ModelConfig()), BoxRecordings(5), tmp_path / "blend",
+        held_out=BoxRecordings(1), device="cpu", start_from=tmp_path / "run" / "model.pt", minutes=None,
+        every_steps=100, console=Console(quiet=True),
     )  # fmt: skip
     assert card["options"]["model"]["sg"]["channels"] == 4  # the network is the one that was begun
     after = load_checkpoint(tmp_path / "blend" / "model.pt")
     before = weights.model.state_dict()
     assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
+
+
+def test_sequences_finished_meanwhile_are_taken_in(tmp_path):
+    training, held_out = split_off([BoxRecordings(4)])
+    grown, _ = split_off([BoxRecordings(9)], 1)
+    card = train(
+        OPTIONS, training, tmp_path / "run", held_out=held_out, device="cpu", start_from=None, minutes=None,
+        every_steps=2, console=Console(quiet=True), grow=lambda: training.replace_by(grown),
+    )  # fmt: skip
+    assert card["sequences"] == 8
+
+
+def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
+    run(tmp_path)
+    best = load_checkpoint(tmp_path / "run" / "best.pt").card
+    assert best["steps"] in (2, 4)
+    assert best["held_out"] > 0
 
 
 def test_a_run_out_of_time_stops_and_goes_on(tmp_path):
@@ -56,10 +75,12 @@ def test_a_run_out_of_time_stops_and_goes_on(tmp_path):
 
 
 def test_held_out_rooms_are_trained_on_by_nobody():
-    training, held_out = split_off(BoxRecordings(200))
-    assert (len(training), len(held_out)) == (176, 24)
-    assert not set(training.numbers) & set(held_out.numbers)
-    assert [len(part) for part in split_off(BoxRecordings(3))] == [3, 0]
+    training, held_out = split_off([BoxRecordings(200), BoxRecordings(40)])
+    assert (len(training), len(held_out)) == (216, 24)
+    assert held_out.read(0, frames=[0]).name == "box-0"
+    assert training.read(0, frames=[0]).name == "box-24"
+    assert training.read(176, frames=[0]).name == "box-0"  # the second folder's
+    assert [len(part) for part in split_off([BoxRecordings(3)])] == [3, 0]
 
 
 def test_a_missing_gpu_is_an_error_that_says_what_to_do(tmp_path, monkeypatch):

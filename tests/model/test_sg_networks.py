@@ -72,11 +72,29 @@ def test_ranges():
     torch.testing.assert_close(lobes[:, 7:].norm(dim=1), torch.ones(len(lobes)), atol=1e-5, rtol=0)
 
 
-def test_starts_nearly_clear():
+@pytest.mark.parametrize("direct", [False, True])
+def test_starts_nearly_clear_where_nothing_was_seen(direct):
     """The head's bias of -3 lets the first gradients reach every voxel of a ray."""
     given = volume()
-    alpha = SingleModel(CONFIG)(given).alpha[given[:, 4] == 0]
-    assert 0.02 < alpha.mean() < 0.12
+    given[:, :4, :8] = 0
+    config = SGConfig(volume_shape=SHAPE, channels=8, full_channels=4, direct=direct)
+    alpha = SingleModel(ModelConfig(config))(given).alpha
+    assert 0.02 < alpha[:, :8][given[:, 4, :8] == 0].mean() < 0.12
+
+
+def test_direct_heads_start_as_a_copy_of_what_was_seen():
+    given = volume()
+    given[:, 3] = (given[:, 3] > 0.5).float()
+    given[:, :3] = given[:, 3:4] * (0.05 + given[:, :3].clamp(max=1))
+    model = SingleModel(CONFIG)
+    for parameter in model.sg_decoder.heads.parameters():
+        parameter.data[:] = parameter.data.clone() if parameter.ndim == 1 else 0
+    predicted = model(given)
+    seen = (given[:, 3] == 1) & (given[:, 4] == 0)
+    colour = given[:, :3].permute(0, 2, 3, 4, 1)[seen]
+    torch.testing.assert_close(predicted.lobes[seen][:, :3], colour + 0.02, rtol=1e-4, atol=1e-5)
+    assert (predicted.alpha[seen] > 0.85).all()
+    assert (predicted.alpha[(given[:, 3] == 0) & (given[:, 4] == 0)] < 0.06).all()
 
 
 def test_absurdly_bright_input_stays_finite():

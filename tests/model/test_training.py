@@ -21,7 +21,7 @@ from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.examples import collate, example_of, read_example
 from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.stages import predicted_panoramas, rendered, stage_losses, trained_modules
+from roomlight_model.training.stages import predict, predicted_panoramas, rendered, stage_losses, trained_modules
 from roomlight_model.training.trainer import Trainer
 
 TINY = ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4))
@@ -168,7 +168,9 @@ def test_losses_are_finite_in_bf16_too():
     )  # fmt: skip
     for stage in ("single-sglv", "single-joint"):
         options = replace(OPTIONS, stage=stage, bf16=True)
-        losses = stage_losses(SingleModel(TINY), batch, options, generator=torch.Generator().manual_seed(0), device=CPU)
+        model, generator = SingleModel(TINY), torch.Generator().manual_seed(0)
+        sglv = predict(model, batch, options, device=CPU)
+        losses = stage_losses(model, sglv, batch, options, generator=generator, device=CPU)
         total, log_l2, rendering = (float(part.detach()) for part in losses)
         assert math.isfinite(total)
         assert total == pytest.approx(log_l2 + 0.3 * rendering, rel=1e-5)
@@ -186,6 +188,31 @@ def test_another_runs_folder_is_refused_and_names_what_differs(tmp_path):
     Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
     with pytest.raises(ModelError, match=r"other options \(learning_rate, seed\)"):
         Trainer(replace(OPTIONS, seed=1, learning_rate=0.1), BoxRecordings(3), tmp_path / "run", device=CPU)
+
+
+def test_a_run_may_become_longer_or_shorter(tmp_path):
+    Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU).train(report=quiet)
+    longer = Trainer(replace(OPTIONS, steps=8), BoxRecordings(3), tmp_path / "run", device=CPU)
+    longer.train(report=quiet)
+    assert longer.step == 8
+    assert TrainOptions.read(tmp_path / "run" / "options.json").steps == 8
+
+
+def test_checkpoints_are_for_the_sizes_trained_at(tmp_path):
+    """Opacity is that of a voxel: graphs of another resolution would show another room."""
+    trainer = Trainer(replace(OPTIONS, steps=1), BoxRecordings(3), tmp_path / "run", device=CPU)
+    trainer.train(report=quiet)
+    config = load_checkpoint(tmp_path / "run" / "model.pt").config
+    assert config.sg.volume_shape == OPTIONS.volume_shape
+    assert config.blend.height == OPTIONS.panorama_height
+
+
+def test_only_a_better_score_replaces_the_best(tmp_path):
+    trainer = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
+    assert trainer.keep_if_best(0.5)
+    assert not trainer.keep_if_best(0.6)
+    assert trainer.keep_if_best(0.4)
+    assert load_checkpoint(tmp_path / "run" / "best.pt").card["held_out"] == 0.4
 
 
 def test_a_foreign_folder_is_left_alone(tmp_path):

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final, Literal, get_args
 
@@ -19,9 +19,11 @@ Device = Literal["auto", "cpu", "cuda"]
 class TrainOptions:
     """One stage of one model. Lengths of a run are steps: hours depend on the machine, results must not.
 
-    volume_shape is the resolution trained at ([z, y, x]; half of the paper's converges eight times as fast and its
-    weights fit any other). rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
-    `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages.
+    volume_shape is the resolution trained at ([z, y, x]; half of the paper's costs an eighth), and the one that the
+    checkpoint is exported for: opacity is that of a voxel, so weights of one resolution are wrong at another until they
+    are trained there. rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
+    `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
+    blending graphs.
     """
 
     stage: Stage = "single-sglv"
@@ -58,6 +60,12 @@ class TrainOptions:
             raise ModelError(f"volume_shape is {self.volume_shape}; every side is 8 or more")
         if self.panorama_height < 8 or self.panorama_height % 2:
             raise ModelError(f"panorama_height is {self.panorama_height}; it is even and 8 or more")
+
+    @property
+    def trained_model(self) -> ModelConfig:
+        """The networks with the sizes they are trained at: what checkpoints say and graphs are exported for."""
+        sg = replace(self.model.sg, volume_shape=self.volume_shape)
+        return replace(self.model, sg=sg, blend=replace(self.model.blend, height=self.panorama_height))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain JSON values."""

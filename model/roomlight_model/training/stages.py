@@ -13,8 +13,10 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn import functional
 
 from roomlight.conventions import panorama_rays
+from roomlight_model.accumulate import blend
 from roomlight_model.marching import march
 from roomlight_model.networks import SingleModel
 from roomlight_model.sg import SGVolume
@@ -38,16 +40,23 @@ def trained_modules(model: SingleModel, stage: Stage) -> list[nn.Module]:
     return {"single-sglv": sg, "single-blend": blend, "single-joint": sg + blend}[stage]
 
 
+def predict(model: SingleModel, batch: Batch, options: TrainOptions, *, device: torch.device) -> SGVolume:
+    """The volumes of a batch: without a gradient where the stage does not train them."""
+    trains = options.stage != "single-blend" and torch.is_grad_enabled()
+    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16), torch.set_grad_enabled(trains):
+        return model(batch.volume)
+
+
 def stage_losses(
-    model: SingleModel, batch: Batch, options: TrainOptions, *, generator: torch.Generator, device: torch.device
+    model: SingleModel,
+    sglv: SGVolume,
+    batch: Batch,
+    options: TrainOptions,
+    *,
+    generator: torch.Generator,
+    device: torch.device,
 ) -> Losses:
-    """The losses of one batch; every random direction comes from the generator (on the CPU)."""
-    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16):
-        if options.stage == "single-blend":
-            with torch.no_grad():
-                sglv = model(batch.volume)
-        else:
-            sglv = model(batch.volume)
+    """The losses of one batch's volumes; every random direction comes from the generator (on the CPU)."""
     if options.stage == "single-sglv":
         return _sglv_losses(sglv, batch, options, generator=generator)
     return _blend_losses(model, sglv, batch, options, generator=generator, device=device)
@@ -69,18 +78,52 @@ def rendered(sglv: SGVolume, batch: Batch, directions: Float[Tensor, "b p n 3"])
     return radiance.reshape(b, p, n, 3)
 
 
-def predicted_panoramas(
-    model: SingleModel, sglv: SGVolume, batch: Batch, *, bf16: bool, device: torch.device
-) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
-    """The volume's panoramas at the probes, and the blended ones."""
-    if batch.partial is None or batch.mask is None:
-        raise ValueError("a batch for blending needs partial panoramas: collate it with a panorama_height")
+def rendered_panoramas(sglv: SGVolume, batch: Batch, *, device: torch.device) -> Float[Tensor, "b p 3 h w"]:
+    """The volume's panoramas at the probes, as high as the truth."""
     b, p, _, h, w = batch.truth.shape
     rays = _rays(h, device).expand(b, p, -1, 3)
-    hdr = rendered(sglv, batch, rays).reshape(b, p, h, w, 3).permute(0, 1, 4, 2, 3)
+    return rendered(sglv, batch, rays).reshape(b, p, h, w, 3).permute(0, 1, 4, 2, 3)
+
+
+def predicted_panoramas(
+    model: SingleModel,
+    sglv: SGVolume,
+    batch: Batch,
+    *,
+    bf16: bool,
+    device: torch.device,
+    weight_height: int | None = None,
+) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
+    """The volume's panoramas at the probes, and the blended ones.
+
+    weight_height: rows at which the blending network runs, if not the panoramas'; its weight is then resampled, as the
+    serving engine does it.
+    """
+    if batch.partial is None or batch.mask is None:
+        raise ValueError("a batch for blending needs partial panoramas: collate it with a panorama_height")
+    hdr = rendered_panoramas(sglv, batch, device=device)
+    panels = hdr.flatten(0, 1), batch.partial.flatten(0, 1), batch.mask.flatten(0, 1)
     with torch.autocast(device.type, dtype=torch.bfloat16, enabled=bf16):
-        blended, _ = model.blend(hdr.flatten(0, 1), batch.partial.flatten(0, 1), batch.mask.flatten(0, 1))
-    return hdr, blended.float().unflatten(0, (b, p))
+        if weight_height is None or weight_height == hdr.shape[-2]:
+            blended, _ = model.blend(*panels)
+        else:
+            blended = _blended_at(model, *panels, height=weight_height)
+    return hdr, blended.float().unflatten(0, batch.truth.shape[:2])
+
+
+def _blended_at(
+    model: SingleModel,
+    hdr: Float[Tensor, "n 3 h w"],
+    ldr: Float[Tensor, "n 3 h w"],
+    mask: Float[Tensor, "n 1 h w"],
+    *,
+    height: int,
+) -> Float[Tensor, "n 3 h w"]:
+    size = (height, 2 * height)
+    small_hdr, small_ldr = (functional.interpolate(panel, size=size, mode="area") for panel in (hdr, ldr))
+    _, weight = model.blend(small_hdr, small_ldr, functional.interpolate(mask, size=size, mode="nearest-exact"))
+    weight = functional.interpolate(weight, size=mask.shape[-2:], mode="bilinear") * mask
+    return blend(hdr, ldr, weight)
 
 
 def _sglv_losses(sglv: SGVolume, batch: Batch, options: TrainOptions, *, generator: torch.Generator) -> Losses:

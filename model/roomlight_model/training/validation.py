@@ -1,6 +1,7 @@
-"""How a run does on rooms it does not train on: the paper's losses beside the mean colour's, and pictures.
+"""How a run does on rooms it does not train on: the paper's two losses beside two baselines', and pictures.
 
-For the curve of a run only; what is reported of a model is `roomlight eval`, by the serving engine.
+For the curve of a run, and to keep its best weights; what is reported of a model is `roomlight eval`, by the serving
+engine. The same 120 rows, means and units as there, first frame and exact depth, so that the numbers can be compared.
 """
 
 from collections.abc import Sequence
@@ -13,16 +14,22 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
+from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
 from roomlight_model.networks import SingleModel
-from roomlight_model.training.examples import Batch, Recordings, collate, example_of
+from roomlight_model.sphere import disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.training.examples import Batch, Example, Recordings, collate, example_of
 from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.stages import predicted_panoramas
+from roomlight_model.training.stages import predicted_panoramas, rendered_panoramas
 
-HEIGHT: Final = 60
+HEIGHT: Final = 120
 _DARK_EV: Final = -4.0
 """A second copy of every panorama this much darker shows the sources."""
+_SPHERE: Final = (96, 64)
+"""Pixels and samples of the glossy sphere: the same directions at every look."""
+
+Panoramas = Float[Tensor, "p 3 h w"]
 
 
 class Validation:
@@ -31,44 +38,84 @@ class Validation:
     def __init__(self, recordings: Recordings, numbers: Sequence[int], options: TrainOptions) -> None:
         """`numbers` says which sequences."""
         rng = np.random.default_rng(0)
+        self._options = options
         self.images: list[UInt8[np.ndarray, "h w 3"]] = []
         self._batches: list[Batch] = []
-        self._means: list[Tensor] = []
+        self._baselines: dict[str, list[tuple[float, float]]] = {"mean_colour": [], "warp": []}
         for number in numbers:
             example = example_of(recordings.read(number, frames=[0]), 0, rng, depth="exact")
             self.images.append(linear_to_srgb8(example.frame.image))
-            self._batches.append(collate([example], volume_shape=options.volume_shape, panorama_height=HEIGHT))
-            self._means.append(torch.from_numpy(example.frame.image.mean((0, 1), dtype=np.float64)).float())
+            batch = collate([example], volume_shape=options.volume_shape, panorama_height=HEIGHT)
+            self._batches.append(batch)
+            for name, method in (("mean_colour", MeanColour(HEIGHT)), ("warp", WarpAndFill(HEIGHT))):
+                self._baselines[name].append(_errors(_baseline(method, example), batch))
 
     def scores(self, model: SingleModel, *, device: torch.device) -> dict[str, float]:
-        """Mean log-L2 of the volume alone, of the blended panoramas, and of the frame's mean colour everywhere."""
-        errors: dict[str, list[float]] = {"sglv": [], "blended": [], "mean_colour": []}
-        for batch, mean in zip(self._batches, self._means, strict=True):
-            hdr, blended = self._predict(model, batch, device)
-            flat = mean[:, None, None].expand_as(batch.truth)
-            for name, panoramas in (("sglv", hdr), ("blended", blended), ("mean_colour", flat)):
-                difference = torch.log1p(panoramas.clamp(min=0)) - torch.log1p(batch.truth)
-                errors[name].append(float(difference.square().mean()))
-        return {f"log_l2_{name}": float(np.mean(values)) for name, values in errors.items()}
+        """Mean log-L2 and rendering loss of the volume alone, of the blended panoramas once they are trained, of the
+        frame's mean colour everywhere, and of the frame warped to the probe."""
+        errors: dict[str, list[tuple[float, float]]] = {"sglv": []}
+        if self.blends:
+            errors["blended"] = []
+        for batch in self._batches:
+            for name, panoramas in self._predict(model, batch, device).items():
+                errors[name].append(_errors(panoramas, batch))
+        scores: dict[str, float] = {}
+        for name, values in (errors | self._baselines).items():
+            scores[f"log_l2_{name}"], scores[f"rendering_{name}"] = np.mean(values, axis=0).tolist()
+        return scores
+
+    @property
+    def blends(self) -> bool:
+        """Whether the stage has anything blended to show."""
+        return self._options.stage != "single-sglv"
+
+    def loss(self, scores: dict[str, float]) -> float:
+        """The paper's loss of what the stage trains: log-L2 plus the weighted rendering loss."""
+        name = "blended" if self.blends else "sglv"
+        return scores[f"log_l2_{name}"] + self._options.rendering_weight * scores[f"rendering_{name}"]
 
     def draw(self, model: SingleModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
         """PNG, a row for each of the first sequences: its frame, then truth, volume and blended, each also darker."""
         lines: list[UInt8[np.ndarray, "h w 3"]] = []
         for image, batch in zip(self.images[:rows], self._batches, strict=False):
-            hdr, blended = self._predict(model, batch, device)
-            cells = [cv2.resize(image, (4 * HEIGHT // 3 * 2, 2 * HEIGHT), interpolation=cv2.INTER_AREA)]
-            for panoramas in (batch.truth, hdr, blended):
-                shown = panoramas[0, 0].permute(1, 2, 0).numpy()
+            cells = [cv2.resize(image, (2 * HEIGHT * 4 // 3, 2 * HEIGHT), interpolation=cv2.INTER_AREA)]
+            for panoramas in (batch.truth[0], *self._predict(model, batch, device).values()):
+                shown = panoramas[0].permute(1, 2, 0).numpy()
                 cells.append(np.concatenate([linear_to_srgb8(shown), linear_to_srgb8(shown * 2**_DARK_EV)]))
             lines.append(np.concatenate(cells, axis=1))
         path.parent.mkdir(parents=True, exist_ok=True)
         if not cv2.imwrite(str(path), np.concatenate(lines)[..., ::-1]):
             raise OutputError(f"{path}: the picture cannot be written")
 
-    def _predict(
-        self, model: SingleModel, batch: Batch, device: torch.device
-    ) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
+    def _predict(self, model: SingleModel, batch: Batch, device: torch.device) -> dict[str, Panoramas]:
         here = batch.to(device)
         with torch.no_grad():
-            hdr, blended = predicted_panoramas(model, model(here.volume), here, bf16=False, device=device)
-        return hdr.cpu(), blended.cpu()
+            sglv = model(here.volume)
+            if not self.blends:
+                return {"sglv": rendered_panoramas(sglv, here, device=device)[0].cpu()}
+            hdr, blended = predicted_panoramas(
+                model, sglv, here, weight_height=self._options.panorama_height, bf16=False, device=device
+            )
+        return {"sglv": hdr[0].cpu(), "blended": blended[0].cpu()}
+
+
+def _baseline(method: MeanColour | WarpAndFill, example: Example) -> Panoramas:
+    method.push(example.frame)
+    panoramas = [method.light_at((float(x), float(y), float(z))) for x, y, z in example.positions]
+    return torch.from_numpy(np.stack(panoramas)).permute(0, 3, 1, 2).contiguous()
+
+
+def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:
+    """(log-L2, rendering loss) of one sequence's probes."""
+    truth = batch.truth[0]
+    difference = torch.log1p(panoramas.clamp(min=0)) - torch.log1p(truth)
+    generator = torch.Generator().manual_seed(0)
+    pixels, samples = _SPHERE
+    places = disc(pixels, batch=(len(truth),), generator=generator)
+    sphere = sample_sphere(
+        sphere_normals(batch.to_viewer[0], places), batch.to_viewer[0], samples=samples, generator=generator
+    )
+    flat = sphere.directions.flatten(1, 2)
+    balls = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
+    rendering = (balls[0].clamp(max=1) - balls[1].clamp(max=1)).square().mean()
+    return float(difference.square().mean()), float(rendering)
