@@ -2,7 +2,8 @@
 
 All figures are of relative luminance, |ours - reference| / reference. The reference comes as two independent halves:
 half of their difference is the noise of their mean, and since their errors have nothing to do with each other, the mean
-of (ours - one half) (ours - other half) is our own error's square, however noisy they are.
+of (ours - one half) (ours - other half) is our own error's square without their noise (but for that of the reference it
+is divided by: at 7 % a root mean square of 10 % reads 11).
 """
 
 from collections.abc import Sequence

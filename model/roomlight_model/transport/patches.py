@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float, Float32, Int32, UInt8
 from roomlight_model.transport.direct import DirectLight, Points, Received, ShadowRays
 from roomlight_model.transport.emitters import OPENING, TRIANGLE
 from roomlight_model.transport.kernels import patches as kernels
+from roomlight_model.transport.sightings import Sightings
 from roomlight_model.transport.sun_spots import NEAR_SPOT_M2
 from roomlight_model.transport.tables import Table, grown
 from roomlight_model.transport.tracer import OFFSET_M, Tracer
@@ -358,10 +359,10 @@ def _linked(found: _Found, rays: _Rays) -> tuple[np.ndarray, ...]:
     return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
 
 
-def _direct(
-    tracer: Tracer, light: DirectLight, found: _Found, count: int, seed: int
-) -> tuple[Received, Float32[np.ndarray, "p l"]]:
-    """Mean over each patch's points of direct light, and the share of each light's samples that it saw."""
+def _direct(tracer: Tracer, light: DirectLight, found: _Found, sightings: Sightings, seed: int) -> Received:
+    """Mean over each patch's points of direct light. First a round that only finds out which lights are seen from
+    where, then one that knows; `light.vis` holds what both found."""
+    count = len(sightings.owner)
     used = found.used[:count]
     owner = np.repeat(np.arange(count, dtype=np.int32), used)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
@@ -373,20 +374,24 @@ def _direct(
         np.full(len(owner), -1, np.int32),
         np.arange(len(owner), dtype=np.int64),
     )
-    lights = max(1, len(light.lights.start))
-    tried, seen_count = np.zeros((count, lights), np.uint16), np.zeros((count, lights), np.uint16)
 
     def tally(start: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], written: int) -> None:
-        kernels.visibility(rays.owner, rays.cluster, seen, written, owner[start:], tried, seen_count)
+        kernels.visibility(rays.owner, rays.cluster, seen, written, rows[start:], sightings.tried, sightings.seen)
 
-    each = light.received(points, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=tally)
-    share = (seen_count + np.float32(1)) / (tried + np.float32(1.5))
+    rows = owner[place == 0]
+    first = Points(*(column[place == 0] for column in points))
+    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=tally)
+    light.vis = sightings.visibility()
+    rows = owner
+    known = points._replace(row=owner)
+    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=tally)
+    light.vis = sightings.visibility()
     weight = (1 / used[owner]).astype(np.float32)
     means = (
         np.stack([np.bincount(owner, part[:, k] * weight, count) for k in range(3)], 1).astype(np.float32)
         for part in each
     )
-    return Received(*means), np.minimum(share, 1).astype(np.float32)
+    return Received(*means)
 
 
 def _bounced(
@@ -403,7 +408,14 @@ def _bounced(
     alpha = materials.roughness[material]
     point = np.arange(kernels.POINTS) < found.used[:count, None]
     albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
-    direct, seen = _direct(tracer, light, found, count, seed)
+    sightings = Sightings(
+        found.position[:count],
+        found.used[:count],
+        found.material[:count],
+        lights=max(1, len(light.lights.start)),
+        materials=len(materials.mirror),
+    )
+    direct = _direct(tracer, light, found, sightings, seed)
     target, cosine, factor, distance, passed, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
     target[enclosed[target] & (distance > ENCLOSED_M)] = -1
@@ -428,41 +440,24 @@ def _bounced(
         if total - before <= SETTLED * total:
             break
         kernels.gathered(target, base_link, lobe_link, passed, base, lobe, GATHER_RAYS, bounced, bounced_coated)
-    solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated, seen
-    return _with_fallbacks(tracer, light, found, count, solved, enclosed)
+    solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated
+    return _with_fallbacks(found, sightings, solved, enclosed)
 
 
 def _with_fallbacks(
-    tracer: Tracer,
-    light: DirectLight,
-    found: _Found,
-    count: int,
-    columns: tuple[np.ndarray, ...],
-    enclosed: Bool[np.ndarray, " p"],
+    found: _Found, sightings: Sightings, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
 ) -> RoomCache:
-    """Append means over wider cells and over materials to the rows; the last column becomes `light.vis`."""
-    table = found.table
+    """Append means over wider cells and over materials to the rows."""
+    table, count, wide = found.table, len(sightings.owner), sightings.wide
     table.keys[table.values >= count] = -2  # of the last wave: -2 is no key, and no empty place either
-    coarse = Table(count)
-    owner = np.empty(count, np.int32)
-    wide = kernels.fill_coarse(
-        found.position[:count],
-        found.used[:count],
-        found.material[:count],
-        coarse.keys,
-        coarse.values,
-        0,
-        owner,
-    )
-    materials = len(tracer.materials.mirror)
     tables: list[np.ndarray] = []
     for column in columns:
-        around = _means(column, owner, count=wide)
-        whole = _means(column, found.material[:count], count=materials, fill=True)
+        around = _means(column, sightings.owner, count=wide)
+        whole = _means(column, sightings.material, count=sightings.materials, fill=True)
         nothing = np.zeros((1, column.shape[1]), np.float32)
         tables.append(np.concatenate([column, around, whole, nothing]).astype(np.float32))
-    base, lobe, sun_base, sun_lobe, indirect, indirect_coated, seen = tables
-    light.vis = np.clip(np.rint(seen * 255), 0, 255).astype(np.uint8)
+    base, lobe, sun_base, sun_lobe, indirect, indirect_coated = tables
+    coarse = sightings.coarse
     return RoomCache(
         (found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
         count,

@@ -29,6 +29,7 @@ from roomlight_model.transport.kernels.surfaces import texel, uv_of
 
 FAR = 1e4  # `tracer.FAR_M`
 SHORT = 1e-4  # shadow rays stop so far before a light: the skin of a lampshade may lie a millimetre before it
+LEAST_SEEN = 8  # 255ths: a light that a patch never saw may still be seen from a corner of it
 NEAR_SQ = 1e-8  # a light's squared distance is held off zero: a millimetre's hundredth
 
 
@@ -140,7 +141,7 @@ def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
                 value, _ = lobe(a[0], a[1], a[2], -x / d, -y / d, -z / d, sx, sy, sz, alpha)
                 share = lights.lobe_power[which] * value * max(toward, LEAST_COSINE) * facing / max(d_sq, r * r)
                 if row >= 0:
-                    share *= max(vis[row, which], 20) / 255.0
+                    share *= max(vis[row, which], LEAST_SEEN) / 255.0
                 extra += share
         running[which] += extra
     return extra
@@ -153,7 +154,7 @@ def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
     for which in range(clusters):
         share = estimate(lights, which, px, py, pz, nx, ny, nz)
         if row >= 0:
-            share *= max(vis[row, which], 20) / 255.0
+            share *= max(vis[row, which], LEAST_SEEN) / 255.0
         total += share
         running[which] = total
     if clusters > lights.real:
@@ -295,7 +296,7 @@ def propose(
                 if not q > 0:
                     continue
                 if row[i] >= 0:
-                    q *= max(vis[row[i], which], 20) / 255.0
+                    q *= max(vis[row[i], which], LEAST_SEEN) / 255.0
                 sum_q += q
                 aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
                 aim[live, 4], aim[live, 5], aim[live, 6] = red * scale, green * scale, blue * scale

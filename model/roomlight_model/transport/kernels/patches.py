@@ -269,6 +269,24 @@ def visibility(owner, cluster, seen, count, row, tried, found):
 
 
 @njit(**JIT)
+def add_counts(tried, found, owner, tried_sum, found_sum):
+    """Sums of the patches' counts over each owner."""
+    for p in range(len(owner)):
+        for k in range(tried.shape[1]):
+            tried_sum[owner[p], k] += tried[p, k]
+            found_sum[owner[p], k] += found[p, k]
+
+
+@njit(**JIT)
+def shares(tried, found, owner, around, prior, out):
+    """The share of each light that patches see, in 255ths; their owner's share counts as so many rays."""
+    for p in range(len(owner)):
+        for k in range(tried.shape[1]):
+            share = (found[p, k] + prior * around[owner[p], k]) / (tried[p, k] + prior)
+            out[p, k] = np.uint8(255 * min(share, np.float32(1.0)) + np.float32(0.5))
+
+
+@njit(**JIT)
 def fill_coarse(position, used, material, keys, values, known, owner):
     """Give each patch its place in the fallback's table; returns how many places there are."""
     for p in range(len(used)):
