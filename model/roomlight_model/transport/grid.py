@@ -15,6 +15,9 @@ OUTSHINES: Final = 3.0
 """A pixel's reflection may be so many times as bright as its surroundings': beyond it is a ray's luck, which smoothing
 would make a white dot. Highlights are wider than the pixels that this looks at."""
 
+RECEIVES: Final = 1.7
+"""The same of what arrives at a pixel: lamplight is smoother than reflections, and the sun is not in it."""
+
 
 class Grid:
     """Points of a picture with what they received and reflect; pixels that show none are left out."""
@@ -41,7 +44,9 @@ class Grid:
     def smooth_received(self, received: Float32[np.ndarray, "m 3"]) -> Float32[np.ndarray, "m 3"]:
         """Smooth what the points received, and keep it to be borrowed."""
         known, even = np.ones(self._shape, bool), np.ones(self._shape, np.float32)
-        image = self._smooth(self._laid(received), known, even, 1)
+        image = self._laid(received)
+        images.tame(image, self.kind, known, RECEIVES)
+        image = self._smooth(image, known, np.float32(1.6) * even, 1)
         self.received = self._smooth(image, known, np.float32(0.5) * even, 2)
         return self.received.reshape(-1, 3)[self._ray]
 

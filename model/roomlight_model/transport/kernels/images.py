@@ -8,7 +8,8 @@ from numba import njit
 
 from roomlight_model.transport.kernels.common import JIT
 
-REACH = 4  # pixels about one whose outliers are sought: 80 of them, of which a quarter are known in rough coats
+REACH = 4  # pixels about one in which it is an outlier or not: 80 of them, of which a quarter are known in rough coats
+FEW = 8  # an outlier has fewer than one in so many pixels about it that are like it
 ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise passes, a shadow's edge does not
 
 
@@ -71,7 +72,7 @@ def smooth(image, position, normal, kind, foot, known, spread, step, out):
 @njit(**JIT)
 def tame(image, kind, known, most):
     """Darken known pixels that outshine `most` times the mean of the known ones of their kind within `REACH` pixels,
-    the brightest of those left out: the rest of what few rays found by chance."""
+    where hardly any of those are half as bright: what few rays found by chance. Those that are do not count."""
     height, width = kind.shape
     total = np.zeros((height, width))
     for y in range(height):
@@ -83,16 +84,19 @@ def tame(image, kind, known, most):
             here = total[y, x]
             if here <= 0:
                 continue
-            count, sum_of, largest = 0, 0.0, 0.0
+            count, bright, dim = 0, 0, 0.0
             for j in range(max(y - REACH, 0), min(y + REACH + 1, height)):
                 for i in range(max(x - REACH, 0), min(x + REACH + 1, width)):
-                    if kind[j, i] == kind[y, x] and known[j, i] and not (j == y and i == x):
+                    if kind[j, i] == kind[y, x] and known[j, i]:
                         count += 1
-                        sum_of += total[j, i]
-                        largest = max(largest, total[j, i])
-            if count < 5:
+                        if total[j, i] > 0.5 * here:
+                            bright += 1
+                        else:
+                            dim += total[j, i]
+            # A cell is two pixels wide or three: a ray's luck is a block of 4 to 9 pixels out of 81.
+            if count < 6 or bright * FEW > count + FEW:
                 continue
-            limit = most * (sum_of - largest) / (count - 1)
+            limit = most * dim / (count - bright)
             if here > limit:
                 for c in range(3):
                     image[y, x, c] *= limit / here
