@@ -51,7 +51,7 @@ class Habits:
             locked=bool(rng.random() < 0.25),
             first_error=float(rng.normal(0, 0.12)),
             max_multiplier=float(np.exp(rng.uniform(*np.log(MAX_MULTIPLIER)))),
-            balance=float(rng.uniform(0.6, 0.9)),
+            balance=float(rng.uniform(0.7, 0.95)),
             grey_world=float(rng.uniform(0.3, 0.9)),
         )
 

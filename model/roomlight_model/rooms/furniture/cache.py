@@ -26,7 +26,7 @@ from roomlight_model.rooms.furniture.surfaces import Surface, SurfaceKind
 from roomlight_model.rooms.model import LightSource, Model
 from roomlight_model.rooms.scene import Mesh, Texture
 
-VERSION: Final = 2
+VERSION: Final = 3
 
 _MAGIC: Final = b"RLFURN%02d" % VERSION
 _FAMILY: Final = b"RLFURN"

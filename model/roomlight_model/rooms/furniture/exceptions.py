@@ -42,7 +42,7 @@ _ROLES: Final[dict[str, str]] = {
     "fridge": "B0:highCabinet",
     "exercise": "B0:poolTable B0:table_football BY:table_tennis S:flipper S:punching-ball BY:abdominalBench S:bicycle",
     "floor_toy": "BY:bike S:tricycle S:scooter S:skateboard S:children_chair BY:childChair B0:basketball BY:ballonFoot",
-    "floor_clutter": "S:baby_high_chair B0:fireExtinguisher B0:electricGuitar S:stroller BY:wheelchair S:basin "
+    "floor_clutter": "S:baby_high_chair B0:electricGuitar S:stroller BY:wheelchair S:basin "
     "B0:potty S:broom S:shovel B0:umbrellaFolded S:clothes-horse S:clothes-rack S:water_cooler BY:sef-kasa B0:barrel "
     "B0:handbag B0:briefcase B0:bootie B0:slippers S:sneakers S:woman_shoes S:mocassin S:wood_logs S:step-ladder-metal "
     "S:step-ladder-wood K:trunk-large",
@@ -77,7 +77,8 @@ EXCLUDED: Final = frozenset(
     _ids(
         # Outdoors, or nothing that one sees in a room.
         "S:chimney S:round-chimney S:farola1 S:candelabre K:classic-lamppost K:park-light K:flashlight B0:urinal "
-        "S:small-urinal B0:bidet S:CCTV S:hospital-bed S:air-mattress S:sleepingBag S:bar_table S:ryokanChair "
+        "S:small-urinal B0:bidet B0:fireExtinguisher S:CCTV "
+        "S:hospital-bed S:air-mattress S:sleepingBag S:bar_table S:ryokanChair "
         # Texture coordinates that smear its picture over it.
         "S:vase1 "
         # Parts of something: a shower's fittings, units that want a corner or a neighbour.
