@@ -9,8 +9,7 @@ import sys
 from pathlib import Path
 
 from roomlight_model.dataset.generate import GenerateOptions, generate
-from roomlight_model.dataset.room_sequences import film, plan_shot, set_stage
-from roomlight_model.rooms.build import room_generator
+from roomlight_model.dataset.room_sequences import film_walks, set_stage
 from roomlight_model.rooms.furniture import Catalogue, catalogue
 from roomlight_model.rooms.props import procedural_models
 
@@ -25,9 +24,7 @@ def render_room(room_index, *, seed, split, furniture, count):
     assert furniture is None
     models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
     stage = set_stage(room_index, seed=seed, split=split, catalogue=models)
-    for walk in range(count):
-        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        yield film(stage, plan_shot(stage, rng, frames=FRAMES), rng, name=f"{stage.room.name}-{walk}")
+    yield from film_walks(stage, room_index, seed=seed, split=split, count=count, frames=FRAMES)
 
 
 def main():

@@ -58,9 +58,16 @@ def render_room(room_index: int, *, seed: int, split: Split, furniture: Path | N
     ValueError where a walk through it cannot be found: the generator then takes another room.
     """
     stage = set_stage(room_index, seed=seed, split=split, catalogue=catalogue_for(furniture))
+    yield from film_walks(stage, room_index, seed=seed, split=split, count=count)
+
+
+def film_walks(
+    stage: Stage, room_index: int, *, seed: int, split: Split, count: int, frames: int = FRAMES
+) -> Iterator[Recording]:
+    """The first `count` walks through a room of that number."""
     for walk in range(count):
         rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
-        yield film(stage, plan_shot(stage, rng), rng, name=f"{stage.room.name}-{walk}")
+        yield film(stage, plan_shot(stage, rng, frames=frames), rng, name=f"{stage.room.name}-{walk}")
 
 
 def set_stage(room_index: int, *, seed: int, split: Split, catalogue: Catalogue) -> Stage:

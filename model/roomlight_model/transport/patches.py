@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
-from roomlight_model.transport.direct import DirectLight, Points, Received, ShadowRays
+from roomlight_model.transport.direct import DirectLight, Points, Received
 from roomlight_model.transport.emitters import OPENING, TRIANGLE
 from roomlight_model.transport.kernels import patches as kernels
 from roomlight_model.transport.sightings import Sightings
@@ -375,16 +375,12 @@ def _direct(tracer: Tracer, light: DirectLight, found: _Found, sightings: Sighti
         np.arange(len(owner), dtype=np.int64),
     )
 
-    def tally(start: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], written: int) -> None:
-        kernels.visibility(rays.owner, rays.cluster, seen, written, rows[start:], sightings.tried, sightings.seen)
-
-    rows = owner[place == 0]
-    first = Points(*(column[place == 0] for column in points))
-    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=tally)
+    alone = place == 0
+    first = Points(*(column[alone] for column in points))
+    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=sightings.counting(owner[alone]))
     light.vis = sightings.visibility()
-    rows = owner
     known = points._replace(row=owner)
-    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=tally)
+    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=sightings.counting(owner))
     light.vis = sightings.visibility()
     weight = (1 / used[owner]).astype(np.float32)
     means = (

@@ -3,8 +3,9 @@
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32, UInt8
 
+from roomlight_model.transport.direct import OnRays, ShadowRays
 from roomlight_model.transport.kernels import patches as kernels
 from roomlight_model.transport.tables import Table
 
@@ -43,6 +44,14 @@ class Sightings:
             0,
             self.owner,
         )
+
+    def counting(self, patch: Int32[np.ndarray, " n"]) -> OnRays:
+        """What counts the shadow rays of points that belong to these patches."""
+
+        def count(start: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], written: int) -> None:
+            kernels.visibility(rays.owner, rays.cluster, seen, written, patch[start:], self.tried, self.seen)
+
+        return count
 
     def visibility(self) -> UInt8[np.ndarray, "rows l"]:
         """The share of a light that each row of the cache sees, in 255ths: `RoomCache`'s rows."""
