@@ -19,12 +19,12 @@ FRAMES = 4
 SEED = 21
 
 
-def render_room(room_index, *, seed, split, furniture, count):
-    """What `roomlight_model.dataset.room_sequences.render_room` does, four frames long and without a library."""
+def render_room(room_index, *, seed, split, furniture, count, frames):
+    """What `roomlight_model.dataset.room_sequences.render_room` does without a library."""
     assert furniture is None
     models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
     stage = set_stage(room_index, seed=seed, split=split, catalogue=models)
-    yield from film_walks(stage, room_index, seed=seed, split=split, count=count, frames=FRAMES)
+    yield from film_walks(stage, room_index, seed=seed, split=split, count=count, frames=frames)
 
 
 def main():
@@ -32,7 +32,13 @@ def main():
     catalogue.INSTALLED = FOLDER  # what is installed here has no part in it
     for split, rooms in ROOMS.items():
         options = GenerateOptions(
-            rooms, seed=SEED, split=split, shard_size=rooms, sequences_per_room=1, renderer="fixture_rooms:render_room"
+            rooms,
+            seed=SEED,
+            split=split,
+            shard_size=rooms,
+            sequences_per_room=1,
+            frames=FRAMES,
+            renderer="fixture_rooms:render_room",
         )
         generate(FOLDER, options, workers=1)
     (FOLDER / "dataset.lock").unlink()

@@ -51,7 +51,7 @@ def recording(rng, *, name="one", frames=4, height=24, width=32, probes=2, facts
     )
 
 
-def render_room(room_index, *, seed, split, furniture, count):
+def render_room(room_index, *, seed, split, furniture, count, frames):
     """As `room_sequences.render_room`."""
     steer = _steer()
     if "limit" in steer:
@@ -75,7 +75,7 @@ def render_room(room_index, *, seed, split, furniture, count):
         if walk == 0 and _lives_left(room_index, steer.get("dies", {})):
             os.kill(os.getpid(), signal.SIGKILL)
         rng = np.random.default_rng([seed, split == "train", room_index, walk])
-        yield recording(rng, facts=facts)
+        yield recording(rng, frames=frames, facts=facts)
 
 
 def _steer():

@@ -95,8 +95,9 @@ def _row(canvas: Canvas, top: int, recording: Recording, width: int) -> None:
     under_ev = -max(1.0, float(np.log2(brightest)))
     canvas.text((_MARGIN, top), caption(recording, under_ev=under_ev), grey=HEADING, width=width)
     left, row = _MARGIN, top + _LABEL_ROWS
-    frames = np.rint(np.linspace(0, len(recording.colour) - 1, TIMES)).astype(int)
+    frames = dict.fromkeys(np.rint(np.linspace(0, len(recording.colour) - 1, TIMES)).astype(int).tolist())
     pictures = [srgb8_to_linear(recording.colour[k]) for k in frames]
+    left += (TIMES - len(pictures)) * (_TILE[0] + _GAP)
     pictures += [depth_colours(recording.depth_mm[0]), _surface_colours(recording)]
     for picture in pictures:
         canvas.picture((left, row), picture, size=_TILE, exposed=False)

@@ -20,7 +20,7 @@ from roomlight_model.dataset import generate
 from roomlight_model.dataset.generate import Progress
 from roomlight_model.dataset.shards import read_index
 
-SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--workers", "1")
+SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--frames", "4", "--workers", "1")
 STUBBED = f"""
 import functools, sys
 from roomlight_model.dataset import generate

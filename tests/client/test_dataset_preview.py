@@ -19,7 +19,7 @@ def one(seed, **options):
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("shown")
-    options = GenerateOptions(20, seed=1, shard_size=4, sequences_per_room=2, renderer=stub_rooms.NAME)
+    options = GenerateOptions(20, seed=1, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME)
     generate(folder, options, workers=1)
     return Dataset(folder)
 
@@ -35,7 +35,7 @@ def test_sheets_have_eight_rooms_each_and_the_rooms_are_spread_out(dataset, tmp_
 
 
 def test_a_sheet_shows_what_it_is_given():
-    sheet = compose_preview([one(1), one(2, frames=1, probes=3)])
+    sheet = compose_preview([one(1), one(2, frames=2, probes=3)])
     background = round(255 * BACKGROUND)
     assert sheet.dtype == np.uint8
     used = (np.abs(sheet.astype(int) - background).max(axis=-1) > 8).mean()

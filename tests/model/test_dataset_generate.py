@@ -19,7 +19,7 @@ from roomlight_model.dataset.verify import verify
 
 
 def options(sequences=12, **changes):
-    given = {"seed": 7, "shard_size": 4, "sequences_per_room": 2, "renderer": stub_rooms.NAME}
+    given = {"seed": 7, "shard_size": 4, "sequences_per_room": 2, "frames": 4, "renderer": stub_rooms.NAME}
     return GenerateOptions(sequences=sequences, **{**given, **changes})
 
 
@@ -193,6 +193,22 @@ def test_a_disk_that_takes_no_more_is_an_error_and_it_goes_on_when_there_is_room
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 1000
 
 
+def test_as_many_frames_are_made_as_were_asked_for(tmp_path):
+    out = tmp_path / "views"
+    generate(out, options(4, frames=1), workers=1)
+    dataset = Dataset(out)
+    assert read_manifest(out).settings.frames == 1
+    assert [dataset.frames_of(number) for number in range(4)] == [1] * 4
+    assert [len(recording.colour) for recording in dataset] == [1] * 4
+
+
+def test_a_dataset_that_does_not_say_has_31_frames(undisturbed, tmp_path):
+    values = json.loads((undisturbed / MANIFEST).read_text())
+    del values["frames"]
+    (tmp_path / MANIFEST).write_text(json.dumps(values))
+    assert read_manifest(tmp_path).settings.frames == 31
+
+
 def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
     generate(tmp_path / "both", options(4), workers=1)
     generate(tmp_path / "both", options(4, split="test"), workers=1)
@@ -210,6 +226,7 @@ def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
         ({"seed": 8}, "seed 7, not 8"),
         ({"shard_size": 8}, "shard size 4, not 8"),
         ({"sequences_per_room": 4}, "sequences per room 2, not 4"),
+        ({"frames": 1}, "frames 4, not 1"),
         ({"renderer": "other:one"}, "renderer stub_rooms:render_room, not other:one"),
         ({"seed": 0, "shard_size": 2}, "seed 7, not 0; shard size 4, not 2"),
     ],

@@ -92,7 +92,7 @@ def test_a_spread_of_nothing_is_zero():
 
 
 def test_a_dataset_is_measured_room_by_room(tmp_path):
-    options = GenerateOptions(12, seed=1, shard_size=4, sequences_per_room=2, renderer=stub_rooms.NAME)
+    options = GenerateOptions(12, seed=1, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME)
     generate(tmp_path, options, workers=1)
     dataset = Dataset(tmp_path)
     told = []

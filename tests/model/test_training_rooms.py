@@ -9,7 +9,7 @@ from roomlight_model.training.rooms import TrainingRooms
 
 
 def make(folder, sequences):
-    options = GenerateOptions(sequences, seed=3, shard_size=4, sequences_per_room=2, renderer=stub_rooms.NAME)
+    options = GenerateOptions(sequences, seed=3, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME)
     generate(folder, options, workers=1)
     return folder
 

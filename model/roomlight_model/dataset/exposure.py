@@ -45,8 +45,8 @@ class Habits:
     def draw(cls, rng: np.random.Generator) -> "Habits":
         """One phone at random."""
         return cls(
-            bias=float(rng.normal(0.0, 0.4)),
-            highlights=float(rng.uniform(0.3, 0.9)),
+            bias=float(rng.normal(0.35, 0.4)),
+            highlights=float(rng.uniform(0.2, 0.8)),
             settle_s=float(rng.uniform(0.3, 1.5)),
             locked=bool(rng.random() < 0.25),
             first_error=float(rng.normal(0, 0.12)),

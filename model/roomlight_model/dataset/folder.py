@@ -27,12 +27,15 @@ MANIFEST: Final = "dataset.json"
 LOCK: Final = "dataset.lock"
 FORMAT: Final = "roomlight-dataset"
 VERSION: Final = 1
+FRAMES: Final = 31
+"""In a sequence, where nothing else is asked for."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """What decides the bytes of a dataset.
 
+    frames:     in each sequence.
     furniture:  SHA-256 of the furniture library (`digest`), None where all furniture is procedural.
     renderer:   `module:function` that makes the recordings of a room.
     generator:  RoomLight's version.
@@ -41,6 +44,7 @@ class Settings:
     seed: int
     shard_size: int
     sequences_per_room: int
+    frames: int
     furniture: str | None
     renderer: str
     generator: str = __version__
@@ -86,6 +90,7 @@ def read_manifest(folder: Path) -> Manifest:
             seed=int(values["seed"]),
             shard_size=int(values["shard_size"]),
             sequences_per_room=int(values["sequences_per_room"]),
+            frames=int(values.get("frames", FRAMES)),
             furniture=values["furniture"],
             renderer=str(values["renderer"]),
             generator=str(values["generator"]),

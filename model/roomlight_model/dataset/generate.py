@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from roomlight.errors import DatasetError
 from roomlight_model.dataset.crew import work_through
-from roomlight_model.dataset.folder import Settings, begin, digest, locked, prepare, sequence_name, shards_of
+from roomlight_model.dataset.folder import FRAMES, Settings, begin, digest, locked, prepare, sequence_name, shards_of
 from roomlight_model.dataset.shards import is_finished, read_index, shard_path
 from roomlight_model.dataset.worker import ShardTask
 from roomlight_model.rooms.model import Split
@@ -29,6 +29,7 @@ class GenerateOptions:
     sequences:           in the split, in all.
     shard_size:          sequences a file: 16 are 40 MB, so that a worker is never long without news.
     sequences_per_room:  walks through one room, which share its light's solution.
+    frames:              in each sequence; 1 makes single views, of which an hour gives five times as many.
     furniture:           a furniture library or cache to use instead of the installed one.
     """
 
@@ -37,15 +38,16 @@ class GenerateOptions:
     split: Split = "train"
     shard_size: int = 16
     sequences_per_room: int = 4
+    frames: int = FRAMES
     furniture: Path | None = None
     renderer: str = RENDERER
 
     def __post_init__(self) -> None:
         """DatasetError for numbers that make no dataset."""
-        if min(self.sequences, self.shard_size, self.sequences_per_room) < 1 or self.seed < 0:
+        if min(self.sequences, self.shard_size, self.sequences_per_room, self.frames) < 1 or self.seed < 0:
             raise DatasetError(
-                f"{self.sequences} sequences, {self.shard_size} a shard, {self.sequences_per_room} a room, seed "
-                f"{self.seed}: each must be 1 or more, and the seed 0 or more"
+                f"{self.sequences} sequences, {self.shard_size} a shard, {self.sequences_per_room} a room, "
+                f"{self.frames} frames, seed {self.seed}: each must be 1 or more, and the seed 0 or more"
             )
         if self.shard_size % self.sequences_per_room:
             raise DatasetError(
@@ -106,6 +108,7 @@ def generate(
         seed=options.seed,
         shard_size=options.shard_size,
         sequences_per_room=options.sequences_per_room,
+        frames=options.frames,
         furniture=digest(options.furniture),
         renderer=options.renderer,
     )
@@ -150,6 +153,7 @@ def _task(tar: Path, numbers: range, options: GenerateOptions) -> ShardTask:
         last=numbers.stop,
         seed=options.seed,
         sequences_per_room=options.sequences_per_room,
+        frames=options.frames,
         furniture=None if options.furniture is None else str(options.furniture.resolve()),
         renderer=options.renderer,
     )

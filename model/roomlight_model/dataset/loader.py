@@ -115,6 +115,11 @@ class Dataset:
         """Bytes of a sequence in its shard."""
         return self._places[number].entry.length
 
+    def frames_of(self, number: int) -> int:
+        """How many frames a sequence has."""
+        _ = self._places[number]  # IndexError where there is none
+        return self.manifest.settings.frames
+
     def files(self, number: int) -> dict[str, memoryview]:
         """The files of a sequence by name, their checksum compared; DatasetError where it does not match."""
         place = self._places[number]

@@ -16,7 +16,7 @@ from roomlight_model.rooms.props import procedural_models
 
 ROOM: Final = 0
 WALK: Final = 2
-"""What is shipped was chosen by eye: a lamp leaves the view, a window enters it."""
+"""What is shipped was chosen by eye: windows in and out of view, lamps that are on behind the camera."""
 SEED: Final = 9
 
 

@@ -315,6 +315,8 @@ def _poses(
 
 def _distance_from(habit: _Habit, walk: Float[np.ndarray, "f 4 4"]) -> float:
     """How far a walk is from what was drawn for it, in logarithms."""
+    if len(walk) == 1:
+        return 0.0
     motion = motion_statistics(walk)
     step, turn = float(motion.translation_m.mean()), float(motion.rotation_degrees.mean())
     return abs(np.log((step + 0.01) / (habit.step_m + 0.01))) + abs(np.log((turn + 0.3) / (habit.turn_degrees + 0.3)))

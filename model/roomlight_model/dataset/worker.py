@@ -38,9 +38,9 @@ class RenderRoom(Protocol):
     """What makes the recordings of a room: `dataset.room_sequences.render_room`, or a test's stand-in."""
 
     def __call__(
-        self, room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int
+        self, room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
     ) -> Iterator[Recording]:
-        """`count` walks through the room of this number, one by one."""
+        """`count` walks of so many frames through the room of this number, one by one."""
         ...
 
 
@@ -54,6 +54,7 @@ class ShardTask:
     last: int
     seed: int
     sequences_per_room: int
+    frames: int
     furniture: str | None
     renderer: str
 
@@ -93,7 +94,14 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
     for attempt in range(ATTEMPTS):
         seed = task.seed if attempt == 0 else _attempt_seed(task.seed, attempt)
         try:
-            walks = render(room, seed=seed, split=task.split, furniture=furniture, count=task.sequences_per_room)
+            walks = render(
+                room,
+                seed=seed,
+                split=task.split,
+                furniture=furniture,
+                count=task.sequences_per_room,
+                frames=task.frames,
+            )
             for within, recording in enumerate(walks):
                 if within < done:
                     continue

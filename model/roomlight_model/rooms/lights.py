@@ -170,7 +170,7 @@ def _switched_on(placements: Sequence[Placement], lamps: Sequence[int], rng: np.
     """All lamps of one role share a switch; at times a single lamp is the only one on."""
     if not lamps:
         return []
-    if rng.random() < 0.15:
+    if rng.random() < 0.25:
         return [int(rng.choice(lamps))]
     roles = sorted({placements[i].model.role for i in lamps})
     on = {role for role in roles if rng.random() < (0.75 if role == "ceiling_lamp" else 0.55)}

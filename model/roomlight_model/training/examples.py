@@ -34,6 +34,10 @@ class Recordings(Protocol):
         """How many there are."""
         ...
 
+    def frames_of(self, index: int, /) -> int:
+        """How many frames one of them has."""
+        ...
+
     def read(self, index: int, /, *, frames: list[int]) -> Recording:
         """One sequence with those frames only, in that order, and all its probes."""
         ...
@@ -82,7 +86,7 @@ def read_example(
 ) -> Example:
     """A random frame of a sequence, with its depth as measured or as a phone would have measured it."""
     other = augment and rng.random() < _OTHER_FRAMES
-    number = int(rng.integers(31)) if other else 0
+    number = int(rng.integers(recordings.frames_of(index))) if other else 0
     recording = recordings.read(index, frames=[number])
     example = example_of(recording, 0, rng, depth=depth)
     if number and not _near(example):

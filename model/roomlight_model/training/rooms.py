@@ -32,6 +32,11 @@ class Part:
         recordings, number = self._places[index]
         return recordings.read(number, frames=frames)
 
+    def frames_of(self, index: int, /) -> int:
+        """How many frames one of them has."""
+        recordings, number = self._places[index]
+        return recordings.frames_of(number)
+
     def replace_by(self, other: "Part") -> int:
         """Take the other's sequences from now on (readers see the old ones or the new); returns how many are new."""
         before, self._places = len(self._places), other._places

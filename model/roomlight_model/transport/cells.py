@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float32, Int32
 
-from roomlight_model.transport.direct import DirectLight, Points
+from roomlight_model.transport.direct import DirectLight, Points, Received
+from roomlight_model.transport.doubt import Doubt
 from roomlight_model.transport.kernels import cells as kernels
 from roomlight_model.transport.kernels.gather import gather_rays, gather_sum
 from roomlight_model.transport.kernels.patches import find, find_points
@@ -25,8 +26,11 @@ GATHER_RAYS: Final = 320
 CONE_SHARE: Final = 0.3
 """Of the gather rays, so many go into cones about the lights."""
 
-CANDIDATES: Final = 32
-PICKS: Final = 12
+SHADOW_RAYS: Final = 32
+MORE_SHADOW_RAYS: Final = 64
+"""For each cell, and once more where the first ones leave its light uncertain by more than `UNCERTAIN` of it."""
+
+UNCERTAIN: Final = 0.3
 SUN_PICKS: Final = 2
 
 REACH_PIXELS: Final = (18.0, 8.0, 3.5)
@@ -117,14 +121,7 @@ class Cells:
         find_points(self.cache.table, position, wound, material, face, row)
         number = np.arange(first, first + len(material), dtype=np.int64)
         points = Points(position, normal, wound, alpha, row, number)
-        direct = self.light.received(
-            points,
-            candidates=CANDIDATES,
-            picks=PICKS,
-            sun_picks=SUN_PICKS,
-            seed=self._seed + 2,
-            sun_outside=True,
-        )
+        direct = self._direct(points)
         records = self._records
         for reach, share in zip(REACH_PIXELS, ROUND_SHARE, strict=True):
             chosen = records.choose(points, foot, reach, every=share)
@@ -140,6 +137,33 @@ class Cells:
         records.interpolate(points, foot, fallback, indirect)
         irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
         return irradiance, np.where(coat, direct.sun_coated, direct.sun)
+
+    def _direct(self, points: Points) -> Received:
+        """Direct light, in a second round from more places on the lights where they are partly hidden."""
+        doubt = Doubt(len(points.row))
+        direct = self.light.received(
+            points,
+            candidates=SHADOW_RAYS,
+            picks=SHADOW_RAYS,
+            sun_picks=SUN_PICKS,
+            seed=self._seed + 2,
+            sun_outside=True,
+            on_rays=doubt.hear,
+        )
+        uncertain = doubt.about(self.cache.indirect[points.row].mean(axis=1), UNCERTAIN)
+        if len(uncertain):
+            more = self.light.received(
+                Points(*(column[uncertain] for column in points)),
+                candidates=MORE_SHADOW_RAYS,
+                picks=MORE_SHADOW_RAYS,
+                sun_picks=2 * SUN_PICKS,
+                seed=self._seed + 5,
+                sun_outside=True,
+            )
+            known = np.float32(SHADOW_RAYS / (SHADOW_RAYS + MORE_SHADOW_RAYS))
+            for first, second in zip(direct, more, strict=True):
+                first[uncertain] = known * first[uncertain] + (1 - known) * second
+        return direct
 
     def gathered(
         self, points: Points, *, rays: int, first: int

@@ -1,0 +1,41 @@
+"""Which walks are filmed: with views of the lit side, of as many frames as were asked for."""
+
+import numpy as np
+import pytest
+
+from roomlight_model.dataset import room_sequences
+from roomlight_model.dataset.room_sequences import film_walks, plan_shot, set_stage
+from roomlight_model.rooms.furniture import Catalogue
+from roomlight_model.rooms.props import procedural_models
+
+
+@pytest.fixture(scope="module")
+def stage():
+    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+    return set_stage(0, seed=21, split="train", catalogue=models)
+
+
+def first_views(stage):
+    """Root-mean brightness of 12 first views."""
+    shots = [plan_shot(stage, np.random.default_rng(number), frames=1) for number in range(12)]
+    views = [stage.light.frame(shot.intrinsics.resized(40, 30), shot.poses[0], seed=1) for shot in shots]
+    return np.array([np.sqrt(view.radiance).mean() for view in views])
+
+
+def test_most_walks_begin_with_a_view_of_the_lit_side(stage, monkeypatch):
+    monkeypatch.setattr(room_sequences, "_AT_RANDOM", 1.0)
+    anywhere = first_views(stage)
+    monkeypatch.setattr(room_sequences, "_AT_RANDOM", 0.0)
+    chosen = first_views(stage)
+    assert chosen.mean() > 1.1 * anywhere.mean()
+    assert (chosen >= anywhere - 1e-9).all()  # the walk of the former is among those chosen from
+
+
+def test_a_single_view_is_a_sequence_of_one_frame(stage):
+    views = list(film_walks(stage, 0, seed=21, split="train", count=2, frames=1))
+    for view in views:
+        assert view.colour.shape == (1, 240, 320, 3)
+        assert view.depth_mm.shape == view.surface.shape == (1, 240, 320)
+        assert view.probe_panoramas.shape == (3, 120, 240, 3)
+        assert view.exposure.tolist() == [1.0]
+    assert (views[0].camera_to_world != views[1].camera_to_world).any()
