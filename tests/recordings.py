@@ -16,7 +16,7 @@ class BoxRecordings:
     def __len__(self):
         return self._count
 
-    def frames_of(self, index):
+    def frames_of(self, _index):
         return 31
 
     def read(self, index, *, frames):

@@ -39,6 +39,9 @@ class SGConfig:
     """Kernel of the gates of SGGRU_0 (half resolution); its candidate is always 3 x 3 x 3."""
     direct: bool = True
     """The heads also see the initial volume itself and begin as its copy; False is the paper's two skips alone."""
+    own_colour: bool = True
+    """The networks see a frame divided by its own mean colour and answer in units of it: unseen walls take the room's
+    colour and brightness without having to learn it."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""

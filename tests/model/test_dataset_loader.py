@@ -19,7 +19,11 @@ from roomlight_model.dataset.shards import index_path, read_index
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     out = tmp_path_factory.mktemp("loaded")
-    generate(out, GenerateOptions(24, seed=3, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME), workers=1)
+    generate(
+        out,
+        GenerateOptions(24, seed=3, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME),
+        workers=1,
+    )
     return out
 
 

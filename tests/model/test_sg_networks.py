@@ -97,6 +97,40 @@ def test_direct_heads_start_as_a_copy_of_what_was_seen():
     assert (predicted.alpha[(given[:, 3] == 0) & (given[:, 4] == 0)] < 0.06).all()
 
 
+def yellow_room(level=1.0):
+    """A frame that shows yellow surfaces in half of the volume and leaves the rest unseen."""
+    given = torch.zeros((1, 5, *SHAPE))
+    given[:, 3, :8] = 1
+    given[:, :3, :8] = level * torch.tensor([0.8, 0.6, 0.2])[:, None, None, None] * (0.7 + 0.6 * torch.rand(SHAPE)[:8])
+    return given
+
+
+def test_unseen_walls_begin_in_the_rooms_own_colour():
+    lobes = SingleModel(CONFIG)(yellow_room()).lobes.detach()[0, 8:, ..., :3].mean(dim=(0, 1, 2))
+    assert lobes / lobes[1] == pytest.approx(torch.tensor([0.82 / 0.62, 1.0, 0.22 / 0.62]), rel=0.1)
+    grey = ModelConfig(SGConfig(volume_shape=SHAPE, channels=8, full_channels=4, own_colour=False))
+    lobes = SingleModel(grey)(yellow_room()).lobes.detach()[0, 8:, ..., :3].mean(dim=(0, 1, 2))
+    assert lobes / lobes[1] == pytest.approx(torch.ones(3), rel=0.2)
+
+
+def test_twice_the_light_is_answered_by_twice_the_light():
+    model = SingleModel(CONFIG)
+    torch.manual_seed(3)
+    dim = model(yellow_room()).lobes.detach()[..., :6]
+    torch.manual_seed(3)
+    bright = model(yellow_room(2.0)).lobes.detach()[..., :6]
+    assert (bright / dim).mean() == pytest.approx(2, rel=0.1)
+    nothing = model(torch.zeros((1, 5, *SHAPE))).lobes.detach()[..., :3]
+    assert nothing.mean() == pytest.approx(0.32, rel=0.2)  # a black volume: grey, not an end of all light
+
+
+def test_the_frames_tint_can_be_heard():
+    model = SingleModel(CONFIG)
+    before = model(yellow_room()).alpha
+    torch.nn.init.normal_(model.sg_decoder.tint.weight)
+    assert not torch.equal(model(yellow_room()).alpha, before)
+
+
 def test_absurdly_bright_input_stays_finite():
     given = volume()
     given[:, :3] *= 1e6
