@@ -193,14 +193,18 @@ def _direct_heads(outputs: int) -> nn.Conv3d:
 
 
 def mean_colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 1 1 1"]:
-    """Mean radiance of the surfaces in an initial volume, by channel; grey where it shows hardly any."""
-    seen = volume[:, 3:4].sum(dim=(2, 3, 4), keepdim=True)
-    total = torch.relu(volume[:, :3]).sum(dim=(2, 3, 4), keepdim=True)
-    return (total + _GREY) / (seen + 1) + DARKEST
+    """Geometric mean of the radiance of the surfaces in an initial volume; grey where it shows hardly any.
+
+    Geometric, because a window makes a room's arithmetic mean several times as bright as its walls.
+    """
+    alpha = volume[:, 3:4]
+    colour = torch.relu(volume[:, :3]) / alpha.clamp(min=1e-3)  # c = alpha C
+    logs = (alpha * torch.log(colour.clamp(max=1) + DARKEST)).sum(dim=(2, 3, 4), keepdim=True)
+    return torch.exp((logs + math.log(_GREY)) / (alpha.sum(dim=(2, 3, 4), keepdim=True) + 1))
 
 
 def _observed(volume: Float[Tensor, "b 5 z y x"], start: Tensor | float) -> Float[Tensor, "b 5 z y x"]:
-    """The initial volume as the heads count: c's logarithm above where they start, 0 where nothing was seen; alpha, e."""
+    """The initial volume as the heads count: c's logarithm above their start, 0 where nothing was seen; alpha, e."""
     alpha = volume[:, 3:4]
     colour = torch.relu(volume[:, :3]) / alpha.clamp(min=1e-3)  # c = alpha C
     return torch.cat([alpha * (torch.log(colour + DARKEST) - start), volume[:, 3:]], dim=1)

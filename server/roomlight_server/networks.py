@@ -7,13 +7,14 @@ merges with the SGLV before by V_u. Every state has two buffers, and each frame'
 the other: nothing is copied.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import PanoramaState
+from roomlight.clipping import restore_clipped
 from roomlight.errors import ModelError
 from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
@@ -68,8 +69,8 @@ class NetworkBackend:
                 )
 
     def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-        """Networks see the image as the camera gave it: guessing at clipped light is what they learned."""
-        return replace(frame, depth_m=depth_m)
+        """As in training: clipped pixels get the radiance that their place suggests; networks can better it."""
+        return restore_clipped(frame, depth_m)
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
         """The encoder's bound input."""

@@ -144,6 +144,19 @@ def test_truth_and_image_are_in_the_same_units_and_at_the_same_place():
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
 
 
+def test_however_augmented_image_and_truth_show_one_room():
+    """Contrast, gains, exchanged colours and mirroring change both alike; what is white stays at least white."""
+    rng = np.random.default_rng(2)
+    brightness = set()
+    for _ in range(12):
+        example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True)
+        batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+        seen = (batch.mask.expand_as(batch.truth) > 0) & (batch.partial < 0.95)
+        assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.03
+        brightness.add(round(float(example.frame.image.mean()), 3))
+    assert len(brightness) > 6
+
+
 def test_examples_follow_their_generator_and_frames_vary():
     recordings = BoxRecordings(4)
 

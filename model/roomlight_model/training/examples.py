@@ -13,6 +13,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from roomlight.balls import resize_panorama
+from roomlight.clipping import restore_clipped
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
 from roomlight.frame import CLIPPED_SRGB8, Frame
@@ -24,6 +25,12 @@ from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5
 """The share of examples that show another frame than the first: more views for the same rooms."""
+
+
+_CONTRASTS = (0.85, 1.7)
+"""Powers of light. Generated rooms are more evenly lit than many that are filmed: a frame's mean over its median is
+1.4 in the middle of the data, 2.2 to 4 in some artists' scenes and real rooms."""
+_BRIGHTEST = 60_000.0
 
 
 @runtime_checkable
@@ -47,14 +54,20 @@ class Recordings(Protocol):
 class Example:
     """One frame with the true light at some points.
 
-    frame: linear image in its own exposure (1.0 is white), depth completed. positions: world, metres. truth: radiance
-    in the same units as the image.
+    frame: linear image in its own exposure (1.0 is white), depth as the sensor gives it. depth_m: the same, completed.
+    positions: world, metres. truth: radiance in the same units as the image.
     """
 
     frame: Frame
+    depth_m: Float[np.ndarray, "dh dw"]
     positions: Float[np.ndarray, "p 3"]
     truth: Float[np.ndarray, "p h w 3"]
     mirrored: bool = False
+
+    @property
+    def completed(self) -> Frame:
+        """The frame with depth everywhere."""
+        return replace(self.frame, depth_m=self.depth_m)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,16 +115,17 @@ def example_of(recording: Recording, at: int, rng: np.random.Generator, *, depth
         chosen = slice(at, at + 1)
         phone, _ = arkit_like(recording.depth_mm[chosen], recording.surface[chosen], recording.colour[chosen], rng)
         depth_mm = phone[0]
+    measured = depth_mm.astype(np.float32) / np.float32(1000)
     frame = Frame(
         index=0,
         image=srgb8_to_linear(colour),
         clipped=(colour >= CLIPPED_SRGB8).any(-1),
-        depth_m=complete_depth(depth_mm.astype(np.float32) / np.float32(1000)),
+        depth_m=measured,
         intrinsics=recording.intrinsics,
         camera_to_world=recording.camera_to_world[at],
     )
     truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[at])
-    return Example(frame, recording.probe_positions, truth)
+    return Example(frame, complete_depth(measured), recording.probe_positions, truth)
 
 
 def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], panorama_height: int | None) -> Batch:
@@ -125,7 +139,7 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
         columns.setdefault(name, []).append(np.asarray(value, np.float32))
 
     for example in examples:
-        frame = example.frame
+        frame = restore_clipped(example.frame, example.depth_m)
         grid = VolumeGrid.from_frame(frame, shape=volume_shape)
         flip = np.diag([-1.0 if example.mirrored else 1.0, 1.0, 1.0])
         volume = initial_volume(grid, frame)
@@ -148,16 +162,18 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
 
 def _near(example: Example) -> bool:
     """Whether every probe is inside the frame's own volume: elsewhere it has nothing to say."""
-    grid = VolumeGrid.from_frame(example.frame)
+    grid = VolumeGrid.from_frame(example.completed)
     return all(grid.contains((float(x), float(y), float(z))) for x, y, z in example.positions)
 
 
 def _augmented(example: Example, rng: np.random.Generator) -> Example:
-    """Mirrored half of the time, the colours exchanged and weighted otherwise in two thirds.
+    """Mirrored half of the time, of other contrast in half, the colours exchanged and weighted otherwise in two thirds.
 
     Gains are 1 or more and the image is clipped again after them: white stays the camera's limit.
     """
     image, truth = example.frame.image, example.truth
+    if rng.random() < 0.5:
+        image, truth = _contrasted(image, truth, float(np.exp(rng.uniform(*np.log(_CONTRASTS)))))
     if rng.random() < 0.4:
         order = rng.permutation(3)
         image, truth = image[..., order], truth[..., order]
@@ -168,6 +184,17 @@ def _augmented(example: Example, rng: np.random.Generator) -> Example:
     clipped = example.frame.clipped | (image >= 1).any(-1)
     frame = replace(example.frame, image=np.ascontiguousarray(image), clipped=clipped)
     return replace(example, frame=frame, truth=truth, mirrored=bool(rng.random() < 0.5))
+
+
+def _contrasted(
+    image: Float[np.ndarray, "h w 3"], truth: Float[np.ndarray, "p ph pw 3"], power: float
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "p ph pw 3"]]:
+    """A room whose light is that power of this one's, white staying white: darker corners and brighter lamps, or less
+    of both. It is then exposed as brightly as this one, as far as that is a gain."""
+    other = image ** np.float32(power)
+    gain = np.float32(np.clip(image.mean() / max(float(other.mean()), 1e-4), 1, 2.5))
+    lit = np.minimum(truth ** np.float32(power) * gain, np.float32(_BRIGHTEST))
+    return np.minimum(other * gain, 1), lit
 
 
 def _at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Float[np.ndarray, "p h2 w2 3"]:

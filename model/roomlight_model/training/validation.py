@@ -100,7 +100,7 @@ class Validation:
 
 
 def _baseline(method: MeanColour | WarpAndFill, example: Example) -> Panoramas:
-    method.push(example.frame)
+    method.push(example.completed)
     panoramas = [method.light_at((float(x), float(y), float(z))) for x, y, z in example.positions]
     return torch.from_numpy(np.stack(panoramas)).permute(0, 3, 1, 2).contiguous()
 
