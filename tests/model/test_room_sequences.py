@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from roomlight.conventions import panorama_solid_angles
 from roomlight_model.dataset import room_sequences
 from roomlight_model.dataset.room_sequences import film_walks, plan_shot, set_stage
 from roomlight_model.rooms.furniture import Catalogue
@@ -16,10 +17,15 @@ def stage():
 
 
 def first_views(stage):
-    """Root-mean brightness of 12 first views."""
+    """How bright 12 first views are, over the mean of a panorama from the same place."""
     shots = [plan_shot(stage, np.random.default_rng(number), frames=1) for number in range(12)]
-    views = [stage.light.frame(shot.intrinsics.resized(40, 30), shot.poses[0], seed=1) for shot in shots]
-    return np.array([np.sqrt(view.radiance).mean() for view in views])
+    brightness = []
+    for shot in shots:
+        view = stage.light.frame(shot.intrinsics.resized(40, 30), shot.poses[0], seed=0)
+        around = stage.light.panorama(shot.poses[0][:3, 3], height=32, seed=1)
+        weight = np.broadcast_to(panorama_solid_angles(32), around.shape[:2])
+        brightness.append(np.sqrt(view.radiance).mean() / np.average(np.sqrt(around).mean(axis=2), weights=weight))
+    return np.array(brightness)
 
 
 def test_most_walks_begin_with_a_view_of_the_lit_side(stage, monkeypatch):
@@ -28,7 +34,7 @@ def test_most_walks_begin_with_a_view_of_the_lit_side(stage, monkeypatch):
     monkeypatch.setattr(room_sequences, "_AT_RANDOM", 0.0)
     chosen = first_views(stage)
     assert chosen.mean() > 1.1 * anywhere.mean()
-    assert (chosen >= anywhere - 1e-9).all()  # the walk of the former is among those chosen from
+    assert (chosen > anywhere - 0.1).all()  # the walk of the former is among those chosen from
 
 
 def test_a_single_view_is_a_sequence_of_one_frame(stage):

@@ -11,6 +11,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_solid_angles
 from roomlight_model.dataset.exposure import Exposure, expose
 from roomlight_model.dataset.folder import FRAMES
 from roomlight_model.dataset.probes import place_probes
@@ -28,14 +29,15 @@ PROBES: Final = 3
 PROBE_HEIGHT: Final = 120
 
 _BODY_M: Final = 0.25
-_WALKS: Final = 8
+_WALKS: Final = 10
 """Walks tried until one has room for its probes."""
-_CHOICE: Final = (1, 3)
-"""Of how many walks that would do the one with the brightest first view is taken: one in `_AT_RANDOM` cases, else
-three. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times as bright
-as the first frame in the median, and seldom darker."""
-_AT_RANDOM: Final = 0.25
+_CHOICE: Final = (1, 5)
+"""Of how many walks that would do the one whose first view is brightest for where it is taken from: one in `_AT_RANDOM`
+cases, else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
+as bright as the first frame in the median, and seldom darker."""
+_AT_RANDOM: Final = 0.2
 _GLANCE: Final = (40, 30)
+_ALL_ROUND: Final = 16
 _HALF_MAX: Final = 60_000.0
 """Panoramas are stored as half floats, whose largest is 65,504."""
 
@@ -106,13 +108,17 @@ def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, p
             break
     if not found:
         raise ValueError(f"room {stage.room.name}: {_WALKS} walks through it found no place for {probes} probes")
-    return found[0] if len(found) == 1 else max(found, key=lambda shot: _brightness(stage, shot))
+    return found[0] if len(found) == 1 else max(found, key=lambda shot: _lit_side(stage, shot))
 
 
-def _brightness(stage: Stage, shot: Shot) -> float:
-    """Mean of the first view's square root of radiance: bright all over counts, a lamp alone does not."""
+def _lit_side(stage: Stage, shot: Shot) -> float:
+    """Mean brightness of the first view over that of everything around the camera. Brightness is the square root of
+    radiance: bright all over counts, a lamp alone does not."""
     glance = stage.light.frame(shot.intrinsics.resized(*_GLANCE), shot.poses[0], seed=0)
-    return float(np.sqrt(glance.radiance).mean())
+    around = stage.light.panorama(shot.poses[0][:3, 3], height=_ALL_ROUND, seed=0)
+    share = panorama_solid_angles(_ALL_ROUND) / (4 * np.pi)
+    everything = float((np.sqrt(around).mean(axis=2) * share).sum())
+    return float(np.sqrt(glance.radiance).mean()) / max(everything, 1e-9)
 
 
 def film(stage: Stage, shot: Shot, rng: np.random.Generator, *, name: str) -> Recording:
