@@ -17,14 +17,15 @@ def stage():
 
 
 def first_views(stage):
-    """How bright 12 first views are, over the mean of a panorama from the same place."""
+    """How bright 12 first views are, over the mean of the panoramas at their probes."""
     shots = [plan_shot(stage, np.random.default_rng(number), frames=1) for number in range(12)]
     brightness = []
     for shot in shots:
         view = stage.light.frame(shot.intrinsics.resized(40, 30), shot.poses[0], seed=0)
-        around = stage.light.panorama(shot.poses[0][:3, 3], height=32, seed=1)
-        weight = np.broadcast_to(panorama_solid_angles(32), around.shape[:2])
-        brightness.append(np.sqrt(view.radiance).mean() / np.average(np.sqrt(around).mean(axis=2), weights=weight))
+        panoramas = [stage.light.panorama(place, height=32, seed=1) for place in shot.probes]
+        around = np.sqrt(panoramas).mean(axis=(0, 3))
+        weight = np.broadcast_to(panorama_solid_angles(32), around.shape)
+        brightness.append(np.sqrt(view.radiance).mean() / np.average(around, weights=weight))
     return np.array(brightness)
 
 

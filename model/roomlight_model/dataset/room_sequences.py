@@ -32,9 +32,9 @@ _BODY_M: Final = 0.25
 _WALKS: Final = 10
 """Walks tried until one has room for its probes."""
 _CHOICE: Final = (1, 5)
-"""Of how many walks that would do the one whose first view is brightest for where it is taken from: one in `_AT_RANDOM`
-cases, else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
-as bright as the first frame in the median, and seldom darker."""
+"""Of how many walks that would do the one whose first view is brightest for its surroundings: one in `_AT_RANDOM` cases,
+else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times as
+bright as the first frame in the median, and seldom darker."""
 _AT_RANDOM: Final = 0.2
 _GLANCE: Final = (40, 30)
 _ALL_ROUND: Final = 16
@@ -112,12 +112,12 @@ def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, p
 
 
 def _lit_side(stage: Stage, shot: Shot) -> float:
-    """Mean brightness of the first view over that of everything around the camera. Brightness is the square root of
+    """Mean brightness of the first view over that of everything around the probes. Brightness is the square root of
     radiance: bright all over counts, a lamp alone does not."""
     glance = stage.light.frame(shot.intrinsics.resized(*_GLANCE), shot.poses[0], seed=0)
-    around = stage.light.panorama(shot.poses[0][:3, 3], height=_ALL_ROUND, seed=0)
+    around = np.stack([stage.light.panorama(position, height=_ALL_ROUND, seed=0) for position in shot.probes])
     share = panorama_solid_angles(_ALL_ROUND) / (4 * np.pi)
-    everything = float((np.sqrt(around).mean(axis=2) * share).sum())
+    everything = float((np.sqrt(around).mean(axis=(0, 3)) * share).sum())
     return float(np.sqrt(glance.radiance).mean()) / max(everything, 1e-9)
 
 
