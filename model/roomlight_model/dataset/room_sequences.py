@@ -32,9 +32,9 @@ _BODY_M: Final = 0.25
 _WALKS: Final = 10
 """Walks tried until one has room for its probes."""
 _CHOICE: Final = (1, 5)
-"""Of how many walks that would do the one whose first view is brightest for its surroundings: one in `_AT_RANDOM` cases,
-else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times as
-bright as the first frame in the median, and seldom darker."""
+"""Of how many walks that would do the one whose first view is brightest for its surroundings: one in `_AT_RANDOM`
+cases, else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
+as bright as the first frame in the median, and seldom darker."""
 _AT_RANDOM: Final = 0.2
 _GLANCE: Final = (40, 30)
 _ALL_ROUND: Final = 16
