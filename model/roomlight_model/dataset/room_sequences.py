@@ -31,13 +31,13 @@ PROBE_HEIGHT: Final = 120
 _BODY_M: Final = 0.25
 _WALKS: Final = 10
 """Walks tried until one has room for its probes."""
-_CHOICE: Final = (1, 5)
+_CHOICE: Final = (1, 4)
 """Of how many walks that would do the one whose first view is brightest for its surroundings: one in `_AT_RANDOM`
-cases, else five. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
+cases, else four. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
 as bright as the first frame in the median, and seldom darker."""
 _AT_RANDOM: Final = 0.2
-_GLANCE: Final = (40, 30)
-_ALL_ROUND: Final = 16
+_GLANCE: Final = (20, 15)
+_ALL_ROUND: Final = 8
 _HALF_MAX: Final = 60_000.0
 """Panoramas are stored as half floats, whose largest is 65,504."""
 
