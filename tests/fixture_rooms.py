@@ -19,11 +19,16 @@ FRAMES = 4
 SEED = 21
 
 
+def lit_stage(room_index, *, seed=SEED, split="train"):
+    """A room with its light solved, without a library."""
+    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+    return set_stage(room_index, seed=seed, split=split, catalogue=models)
+
+
 def render_room(room_index, *, seed, split, furniture, count, frames):
     """What `roomlight_model.dataset.room_sequences.render_room` does without a library."""
     assert furniture is None
-    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
-    stage = set_stage(room_index, seed=seed, split=split, catalogue=models)
+    stage = lit_stage(room_index, seed=seed, split=split)
     yield from film_walks(stage, room_index, seed=seed, split=split, count=count, frames=frames)
 
 

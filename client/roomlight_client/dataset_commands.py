@@ -40,7 +40,7 @@ def generate(
     ] = None,
     shard_size: Annotated[int, typer.Option(min=1, help="Sequences a file; a worker makes one file at a time.")] = 16,
     sequences_per_room: Annotated[int, typer.Option(min=1, help="Walks through one room.")] = 4,
-    frames: Annotated[int, typer.Option(min=1, help="Frames a walk; 1 makes single views, five times as fast.")] = 31,
+    frames: Annotated[int, typer.Option(min=1, help="Frames a walk; 1 makes single views, four times as fast.")] = 31,
 ) -> None:
     """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command goes on."""
     from roomlight_client.dataset_progress import ProgressShown, costs, duration

@@ -108,18 +108,18 @@ class SGDecoder(nn.Module):
         """The predicted volume; `volume` is the encoder's input."""
         # global view: every voxel hears the mean of the whole volume, for one matrix product
         room = self.room(f1.mean(dim=(2, 3, 4)))
-        start: Tensor | float = math.log(_GREY)
+        level: Tensor | float = 0.0
         if self.tint is not None:
-            start = torch.log(mean_colour(volume))
-            room = room + self.tint(start[:, :, 0, 0, 0] - math.log(_GREY))
+            level = torch.log(mean_colour(volume) / _GREY)
+            room = room + self.tint(level[:, :, 0, 0, 0])
         x = self.at_eighth(f1) + room[:, :, None, None, None]
         x = self.at_quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
         x = self.at_half(torch.cat([resize_volume(x, f0.shape[2:]), f0], dim=1))
         x = self.at_full(resize_volume(x, volume.shape[2:]))
         raw = self.heads(x)
         if self.direct is not None:
-            raw = raw + self.direct(_observed(volume, start))
-        return self._activate(raw, volume[:, 4:], start - math.log(_GREY))
+            raw = raw + self.direct(_observed(volume, level))
+        return self._activate(raw, volume[:, 4:], level)
 
     def _activate(
         self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"], level: Tensor | float
@@ -198,13 +198,16 @@ def mean_colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 1 1 1"
     Geometric, because a window makes a room's arithmetic mean several times as bright as its walls.
     """
     alpha = volume[:, 3:4]
-    colour = torch.relu(volume[:, :3]) / alpha.clamp(min=1e-3)  # c = alpha C
-    logs = (alpha * torch.log(colour.clamp(max=1) + DARKEST)).sum(dim=(2, 3, 4), keepdim=True)
+    logs = (alpha * torch.log(_colour(volume).clamp(max=1) + DARKEST)).sum(dim=(2, 3, 4), keepdim=True)
     return torch.exp((logs + math.log(_GREY)) / (alpha.sum(dim=(2, 3, 4), keepdim=True) + 1))
 
 
-def _observed(volume: Float[Tensor, "b 5 z y x"], start: Tensor | float) -> Float[Tensor, "b 5 z y x"]:
+def _colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 z y x"]:
+    """C of an initial volume, whose c is alpha C."""
+    return torch.relu(volume[:, :3]) / volume[:, 3:4].clamp(min=1e-3)
+
+
+def _observed(volume: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 5 z y x"]:
     """The initial volume as the heads count: c's logarithm above their start, 0 where nothing was seen; alpha, e."""
-    alpha = volume[:, 3:4]
-    colour = torch.relu(volume[:, :3]) / alpha.clamp(min=1e-3)  # c = alpha C
-    return torch.cat([alpha * (torch.log(colour + DARKEST) - start), volume[:, 3:]], dim=1)
+    seen = torch.log(_colour(volume) + DARKEST) - _START["c"] - level
+    return torch.cat([volume[:, 3:4] * seen, volume[:, 3:]], dim=1)

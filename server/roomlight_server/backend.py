@@ -11,7 +11,6 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import PanoramaState
-from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -38,10 +37,6 @@ class Backend(Protocol):
 
     def start(self, grid: VolumeGrid) -> None:
         """The volume's frame is known: make the state."""
-        ...
-
-    def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-        """The frame as this model wants it: `depth_m` is the depth to use, `frame.depth_m` still the sensor's."""
         ...
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:

@@ -13,9 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import CLOSER_M, PanoramaState
-from roomlight.clipping import restore_clipped
 from roomlight.fill import push_pull
-from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -56,10 +54,6 @@ class ClassicalBackend:
         self._opacity = np.zeros(grid.shape, np.float32)
         self._count = np.zeros(grid.shape, np.float32)
         self._sglv = Sglv.empty(grid)
-
-    def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-        """Clipped pixels get the radiance that their place suggests."""
-        return restore_clipped(frame, depth_m)
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
         """Where the session writes the frame's initial volume."""

@@ -14,9 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import PanoramaState
-from roomlight.clipping import restore_clipped
 from roomlight.errors import ModelError
-from roomlight.frame import Frame
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -67,10 +65,6 @@ class NetworkBackend:
                         g["video_sg_decoder"].bind({**hidden[new], **before, "volume": self._volume}, sglv[new]),
                     ]
                 )
-
-    def prepare(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-        """As in training: clipped pixels get the radiance that their place suggests; networks can better it."""
-        return restore_clipped(frame, depth_m)
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
         """The encoder's bound input."""

@@ -21,6 +21,7 @@ from jaxtyping import Float
 
 from roomlight.blend import PanoramaState, accumulate, farthest_depth_m
 from roomlight.camera import Intrinsics
+from roomlight.clipping import restore_clipped
 from roomlight.depth import UnknownDepth, complete_depth
 from roomlight.errors import ModelError, ProbeError
 from roomlight.frame import Frame
@@ -192,7 +193,7 @@ class Session:
         with clock.stage("prepare"):
             frame = frame.resized(*WORKING_SIZE)
             rim = self.options.unknown_depth == "rim"
-            frame = self._backend.prepare(frame, complete_depth(frame.depth_m) if rim else frame.depth_m)
+            frame = restore_clipped(frame, complete_depth(frame.depth_m) if rim else frame.depth_m)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
         if self._grid is None:
             self._backend.start(grid)

@@ -45,6 +45,17 @@ def test_a_sheet_shows_what_it_is_given():
     assert (compose_preview([one(1)]) != compose_preview([one(3)])).any()
 
 
+def test_a_single_view_is_shown_once():
+    sheet = compose_preview([one(1, frames=1)])
+    background = round(255 * BACKGROUND)
+    empty = (np.abs(sheet[40:120].astype(int) - background).max(axis=-1) <= 8).all(axis=0)
+    shown = compose_preview([one(1, frames=4)])
+    filled = (np.abs(shown[40:120].astype(int) - background).max(axis=-1) <= 8).all(axis=0)
+    assert empty[:500].all()
+    assert not filled[:500].all()
+    assert not empty[620:].all()
+
+
 def test_under_exposed_probes_show_their_sources_alone():
     """The lamp of 400 times white and nothing else: the lower halves are black but for it."""
     sheet = compose_preview([one(1)])

@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 
+from fixture_rooms import lit_stage
 from roomlight.conventions import panorama_solid_angles
 from roomlight_model.dataset import room_sequences
-from roomlight_model.dataset.room_sequences import film_walks, plan_shot, set_stage
-from roomlight_model.rooms.furniture import Catalogue
-from roomlight_model.rooms.props import procedural_models
+from roomlight_model.dataset.room_sequences import film_walks, plan_shot
 
 
 @pytest.fixture(scope="module")
 def stage():
-    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
-    return set_stage(0, seed=21, split="train", catalogue=models)
+    return lit_stage(0)
 
 
 def first_views(stage):

@@ -29,7 +29,7 @@ class GenerateOptions:
     sequences:           in the split, in all.
     shard_size:          sequences a file: 16 are 40 MB, so that a worker is never long without news.
     sequences_per_room:  walks through one room, which share its light's solution.
-    frames:              in each sequence; 1 makes single views, of which an hour gives five times as many.
+    frames:              in each sequence; 1 makes single views, of which an hour gives four times as many.
     furniture:           a furniture library or cache to use instead of the installed one.
     """
 

@@ -31,13 +31,14 @@ PROBE_HEIGHT: Final = 120
 _BODY_M: Final = 0.25
 _WALKS: Final = 10
 """Walks tried until one has room for its probes."""
-_CHOICE: Final = (1, 4)
-"""Of how many walks that would do the one whose first view is brightest for its surroundings: one in `_AT_RANDOM`
-cases, else four. People turn a phone to the lit side of a room; of walks that begin anywhere, panoramas are 1.2 times
-as bright as the first frame in the median, and seldom darker."""
+_CHOICE: Final = 4
+"""Of so many walks that would do that one is filmed whose first view is brightest for its surroundings; in a share
+`_AT_RANDOM` of cases, the first of them. People turn a phone to the lit side of a room; of walks that begin anywhere,
+panoramas are 1.2 times as bright as the first frame in the median, and seldom darker."""
 _AT_RANDOM: Final = 0.2
 _GLANCE: Final = (20, 15)
 _ALL_ROUND: Final = 8
+"""Size of the pictures that are compared, and rows of the panoramas."""
 _HALF_MAX: Final = 60_000.0
 """Panoramas are stored as half floats, whose largest is 65,504."""
 
@@ -91,7 +92,7 @@ def set_stage(room_index: int, *, seed: int, split: Split, catalogue: Catalogue)
 
 def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES) -> Shot:
     """A phone, its walk and the probes before its first frame; ValueError where the room is too full for any."""
-    wanted = _CHOICE[rng.random() >= _AT_RANDOM]
+    wanted = 1 if rng.random() < _AT_RANDOM else _CHOICE
     found: list[Shot] = []
     for _ in range(_WALKS):
         intrinsics = phone_intrinsics(rng)

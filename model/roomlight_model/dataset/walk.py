@@ -315,7 +315,7 @@ def _poses(
 
 def _distance_from(habit: _Habit, walk: Float[np.ndarray, "f 4 4"]) -> float:
     """How far a walk is from what was drawn for it, in logarithms."""
-    if len(walk) == 1:
+    if len(walk) == 1:  # goes nowhere, as any other of one frame
         return 0.0
     motion = motion_statistics(walk)
     step, turn = float(motion.translation_m.mean()), float(motion.rotation_degrees.mean())

@@ -25,12 +25,11 @@ from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5
 """The share of examples that show another frame than the first: more views for the same rooms."""
-
-
 _CONTRASTS = (0.85, 1.7)
 """Powers of light. Generated rooms are more evenly lit than many that are filmed: a frame's mean over its median is
 1.4 in the middle of the data, 2.2 to 4 in some artists' scenes and real rooms."""
 _BRIGHTEST = 60_000.0
+"""What a lamp may come to by that, in units of white."""
 
 
 @runtime_checkable

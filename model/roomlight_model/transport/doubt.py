@@ -4,12 +4,14 @@ What a point received is a sum of its rays' weights, each counted or not. Where 
 sum's variance is about p (1 - p) times the sum of squared weights (the rays taken as independent).
 """
 
+from typing import Final
+
 import numpy as np
 from jaxtyping import Bool, Float32, Int64
 
 from roomlight_model.transport.direct import ShadowRays
 
-_FEW: float = 0.5
+_FEW: Final = 0.5
 """Rays' worth of light that a point is credited with, so that one whose rays all failed is not taken for a dark one."""
 
 

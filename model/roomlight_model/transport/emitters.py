@@ -57,11 +57,11 @@ class Lights(NamedTuple):
     cluster: Int32[np.ndarray, " p"]
     start: Int32[np.ndarray, " l"]
     pieces: Int32[np.ndarray, " l"]
-    centre: Float32[np.ndarray, "l 3"]
+    centre: Float32[np.ndarray, "3 l"]
     radius: Float32[np.ndarray, " l"]
     power_up: Float32[np.ndarray, " l"]
     power_down: Float32[np.ndarray, " l"]
-    axis: Float32[np.ndarray, "l 3"]
+    axis: Float32[np.ndarray, "3 l"]
     coherence: Float32[np.ndarray, " l"]
     thickness: Float32[np.ndarray, " l"]
     lobe_power: Float32[np.ndarray, " l"]
@@ -108,7 +108,7 @@ def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
 
 def small_from(lights: Lights, point: Float[np.ndarray, "3"], angle: float) -> Bool[np.ndarray, " l"]:
     """Whether each cluster is narrower than an angle (radians) as seen from a point."""
-    distance = np.linalg.norm(lights.centre - point.astype(np.float32), axis=1)
+    distance = np.linalg.norm(lights.centre.T - point.astype(np.float32), axis=1)
     return 2 * lights.radius < angle * distance
 
 
@@ -338,11 +338,11 @@ def _clustered(
         cluster=own[order].astype(np.int32),
         start=starts.astype(np.int32),
         pieces=np.bincount(own, minlength=clusters).astype(np.int32),
-        centre=centre.astype(np.float32),
+        centre=np.ascontiguousarray(centre.T, np.float32),
         radius=radius.astype(np.float32),
         power_up=per(power * pieces.ups[:, 0]).astype(np.float32),
         power_down=per(power * pieces.ups[:, 1]).astype(np.float32),
-        axis=axis.astype(np.float32),
+        axis=np.ascontiguousarray(axis.T, np.float32),
         coherence=coherence.astype(np.float32),
         thickness=thickness.astype(np.float32),
         lobe_power=per(thrown).astype(np.float32),

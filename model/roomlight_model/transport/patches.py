@@ -120,7 +120,7 @@ def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
     lamp = np.flatnonzero(lights.kind[lights.start, 0] == TRIANGLE)
     for halvings, beyond_m in FINE_WITHIN_M:
         some = lamp if halvings > 1 else np.arange(lights.real)
-        middle, reach = lights.centre[some], lights.radius[some] + np.float32(beyond_m)
+        middle, reach = lights.centre[:, some].T, lights.radius[some] + np.float32(beyond_m)
         first = np.maximum(np.floor((middle - reach[:, None] - low) / cell), 0).astype(np.int64)
         last = np.floor((middle + reach[:, None] - low) / cell).astype(np.int64) + 1
         for box_low, box_high in zip(first, last, strict=True):

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from roomlight_model.transport.kernels.common import (
+    ALLOCATING,
     JIT,
     PHI1,
     PHI2,
@@ -21,13 +22,25 @@ from roomlight_model.transport.kernels.common import (
     tangents,
     unit,
 )
-from roomlight_model.transport.kernels.lights import estimate
+from roomlight_model.transport.kernels.lights import estimates
 
+LEAST_SEEN = 40  # 255ths: what light a patch never saw straight may still shine on things that it sees
 WIDER = 1.25
 WIDER_M = 0.03  # a light's cone takes in so much about its cluster
+_ZERO = np.float32(0)
 
 
 @njit(**JIT)
+def _within(cone, cones, x, y, z):
+    """Sum of the densities of the cones that a direction lies in."""
+    density = _ZERO
+    for j in range(cones):
+        inside = x * cone[0, j] + y * cone[1, j] + z * cone[2, j] > cone[3, j]
+        density += cone[4, j] if inside else _ZERO
+    return density
+
+
+@njit(**ALLOCATING)
 def gather_rays(
     lights, vis, position, normal, wound, alpha, row, number, through, cosine_rays, cone_rays, seed,
     origin, direction, weight, passed,
@@ -36,19 +49,18 @@ def gather_rays(
     point's rays), passed is what a coat lets through of each."""
     rays = cosine_rays + cone_rays
     clusters = lights.real
-    axis = np.empty((max(clusters, 1), 5))  # direction, cosine of the half angle, density
+    each = np.empty(max(clusters, 1), np.float32)
+    cone = np.empty((5, max(clusters, 1)), np.float32)  # direction, 1 - cosine of the half angle, density
     chance = np.empty(max(clusters, 1))
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
         cones, total = 0, 0.0
+        estimates(lights, clusters, vis, row[i], LEAST_SEEN, px, py, pz, nx, ny, nz, each)
         for which in range(clusters):
-            share = estimate(lights, which, px, py, pz, nx, ny, nz)
-            if row[i] >= 0:
-                share *= max(vis[row[i], which], 40) / 255.0
-            c = lights.centre[which]
-            x, y, z = c[0] - px, c[1] - py, c[2] - pz
+            share = np.float64(each[which])
+            x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
             d = math.sqrt(x * x + y * y + z * z)
             r = WIDER * lights.radius[which] + WIDER_M
             if share <= 0 or d <= 1.05 * r:
@@ -56,14 +68,13 @@ def gather_rays(
             total += share
             chance[cones] = share
             cosine = math.sqrt(1 - (r / d) ** 2)
-            axis[cones, 0], axis[cones, 1], axis[cones, 2], axis[cones, 3] = x / d, y / d, z / d, cosine
-            # 1 - cosine without cancellation
-            axis[cones, 4] = share * (1 + cosine) / (2 * math.pi * (r / d) ** 2)
+            width = (r / d) ** 2 / (1 + cosine)  # 1 - cosine without cancellation
+            cone[0, cones], cone[1, cones], cone[2, cones], cone[3, cones] = x / d, y / d, z / d, 1 - width
+            cone[4, cones] = share / (2 * math.pi * width)
             cones += 1
         guided = cone_rays if cones > 0 else 0
-        if cones > 0:
-            for k in range(cones):
-                axis[k, 4] /= total
+        for k in range(cones):
+            cone[4, k] /= total
         plain = rays - guided
         state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
         turn1 = unit(state)
@@ -83,14 +94,14 @@ def gather_rays(
                 while which < cones - 1 and running <= aim:
                     which += 1
                     running += chance[which]
-                a = axis[which]
-                cosine = 1 - r1 * (1 - a[3])
+                ax, ay, az = cone[0, which], cone[1, which], cone[2, which]
+                cosine = 1 - r1 * (1 - cone[3, which])
                 sine = math.sqrt(max(1 - cosine * cosine, 0.0))
                 s, t = sine * math.cos(2 * math.pi * r2), sine * math.sin(2 * math.pi * r2)
-                ux, uy, uz, vx, vy, vz = tangents(a[0], a[1], a[2])
-                x = cosine * a[0] + s * ux + t * vx
-                y = cosine * a[1] + s * uy + t * vy
-                z = cosine * a[2] + s * uz + t * vz
+                ux, uy, uz, vx, vy, vz = tangents(ax, ay, az)
+                x = cosine * ax + s * ux + t * vx
+                y = cosine * ay + s * uy + t * vy
+                z = cosine * az + s * uz + t * vz
             under = x * gx + y * gy + z * gz
             if under < 0 and k < plain:
                 # A shading normal leans so far that the ray starts into its own surface: it is turned up about it.
@@ -102,10 +113,7 @@ def gather_rays(
                 weight[at], passed[at] = 0.0, 1.0
                 direction[at, 0], direction[at, 1], direction[at, 2] = gx, gy, gz
                 continue
-            density = 0.0
-            for j in range(cones):
-                if x * axis[j, 0] + y * axis[j, 1] + z * axis[j, 2] > axis[j, 3]:
-                    density += axis[j, 4]
+            density = _within(cone, cones, np.float32(x), np.float32(y), np.float32(z))
             weight[at] = cosine / (plain * cosine / math.pi + guided * density)
             direction[at, 0], direction[at, 1], direction[at, 2] = x, y, z
             passed[at] = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 
 from roomlight_model.transport.kernels.common import (
+    ALLOCATING,
     JIT,
     LEAST_COSINE,
     PHI1,
@@ -103,7 +104,7 @@ def lobe_rays(normal, wound, view, alpha, number, rays, seed, direction, weight,
             density[at] = chance
 
 
-@njit(**JIT)
+@njit(**ALLOCATING)
 def lobe_lights(
     lights, outdoors, atlas, position, normal, wound, view, alpha, row, number, vis,
     rays, candidates, picks, seed, owner, origin, direction, reach, weight, totals,
@@ -113,7 +114,7 @@ def lobe_lights(
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
     coat_share, toward_sun = lights.coat_share, lights.sun
     clusters = len(start)
-    running = np.empty(max(clusters, 1))
+    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
     aim = np.empty((candidates, 8))
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
@@ -132,7 +133,7 @@ def lobe_lights(
         turn3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, running)
+            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
         totals[i] = total
         if total > 0:
             which, sum_q, live = 0, 0.0, 0

@@ -6,14 +6,14 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight_model.transport.kernels.common import JIT
+from roomlight_model.transport.kernels.common import ALLOCATING, JIT
 
 REACH = 4  # pixels about one in which it is an outlier or not: 80 of them, of which a quarter are known in rough coats
 FEW = 8  # an outlier has fewer than one in so many pixels about it that are like it
 ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise passes, a shadow's edge does not
 
 
-@njit(**JIT)
+@njit(**ALLOCATING)
 def smooth(image, position, normal, kind, foot, known, spread, step, out):
     """A bilateral mean over 5 x 5 pixels `step` apart: same kind, one plane, one direction, alike in brightness (within
     the pixel's spread times `ALIKE`). Only known pixels count; known is set where out then has a value. kind -1 is left
@@ -69,7 +69,7 @@ def smooth(image, position, normal, kind, foot, known, spread, step, out):
                 out[y, x, 0], out[y, x, 1], out[y, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
 
 
-@njit(**JIT)
+@njit(**ALLOCATING)
 def tame(image, kind, known, most):
     """Darken known pixels that outshine `most` times the mean of the known ones of their kind within `REACH` pixels,
     where hardly any of those are half as bright: what few rays found by chance. Those that are do not count."""

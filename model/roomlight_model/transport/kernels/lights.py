@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from roomlight_model.transport.kernels.common import (
+    ALLOCATING,
     JIT,
     LEAST_COSINE,
     PHI1,
@@ -31,6 +32,7 @@ FAR = 1e4  # `tracer.FAR_M`
 SHORT = 1e-4  # shadow rays stop so far before a light: the skin of a lampshade may lie a millimetre before it
 LEAST_SEEN = 8  # 255ths: a light that a patch never saw may still be seen from a corner of it
 NEAR_SQ = 1e-8  # a light's squared distance is held off zero: a millimetre's hundredth
+_ZERO, _QUARTER, _ONE, _NEAR, _PER_255 = (np.float32(value) for value in (0, 0.25, 1, 1e-9, 1 / 255))
 
 
 @njit(**JIT)
@@ -99,66 +101,71 @@ def sun_may_reach(hole, parts, px, py, pz, dx, dy, dz):
 
 @njit(**JIT)
 def estimate(lights, which, px, py, pz, nx, ny, nz):
-    """A cluster's contribution to a point if nothing stood between, roughly, and nothing only where it is surely so."""
-    c = lights.centre[which]
-    x, y, z = c[0] - px, c[1] - py, c[2] - pz
+    """A cluster's contribution to a point if nothing stood between, roughly, and nothing only where it is surely so.
+
+    In single precision and without branches: a loop over clusters becomes vector instructions, and is 30 times as fast.
+    """
+    x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
     d_sq = x * x + y * y + z * z
-    d = math.sqrt(d_sq) + 1e-9
+    per_d = _ONE / (np.sqrt(d_sq) + _NEAR)
     r, t = lights.radius[which], lights.thickness[which]
-    a = lights.axis[which]
+    ax, ay, az = lights.axis[0, which], lights.axis[1, which], lights.axis[2, which]
     # A disc of that radius and thickness reaches so far along the normal.
-    lean = nx * a[0] + ny * a[1] + nz * a[2]
-    facing = (nx * x + ny * y + nz * z + r * math.sqrt(max(1 - lean * lean, 0.0)) + t * abs(lean)) / d
-    if facing <= 0:
-        return 0.0
+    lean = nx * ax + ny * ay + nz * az
+    facing = (nx * x + ny * y + nz * z + r * np.sqrt(max(_ONE - lean * lean, _ZERO)) + t * abs(lean)) * per_d
     k = lights.coherence[which]
-    toward = -(a[0] * x + a[1] * y + a[2] * z)
-    if which < lights.real:
-        toward = abs(toward)  # only spots shine to one side
-    seen = 0.25 * (1 - k) + k * max(min((toward + t) / d, 1.0), 0.0)
-    power = lights.power_up[which] if y > 0 else lights.power_down[which]
-    return power * min(facing, 1.0) * seen / max(d_sq, r * r)
+    toward = -(ax * x + ay * y + az * z)
+    toward = abs(toward) if which < lights.real else toward  # only spots shine to one side
+    seen = _QUARTER * (_ONE - k) + k * max(min((toward + t) * per_d, _ONE), _ZERO)
+    power = lights.power_up[which] if y > _ZERO else lights.power_down[which]
+    return power * max(min(facing, _ONE), _ZERO) * seen / max(d_sq, r * r)
 
 
 @njit(**JIT)
-def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
-    """Add to the running sum what sunlit coats throw toward a point; returns how much. Apart from `estimate`, whose
-    loop is five times as slow with a lobe in it."""
-    extra = 0.0
+def estimates(lights, clusters, vis, row, least, px, py, pz, nx, ny, nz, out):
+    """`estimate` for the first clusters, times their visibility where it was measured (row >= 0), at least `least` of
+    its 255ths."""
+    for which in range(clusters):
+        out[which] = estimate(lights, which, px, py, pz, nx, ny, nz)
+    if row >= 0:
+        floor = np.float32(least)
+        for which in range(clusters):
+            out[which] *= max(np.float32(vis[row, which]), floor) * _PER_255
+
+
+@njit(**JIT)
+def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, out):
+    """Add to the estimates what sunlit coats throw toward a point."""
     sx, sy, sz = lights.sun[0], lights.sun[1], lights.sun[2]
     for which in range(lights.real, clusters):
         if lights.lobe_power[which] > 0:
-            c, a = lights.centre[which], lights.axis[which]
-            x, y, z = c[0] - px, c[1] - py, c[2] - pz
+            x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
+            ax, ay, az = lights.axis[0, which], lights.axis[1, which], lights.axis[2, which]
             d_sq = x * x + y * y + z * z + 1e-12
             d = math.sqrt(d_sq)
             r = lights.radius[which]
-            toward = -(a[0] * x + a[1] * y + a[2] * z) / d
+            toward = -(ax * x + ay * y + az * z) / d
             facing = min((nx * x + ny * y + nz * z + r) / d, 1.0)
             if facing > 0 and toward > -r / d:
                 # Half vectors turn half as far as directions do over the cluster's width.
                 alpha = min(math.sqrt(lights.lobe_alpha[which] ** 2 + 0.25 * r * r / max(d_sq, r * r)), 0.9)
-                value, _ = lobe(a[0], a[1], a[2], -x / d, -y / d, -z / d, sx, sy, sz, alpha)
+                value, _ = lobe(ax, ay, az, -x / d, -y / d, -z / d, sx, sy, sz, alpha)
                 share = lights.lobe_power[which] * value * max(toward, LEAST_COSINE) * facing / max(d_sq, r * r)
                 if row >= 0:
                     share *= max(vis[row, which], LEAST_SEEN) / 255.0
-                extra += share
-        running[which] += extra
-    return extra
+                out[which] += np.float32(share)
 
 
 @njit(**JIT)
-def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running):
-    """Fill the running sum of the first clusters' estimates times their measured visibility; returns the total."""
+def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each, running):
+    """The first clusters' estimates times their measured visibility, and their running sum; returns the total."""
+    estimates(lights, clusters, vis, row, LEAST_SEEN, px, py, pz, nx, ny, nz, each)
+    if clusters > lights.real:
+        add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each)
     total = 0.0
     for which in range(clusters):
-        share = estimate(lights, which, px, py, pz, nx, ny, nz)
-        if row >= 0:
-            share *= max(vis[row, which], LEAST_SEEN) / 255.0
-        total += share
+        total += each[which]
         running[which] = total
-    if clusters > lights.real:
-        total += add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, running)
     return total
 
 
@@ -237,7 +244,7 @@ def pick_piece(table, low, pieces, remainder):
     return low
 
 
-@njit(**JIT)
+@njit(**ALLOCATING)
 def propose(
     lights, outdoors, atlas, through, points, vis, candidates, picks, sun_picks, seed,
     owner, origin, direction, reach, weight, passed, cluster,
@@ -254,7 +261,7 @@ def propose(
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
     coat_share, toward_sun = lights.coat_share, lights.sun
     clusters = len(start)
-    running = np.empty(max(clusters, 1))
+    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
     aim = np.empty((candidates, 9))
     light = np.empty(candidates, np.int32)
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
@@ -273,7 +280,7 @@ def propose(
         turn3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, running)
+            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
         if total > 0:
             which, sum_q, live = 0, 0.0, 0
             for k in range(candidates):

@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight_model.transport.kernels.common import JIT
+from roomlight_model.transport.kernels.common import ALLOCATING, JIT
 
 OFFSET = 1e-4  # `tracer.OFFSET_M`
 
@@ -158,7 +158,7 @@ def surface_points(geometry, materials, atlas, face, u, v, directions, foot, pos
         emission[i, 2] = materials.emission[m, 2] * b
 
 
-@njit(**JIT)
+@njit(**ALLOCATING)
 def mean_over_pieces(emission, atlas, texture, uvs):
     """Mean luminance of textured emission over triangles given by their corners' texture coordinates: 64 points."""
     out = np.zeros(len(texture))
