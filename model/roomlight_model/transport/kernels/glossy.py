@@ -26,11 +26,13 @@ from roomlight_model.transport.kernels.common import (
 )
 from roomlight_model.transport.kernels.lights import (
     FAR,
+    candidate,
     chosen_by,
     crossings,
     estimate,
     pick_piece,
     point_on,
+    resample,
     sun_may_reach,
 )
 from roomlight_model.transport.kernels.surfaces import OFFSET, face_normal
@@ -110,10 +112,10 @@ def lobe_lights(
     rays, candidates, picks, seed, owner, origin, direction, reach, weight, totals,
 ):  # fmt: skip
     """Shadow rays for the lobe, as `lights.propose`; totals keeps each point's sum of estimates for `lobe_share`."""
-    table, kind, start, pieces = lights.piece, lights.kind, lights.start, lights.pieces
+    table, kind = lights.piece, lights.kind
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
     coat_share, toward_sun = lights.coat_share, lights.sun
-    clusters = len(start)
+    clusters = len(lights.start)
     each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
     aim = np.empty((candidates, 8))
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
@@ -136,14 +138,9 @@ def lobe_lights(
             total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
         totals[i] = total
         if total > 0:
-            which, sum_q, live = 0, 0.0, 0
+            which, live = 0, 0
             for k in range(candidates):
-                at = (k + turn3) / candidates * total
-                while which < clusters - 1 and running[which] <= at:
-                    which += 1
-                low = running[which - 1] if which > 0 else 0.0
-                share = running[which] - low
-                piece = pick_piece(table, start[which], pieces[which], min((at - low) / max(share, 1e-30), 0.999999))
+                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
                 dx, dy, dz, far, red, green, blue, spread, _ = point_on(
                     table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
                     fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
@@ -151,39 +148,27 @@ def lobe_lights(
                 if far <= 0 or gx * dx + gy * dy + gz * dz <= 0:
                     continue
                 value, by_lobe = lobe(nx, ny, nz, vx, vy, vz, dx, dy, dz, alpha[i])
-                by_area = share / total * table[piece, 19]
-                scale = value * spread / (by_area * candidates)
+                scale = value * spread / (density * candidates)
                 if kind[piece, 0] == 2:
                     scale *= spot_share(alpha[i], far)
                 else:
-                    # by_area / spread is the density in solid angle.
-                    scale *= candidates * by_area / (candidates * by_area + rays * by_lobe * spread)
+                    # density / spread is the density in solid angle.
+                    scale *= candidates * density / (candidates * density + rays * by_lobe * spread)
                 q = (red + green + blue) * scale
                 if not q > 0:
                     continue
-                sum_q += q
                 aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
                 aim[live, 4], aim[live, 5], aim[live, 6], aim[live, 7] = red * scale, green * scale, blue * scale, q
                 live += 1
-            step = sum_q / picks
-            at = unit(mixed(state)) * step
-            passed_q = 0.0
+            resample(aim, 7, live, picks, unit(mixed(state)))
             for k in range(live):
-                passed_q += aim[k, 7]
-                times = 1.0
-                if live > picks:
-                    times = 0.0
-                    while at < passed_q:
-                        times += 1
-                        at += step
-                    if times == 0:
-                        continue
-                    times *= step / aim[k, 7]
+                if aim[k, 7] == 0:
+                    continue
                 owner[written] = i
                 for c in range(3):
                     origin[written, c] = position[i, c]
                     direction[written, c] = aim[k, c]
-                    weight[written, c] = aim[k, 4 + c] * times
+                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
                 reach[written] = aim[k, 3]
                 written += 1
         if sun and gx * sx + gy * sy + gz * sz > 0:

@@ -244,6 +244,40 @@ def pick_piece(table, low, pieces, remainder):
     return low
 
 
+@njit(**JIT)
+def candidate(lights, running, total, at, which):
+    """The cluster, piece and density over the piece's area that belong to a place in the running sum, at or after
+    cluster `which`."""
+    while which < len(running) - 1 and running[which] <= at:
+        which += 1
+    low = running[which - 1] if which > 0 else 0.0
+    share = running[which] - low
+    within = min((at - low) / max(share, 1e-30), 0.999999)
+    piece = pick_piece(lights.piece, lights.start[which], lights.pieces[which], within)
+    return which, piece, share / total * lights.piece[piece, 19]
+
+
+@njit(**JIT)
+def resample(aim, column, live, picks, turn):
+    """Turn a column of the candidates, what each would give, into the factor on its weight: all are sent, or where
+    there are more than `picks`, so many of them in proportion (systematic), others' factor 0. turn is in [0, 1)."""
+    total = 0.0
+    for k in range(live):
+        total += aim[k, column]
+    step = total / picks
+    at, passed = turn * step, 0.0
+    for k in range(live):
+        given = aim[k, column]
+        passed += given
+        times = 1.0
+        if live > picks:
+            times = 0.0
+            while at < passed:
+                times += step / given
+                at += step
+        aim[k, column] = times
+
+
 @njit(**ALLOCATING)
 def propose(
     lights, outdoors, atlas, through, points, vis, candidates, picks, sun_picks, seed,
@@ -257,10 +291,10 @@ def propose(
     opening, -2: the sun outside).
     """
     position, normal, wound, alpha, row, number = points
-    table, kind, start, pieces = lights.piece, lights.kind, lights.start, lights.pieces
+    table, kind = lights.piece, lights.kind
     hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
     coat_share, toward_sun = lights.coat_share, lights.sun
-    clusters = len(start)
+    clusters = len(lights.start)
     each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
     aim = np.empty((candidates, 9))
     light = np.empty(candidates, np.int32)
@@ -282,14 +316,9 @@ def propose(
         if clusters > 0:
             total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
         if total > 0:
-            which, sum_q, live = 0, 0.0, 0
+            which, live = 0, 0
             for k in range(candidates):
-                at = (k + turn3) / candidates * total
-                while which < clusters - 1 and running[which] <= at:
-                    which += 1
-                low = running[which - 1] if which > 0 else 0.0
-                share = running[which] - low
-                piece = pick_piece(table, start[which], pieces[which], min((at - low) / max(share, 1e-30), 0.999999))
+                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
                 dx, dy, dz, far, red, green, blue, spread, near = point_on(
                     table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
                     fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
@@ -297,38 +326,26 @@ def propose(
                 cosine = nx * dx + ny * dy + nz * dz
                 if cosine <= 0 or gx * dx + gy * dy + gz * dz <= 0 or far <= 0:
                     continue
-                density = share / total * table[piece, 19]
                 scale = cosine * spread * (1 - near) / (density * candidates)
                 q = (red + green + blue) * scale
                 if not q > 0:
                     continue
                 if row[i] >= 0:
                     q *= max(vis[row[i], which], LEAST_SEEN) / 255.0
-                sum_q += q
                 aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
                 aim[live, 4], aim[live, 5], aim[live, 6] = red * scale, green * scale, blue * scale
                 aim[live, 7], aim[live, 8] = q, cosine
                 light[live] = which
                 live += 1
-            step = sum_q / picks
-            at = unit(mixed(state)) * step
-            passed_q = 0.0
+            resample(aim, 7, live, picks, unit(mixed(state)))
             for k in range(live):
-                passed_q += aim[k, 7]
-                times = 1.0
-                if live > picks:
-                    times = 0.0
-                    while at < passed_q:
-                        times += 1
-                        at += step
-                    if times == 0:
-                        continue
-                    times *= step / aim[k, 7]
+                if aim[k, 7] == 0:
+                    continue
                 owner[written] = i
                 for c in range(3):
                     origin[written, c] = position[i, c]
                     direction[written, c] = aim[k, c]
-                    weight[written, c] = aim[k, 4 + c] * times
+                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
                 reach[written] = aim[k, 3]
                 passed[written] = in_table(through, alpha[i], aim[k, 8]) if alpha[i] > 0 else 1.0
                 cluster[written] = light[k]
