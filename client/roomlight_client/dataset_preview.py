@@ -63,11 +63,12 @@ def write_previews(
 def compose_preview(recordings: Sequence[Recording]) -> UInt8[np.ndarray, "h w 3"]:
     """The sheet of some sequences as 8-bit sRGB."""
     row_height = _LABEL_ROWS + _TILE[1] + 2 * _GAP
-    width = 2 * _MARGIN + (TIMES + 2) * (_TILE[0] + _GAP) + _PROBES * (_PROBE[0] + _GAP) - _GAP
+    times = min(TIMES, max((len(one.colour) for one in recordings), default=1))
+    width = 2 * _MARGIN + (times + 2) * (_TILE[0] + _GAP) + _PROBES * (_PROBE[0] + _GAP) - _GAP
     canvas = Canvas(width, 2 * _MARGIN + len(recordings) * row_height)
     for number, recording in enumerate(recordings):
         top = _MARGIN + number * row_height
-        _row(canvas, top, recording, width - 2 * _MARGIN)
+        _row(canvas, top, recording, width - 2 * _MARGIN, times)
     return canvas.image
 
 
@@ -90,14 +91,14 @@ def caption(recording: Recording, *, under_ev: float) -> str:
     return ", ".join(parts)
 
 
-def _row(canvas: Canvas, top: int, recording: Recording, width: int) -> None:
+def _row(canvas: Canvas, top: int, recording: Recording, width: int, times: int) -> None:
     brightest = float(recording.probe_panoramas.max(initial=1.0))
     under_ev = -max(1.0, float(np.log2(brightest)))
     canvas.text((_MARGIN, top), caption(recording, under_ev=under_ev), grey=HEADING, width=width)
     left, row = _MARGIN, top + _LABEL_ROWS
-    frames = dict.fromkeys(np.rint(np.linspace(0, len(recording.colour) - 1, TIMES)).astype(int).tolist())
+    frames = dict.fromkeys(np.rint(np.linspace(0, len(recording.colour) - 1, times)).astype(int).tolist())
     pictures = [srgb8_to_linear(recording.colour[k]) for k in frames]
-    left += (TIMES - len(pictures)) * (_TILE[0] + _GAP)
+    left += (times - len(pictures)) * (_TILE[0] + _GAP)
     pictures += [depth_colours(recording.depth_mm[0]), _surface_colours(recording)]
     for picture in pictures:
         canvas.picture((left, row), picture, size=_TILE, exposed=False)
