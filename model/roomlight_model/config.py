@@ -42,6 +42,8 @@ class SGConfig:
     own_colour: bool = True
     """The networks see a frame divided by its own mean colour and answer in units of it: unseen walls take the room's
     colour and brightness without having to learn it."""
+    filled: bool = True
+    """Where nothing was seen, `direct` heads begin with what is seen around; False: with the mean colour."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""

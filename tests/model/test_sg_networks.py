@@ -105,12 +105,40 @@ def yellow_room(level=1.0):
     return given
 
 
+def first_colours(given, **options):
+    """c where nothing was seen, before any training; the heads' own random weights set to 0."""
+    options = {"volume_shape": SHAPE, "channels": 8, "full_channels": 4, **options}
+    model = SingleModel(ModelConfig(SGConfig(**options)))
+    model.sg_decoder.heads.weight.data.zero_()
+    return model(given).lobes.detach()[0, ..., :3]
+
+
 def test_unseen_walls_begin_in_the_rooms_own_colour():
-    lobes = SingleModel(CONFIG)(yellow_room()).lobes.detach()[0, 8:, ..., :3].mean(dim=(0, 1, 2))
-    assert lobes / lobes[1] == pytest.approx(torch.tensor([0.82 / 0.62, 1.0, 0.22 / 0.62]), rel=0.1)
-    grey = ModelConfig(SGConfig(volume_shape=SHAPE, channels=8, full_channels=4, own_colour=False))
-    lobes = SingleModel(grey)(yellow_room()).lobes.detach()[0, 8:, ..., :3].mean(dim=(0, 1, 2))
-    assert lobes / lobes[1] == pytest.approx(torch.ones(3), rel=0.2)
+    colours = first_colours(yellow_room(), filled=False)[8:].mean(dim=(0, 1, 2))
+    assert colours / colours[1] == pytest.approx(torch.tensor([0.82 / 0.62, 1.0, 0.22 / 0.62]), rel=0.1)
+    colours = first_colours(yellow_room(), filled=False, own_colour=False)[8:].mean(dim=(0, 1, 2))
+    assert colours / colours[1] == pytest.approx(torch.ones(3), rel=0.2)
+
+
+def test_unseen_places_begin_with_what_is_seen_around_them():
+    given = torch.zeros((1, 5, *SHAPE))
+    given[:, 3, :2], given[:, 3, -2:] = 1, 1
+    given[:, :3, :2] = torch.tensor([0.8, 0.2, 0.2])[:, None, None, None]
+    given[:, :3, -2:] = torch.tensor([0.2, 0.2, 0.8])[:, None, None, None]
+    red, _, blue = first_colours(given).mean(dim=(1, 2)).T
+    assert red[2] > 0.6 > 0.3 > blue[2]
+    assert blue[-3] > 0.6 > 0.3 > red[-3]
+    assert float(red[8]) == pytest.approx(float(blue[8]), rel=0.3)
+    alone = first_colours(given, filled=False)[2:-2]
+    assert alone.std(dim=(0, 1, 2)).max() < 1e-5
+
+
+def test_a_window_lends_its_surroundings_no_more_than_white():
+    given = yellow_room()
+    given[:, :3, :8, :, 12:] = 50.0
+    around = first_colours(given)[8:]
+    assert 0.7 < around.max() < 1.1
+    assert first_colours(given)[:8, :, 12:].min() > 45  # what was seen itself stays as bright as it is
 
 
 def test_twice_the_light_is_answered_by_twice_the_light():
