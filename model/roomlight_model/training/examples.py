@@ -166,7 +166,7 @@ def _near(example: Example) -> bool:
 
 
 def _augmented(example: Example, rng: np.random.Generator) -> Example:
-    """Mirrored half of the time, of other contrast in a quarter, the colours exchanged in a fifth, weighted in a quarter.
+    """Mirrored half of the time, in a quarter of other contrast, in a fifth the colours exchanged, in a quarter weighted.
 
     Gains are 1 or more and the image is clipped again after them: white stays the camera's limit.
     """
