@@ -166,7 +166,7 @@ def _near(example: Example) -> bool:
 
 
 def _augmented(example: Example, rng: np.random.Generator) -> Example:
-    """Mirrored half of the time, in a quarter of other contrast, in a fifth the colours exchanged, in a quarter weighted.
+    """Mirrored (half of the time), of other contrast (a quarter), colours exchanged (a fifth), weighted (a quarter).
 
     Gains are 1 or more and the image is clipped again after them: white stays the camera's limit.
     """
