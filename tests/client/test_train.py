@@ -76,10 +76,10 @@ def test_a_run_out_of_time_stops_and_goes_on(tmp_path):
 
 def test_held_out_rooms_are_trained_on_by_nobody():
     training, held_out = split_off([BoxRecordings(200), BoxRecordings(40)])
-    assert (len(training), len(held_out)) == (216, 24)
+    assert (len(training), len(held_out)) == (192, 48)
     assert held_out.read(0, frames=[0]).name == "box-0"
-    assert training.read(0, frames=[0]).name == "box-24"
-    assert training.read(176, frames=[0]).name == "box-0"  # the second folder's
+    assert training.read(0, frames=[0]).name == "box-48"
+    assert training.read(152, frames=[0]).name == "box-0"  # the second folder's
     assert [len(part) for part in split_off([BoxRecordings(3)])] == [3, 0]
 
 

@@ -81,7 +81,7 @@ def sg_layers(config: SGConfig, *, recurrent: bool) -> list[Layer]:
         Layer(3, w, full, half, half),
         *(Layer(3, full, full, size, size) for _ in range(config.full_layers)),
         Layer(1, full, heads, size, size),
-        *([Layer(1, 5, heads, size, size)] if config.direct else []),
+        *([Layer(1, 8 if config.filled else 5, heads, size, size)] if config.direct else []),
     ]
 
 
