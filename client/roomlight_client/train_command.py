@@ -41,6 +41,14 @@ def train(
     rgb_alpha: Annotated[
         bool, typer.Option("--rgb-alpha", help="An RGB-alpha volume without spherical Gaussians (ablation).")
     ] = False,
+    surround_max: Annotated[
+        float,
+        typer.Option(
+            min=0,
+            help="Only sequences that are at most so many times as bright all around as in their first frame (0: all): "
+            "people film the lit side of a room.",
+        ),
+    ] = 0.0,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, order and augmentation.")] = 0,
     device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where to train.")] = "auto",
     every: Annotated[int, typer.Option(min=1, help="Look at held-out rooms every so many steps.")] = 1000,
@@ -53,7 +61,6 @@ def train(
         from roomlight_model.training.options import TrainOptions
         from roomlight_model.training.rooms import TrainingRooms
 
-        rooms = TrainingRooms(data)
         options = TrainOptions(
             stage=stage,
             steps=steps,
@@ -61,9 +68,16 @@ def train(
             learning_rate=learning_rate,
             rendering_weight=rendering_weight,
             depth=depth,
+            surround_max=surround_max,
             seed=seed,
             model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha)),
         )
+        with console.err.status("opening the datasets") as status:
+            rooms = TrainingRooms(
+                data,
+                surround_max=surround_max,
+                progress=lambda done, of: status.update(f"looking at sequence {done} of {of}"),
+            )
         if volume == "full":
             options = replace(options, volume_shape=VOLUME_SHAPE)
         card = run(

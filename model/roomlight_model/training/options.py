@@ -23,7 +23,8 @@ class TrainOptions:
     checkpoint is exported for: opacity is that of a voxel, so weights of one resolution are wrong at another until they
     are trained there. rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
     `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
-    blending graphs.
+    blending graphs. surround_max: trained on are sequences that are at most so many times as bright all around as in
+    their first frame (`roomlight_model.training.rooms.surround`; 0: on all).
     """
 
     stage: Stage = "single-sglv"
@@ -41,6 +42,7 @@ class TrainOptions:
     panorama_height: int = 60
     depth: DepthKind = "both"
     augment: bool = True
+    surround_max: float = 0.0
     bf16: bool = True
     seed: int = 0
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -52,7 +54,12 @@ class TrainOptions:
         for name, least in (("steps", 1), ("batch", 1), ("rays", 8), ("sphere_pixels", 0), ("sphere_samples", 2)):
             if getattr(self, name) < least:
                 raise ModelError(f"{name} is {getattr(self, name)}; it is {least} or more")
-        for name, low, high in (("learning_rate", 0, 1), ("ema", 0, 1), ("rendering_weight", 0, 100)):
+        for name, low, high in (
+            ("learning_rate", 0, 1),
+            ("ema", 0, 1),
+            ("rendering_weight", 0, 100),
+            ("surround_max", 0, 100),
+        ):
             value = getattr(self, name)
             if not low <= value <= high or (name == "learning_rate" and value == 0):
                 raise ModelError(f"{name} is {value}; it lies between {low} and {high}")

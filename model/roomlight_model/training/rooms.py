@@ -4,10 +4,14 @@ Held out are the first rooms of the first folder: a dataset grows at its end, so
 stage and from night to night. What the test split is for is not looked at here.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+import numpy as np
+
+from roomlight.conventions import panorama_solid_angles, srgb8_to_linear
+from roomlight.errors import DatasetError
 from roomlight_model.dataset.loader import Dataset
 from roomlight_model.dataset.recording import Recording
 from roomlight_model.training.examples import Recordings
@@ -50,22 +54,65 @@ def split_off(datasets: Sequence[Recordings], held_out: int = HELD_OUT) -> tuple
     return Part(places[kept:]), Part(places[:kept])
 
 
+def surround(recording: Recording) -> float:
+    """How bright it is all around the probes, over the first frame: means of log(1 + light), by solid angle and pixel.
+
+    Under 1 where the frame shows the lit side of a room, as people film it.
+    """
+    around = recording.probe_panoramas.astype(np.float32).mean(axis=-1)
+    rows = np.log1p(around).mean(axis=(0, 2))
+    share = panorama_solid_angles(len(rows))[:, 0] * (2 * len(rows) / (4 * np.pi))
+    frame = np.log1p(srgb8_to_linear(recording.colour[0]).mean(axis=-1))
+    return float((rows * share).sum() / max(frame.mean(), 1e-6))
+
+
 class TrainingRooms:
     """The train splits of some dataset folders; `grow` sees what was finished since."""
 
-    def __init__(self, folders: Sequence[Path]) -> None:
-        """DatasetError where a folder is no dataset."""
-        self._folders = tuple(folders)
+    def __init__(
+        self,
+        folders: Sequence[Path],
+        *,
+        surround_max: float = 0.0,
+        progress: Callable[[int, int], object] | None = None,
+    ) -> None:
+        """surround_max: train on sequences whose `surround` is no more than this (0: on all); what is held out is not
+        chosen. `progress` hears how many of the sequences were looked at for it. DatasetError where a folder is no
+        dataset, or none of its sequences is left.
+        """
+        self._folders, self._most, self._progress = tuple(folders), surround_max, progress
+        self._surrounds: dict[tuple[int, str], float] = {}
         datasets = self._open()
-        self.training, self.held_out = split_off(datasets)
+        chosen, self.held_out = split_off(datasets)
         self._kept = frozenset(datasets[0].names[: len(self.held_out)])
+        self.training = chosen if not surround_max else Part(self._places(datasets))
+        if not len(self.training) and len(chosen):
+            where = ", ".join(str(folder) for folder in folders)
+            raise DatasetError(
+                f"{where}: none of {len(chosen)} sequences has surroundings at most {surround_max} "
+                f"times as bright as its first frame (the least: {min(self._surrounds.values()):.2f}); allow more"
+            )
 
     def grow(self) -> int:
         """Look at the folders again; returns how many sequences came to be trained on. Held out stays what it is."""
-        first, *others = self._open()
-        places = [(first, number) for number, name in enumerate(first.names) if name not in self._kept]
-        places += [(dataset, number) for dataset in others for number in range(len(dataset))]
-        return self.training.replace_by(Part(places))
+        return self.training.replace_by(Part(self._places(self._open())))
+
+    def _places(self, datasets: Sequence[Dataset]) -> list[tuple[Recordings, int]]:
+        """What is to be trained on."""
+        named = [
+            (folder, name, (dataset, number))
+            for folder, dataset in enumerate(datasets)
+            for number, name in enumerate(dataset.names)
+            if folder or name not in self._kept
+        ]
+        if not self._most:
+            return [place for _, _, place in named]
+        for done, (folder, name, (dataset, number)) in enumerate(named, 1):
+            if (folder, name) not in self._surrounds:
+                self._surrounds[folder, name] = surround(dataset.read(number, frames=[0]))
+                if self._progress:
+                    self._progress(done, len(named))
+        return [place for folder, name, place in named if self._surrounds[folder, name] <= self._most]
 
     def _open(self) -> list[Dataset]:
         return [Dataset(folder, "train") for folder in self._folders]
