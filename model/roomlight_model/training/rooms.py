@@ -60,10 +60,9 @@ def surround(recording: Recording) -> float:
     Under 1 where the frame shows the lit side of a room, as people film it.
     """
     around = recording.probe_panoramas.astype(np.float32).mean(axis=-1)
-    rows = np.log1p(around).mean(axis=(0, 2))
-    share = panorama_solid_angles(len(rows))[:, 0] * (2 * len(rows) / (4 * np.pi))
+    share = panorama_solid_angles(around.shape[1]) / (4 * np.pi)
     frame = np.log1p(srgb8_to_linear(recording.colour[0]).mean(axis=-1))
-    return float((rows * share).sum() / max(frame.mean(), 1e-6))
+    return float((np.log1p(around).mean(axis=0) * share).sum() / max(frame.mean(), 1e-6))
 
 
 class TrainingRooms:
@@ -85,7 +84,7 @@ class TrainingRooms:
         datasets = self._open()
         chosen, self.held_out = split_off(datasets)
         self._kept = frozenset(datasets[0].names[: len(self.held_out)])
-        self.training = chosen if not surround_max else Part(self._places(datasets))
+        self.training = Part(self._places(datasets))
         if not len(self.training) and len(chosen):
             where = ", ".join(str(folder) for folder in folders)
             raise DatasetError(

@@ -50,7 +50,7 @@ def gather_rays(
     rays = cosine_rays + cone_rays
     clusters = lights.real
     each = np.empty(max(clusters, 1), np.float32)
-    cone = np.empty((5, max(clusters, 1)), np.float32)  # direction, 1 - cosine of the half angle, density
+    cone = np.empty((5, max(clusters, 1)), np.float32)  # direction, cosine of the half angle, density
     chance = np.empty(max(clusters, 1))
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
