@@ -30,10 +30,12 @@ def train(
     every_steps: int,
     console: Console,
     grow: Callable[[], int] = lambda: 0,
+    data: Callable[[], list[dict[str, Any]]] = list,
 ) -> dict[str, Any]:
     """Run a stage until its last step, for so many minutes, or until Ctrl-C; returns the card.
 
     grow: called at every look at the held-out rooms; takes in sequences that were finished since, says how many.
+    data: what the model's card is to say of the sequences.
     """
     import cv2
     import torch
@@ -51,6 +53,7 @@ def train(
         out,
         device=torch.device(chosen),
         start_from=None if start_from is None else load_checkpoint(start_from),
+        data=data,
     )
     validation = Validation(held_out, range(len(held_out)), trainer.options)
     curves = SummaryWriter(str(out / "tensorboard"), purge_step=trainer.step)
@@ -69,7 +72,7 @@ def train(
         for name, value in scores.items():
             curves.add_scalar(f"held out/{name}", value, now.step)
         validation.draw(model, out / "pictures" / f"{now.step:07d}.png", device=now.device)
-        best = now.keep_if_best(validation.loss(scores))
+        best = now.keep_if_best(validation.loss(scores), scores)
         told = ", ".join(
             f"{name.removeprefix('log_l2_')} {value:.4f} ({scores[name.replace('log_l2', 'rendering')]:.4f})"
             for name, value in scores.items()

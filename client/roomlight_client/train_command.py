@@ -86,6 +86,7 @@ def train(
             out,
             held_out=rooms.held_out,
             grow=rooms.grow,
+            data=rooms.described,
             device=device,
             start_from=start_from,
             minutes=minutes,

@@ -9,9 +9,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from roomlight.conventions import panorama_solid_angles
+from roomlight.fill import continued
 from roomlight.kernels.blend import accumulate_rows
 
 CLOSER_M: Final = 0.25
@@ -69,6 +70,35 @@ def accumulate(
     # Not sharded: 0.06 ms on one thread for 120 x 240, 0.15 ms when handed to a pool.
     closer_m, rows = np.float32(CLOSER_M), state.seen.shape[0]
     accumulate_rows(state.radiance, state.depth_m, state.seen, hdr, detail, detail_depth_m, weight, closer_m, 0, rows)
+
+
+def latest_detail(
+    state: PanoramaState,
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    *,
+    mask: Bool[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """(radiance, how well it is known): this frame's detail where the conservative rule would take it in, else what
+    was seen before."""
+    fresh = mask & (state.depth_m - detail_depth_m >= CLOSER_M)
+    known = np.where(fresh, np.float32(1), state.seen)
+    return np.where(fresh[..., None], detail, state.radiance), known
+
+
+def filled_detail(
+    state: PanoramaState,
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    *,
+    mask: Bool[np.ndarray, "h w"],
+    hdr: Float[np.ndarray, "h w 3"],
+) -> Float[np.ndarray, "h w 3"]:
+    """This frame's detail, and beyond its mask a fill of all that is known by now: what the blending network mixes with
+    the SGLV's panorama `hdr`, which stands in where nothing was ever seen."""
+    radiance, known = latest_detail(state, detail, detail_depth_m, mask=mask)
+    around = continued(radiance, known) if known.any() else hdr
+    return np.where(mask[..., None], detail, around)
 
 
 def accumulate_reference(

@@ -23,6 +23,14 @@ def push_pull(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"
     return _fill(known, share)
 
 
+def continued(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w c"]:
+    """`image` where `weight` is 1 and its push-pull fill where that is 0, in which nothing lends more than white:
+    windows and lamps end at their frames while walls go on.
+    """
+    known = np.clip(weight, 0, 1)[..., None]
+    return known * image + (1 - known) * push_pull(np.minimum(image, 1), weight)
+
+
 def _fill(known: Float[np.ndarray, "h w c"], share: Float[np.ndarray, "h w 1"]) -> Float[np.ndarray, "h w c"]:
     if (share >= 1).all():
         return known

@@ -26,6 +26,17 @@ def blend(
     return hdr * (1 - weight) + ldr * weight
 
 
+def fill_in(
+    hdr: Float[Tensor, "b 3 h w"],
+    ldr: Float[Tensor, "b 3 h w"],
+    mask: Float[Tensor, "b 1 h w"],
+    *,
+    weight: Float[Tensor, "b 1 h w"],
+) -> Float[Tensor, "b 3 h w"]:
+    """The HDR panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there."""
+    return hdr + (1 - mask) * weight * (ldr - hdr)
+
+
 def first_panorama(
     hdr: Float[Tensor, "b 3 h w"],
     ldr: Float[Tensor, "b 3 h w"],

@@ -69,6 +69,8 @@ class BlendConfig:
     """Width at half resolution; twice that at a quarter, four times at an eighth."""
     full_channels: int = 8
     """Width at full resolution."""
+    filled: bool = True
+    """Beyond the mesh, mix a fill of what was seen into the volume's rendering; False: the volume alone (the paper)."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""

@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from roomlight.blend import UNSEEN_DEPTH
-from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, first_panorama
+from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, fill_in, first_panorama
 from roomlight_model.blend import (
     SINGLE_PANELS,
     VIDEO_PANELS,
@@ -34,7 +34,8 @@ class SGState(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m.
+    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m. `ldr` is what the mesh
+    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.fill.continued`).
 
     Depth is at most `roomlight.blend.farthest_depth_m`, as the session clips it: else the conservative rule would
     hold back the first sight of surfaces past the volume.
@@ -76,7 +77,8 @@ class SingleModel(nn.Module):
     def blend(
         self, hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], mask: Float[Tensor, "b 1 h w"]
     ) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
-        """(L, L_M) at a probe from the rendered HDR panorama, the partial LDR one and its mask."""
+        """(L, L_M) at a probe from the rendered HDR panorama, the partial LDR one (filled beyond its mask) and its
+        mask."""
         f0, f1 = self.blend_encoder(single_panels(hdr, ldr, mask))
         weight = self.blend_decoder(f0, f1, mask)
         return blend(hdr, ldr, weight), weight
@@ -138,7 +140,8 @@ class VideoModel(nn.Module):
         """Frame 0 at a probe: single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
         weight = self.single.blend_decoder(f0, f1, seen.mask)
-        panorama = first_panorama(seen.hdr, seen.ldr, seen.depth, weight=weight, unseen_depth=UNSEEN_DEPTH)
+        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        panorama = first_panorama(hdr, seen.ldr, seen.depth, weight=weight * seen.mask, unseen_depth=UNSEEN_DEPTH)
         return BlendState(f0, f1, panorama)
 
     def blend_step(self, seen: Observation, state: BlendState, *, margin: float) -> BlendState:
@@ -155,8 +158,9 @@ class VideoModel(nn.Module):
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
         weight = self.blend_decoder(h0, h1, seen.mask)
-        weight = conservative(weight, seen.depth, state.panorama.depth, margin=margin)
-        panorama = accumulate(state.panorama, seen.hdr, seen.ldr, depth=seen.depth, weight=weight)
+        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        weight = conservative(weight * seen.mask, seen.depth, state.panorama.depth, margin=margin)
+        panorama = accumulate(state.panorama, hdr, seen.ldr, depth=seen.depth, weight=weight)
         return BlendState(h0, h1, panorama)
 
 

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.blend import CLOSER_M, PanoramaState
+from roomlight.blend import PanoramaState, latest_detail
 from roomlight.fill import push_pull
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
@@ -89,9 +89,7 @@ class ClassicalBackend:
         """HDR: what was seen, then the volume's rendering with little trust, spread by push-pull."""
         del depth_max_m
         assert isinstance(memory, _Memory)
-        fresh = partial.mask & (state.depth_m - partial.depth_m >= CLOSER_M)
-        known = np.where(fresh, np.float32(1), state.seen)
-        detail = np.where(fresh[..., None], partial.radiance, state.radiance)
+        detail, known = latest_detail(state, partial.radiance, partial.depth_m, mask=partial.mask)
         opaque = 1 - transmittance
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
         trust = (1 - known) * VOLUME_TRUST * opaque**4

@@ -7,13 +7,13 @@ merges with the SGLV before by V_u. Every state has two buffers, and each frame'
 the other: nothing is copied.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.blend import PanoramaState
+from roomlight.blend import PanoramaState, filled_detail
 from roomlight.errors import ModelError
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
@@ -96,10 +96,14 @@ class NetworkBackend:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Estimate:
-        """HDR: the SGLV as rendered. Weight: the blending network's."""
+        """HDR: the SGLV as rendered; beyond the mesh, the network's share of a fill of what was seen. Weight: the
+        network's."""
         del transmittance
         assert isinstance(memory, _ProbeNetworks)
-        return Estimate(rendered, memory.weigh(state, rendered, partial, depth_max_m))
+        ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=rendered)
+        weight = memory.weigh(state, rendered, replace(partial, radiance=ldr), depth_max_m)
+        mixed = rendered + weight[..., None] * (ldr - rendered)
+        return Estimate(np.where(partial.mask[..., None], rendered, mixed), weight * partial.mask)
 
 
 @dataclass
@@ -146,7 +150,7 @@ class _ProbeNetworks:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Float[np.ndarray, "h w"]:
-        """The raw blending weight L_M for this frame, 0 where the frame saw nothing."""
+        """The raw blending weight L_M for this frame; beyond the mesh, that of the fill in `partial.radiance`."""
         mask = partial.mask.astype(np.float32)
         first = self.frames == 0 or self.graphs.form == "single"
         target, height = (self._panels8 if first else self._panels13)[0], self._height
@@ -162,7 +166,7 @@ class _ProbeNetworks:
         for step in self._first if first else self._next[(self.frames - 1) % 2]:
             step.run()
         self.frames += 1
-        return _resample(self._weight[0, 0], mask.shape[0]) * mask
+        return _resample(self._weight[0, 0], mask.shape[0])
 
 
 def _planes(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 h w"]:

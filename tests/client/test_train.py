@@ -32,7 +32,8 @@ def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
     assert card["steps"] == 4
     assert card["sequences"] == 5  # one of six is held out
     folder = tmp_path / "run"
-    assert load_checkpoint(folder / "model.pt").card["steps"] == 4
+    card = load_checkpoint(folder / "model.pt").card
+    assert card["steps"] == 4
     assert sorted(path.name for path in (folder / "pictures").iterdir()) == ["0000002.png", "0000004.png"]
     assert any((folder / "tensorboard").iterdir())
     assert [json.loads(line)["step"] for line in (folder / "log.jsonl").read_text().splitlines()] == [4]
@@ -47,6 +48,7 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
         every_steps=100, console=Console(quiet=True),
     )  # fmt: skip
     assert card["options"]["model"]["sg"]["channels"] == 4  # the network is the one that was begun
+    assert (card["before"]["stage"], card["before"]["steps"]) == ("single-sglv", 4)
     after = load_checkpoint(tmp_path / "blend" / "model.pt")
     before = weights.model.state_dict()
     assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
@@ -67,6 +69,8 @@ def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
     best = load_checkpoint(tmp_path / "run" / "best.pt").card
     assert best["steps"] in (2, 4)
     assert best["held_out"] > 0
+    assert best["scores"]["log_l2_sglv"] + 0.3 * best["scores"]["rendering_sglv"] == pytest.approx(best["held_out"])
+    assert {"mean_colour", "warp"} <= {name.removeprefix("log_l2_") for name in best["scores"]}
 
 
 def test_a_run_out_of_time_stops_and_goes_on(tmp_path):

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight.fill import push_pull
+from roomlight.fill import continued, push_pull
 
 SIZES = [(1, 2), (2, 4), (5, 10), (16, 32), (15, 30), (12, 7), (120, 240)]
 
@@ -90,3 +90,15 @@ def test_a_half_known_pixel_lies_between_its_colour_and_its_surroundings() -> No
     weight = np.ones((8, 16), np.float32)
     image[4, 8], weight[4, 8] = 1.0, 0.5
     assert 0.45 < push_pull(image, weight)[4, 8, 0] < 0.75
+
+
+def test_continued_keeps_what_is_known_and_lends_no_more_than_white():
+    image = np.full((16, 32, 3), 0.25, np.float32)
+    image[6:9, 10:14] = 40.0  # a window
+    known = np.zeros((16, 32), np.float32)
+    known[4:11, 4:20] = 1
+    filled = continued(image, known)
+    np.testing.assert_array_equal(filled[known == 1], image[known == 1])
+    assert (filled[known == 0] >= 0.25 - 1e-6).all()
+    assert (filled[known == 0] <= 1).all()
+    np.testing.assert_array_equal(continued(np.minimum(image, 1), known), push_pull(np.minimum(image, 1), known))

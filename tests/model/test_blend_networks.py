@@ -1,5 +1,7 @@
 """The 2D networks over panoramas: the weight's range, the seam, and the recursion of one probe."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -25,7 +27,7 @@ def observation(seed):
     mask = (torch.rand((1, 1, HEIGHT, 2 * HEIGHT), generator=random) < 0.5).float()
     return Observation(
         hdr=20 * torch.rand((1, 3, HEIGHT, 2 * HEIGHT), generator=random),
-        ldr=torch.rand((1, 3, HEIGHT, 2 * HEIGHT), generator=random) * mask,
+        ldr=torch.rand((1, 3, HEIGHT, 2 * HEIGHT), generator=random),
         mask=mask,
         depth=torch.rand((1, 1, HEIGHT, 2 * HEIGHT), generator=random) * mask,
     )
@@ -42,11 +44,14 @@ def test_shapes_and_range(panels):
     f0, f1 = BlendEncoder(BLEND, panels=panels)(torch.rand(1, panels, HEIGHT, 2 * HEIGHT))
     assert f0.shape == (1, 4, 12, 24)
     assert f1.shape == (1, 16, 3, 6)
-    weight = BlendDecoder(BLEND)(f0, f1, seen.mask)
+    decoder = BlendDecoder(BLEND)
+    weight = decoder(f0, f1, seen.mask)
     assert weight.shape == (1, 1, HEIGHT, 2 * HEIGHT)
-    assert ((weight >= 0) & (weight <= 1)).all()
-    assert not weight[seen.mask == 0].any()
-    assert weight[seen.mask == 1].all()
+    assert ((weight > 0) & (weight < 1)).all()
+    assert weight[seen.mask == 1].mean() > weight[seen.mask == 0].mean() + 0.3  # before any training
+    paper = BlendDecoder(replace(BLEND, filled=False))
+    paper.load_state_dict(decoder.state_dict())
+    assert torch.equal(paper(f0, f1, seen.mask), weight * seen.mask)
 
 
 @pytest.mark.parametrize("height", [24, 30])
@@ -79,8 +84,18 @@ def test_single_view_blend_lies_between_its_panoramas():
     seen = observation(3)
     light, weight = SingleModel(CONFIG).blend(seen.hdr, seen.ldr, seen.mask)
     assert torch.equal(light, seen.hdr * (1 - weight) + seen.ldr * weight)
+    light, _ = SingleModel(replace(CONFIG, blend=replace(BLEND, filled=False))).blend(seen.hdr, seen.ldr, seen.mask)
     outside = (seen.mask == 0).expand_as(light)
     assert torch.equal(light[outside], seen.hdr[outside])
+
+
+def test_a_probes_first_frame_is_the_single_view_panorama_filled_beyond_the_mesh():
+    seen = observation(4)
+    model = VideoModel(CONFIG)
+    state = model.blend_start(seen)
+    light, weight = model.single.blend(seen.hdr, seen.ldr, seen.mask)
+    torch.testing.assert_close(state.panorama.radiance, light)
+    assert torch.equal(state.panorama.weight, weight * seen.mask)  # a fill was not seen
 
 
 def test_probe_recursion():

@@ -39,6 +39,8 @@ def test_other_folders_are_trained_on_whole(tmp_path):
     make(tmp_path / "second", 8)
     assert rooms.grow() == 4
     assert (len(rooms.held_out), len(rooms.training)) == (1, 11)
+    assert [share["sequences"] for share in rooms.described()] == [3, 8]
+    assert {"seed", "frames", "sequences"} == set(rooms.described()[0])
 
 
 def test_surroundings_over_the_frame_by_hand():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight.blend import CLOSER_M, PanoramaState
+from roomlight.blend import CLOSER_M, PanoramaState, filled_detail
 from roomlight.errors import ModelError
 from roomlight.mesh import FrameMesh, PartialPanorama
 from roomlight.sglv import Sglv, render_panorama
@@ -35,7 +35,7 @@ def _options(tiny_video, form, height=HEIGHT):
     return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height)
 
 
-def _observation(sglv, frame):
+def _observation(sglv, frame, before):
     """What the session renders at the probe for one frame, as the networks' batch of one."""
     hdr, _ = render_panorama(sglv, PROBE, height=HEIGHT, far="boundary")
     partial = FrameMesh(frame).look_from(np.array(PROBE), height=HEIGHT)
@@ -44,8 +44,14 @@ def _observation(sglv, frame):
         array = np.atleast_3d(plane.astype(np.float32))
         return torch.from_numpy(np.moveaxis(array, -1, 0)[None].copy())
 
+    state = PanoramaState.fresh(HEIGHT, GRID.depth_max_m)
+    if before is not None:
+        state.radiance[:] = np.moveaxis(before.radiance[0].numpy(), 0, -1)
+        state.depth_m[:] = before.depth[0, 0].numpy() * GRID.depth_max_m
+        state.seen[:] = before.weight[0, 0].numpy()
+    ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
     depth = partial.depth_m / GRID.depth_max_m
-    return Observation(batch(hdr), batch(partial.radiance), batch(partial.mask), batch(depth))
+    return Observation(batch(hdr), batch(ldr), batch(partial.mask), batch(depth))
 
 
 def _sglv_of(volume):
@@ -60,7 +66,7 @@ def _in_torch(checkpoint):
     for frame in FRAMES:
         given = torch.from_numpy(initial_volume(GRID, frame)[None])
         sg = model.start(given) if sg is None else model.step(given, sg)
-        seen = _observation(_sglv_of(sg.volume), frame)
+        seen = _observation(_sglv_of(sg.volume), frame, blend and blend.panorama)
         margin = CLOSER_M / GRID.depth_max_m
         blend = model.blend_start(seen) if blend is None else model.blend_step(seen, blend, margin=margin)
         volumes.append(_sglv_of(sg.volume))
@@ -164,24 +170,19 @@ def test_finer_panoramas_give_the_graphs_one_of_their_surfaces_never_a_mean(grap
         hdr, held = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
         before = random.uniform(1, 9, shape).astype(np.float32)
         seen = np.ones(shape, np.float32)
-        small = _weigh(backend, coarse, PanoramaState(held, before, seen), PartialPanorama(radiance, mask, depth), hdr)
+        small = coarse.weigh(
+            PanoramaState(held, before, seen), hdr, PartialPanorama(radiance, mask, depth), GRID.depth_max_m
+        )
         around = (np.arange(3 * HEIGHT)[:, None] % 3 != 1) | (np.arange(6 * HEIGHT) % 3 != 1)
         partial = PartialPanorama(_thrice(radiance), _thrice(mask) | around, np.where(around, 0.7, _thrice(depth)))
         state = PanoramaState(_thrice(held), np.where(around, 5, _thrice(before)), _thrice(seen))
-        large = _weigh(backend, fine, state, partial, _thrice(hdr))
+        large = fine.weigh(state, _thrice(hdr), partial, GRID.depth_max_m)
         # means of nine equal floats differ from them in the last bit or two
         np.testing.assert_allclose(large[1::3, 1::3], small, atol=1e-5)
 
 
 def _thrice(image):
     return np.repeat(np.repeat(image, 3, axis=0), 3, axis=1)
-
-
-def _weigh(backend, memory, state, partial, hdr):
-    estimate = backend.estimate(
-        memory, state, rendered=hdr, transmittance=hdr[..., 0], partial=partial, depth_max_m=GRID.depth_max_m
-    )
-    return estimate.weight
 
 
 def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):

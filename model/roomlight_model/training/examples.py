@@ -16,6 +16,7 @@ from roomlight.balls import resize_panorama
 from roomlight.clipping import restore_clipped
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
+from roomlight.fill import continued
 from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid, initial_volume
@@ -84,8 +85,9 @@ class Batch:
     """Unit world vectors from the probes toward the camera."""
     truth: Float[Tensor, "b p 3 h w"]
     partial: Float[Tensor, "b p 3 h w"] | None = None
+    """What the frame's mesh shows at each probe, and beyond it a fill, for the blending stages."""
     mask: Float[Tensor, "b p 1 h w"] | None = None
-    """What the frame's mesh shows at each probe, for the blending stages."""
+    """What of that the mesh shows."""
 
     def to(self, device: torch.device) -> "Batch":
         """The same on another device."""
@@ -154,7 +156,8 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
         if panorama_height is not None:
             mesh = FrameMesh(frame)
             seen = [mesh.look_from(position, height=panorama_height) for position in example.positions]
-            put("partial", np.stack([np.moveaxis(one.radiance, -1, 0) for one in seen]))
+            filled = [continued(one.radiance, one.mask.astype(np.float32)) for one in seen]
+            put("partial", np.stack([np.moveaxis(one, -1, 0) for one in filled]))
             put("mask", np.stack([one.mask[None] for one in seen]))
     return Batch(**{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()})
 

@@ -4,9 +4,10 @@ Held out are the first rooms of the first folder: a dataset grows at its end, so
 stage and from night to night. What the test split is for is not looked at here.
 """
 
+from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -40,6 +41,12 @@ class Part:
         """How many frames one of them has."""
         recordings, number = self._places[index]
         return recordings.frames_of(number)
+
+    def shares(self) -> list[tuple[Recordings, int]]:
+        """Each of the datasets, and how many of its sequences these are."""
+        datasets = {id(dataset): dataset for dataset, _ in self._places}
+        counts = Counter(id(dataset) for dataset, _ in self._places)
+        return [(dataset, counts[key]) for key, dataset in datasets.items()]
 
     def replace_by(self, other: "Part") -> int:
         """Take the other's sequences from now on (readers see the old ones or the new); returns how many are new."""
@@ -95,6 +102,15 @@ class TrainingRooms:
     def grow(self) -> int:
         """Look at the folders again; returns how many sequences came to be trained on. Held out stays what it is."""
         return self.training.replace_by(Part(self._places(self._open())))
+
+    def described(self) -> list[dict[str, Any]]:
+        """For a model's card: each dataset's seed, frames a sequence, and how many of its sequences are trained on."""
+        return [
+            {"seed": settings.seed, "frames": settings.frames, "sequences": count}
+            for dataset, count in self.training.shares()
+            if isinstance(dataset, Dataset)
+            for settings in [dataset.manifest.settings]
+        ]
 
     def _places(self, datasets: Sequence[Dataset]) -> list[tuple[Recordings, int]]:
         """What is to be trained on."""

@@ -122,7 +122,7 @@ def _blended_at(
     size = (height, 2 * height)
     small_hdr, small_ldr = (functional.interpolate(panel, size=size, mode="area") for panel in (hdr, ldr))
     _, weight = model.blend(small_hdr, small_ldr, functional.interpolate(mask, size=size, mode="nearest-exact"))
-    weight = functional.interpolate(weight, size=mask.shape[-2:], mode="bilinear") * mask
+    weight = functional.interpolate(weight, size=mask.shape[-2:], mode="bilinear")
     return blend(hdr, ldr, weight)
 
 

@@ -15,10 +15,11 @@ All that is random follows from (seed, step), so that a resumed run repeats the 
 
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
+from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
@@ -67,12 +68,14 @@ class Trainer:
         *,
         device: torch.device,
         start_from: Checkpoint | None = None,
+        data: Callable[[], list[dict[str, Any]]] = list,
     ) -> None:
         """Begin in an empty folder, or go on where the folder's run stopped.
 
-        start_from gives the weights of an earlier stage. A run may go on with another number of steps: the learning
-        rate follows the new length from there. ModelError where the folder holds a run with other options besides,
-        a model of another form, or there are fewer sequences than a batch needs.
+        start_from gives the weights of an earlier stage, `data` what the card is to say of the sequences. A run may
+        go on with another number of steps: the learning rate follows the new length from there. ModelError where the
+        folder holds a run with other options besides, a model of another form, or there are fewer sequences than a
+        batch needs.
         """
         if len(recordings) < options.batch:
             raise ModelError(f"{len(recordings)} sequences are fewer than a batch of {options.batch}")
@@ -81,7 +84,8 @@ class Trainer:
                 raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
             options = replace(options, model=start_from.config)
         self.options, self.out, self.device = options, out, device
-        self._recordings = recordings
+        self._recordings, self._data = recordings, data
+        self._before = None if start_from is None else start_from.card
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(options.seed)
             self.model = SingleModel(options.model)
@@ -168,14 +172,15 @@ class Trainer:
         model.load_state_dict(self.average)
         return _channels_last(model).eval()
 
-    def keep_if_best(self, score: float) -> bool:
-        """Write best.pt with the EMA weights if no earlier look at held-out rooms scored as low."""
+    def keep_if_best(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
+        """Write best.pt with the EMA weights if no earlier look at held-out rooms scored as low. `scores` go into its
+        card."""
         best = self.out / "best.pt"
         if best.exists():
             before = load_checkpoint(best).card.get("held_out")
             if isinstance(before, int | float) and before <= score:
                 return False
-        save_checkpoint(best, self.averaged(), card={**self.card(), "held_out": score})
+        save_checkpoint(best, self.averaged(), card={**self.card(), "held_out": score, "scores": dict(scores or {})})
         return True
 
     def save(self) -> None:
@@ -196,14 +201,18 @@ class Trainer:
         save_checkpoint(self.out / "model.pt", self.averaged(), card=self.card())
 
     def card(self) -> dict[str, Any]:
-        """The training's record for the checkpoint."""
+        """The training's record for the checkpoint: of this stage, and `before` it of the one that it began from."""
+        before = {} if self._before is None else {"before": self._before}
         return {
             "stage": self.options.stage,
             "steps": self.step,
             "hours": round(self.seconds / 3600, 3),
             "seed": self.options.seed,
             "sequences": len(self._recordings),
+            "data": self._data(),
+            "date": datetime.now(UTC).date().isoformat(),
             "options": self.options.to_dict(),
+            **before,
         }
 
     def _one_step(self, batch: Batch) -> Losses:
