@@ -46,7 +46,9 @@ panorama of 120 rows."""
 class SessionOptions:
     """How a session works; see each field.
 
-    model:          auto = the best trained weights that are there (video, then single), else classical.
+    model:          auto = the form of `weights`; without them the trained video networks that come with the package,
+                    else classical: of a stream it makes more than single-view networks, which forget. A single image
+                    is another matter (`for_one_image`).
     weights:        a model directory of `roomlight export` instead of the shipped weights.
     height:         of the panoramas (width is twice that).
     keyframes:      how many frames are kept to catch up probes that are first asked about late.
@@ -120,8 +122,8 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
             raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
         return replace(graphs, form="single") if options.model == "single" else graphs
     # A video folder holds the single-view graphs too: its first frame needs them.
-    for folder in ("single", "video") if options.model == "single" else ("video", "single"):
-        if (SHIPPED / folder / "model.json").is_file() and (options.model, folder) != ("video", "single"):
+    for folder in ("single", "video") if options.model == "single" else ("video",):
+        if _shipped(folder):
             graphs = load_graphs(SHIPPED / folder, provider=options.provider)
             return replace(graphs, form="single") if options.model == "single" else graphs
     if options.model == "auto":
@@ -130,6 +132,17 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         f"model '{options.model}': no trained weights come with this version; "
         "give --weights DIR (from `roomlight export`) or use --model classical"
     )
+
+
+def for_one_image(options: SessionOptions) -> SessionOptions:
+    """The same for a single image, where `auto` means trained single-view weights if any come with the package."""
+    if options.model != "auto" or options.weights is not None or not (_shipped("single") or _shipped("video")):
+        return options
+    return replace(options, model="single")
+
+
+def _shipped(folder: str) -> bool:
+    return (SHIPPED / folder / "model.json").is_file()
 
 
 class Session:
