@@ -113,7 +113,7 @@ def blend_layers(config: BlendConfig, *, panels: int) -> list[Layer]:
         Layer(3, 3 * w, w, half, half),
         Layer(3, w, full, half, half),
         Layer(3, full, full, size, size),
-        Layer(1, full, 1, size, size),
+        Layer(1, full + 1, 1, size, size),
     ]
 
 

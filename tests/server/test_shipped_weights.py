@@ -1,0 +1,65 @@
+"""The trained weights that come with the package: whole, small, documented, and better than no network at a ball."""
+
+import json
+
+import numpy as np
+import pytest
+
+from roomlight.balls import BallRenderer, view_toward
+from roomlight.captures import open_capture
+from roomlight.metrics import log_l2
+from roomlight_client.demo import sample_capture
+from roomlight_server.graphs import SHIPPED
+from roomlight_server.session import Session, SessionOptions, choose_graphs, for_one_image
+
+FOLDER = SHIPPED / "single"
+
+
+def test_they_are_under_20_mb_and_their_card_says_where_they_come_from():
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 20e6
+    described = json.loads((FOLDER / "model.json").read_text())
+    stages, card = [], described["card"]
+    while card:
+        assert card["steps"] > 0
+        assert card["hours"] > 0
+        assert card["sequences"] > 500
+        stages.append(card["stage"])
+        card = card.get("before")
+    assert stages == ["single-joint", "single-blend", "single-sglv"]
+    card = described["card"]
+    assert sum(share["sequences"] for share in card["data"]) == card["sequences"]
+    assert all(isinstance(share["seed"], int) for share in card["data"])
+    assert card["scores"]["log_l2_blended"] < card["scores"]["log_l2_warp"] < card["scores"]["log_l2_mean_colour"]
+    assert card["date"] <= described["date"][:10]
+
+
+@pytest.fixture(scope="module")
+def scores():
+    """(log-L2, squared error of a glossy ball) in the sample room's first frame, a room never trained on."""
+    capture = open_capture(sample_capture())
+    frame, found = next(iter(capture)), {}
+    for model in ("single", "classical"):
+        session = Session(SessionOptions(model=model, provider="cpu"))
+        session.push(frame)
+        errors = []
+        for probe in capture.probes:
+            light, truth = session.light_at(probe.position).panorama, probe.panorama()
+            balls = BallRenderer(view_toward(frame.camera_to_world, probe.position))
+            drawn = [np.minimum(balls.pixels(panorama, "glossy"), 1) for panorama in (light, truth)]
+            errors.append((log_l2(light, truth), float(np.square(drawn[0] - drawn[1]).mean())))
+        found[model] = np.mean(errors, axis=0)
+    return found
+
+
+def test_a_ball_is_lit_better_than_by_the_classical_model(scores):
+    assert scores["single"][1] < 0.7 * scores["classical"][1]
+
+
+def test_panoramas_are_about_as_near_as_the_classical_models(scores):
+    assert scores["single"][0] < 1.25 * scores["classical"][0]
+
+
+def test_a_single_image_takes_them_without_being_told():
+    chosen = choose_graphs(for_one_image(SessionOptions(provider="cpu")))
+    assert chosen is not None
+    assert (chosen.path, chosen.form) == (FOLDER, "single")
