@@ -138,7 +138,9 @@ def test_default_step_is_the_mean_edge():
 
 
 def test_a_network_learns_through_the_renderer():
-    """One room, one probe, bright above and dark below: 20 steps of Adam through both must more than halve the loss."""
+    """One room, one probe, bright above and dark below: 40 steps of Adam through both must more than halve the loss
+    (to 0.04 to 0.29 of it, by the seed).
+    """
     torch.manual_seed(0)
     model = SingleModel(ModelConfig(SGConfig(channels=8, full_channels=4)))
     volume = torch.rand(1, 5, 8, 8, 8)
@@ -147,7 +149,7 @@ def test_a_network_learns_through_the_renderer():
     target = torch.log1p(2 + 2 * directions[:, 1:2]).expand(-1, 3)
     optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
     losses = []
-    for _ in range(20):
+    for _ in range(40):
         predicted = model(volume)
         radiance, _ = render(predicted.alpha[0], predicted.lobes[0], directions, samples=20, step_m=0.15)
         loss = (torch.log1p(radiance) - target).square().mean()
