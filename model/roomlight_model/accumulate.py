@@ -34,7 +34,7 @@ def fill_in(
     weight: Float[Tensor, "b 1 h w"],
 ) -> Float[Tensor, "b 3 h w"]:
     """The HDR panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there."""
-    return hdr + (1 - mask) * weight * (ldr - hdr)
+    return blend(hdr, ldr, (1 - mask) * weight)
 
 
 def first_panorama(
