@@ -14,9 +14,9 @@ def stage():
     return lit_stage(0)
 
 
-def first_views(stage):
-    """How bright 12 first views are, over the mean of the panoramas at their probes."""
-    shots = [plan_shot(stage, np.random.default_rng(number), frames=1) for number in range(12)]
+def first_views(stage, count):
+    """How bright so many first views are, over the mean of the panoramas at their probes."""
+    shots = [plan_shot(stage, np.random.default_rng(number), frames=1) for number in range(count)]
     brightness = []
     for shot in shots:
         view = stage.light.frame(shot.intrinsics.resized(40, 30), shot.poses[0], seed=0)
@@ -27,12 +27,13 @@ def first_views(stage):
     return np.array(brightness)
 
 
-def test_most_walks_begin_with_a_view_of_the_lit_side(stage, monkeypatch):
-    monkeypatch.setattr(room_sequences, "_AT_RANDOM", 1.0)
-    anywhere = first_views(stage)
-    monkeypatch.setattr(room_sequences, "_AT_RANDOM", 0.0)
-    chosen = first_views(stage)
-    assert chosen.mean() > 1.1 * anywhere.mean()
+@pytest.mark.parametrize(("of", "views"), [(4, 12), (12, 5)])
+def test_most_walks_begin_with_a_view_of_the_lit_side(stage, monkeypatch, of, views):
+    monkeypatch.setattr(room_sequences, "_CHOICES", (1, 1, 1))
+    anywhere = first_views(stage, views)
+    monkeypatch.setattr(room_sequences, "_CHOICES", (of, of, of))
+    chosen = first_views(stage, views)
+    assert chosen.mean() > (1.1 if of == 4 else 1.2) * anywhere.mean()
     assert (chosen > anywhere - 0.1).all()  # the walk of the former is among those chosen from
 
 

@@ -18,6 +18,7 @@ from roomlight.conventions import panorama_rays
 from roomlight.errors import ModelError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.dataset.recording import GLASS
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.examples import collate, example_of, read_example
 from roomlight_model.training.options import TrainOptions
@@ -162,7 +163,7 @@ def test_examples_follow_their_generator_and_frames_vary():
 
     def draw(seed):
         rng = np.random.default_rng(seed)
-        return [read_example(recordings, 0, rng, depth="both", augment=True) for _ in range(6)]
+        return [read_example(recordings, 0, rng, depth="both", augment=True) for _ in range(12)]
 
     once, again = draw(5), draw(5)
     for a, b in zip(once, again, strict=True):
@@ -172,6 +173,23 @@ def test_examples_follow_their_generator_and_frames_vary():
         assert a.mirrored == b.mirrored
     assert len({example.frame.camera_to_world.tobytes() for example in once}) > 1
     assert len({example.mirrored for example in once}) == 2
+
+
+def test_some_exact_depth_has_holes_at_panes_and_nowhere_else():
+    whole = BoxRecordings(1).read(0, frames=[0])
+    pane = np.zeros(whole.depth_mm.shape, np.uint8)
+    pane[:, 5:20, 10:30] = GLASS
+    recording = replace(whole, surface=pane)
+    known = set()
+    for seed in range(24):
+        measured = example_of(recording, 0, np.random.default_rng(seed), depth="both").frame.depth_m
+        if measured.shape != pane[0].shape:  # phone-like
+            continue
+        assert (measured[pane[0] != GLASS] > 0).all()
+        known.add(bool((measured[pane[0] == GLASS] > 0).all()))
+        assert len(np.unique(measured[pane[0] == GLASS] > 0)) == 1
+    assert known == {True, False}
+    assert (example_of(recording, 0, np.random.default_rng(0), depth="exact").frame.depth_m > 0).all()
 
 
 def test_losses_are_finite_in_bf16_too():

@@ -21,11 +21,14 @@ from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight.mesh import FrameMesh
 from roomlight.volume import VolumeGrid, initial_volume
 from roomlight_model.dataset.arkit_depth import arkit_like
-from roomlight_model.dataset.recording import Recording
+from roomlight_model.dataset.recording import GLASS, Recording
 from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5
 """The share of examples that show another frame than the first: more views for the same rooms."""
+_SEEN_THROUGH = 0.5
+"""The share of exact depth maps in which panes are holes, as depth cameras and artists' scenes have them: there what is
+clipped is a window."""
 _CONTRASTS = (0.85, 1.7)
 """Powers of light. Generated rooms are more evenly lit than many that are filmed: a frame's mean over its median is
 1.4 in the middle of the data, 2.2 to 4 in some artists' scenes and real rooms."""
@@ -109,13 +112,15 @@ def read_example(
 
 
 def example_of(recording: Recording, at: int, rng: np.random.Generator, *, depth: DepthKind) -> Example:
-    """The example that one decoded frame of a recording makes."""
+    """The example that one decoded frame of a recording makes; both: half phone-like, a quarter with holes at panes."""
     colour = recording.colour[at]
     depth_mm = recording.depth_mm[at]
     if depth == "arkit" or (depth == "both" and rng.random() < 0.5):
         chosen = slice(at, at + 1)
         phone, _ = arkit_like(recording.depth_mm[chosen], recording.surface[chosen], recording.colour[chosen], rng)
         depth_mm = phone[0]
+    elif depth == "both" and rng.random() < _SEEN_THROUGH:
+        depth_mm = np.where(recording.surface[at] == GLASS, np.uint16(0), depth_mm)
     measured = depth_mm.astype(np.float32) / np.float32(1000)
     frame = Frame(
         index=0,
