@@ -31,9 +31,9 @@ PROBE_HEIGHT: Final = 120
 _BODY_M: Final = 0.25
 _TRIES: Final = 8
 """Walks tried beyond those wanted, until one has room for its probes."""
-_CHOICES: Final = (1, 4, 12)
+_CHOICES: Final = (1, 12, 4)
 _SHARES: Final = (0.2, 0.4, 0.4)
-"""Of one, four or twelve walks that would do, that one is filmed whose first view is brightest for its surroundings;
+"""Of one, twelve or four walks that would do, that one is filmed whose first view is brightest for its surroundings;
 how often each. People turn a phone to the lit side of a room, some of them with care; of walks that begin anywhere,
 panoramas are 1.2 times as bright as the first frame in the median, and seldom darker."""
 _GLANCE: Final = (20, 15)
