@@ -30,6 +30,7 @@ OWN_STAGES = (
     "ray tracing, classical volume",
     "mesh building",
     "partial-mesh panorama",
+    "fill beyond the mesh",
     "accumulation",
     "late probe, classical",
 )

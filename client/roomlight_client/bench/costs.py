@@ -168,5 +168,14 @@ def accumulate_cost(pixels: int) -> Cost:
     return Cost(_BLEND_PIXEL * pixels, _FLOAT * (9 + 4 + 5) * pixels)
 
 
+def fill_cost(pixels: int) -> Cost:
+    """Push-pull, down and up again: reads radiance and how well it is known (4), writes radiance (3).
+
+    Over four channels: a tent of four taps in each of two directions at every pixel of the level below it, four taps on
+    the way back; the levels together are 4/3 of the first.
+    """
+    return Cost(4 / 3 * 4 * (8 / 4 + 4) * 2 * pixels, _FLOAT * (4 + 3) * pixels)
+
+
 def _halved(size: Size, times: int) -> Size:
     return tuple(edge >> times for edge in size)  # each strided convolution rounds down

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.blend import PanoramaState, accumulate, accumulate_reference
+from roomlight.blend import PanoramaState, accumulate, accumulate_reference, filled_detail
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.frame import Frame
@@ -32,6 +32,7 @@ SLOW_RUNS: Final = 3
 FINE_SAMPLES: Final = 110.0
 """Samples inside the volume a ray, on the mean, of the row with fine steps: at the engine's own step of one voxel a ray
 from inside takes about 40 before it leaves, while `grid_sample` computes all 128."""
+_FILL: Final = "fill beyond the mesh"
 _TRACED_BY_HAND: Final = 32
 """Rays of the brute-force reference: all 28,800 would take minutes."""
 
@@ -69,6 +70,7 @@ def run_stages(
     stages += network_stages(networks, volume) if networks else []
     stages += _march_stages(grid, frames, size)
     stages += _mesh_stages(frames[0], size)
+    stages.append(_fill_stage(frames[0], grid, size))
     stages.append(_accumulate_stage(frames[0], grid, size))
     stages += _catch_up_stages(frames, size, networks, stages)
     ceiling = CeilingRuns.of()
@@ -239,6 +241,18 @@ def _brute_force_depth(
     return result
 
 
+def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
+    """What the blending network mixes in beyond the mesh."""
+    height = size.panorama_height
+    seen = FrameMesh(frame).look_from(np.asarray(PROBE), height=height)
+    state = PanoramaState.fresh(height, grid.depth_max_m)
+
+    def fill() -> Float[np.ndarray, "h w 3"]:
+        return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
+
+    return Stage(_FILL, Way(fill), costs.fill_cost(2 * height**2), note="with networks")
+
+
 def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
     height = size.panorama_height
     seen = FrameMesh(frame).look_from(np.asarray(PROBE), height=height)
@@ -282,12 +296,13 @@ def _catch_up_stages(
     """A point first asked about late: rendered once, then every keyframe looked at, blended and accumulated."""
     options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
     sessions = [("classical", Session(options), Cost(0.0, 0.0))]
+    cost = {stage.name: stage.cost for stage in stages}
     if networks:
         runtime = "openvino" if "openvino" in networks.loaded else "cpu"
         each = sum((stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0))
         session = Session(options, graphs=networks.loaded[runtime])
-        sessions.append((f"{networks.form} networks", session, each * (1 / len(networks.loaded))))
-    cost = {stage.name: stage.cost for stage in stages}
+        blended = each * (1 / len(networks.loaded)) + cost[_FILL]
+        sessions.append((f"{networks.form} networks", session, blended))
     found: list[Stage] = []
     for name, session, blending in sessions:
         for frame in frames:
