@@ -173,14 +173,16 @@ class Trainer:
         return _channels_last(model).eval()
 
     def keep_if_best(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
-        """Write best.pt with the EMA weights if no earlier look at held-out rooms scored as low. `scores` go into its
-        card."""
+        """Write model.pt with the EMA weights and what they scored, and best.pt if no earlier look at held-out rooms
+        scored as low."""
+        averaged, card = self.averaged(), {**self.card(), "held_out": score, "scores": dict(scores or {})}
+        save_checkpoint(self.out / "model.pt", averaged, card=card)
         best = self.out / "best.pt"
         if best.exists():
             before = load_checkpoint(best).card.get("held_out")
             if isinstance(before, int | float) and before <= score:
                 return False
-        save_checkpoint(best, self.averaged(), card={**self.card(), "held_out": score, "scores": dict(scores or {})})
+        save_checkpoint(best, averaged, card=card)
         return True
 
     def save(self) -> None:
