@@ -92,7 +92,7 @@ def set_stage(room_index: int, *, seed: int, split: Split, catalogue: Catalogue)
 
 def plan_shot(stage: Stage, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES) -> Shot:
     """A phone, its walk and the probes before its first frame; ValueError where the room is too full for any."""
-    wanted = _CHOICES[int(np.searchsorted(np.cumsum(_SHARES[:-1]), rng.random(), side="right"))]
+    wanted = int(rng.choice(_CHOICES, p=_SHARES))
     tries = wanted + _TRIES
     found: list[Shot] = []
     for _ in range(tries):
