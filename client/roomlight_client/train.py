@@ -1,6 +1,8 @@
 """`roomlight train`: a stage of training with its progress, curves and pictures."""
 
+import ctypes
 import signal
+import sys
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
@@ -16,6 +18,9 @@ if TYPE_CHECKING:
     from roomlight_model.training.examples import Recordings
     from roomlight_model.training.options import TrainOptions
     from roomlight_model.training.trainer import Trainer
+
+_M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
+"""glibc's numbers of two options (malloc.h)."""
 
 
 def train(
@@ -46,6 +51,7 @@ def train(
     from roomlight_model.training.validation import Validation
 
     chosen = choose_device(device)
+    _keep_freed_memory()
     cv2.setNumThreads(1)  # examples are made on threads of our own already
     trainer = Trainer(
         options,
@@ -72,7 +78,7 @@ def train(
         for name, value in scores.items():
             curves.add_scalar(f"held out/{name}", value, now.step)
         validation.draw(model, out / "pictures" / f"{now.step:07d}.png", device=now.device)
-        best = now.keep_if_best(validation.loss(scores), scores)
+        best = now.keep_scored(validation.loss(scores), scores)
         told = ", ".join(
             f"{name.removeprefix('log_l2_')} {value:.4f} ({scores[name.replace('log_l2', 'rendering')]:.4f})"
             for name, value in scores.items()
@@ -100,6 +106,15 @@ def train(
     look(trainer)
     curves.close()
     return trainer.card()
+
+
+def _keep_freed_memory() -> None:
+    """Have the C library (glibc) keep freed buffers for the next step instead of handing them back to the system, which
+    clears every page of them anew."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
+    if mallopt is not None:
+        mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # the most it takes; a step's largest buffers are 7 MB
+        mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 def choose_device(device: str) -> str:

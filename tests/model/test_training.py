@@ -240,10 +240,10 @@ def test_checkpoints_are_for_the_sizes_trained_at(tmp_path):
 
 def test_only_a_better_score_replaces_the_best(tmp_path):
     trainer = Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
-    assert trainer.keep_if_best(0.5)
-    assert not trainer.keep_if_best(0.6, {"log_l2_blended": 0.6})
+    assert trainer.keep_scored(0.5)
+    assert not trainer.keep_scored(0.6, {"log_l2_blended": 0.6})
     assert load_checkpoint(tmp_path / "run" / "model.pt").card["scores"] == {"log_l2_blended": 0.6}
-    assert trainer.keep_if_best(0.4)
+    assert trainer.keep_scored(0.4)
     assert load_checkpoint(tmp_path / "run" / "best.pt").card["held_out"] == 0.4
 
 

@@ -5,7 +5,7 @@ A run is a folder:
     options.json      what was asked (TrainOptions)
     last.pt           everything needed to go on: written whole, at most a few minutes old
     model.pt          the EMA weights as a checkpoint that `roomlight export` reads
-    best.pt           those that did best on held-out rooms, likewise (`keep_if_best`)
+    best.pt           those that did best on held-out rooms, likewise (`keep_scored`)
     log.jsonl         one line for every reported step
     tensorboard/      the same curves
     pictures/         panoramas of held-out rooms as training goes on
@@ -172,7 +172,7 @@ class Trainer:
         model.load_state_dict(self.average)
         return _channels_last(model).eval()
 
-    def keep_if_best(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
+    def keep_scored(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
         """Write model.pt with the EMA weights and what they scored, and best.pt if no earlier look at held-out rooms
         scored as low."""
         averaged, card = self.averaged(), {**self.card(), "held_out": score, "scores": dict(scores or {})}
