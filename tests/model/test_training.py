@@ -21,13 +21,14 @@ from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.dataset.recording import GLASS
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.examples import collate, example_of, read_example
+from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.stages import predict, predicted_panoramas, rendered, stage_losses, trained_modules
 from roomlight_model.training.trainer import Trainer
 
 TINY = ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4))
 OPTIONS = TrainOptions(
-    steps=6, batch=2, warm_up=2, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=(16, 15, 21),
+    steps=6, batch=3, warm_up=2, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=(16, 15, 21),
     panorama_height=16, bf16=False, model=TINY,
 )  # fmt: skip
 CPU = torch.device("cpu")
@@ -52,7 +53,7 @@ def test_a_stage_changes_its_own_networks_and_no_others(tmp_path, stage):
 
 
 def test_it_learns_a_handful_of_rooms(tmp_path):
-    options = replace(OPTIONS, steps=120, learning_rate=4e-3, augment=False, depth="exact", rays=128)
+    options = replace(OPTIONS, steps=120, batch=2, learning_rate=4e-3, augment=False, depth="exact", rays=128)
     trainer = Trainer(options, BoxRecordings(2), tmp_path / "run", device=CPU)
     trainer.train(report=quiet)
     losses = curve(tmp_path / "run")
@@ -207,6 +208,29 @@ def test_losses_are_finite_in_bf16_too():
         assert total == pytest.approx(log_l2 + 0.3 * rendering, rel=1e-5)
 
 
+def test_pieces_of_a_batch_add_up_to_its_gradient():
+    """On threads of their own, unequal in size; laid out as the parameters are: the fused optimiser reads both alike."""
+    options = replace(OPTIONS, stage="single-joint", rendering_weight=0.0)  # its directions are each piece's own
+    recordings = BoxRecordings(3)
+    batch = collate(
+        [read_example(recordings, k, np.random.default_rng(k), depth="exact", augment=False) for k in range(3)],
+        volume_shape=options.volume_shape, panorama_height=options.panorama_height,
+    )  # fmt: skip
+    model = SingleModel(TINY)
+    model.sg_encoder.to(memory_format=torch.channels_last_3d)
+    parameters = list(model.parameters())
+    losses = BatchGradients(model, parameters, options, device=CPU).of(batch, 0)
+    pieces = [parameter.grad for parameter in parameters]
+    model.zero_grad(set_to_none=True)
+    sglv = predict(model, batch, options, device=CPU)
+    whole = stage_losses(model, sglv, batch, options, generator=torch.Generator().manual_seed(0), device=CPU)
+    whole.total.backward()
+    torch.testing.assert_close(losses.total, whole.total.detach())
+    for parameter, gradient in zip(parameters, pieces, strict=True):
+        assert gradient.stride() == parameter.stride()
+        torch.testing.assert_close(gradient, parameter.grad, rtol=1e-3, atol=1e-6)
+
+
 def test_blending_needs_partial_panoramas():
     example = example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=None)
@@ -262,7 +286,7 @@ def test_a_broken_checkpoint_is_named(tmp_path):
 
 
 def test_too_few_sequences_are_refused(tmp_path):
-    with pytest.raises(ModelError, match="1 sequences are fewer than a batch of 2"):
+    with pytest.raises(ModelError, match="1 sequences are fewer than a batch of 3"):
         Trainer(OPTIONS, BoxRecordings(1), tmp_path / "run", device=CPU)
 
 

@@ -97,6 +97,14 @@ class Batch:
         moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
         return replace(self, **moved)
 
+    def pieces(self, size: int) -> list["Batch"]:
+        """The same examples in batches of `size`, the last of what is left."""
+        parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
+        return [
+            replace(self, **{name: part[number] for name, part in parts.items()})
+            for number in range(len(parts["volume"]))
+        ]
+
 
 def read_example(
     recordings: Recordings, index: int, rng: np.random.Generator, *, depth: DepthKind, augment: bool

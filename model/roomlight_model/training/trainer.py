@@ -34,8 +34,9 @@ from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpo
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.clock import StepClock
 from roomlight_model.training.examples import Batch, Recordings, collate, read_example
+from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import STAGES, TrainOptions
-from roomlight_model.training.stages import Losses, predict, stage_losses, trained_modules
+from roomlight_model.training.stages import Losses, trained_modules
 
 _AHEAD: Final = 3
 """Batches made before they are asked for."""
@@ -98,6 +99,7 @@ class Trainer:
         for parameter in parameters:
             parameter.requires_grad_(True)
         self._parameters = parameters
+        self._gradients = BatchGradients(self.model, parameters, options, device=device)
         self._optimizer = torch.optim.AdamW(
             parameters,
             lr=options.learning_rate,
@@ -136,7 +138,7 @@ class Trainer:
             losses = self._one_step(batch)
             self.step += 1
             for name, value in (("loss", losses.total), ("log_l2", losses.log_l2), ("rendering", losses.rendering)):
-                total[name] += float(value.detach())
+                total[name] += float(value)
             counted += 1
             now = time.monotonic()
             self.seconds = before + now - began
@@ -218,20 +220,13 @@ class Trainer:
         }
 
     def _one_step(self, batch: Batch) -> Losses:
-        generator = torch.Generator().manual_seed(_mixed(self.options, self.step))
         for group in self._optimizer.param_groups:
             group["lr"] = self._rate()
-        self._optimizer.zero_grad(set_to_none=True)
-        here, options, device = batch.to(self.device), self.options, self.device
-        with self._part("forward"):
-            sglv = predict(self.model, here, options, device=device)
-        with self._part("render"):
-            losses = stage_losses(self.model, sglv, here, options, generator=generator, device=device)
-            loss = float(losses.total.detach())
-        if not np.isfinite(loss):
+        self._gradients.clock = self.clock
+        losses = self._gradients.of(batch, self.step)
+        if not torch.isfinite(losses.total):
+            loss = float(losses.total)
             raise ModelError(f"{self.out}: the loss is {loss} at step {self.step}; take a lower learning rate")
-        with self._part("backward"):
-            losses.total.backward()
         with self._part("optimiser"):
             torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
             self._optimizer.step()
@@ -335,8 +330,3 @@ def _channels_last(model: SingleModel) -> SingleModel:
     for network in (model.sg_encoder, model.sg_decoder):
         network.to(memory_format=torch.channels_last_3d)
     return model
-
-
-def _mixed(options: TrainOptions, step: int) -> int:
-    """A seed for a step's directions."""
-    return int(np.random.SeedSequence([options.seed, STAGES.index(options.stage), step, 7]).generate_state(1)[0])

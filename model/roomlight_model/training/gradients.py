@@ -1,0 +1,96 @@
+"""The gradient of a batch's loss: on CPUs its examples are shared out over threads.
+
+oneDNN's 3D convolutions at the coarse levels have too little work for two threads: they wait for each other. Two halves
+of a batch side by side, a thread each, never do.
+"""
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
+from typing import Final, NamedTuple
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from roomlight_model.networks import SingleModel
+from roomlight_model.training.clock import StepClock
+from roomlight_model.training.examples import Batch
+from roomlight_model.training.options import STAGES, TrainOptions
+from roomlight_model.training.stages import Losses, predict, stage_losses
+
+_TOGETHER: Final = 2
+"""Examples that go through the networks together on a CPU; a fixed number, so that a run does not depend on its
+cores."""
+
+
+class _Piece(NamedTuple):
+    losses: Losses
+    gradients: tuple[Tensor | None, ...]
+    share: float
+    """Of the batch's examples."""
+
+
+class BatchGradients:
+    """Computes a batch's losses and leaves their gradients in the parameters' `grad`. `clock`, where set, hears what
+    each part costs."""
+
+    def __init__(
+        self, model: SingleModel, parameters: Sequence[nn.Parameter], options: TrainOptions, *, device: torch.device
+    ) -> None:
+        """`parameters` are those that the stage trains."""
+        self.clock: StepClock | None = None
+        self._model, self._parameters, self._options, self._device = model, tuple(parameters), options, device
+        pieces = -(-options.batch // _TOGETHER) if device.type == "cpu" else 1
+        threads = torch.get_num_threads()
+        self._pool = ThreadPoolExecutor(
+            min(pieces, threads),
+            thread_name_prefix="gradients",
+            initializer=torch.set_num_threads,  # of the thread that calls it
+            initargs=(max(1, threads // pieces),),
+        )
+        self._together = _TOGETHER if pieces > 1 else options.batch
+
+    def of(self, batch: Batch, step: int) -> Losses:
+        """The batch's mean losses, without a gradient of their own; random directions follow from (seed, step)."""
+        pieces = batch.pieces(self._together)
+        if len(pieces) == 1:
+            done = [self._piece(batch, step, 0, 1.0)]
+        else:
+            shares = [len(piece.volume) / len(batch.volume) for piece in pieces]
+            done = list(self._pool.map(self._piece, pieces, [step] * len(pieces), range(len(pieces)), shares))
+        with torch.no_grad():
+            for index, parameter in enumerate(self._parameters):
+                _put_together(parameter, [(piece.gradients[index], piece.share) for piece in done])
+            means = [torch.stack([losses[k] * share for losses, _, share in done]).sum() for k in range(3)]
+            return Losses(*means)
+
+    def _piece(self, batch: Batch, step: int, number: int, share: float) -> _Piece:
+        options, device = self._options, self._device
+        seed = np.random.SeedSequence([options.seed, STAGES.index(options.stage), step, number])
+        generator = torch.Generator().manual_seed(int(seed.generate_state(1)[0]))
+        here = batch.to(device)
+        with self._part("forward"):
+            sglv = predict(self._model, here, options, device=device)
+        with self._part("render"):
+            losses = stage_losses(self._model, sglv, here, options, generator=generator, device=device)
+        with self._part("backward"):
+            gradients = torch.autograd.grad(losses.total, self._parameters, allow_unused=True)
+        return _Piece(Losses(*(loss.detach() for loss in losses)), gradients, share)
+
+    def _part(self, name: str) -> AbstractContextManager[None]:
+        return nullcontext() if self.clock is None else self.clock.part(name)
+
+
+def _put_together(parameter: nn.Parameter, pieces: Sequence[tuple[Tensor | None, float]]) -> None:
+    """grad = sum of share x gradient, laid out as the parameter is: the fused optimiser reads both alike."""
+    known = [(gradient, share) for gradient, share in pieces if gradient is not None]
+    if not known:
+        parameter.grad = None
+        return
+    if parameter.grad is None:
+        parameter.grad = torch.empty_like(parameter)
+    first, share = known[0]
+    parameter.grad.copy_(first).mul_(share)
+    for gradient, share in known[1:]:
+        parameter.grad.add_(gradient, alpha=share)
