@@ -209,7 +209,7 @@ def test_losses_are_finite_in_bf16_too():
 
 
 def test_pieces_of_a_batch_add_up_to_its_gradient():
-    """On threads of their own, unequal in size; laid out as the parameters are: the fused optimiser reads both alike."""
+    """On threads of their own, unequal in size; laid out as the parameters are, as the fused optimiser reads them."""
     options = replace(OPTIONS, stage="single-joint", rendering_weight=0.0)  # its directions are each piece's own
     recordings = BoxRecordings(3)
     batch = collate(
