@@ -46,7 +46,7 @@ def train(
     import torch
     from torch.utils.tensorboard import SummaryWriter
 
-    from roomlight_model.checkpoint import load_checkpoint
+    from roomlight_export.importing import load_weights
     from roomlight_model.training.trainer import Trainer
     from roomlight_model.training.validation import Validation
 
@@ -58,7 +58,7 @@ def train(
         training,
         out,
         device=torch.device(chosen),
-        start_from=None if start_from is None else load_checkpoint(start_from),
+        start_from=None if start_from is None else load_weights(start_from),
         data=data,
     )
     validation = Validation(held_out, range(len(held_out)), trainer.options)

@@ -27,7 +27,11 @@ def train(
     ] = 20_000,
     minutes: Annotated[float | None, typer.Option(min=0, help="Stop after so long; the same command goes on.")] = None,
     start_from: Annotated[
-        Path | None, typer.Option(help="Checkpoint of the stage before, whose weights and widths are taken.")
+        Path | None,
+        typer.Option(
+            help="Checkpoint of the stage before, or exported weights such as those that are shipped: weights and "
+            "widths are taken."
+        ),
     ] = None,
     batch: Annotated[int, typer.Option(min=1, help="Examples a step.")] = 4,
     learning_rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 1e-3,

@@ -24,11 +24,18 @@ def push_pull(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"
 
 
 def continued(image: Float[np.ndarray, "h w c"], weight: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w c"]:
-    """`image` where `weight` is 1 and its push-pull fill where that is 0, in which nothing lends more than white:
-    windows and lamps end at their frames while walls go on.
+    """`image` where `weight` is 1 and its push-pull fill where that is 0, in which nothing lends more than white
+    (`at_most_white`).
     """
     known = np.clip(weight, 0, 1)[..., None]
-    return known * image + (1 - known) * push_pull(np.minimum(image, 1), weight)
+    return known * image + (1 - known) * push_pull(at_most_white(image), weight)
+
+
+def at_most_white(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+    """What a fill may take from an image: pixels brighter than white brought down to it, each in its own colour.
+    Windows and lamps end at their frames while walls go on; cut channel by channel, warm light would fade to white.
+    """
+    return image / np.maximum(image.max(-1, keepdims=True), 1)
 
 
 def _fill(known: Float[np.ndarray, "h w c"], share: Float[np.ndarray, "h w 1"]) -> Float[np.ndarray, "h w c"]:

@@ -10,6 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from roomlight.blend import DARK, FILL_COLOUR
+from roomlight.conventions import LUMINANCE
+
 
 class Panorama(NamedTuple):
     """What a probe remembers: L^i, the accumulated depth and the accumulated blending weight."""
@@ -33,8 +36,15 @@ def fill_in(
     *,
     weight: Float[Tensor, "b 1 h w"],
 ) -> Float[Tensor, "b 3 h w"]:
-    """The HDR panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there."""
-    return blend(hdr, ldr, (1 - mask) * weight)
+    """The HDR panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there, and most of its
+    colour."""
+    mixed = blend(hdr, ldr, weight)
+    colour = (ldr + DARK) / (_luminance(ldr) + DARK)
+    return hdr * mask + (1 - mask) * torch.lerp(mixed, _luminance(mixed) * colour, FILL_COLOUR)
+
+
+def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
+    return torch.einsum("bchw,c->bhw", light, torch.from_numpy(LUMINANCE).to(light))[:, None]
 
 
 def first_panorama(

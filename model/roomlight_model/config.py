@@ -70,7 +70,8 @@ class BlendConfig:
     full_channels: int = 8
     """Width at full resolution."""
     filled: bool = True
-    """Beyond the mesh, mix a fill of what was seen into the volume's rendering; False: the volume alone (the paper)."""
+    """Beyond the mesh, mix a fill of what was seen into the volume's rendering, and its colour; False: the volume alone
+    (the paper)."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no network can be built for."""

@@ -81,7 +81,18 @@ class SingleModel(nn.Module):
         mask."""
         f0, f1 = self.blend_encoder(single_panels(hdr, ldr, mask))
         weight = self.blend_decoder(f0, f1, mask)
-        return blend(hdr, ldr, weight), weight
+        return blend(self.beyond(hdr, ldr, mask, weight=weight), ldr, weight * mask), weight
+
+    def beyond(
+        self,
+        hdr: Float[Tensor, "b 3 h w"],
+        ldr: Float[Tensor, "b 3 h w"],
+        mask: Float[Tensor, "b 1 h w"],
+        *,
+        weight: Float[Tensor, "b 1 h w"],
+    ) -> Float[Tensor, "b 3 h w"]:
+        """The rendered panorama with the fill mixed in beyond the mesh, unless the configuration leaves that out."""
+        return fill_in(hdr, ldr, mask, weight=weight) if self.config.blend.filled else hdr
 
 
 class VideoModel(nn.Module):
@@ -140,7 +151,7 @@ class VideoModel(nn.Module):
         """Frame 0 at a probe: single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
         weight = self.single.blend_decoder(f0, f1, seen.mask)
-        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = self.single.beyond(seen.hdr, seen.ldr, seen.mask, weight=weight)
         panorama = first_panorama(hdr, seen.ldr, seen.depth, weight=weight * seen.mask, unseen_depth=UNSEEN_DEPTH)
         return BlendState(f0, f1, panorama)
 
@@ -158,7 +169,7 @@ class VideoModel(nn.Module):
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
         weight = self.blend_decoder(h0, h1, seen.mask)
-        hdr = fill_in(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = self.single.beyond(seen.hdr, seen.ldr, seen.mask, weight=weight)
         weight = conservative(weight * seen.mask, seen.depth, state.panorama.depth, margin=margin)
         panorama = accumulate(state.panorama, hdr, seen.ldr, depth=seen.depth, weight=weight)
         return BlendState(h0, h1, panorama)

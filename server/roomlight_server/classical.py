@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.blend import PanoramaState, latest_detail
-from roomlight.fill import push_pull
+from roomlight.fill import at_most_white, push_pull
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
@@ -94,9 +94,8 @@ class ClassicalBackend:
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
         trust = (1 - known) * VOLUME_TRUST * opaque**4
         weight = known + trust
-        mixed = known[..., None] * np.minimum(detail, 1) + trust[..., None] * np.minimum(
-            rendered / np.maximum(opaque, 1e-3)[..., None], 1
-        )
+        volume = at_most_white(rendered / np.maximum(opaque, 1e-3)[..., None])
+        mixed = known[..., None] * at_most_white(detail) + trust[..., None] * volume
         hdr = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
         if memory.frames > 0:
             hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)

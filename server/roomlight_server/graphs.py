@@ -98,6 +98,8 @@ class LightingGraphs:
     card: dict[str, Any]
     provider: Literal["cpu", "openvino"]
     graphs: dict[str, Graph]
+    filled: bool
+    """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or the volume stands alone there."""
 
     @property
     def volume_shape(self) -> tuple[int, int, int]:
@@ -130,8 +132,12 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
         raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
     form: Form = index["form"]
     card, entries = index.get("card") or {}, index.get("graphs") or {}
-    if not isinstance(card, dict) or not isinstance(entries, dict):
-        raise ModelError(f"{index_path}: its card or its list of graphs is damaged; export the checkpoint again")
+    config = index.get("config") or {}
+    blend = config.get("blend", {}) if isinstance(config, dict) else None
+    if not isinstance(card, dict) or not isinstance(entries, dict) or not isinstance(blend, dict):
+        raise ModelError(
+            f"{index_path}: its card, its configuration or its list of graphs is damaged; export the checkpoint again"
+        )
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
@@ -147,4 +153,4 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
         if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
             raise ModelError(f"{file}: is not the graph that {index_path.name} names (digest differs); export again")
         graphs[name] = Graph(open_graph(file, resolved), name)
-    return LightingGraphs(path, form, card, resolved, graphs)
+    return LightingGraphs(path, form, card, resolved, graphs, bool(blend.get("filled", True)))

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.blend import PanoramaState, filled_detail
+from roomlight.blend import PanoramaState, fill_in, filled_detail
 from roomlight.errors import ModelError
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
@@ -96,14 +96,14 @@ class NetworkBackend:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Estimate:
-        """HDR: the SGLV as rendered; beyond the mesh, the network's share of a fill of what was seen. Weight: the
-        network's."""
+        """HDR: the SGLV as rendered; beyond the mesh, the network's share of a fill of what was seen, and its colour.
+        Weight: the network's."""
         del transmittance
         assert isinstance(memory, _ProbeNetworks)
         ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=rendered)
         weight = memory.weigh(state, rendered, replace(partial, radiance=ldr), depth_max_m)
-        mixed = rendered + weight[..., None] * (ldr - rendered)
-        return Estimate(np.where(partial.mask[..., None], rendered, mixed), weight * partial.mask)
+        hdr = fill_in(rendered, ldr, partial.mask, weight=weight) if self._graphs.filled else rendered
+        return Estimate(hdr, weight * partial.mask)
 
 
 @dataclass

@@ -9,12 +9,16 @@ from hypothesis import strategies as st
 
 from roomlight.blend import (
     CLOSER_M,
+    DARK,
+    FILL_COLOUR,
     UNSEEN_DEPTH,
     PanoramaState,
     accumulate,
     accumulate_reference,
     farthest_depth_m,
+    fill_in,
 )
+from roomlight.conventions import LUMINANCE
 
 HEIGHT = 16
 SHAPE = (HEIGHT, 2 * HEIGHT)
@@ -154,3 +158,31 @@ def test_whatever_is_seen_first_comes_in_however_far_it_is(depth_max_m):
     accumulate(state, **_constant(detail=0.5, depth_m=farthest_depth_m(depth_max_m)))
     assert (state.seen == 1).all()
     assert farthest_depth_m(depth_max_m) <= 3.2 * depth_max_m + 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31))
+def test_beyond_the_mesh_brightness_is_mixed_and_most_colour_is_the_fills(seed):
+    rng = np.random.default_rng(seed)
+    hdr, ldr = rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32), rng.uniform(0.1, 1, (*SHAPE, 3)).astype(np.float32)
+    mask, weight = rng.random(SHAPE) < 0.5, rng.random(SHAPE).astype(np.float32)
+    light = fill_in(hdr, ldr, mask, weight=weight)
+    np.testing.assert_array_equal(light[mask], hdr[mask])
+    light, hdr, ldr, weight = light[~mask], hdr[~mask], ldr[~mask], weight[~mask]
+    brightness = light @ LUMINANCE
+    np.testing.assert_allclose(brightness, (1 - weight) * (hdr @ LUMINANCE) + weight * (ldr @ LUMINANCE), rtol=1e-4)
+    mixed = hdr + weight[:, None] * (ldr - hdr)
+
+    def away(colour):
+        """From the fill's colour."""
+        return colour / (colour @ LUMINANCE)[:, None] - (ldr + DARK) / (ldr @ LUMINANCE + DARK)[:, None]
+
+    np.testing.assert_allclose(away(light), (1 - FILL_COLOUR) * away(mixed), atol=1e-4)
+
+
+def test_a_black_fill_leaves_light_grey_and_finite():
+    light = fill_in(
+        np.full((*SHAPE, 3), 3, np.float32), np.zeros((*SHAPE, 3), np.float32), np.zeros(SHAPE, bool),
+        weight=np.full(SHAPE, 0.5, np.float32),
+    )  # fmt: skip
+    np.testing.assert_allclose(light, 1.5, rtol=1e-5)

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight.fill import continued, push_pull
+from roomlight.fill import at_most_white, continued, push_pull
 
 SIZES = [(1, 2), (2, 4), (5, 10), (16, 32), (15, 30), (12, 7), (120, 240)]
 
@@ -102,3 +102,23 @@ def test_continued_keeps_what_is_known_and_lends_no_more_than_white():
     assert (filled[known == 0] >= 0.25 - 1e-6).all()
     assert (filled[known == 0] <= 1).all()
     np.testing.assert_array_equal(continued(np.minimum(image, 1), known), push_pull(np.minimum(image, 1), known))
+
+
+def test_warm_light_lends_its_own_colour():
+    """Cut at white channel by channel, a lamp of (4, 2, 1) would lend (1, 1, 1)."""
+    image = np.full((16, 32, 3), 0.25, np.float32)
+    image[:, 10:14] = 4.0, 2.0, 1.0
+    known = np.zeros((16, 32), np.float32)
+    known[:, 10:14] = 1
+    lent = continued(image, known)[known == 0]
+    np.testing.assert_allclose(lent, np.broadcast_to(np.float32([1, 0.5, 0.25]), lent.shape), rtol=1e-5)
+
+
+def test_at_most_white_keeps_what_is_no_brighter():
+    image = np.random.default_rng(0).random((4, 8, 3), np.float32) * 3
+    cut = at_most_white(image)
+    dim = image.max(-1) <= 1
+    assert dim.any()
+    np.testing.assert_array_equal(cut[dim], image[dim])
+    np.testing.assert_allclose(cut[~dim].max(-1), 1, rtol=1e-6)
+    np.testing.assert_allclose(cut * image[..., :1], image * cut[..., :1], rtol=1e-5)

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from light_rooms import disc, lit, mean_light, quarter_turn, room, turned, unit
 
-from roomlight.conventions import panorama_directions
-from roomlight.light.main_light import LUMINANCE, main_light
+from roomlight.conventions import LUMINANCE, panorama_directions
+from roomlight.light.main_light import main_light
 
 
 def angle_deg(a, b):

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from roomlight import blend as serving
-from roomlight_model.accumulate import Panorama, accumulate, conservative, first_panorama
+from roomlight_model.accumulate import Panorama, accumulate, conservative, fill_in, first_panorama
 
 HEIGHT = 12
 DEPTH_MAX_M = 3.0
@@ -41,6 +41,17 @@ def test_agrees_with_serving(kernel):
         state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
     for ours, theirs in zip(state, (kept.radiance, kept.depth_m, kept.seen), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
+
+
+def test_what_is_filled_in_agrees_with_serving():
+    for frame in frames(3, seed=5):
+        mask = frame["detail_depth_m"] > 0
+        weight = np.random.default_rng(1).random(mask.shape, np.float32)
+        wanted = serving.fill_in(frame["hdr"], frame["detail"], mask, weight=weight)
+        found = fill_in(
+            planes(frame["hdr"]), planes(frame["detail"]), planes(mask.astype(np.float32)), weight=planes(weight)
+        )
+        torch.testing.assert_close(found, planes(wanted), atol=1e-5, rtol=1e-5)
 
 
 def test_first_frame_is_the_recursion_from_nothing_seen():

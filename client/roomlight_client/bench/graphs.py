@@ -65,7 +65,8 @@ def untrained_networks(config: ModelConfig, *, progress: Progress) -> Networks:
             for runtime, graphs in opened.items():
                 graphs[graph.name] = Graph(open_graph(path, runtime), graph.name)
     loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs) for runtime, graphs in opened.items()
+        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs, filled=True)
+        for runtime, graphs in opened.items()
     }
     return Networks(config, loaded, trained=False)
 

@@ -7,10 +7,9 @@ filled it in, in between where a blending weight stood.
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import panorama_solid_angles
+from roomlight.conventions import LUMINANCE, panorama_solid_angles
 from roomlight.images import encode_png
 from roomlight.light.checks import check_observed, check_panorama
-from roomlight.light.main_light import LUMINANCE
 
 
 def coverage(observed: Float[np.ndarray, "h w"]) -> float:

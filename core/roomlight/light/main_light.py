@@ -19,11 +19,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.balls import resize_panorama
-from roomlight.conventions import panorama_rays, panorama_solid_angles
+from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.light.checks import check_panorama
-
-LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
-"""Of linear RGB with sRGB's primaries (IEC 61966-2-1)."""
 
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
 _KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)

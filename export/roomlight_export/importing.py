@@ -1,0 +1,107 @@
+"""From a model folder back to PyTorch: `load_exported`, so that training can go on from weights that were shipped.
+
+The files hold weights under the names they have in their networks, in half precision (`onnx_file`); those of a group
+normalisation, which the exporter unfolds and leaves nameless, are known by the convolution before it. What comes back
+is what the graphs compute with: the checkpoint's weights rounded to half.
+"""
+
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import onnx
+import torch
+from jaxtyping import Float
+from onnx import GraphProto, numpy_helper
+
+from roomlight.errors import ModelError
+from roomlight_export.folder import MODEL_FILE
+from roomlight_export.graphs import Graph, graphs_of
+from roomlight_model.checkpoint import Checkpoint, load_checkpoint
+from roomlight_model.config import FORMS, ModelConfig
+from roomlight_model.networks import build
+from roomlight_server.graphs import FORMAT
+
+
+def load_weights(path: Path) -> Checkpoint:
+    """A checkpoint file, or a model folder of `roomlight export`. Raises ModelError."""
+    return load_exported(path) if path.is_dir() else load_checkpoint(path)
+
+
+def load_exported(folder: Path) -> Checkpoint:
+    """The networks of a model folder, in PyTorch, with the folder's card.
+
+    Raises ModelError for what is no model folder, a graph that its `model.json` does not name, a weight that is missing
+    or does not fit.
+    """
+    described = _described(folder)
+    try:
+        config = ModelConfig.from_dict(described.get("config"))
+    except ModelError as error:
+        raise ModelError(f"{folder / MODEL_FILE}: {error}") from error
+    model = build(described["form"], config)
+    for graph in graphs_of(model):
+        _fill(graph, folder / f"{graph.name}.onnx", described["graphs"].get(graph.name))
+    return Checkpoint(described["form"], config, model.eval(), described["card"])
+
+
+def _described(folder: Path) -> dict[str, Any]:
+    path = folder / MODEL_FILE
+    try:
+        described = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(
+            f"{path}: cannot be read ({error.strerror or error}); a model folder comes from `roomlight export`"
+        ) from error
+    except ValueError as error:
+        raise ModelError(f"{path}: is not JSON ({error})") from error
+    if not isinstance(described, dict) or described.get("format") != FORMAT or described.get("form") not in FORMS:
+        raise ModelError(f"{path}: not a RoomLight model of format {FORMAT} with a form of {', '.join(FORMS)}")
+    if not isinstance(described.get("card"), dict) or not isinstance(described.get("graphs"), dict):
+        raise ModelError(f"{path}: its card or its list of graphs is damaged; export the checkpoint again")
+    return described
+
+
+def _fill(graph: Graph, path: Path, entry: object) -> None:
+    """Put a file's weights into the graph's network."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror or error}); export the checkpoint again") from error
+    if not isinstance(entry, dict) or hashlib.sha256(data).hexdigest() != entry.get("sha256"):
+        raise ModelError(f"{path}: is not the graph that {MODEL_FILE} names (digest differs); export again")
+    stored = _weights(onnx.load_from_string(data).graph)
+    with torch.no_grad():
+        for name, weight in graph.module.named_parameters():
+            value = stored.get(name)
+            if value is None:
+                raise ModelError(f"{path}: holds no weight {name}; it is untrained, or of another version")
+            if value.shape != weight.shape:
+                raise ModelError(
+                    f"{path}: weight {name} is {value.shape}, the configuration asks for {tuple(weight.shape)}"
+                )
+            weight.copy_(torch.from_numpy(value))
+
+
+def _weights(graph: GraphProto) -> dict[str, Float[np.ndarray, "..."]]:
+    """All of a graph's constants by name, and the normalisations' by the names of their modules."""
+    weights = {
+        tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor).astype(np.float32)
+        for tensor in graph.initializer
+    }
+    makes = {output: node for node in graph.node for output in node.output}
+    uses = {given: node for node in graph.node for given in node.input}
+    for node in graph.node:
+        if node.op_type != "InstanceNormalization":
+            continue
+        # convolution, reshape, normalisation, reshape, Mul by the weight, Add of the bias
+        convolution = makes[makes[node.input[0]].input[0]]
+        scale = uses[uses[node.output[0]].output[0]]
+        shift = uses[scale.output[0]]
+        sequence, _, place = convolution.input[1].removesuffix(".weight").rpartition(".")
+        for name, step in (("weight", scale), ("bias", shift)):
+            if step.input[1] in weights:  # the exporter leaves ones and zeros out, as untrained networks have them
+                weights[f"{sequence}.{int(place) + 1}.{name}"] = weights[step.input[1]].reshape(-1)
+    return weights
