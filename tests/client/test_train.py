@@ -9,10 +9,12 @@ from rich.console import Console
 from recordings import BoxRecordings
 from roomlight.errors import ModelError
 from roomlight_client.train import train
+from roomlight_export.importing import load_exported
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.rooms import split_off
+from roomlight_server.graphs import SHIPPED
 
 OPTIONS = TrainOptions(
     steps=4, batch=2, warm_up=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21),
@@ -52,6 +54,17 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
     after = load_checkpoint(tmp_path / "blend" / "model.pt")
     before = weights.model.state_dict()
     assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
+
+
+def test_the_shipped_weights_can_be_trained_further(tmp_path):
+    options = replace(OPTIONS, stage="single-blend", steps=1)
+    card = run(tmp_path, options, start_from=SHIPPED / "single", every_steps=10)
+    shipped = load_exported(SHIPPED / "single")
+    assert card["before"] == shipped.card
+    before, after = shipped.model.state_dict(), load_checkpoint(tmp_path / "run" / "model.pt").model.state_dict()
+    assert before.keys() == after.keys()
+    assert all(value.equal(before[name]) for name, value in after.items() if name.startswith("sg_"))
+    assert any(not value.equal(before[name]) for name, value in after.items() if name.startswith("blend_"))
 
 
 def test_sequences_finished_meanwhile_are_taken_in(tmp_path):
