@@ -1,10 +1,12 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
-Single view: every frame is encoded, decoded and weighed alone; what a probe has seen accumulates all the same, as in
-the video form (the paper's single view forgets it). Video: the first frame goes through the single-view
-graphs and its features become the hidden states (h = f); from then on encoder, GRU, decoder, and the decoder
-merges with the SGLV before by V_u. Every state has two buffers, and each frame's graphs read one and write
-the other: nothing is copied.
+Single view: every frame's initial volume joins those of the frames before (`roomlight.fusion`), and the mean is
+encoded and decoded as if it were one frame's; what a probe has seen accumulates as in the video form, and what is
+inferred moves half-way at each frame (`FILL_UPDATE`). The paper's single view forgets all of it.
+
+Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
+then on encoder, GRU, decoder, and the decoder merges with the SGLV before by V_u. Every state has two buffers, and
+each frame's graphs read one and write the other: nothing is copied.
 """
 
 from dataclasses import dataclass, field, replace
@@ -15,10 +17,11 @@ from jaxtyping import Float
 
 from roomlight.blend import PanoramaState, fill_in, filled_detail
 from roomlight.errors import ModelError
+from roomlight.fusion import FusedVolume
 from roomlight.mesh import PartialPanorama
 from roomlight.sglv import Far, Sglv
 from roomlight.volume import VolumeGrid
-from roomlight_server.backend import Estimate, ProbeMemory
+from roomlight_server.backend import FILL_UPDATE, Estimate, ProbeMemory
 from roomlight_server.graphs import BoundGraph, LightingGraphs
 
 
@@ -41,6 +44,9 @@ class NetworkBackend:
                 f"this session's is {grid.shape}"
             )
         self._volume = np.zeros((5, *grid.shape), np.float32)
+        single = self._graphs.form == "single"
+        self._frame_volume = np.zeros_like(self._volume) if single else self._volume
+        self._fused = FusedVolume.fresh(grid.shape) if single else None
         self._frames = 0
         sglv = [g["single_sg_decoder"].new_outputs() for _ in range(2)]
         self._sglv = [Sglv(grid, out["alpha"], out["lobes"]) for out in sglv]
@@ -67,12 +73,15 @@ class NetworkBackend:
                 )
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
-        """The encoder's bound input."""
-        return self._volume
+        """Where the session writes the frame's initial volume: in the video form the encoder's bound input."""
+        return self._frame_volume
 
     def update(self) -> Sglv:
         """Run this frame's graphs on the volume in the buffer."""
-        if self._frames == 0 or self._graphs.form == "single":
+        if self._fused is not None:
+            self._fused.add(self._frame_volume)
+            self._fused.write(self._volume)
+        if self._frames == 0 or self._fused is not None:
             steps, result = self._first, self._sglv[0]
         else:
             turn = (self._frames - 1) % 2
@@ -100,9 +109,12 @@ class NetworkBackend:
         Weight: the network's."""
         del transmittance
         assert isinstance(memory, _ProbeNetworks)
+        first = memory.frames == 0
         ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=rendered)
         weight = memory.weigh(state, rendered, replace(partial, radiance=ldr), depth_max_m)
         hdr = fill_in(rendered, ldr, partial.mask, weight=weight) if self._graphs.filled else rendered
+        if self._fused is not None and not first:
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
         return Estimate(hdr, weight * partial.mask)
 
 

@@ -8,6 +8,7 @@ import torch
 
 from roomlight.blend import CLOSER_M, PanoramaState, filled_detail
 from roomlight.errors import ModelError
+from roomlight.fusion import FusedVolume
 from roomlight.mesh import FrameMesh, PartialPanorama
 from roomlight.sglv import Sglv, render_panorama
 from roomlight.volume import VolumeGrid, initial_volume
@@ -89,16 +90,47 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
         np.testing.assert_allclose(light.observed, panorama.weight[0, 0].numpy(), atol=5e-3)
 
 
-def test_the_single_engine_forgets_the_frames_before(tiny_video):
-    assert Session(_options(tiny_video, "single")).model == "single"
-    after_all, alone = Session(_options(tiny_video, "single")), Session(_options(tiny_video, "single"))
-    for frame in FRAMES[:2]:
-        after_all.push(frame)
-    alone.push(FRAMES[0])
-    alone.push(FRAMES[0])
-    after_all.push(FRAMES[0])
-    np.testing.assert_array_equal(after_all.sglv.alpha, alone.sglv.alpha)
-    np.testing.assert_array_equal(after_all.sglv.lobes, alone.sglv.lobes)
+@torch.inference_mode()
+def test_the_single_engine_sees_the_mean_of_the_frames_volumes(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    assert session.model == "single"
+    model = load_checkpoint(tiny_video[0]).model.single
+    fused, given = FusedVolume.fresh(GRID.shape), np.empty((5, *GRID.shape), np.float32)
+    for frame in FRAMES[:4]:
+        session.push(frame)
+        fused.add(initial_volume(GRID, frame))
+        fused.write(given)
+        wanted = _sglv_of(model(torch.from_numpy(given[None])))
+        np.testing.assert_allclose(session.sglv.alpha, wanted.alpha, atol=2e-3)
+        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(wanted.lobes[..., :7]), atol=1e-2)
+
+
+def test_the_single_engine_does_not_mind_a_frame_twice(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    session.push(FRAMES[0])
+    alpha, lobes = session.sglv.alpha.copy(), session.sglv.lobes.copy()
+    session.push(FRAMES[0])
+    np.testing.assert_allclose(session.sglv.alpha, alpha, atol=1e-6)
+    np.testing.assert_allclose(session.sglv.lobes, lobes, rtol=1e-4, atol=1e-5)
+
+
+def test_what_the_single_engine_infers_moves_half_way(graphs):
+    backend = NetworkBackend(dataclasses.replace(graphs, form="single"))
+    backend.start(GRID)
+    memory, random, shape = backend.new_probe(), np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
+    mask = random.random(shape) < 0.5
+    seen = PartialPanorama(
+        random.random((*shape, 3), np.float32) * mask[..., None], mask, mask * random.uniform(1, 2, shape).astype("f4")
+    )
+    state = PanoramaState.fresh(HEIGHT, GRID.depth_max_m)
+    state.radiance[:] = random.uniform(0, 3, (*shape, 3))
+    given = {
+        "rendered": random.uniform(0, 3, (*shape, 3)).astype(np.float32),
+        "transmittance": np.zeros(shape, np.float32), "partial": seen, "depth_max_m": GRID.depth_max_m,
+    }  # fmt: skip
+    first, second = (backend.estimate(memory, state, **given) for _ in range(2))
+    np.testing.assert_allclose(second.hdr, (first.hdr + state.radiance) / 2, rtol=1e-5)
+    np.testing.assert_array_equal(second.weight, first.weight)
 
 
 def test_the_video_engine_remembers_them(tiny_video):
