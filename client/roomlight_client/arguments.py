@@ -44,7 +44,7 @@ MaxFrames = Annotated[int | None, typer.Option(min=1, rich_help_panel=_CAPTURE, 
 
 Model = Annotated[
     ModelName,
-    typer.Option(rich_help_panel=_MODEL, help="auto: trained weights where they do better, else classical."),
+    typer.Option(rich_help_panel=_MODEL, help="auto: the trained weights that come with it, else classical."),
 ]
 Weights = Annotated[
     Path | None,

@@ -80,15 +80,14 @@ def eval_dataset(
 def _methods(session: SessionOptions, others: list[tuple[str, Path]]) -> list[Method]:
     from roomlight.baselines import MeanColour, WarpAndFill
     from roomlight_client.dataset_eval import ALONE, FULL, Baseline, Engine
-    from roomlight_server.session import choose_graphs, for_one_image, warm_up
+    from roomlight_server.session import choose_graphs, warm_up
 
     warm_up()
     classical = replace(session, model="classical", weights=None)
     methods: list[Method] = [Baseline(MeanColour), Baseline(WarpAndFill), Engine("classical", classical, None)]
-    single = replace(session, model="single") if session.weights else for_one_image(session)
-    graphs = choose_graphs(single)
+    graphs = choose_graphs(session)
     if graphs is not None:
-        methods.append(Engine(FULL, single, replace(graphs, form="single"), alone=ALONE))
+        methods.append(Engine(FULL, replace(session, model="single"), replace(graphs, form="single"), alone=ALONE))
     for name, folder in others:
         options = replace(session, model="single", weights=folder)
         methods.append(Engine(name, options, choose_graphs(options)))

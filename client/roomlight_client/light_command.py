@@ -32,18 +32,16 @@ def light(
 ) -> None:
     """Light at points of a single photograph: EXR and PNG panoramas, mirror and glossy balls, the main light."""
     from roomlight_client.photo import light_photo, read_photo
-    from roomlight_server.session import choose_graphs, for_one_image, warm_up
+    from roomlight_server.session import choose_graphs, warm_up
 
     positions = [given.parse_position(text) for text in probe]
-    options = for_one_image(
-        given.session_options(
-            model=model,
-            weights=weights,
-            provider=provider,
-            allow_untrained=allow_untrained,
-            unknown_depth=unknown_depth,
-            height=height,
-        )
+    options = given.session_options(
+        model=model,
+        weights=weights,
+        provider=provider,
+        allow_untrained=allow_untrained,
+        unknown_depth=unknown_depth,
+        height=height,
     )
     frame = read_photo(image, depth, fov_deg=fov, depth_unit_m=depth_unit)
     graphs = choose_graphs(options)

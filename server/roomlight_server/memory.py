@@ -40,6 +40,8 @@ class Footprint:
         if graphs.form == "video":  # hidden states twice over, and the fresh features
             volume += 2 * _outputs(loaded["video_sg_encoder"])
             blend += _floats(loaded["video_blend_encoder"].inputs) + 2 * _outputs(loaded["video_blend_encoder"])
+        else:  # the frame's own volume, and the sums over frames
+            volume += 2 * _floats(loaded["single_sg_encoder"].inputs)
         return cls(4 * volume, panorama + 4 * blend)
 
     def held(self, *, keyframes: int, probes: int, started: bool) -> int:

@@ -46,9 +46,8 @@ panorama of 120 rows."""
 class SessionOptions:
     """How a session works; see each field.
 
-    model:          auto = the form of `weights`; without them the trained video networks that come with the package,
-                    else classical: of a stream it makes more than single-view networks, which forget. A single image
-                    is another matter (`for_one_image`).
+    model:          auto = the form of `weights`; without them the trained networks that come with the package, video
+                    before single-view; else classical.
     weights:        a model directory of `roomlight export` instead of the shipped weights.
     height:         of the panoramas (width is twice that).
     keyframes:      how many frames are kept to catch up probes that are first asked about late.
@@ -122,7 +121,8 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
             raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
         return replace(graphs, form="single") if options.model == "single" else graphs
     # A video folder holds the single-view graphs too: its first frame needs them.
-    for folder in ("single", "video") if options.model == "single" else ("video",):
+    folders = {"single": ("single", "video"), "video": ("video",), "auto": ("video", "single")}
+    for folder in folders[options.model]:
         if _shipped(folder):
             graphs = load_graphs(SHIPPED / folder, provider=options.provider)
             return replace(graphs, form="single") if options.model == "single" else graphs
@@ -132,13 +132,6 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         f"model '{options.model}': no trained weights come with this version; "
         "give --weights DIR (from `roomlight export`) or use --model classical"
     )
-
-
-def for_one_image(options: SessionOptions) -> SessionOptions:
-    """The same for a single image, where `auto` means trained single-view weights if any come with the package."""
-    if options.model != "auto" or options.weights is not None or not (_shipped("single") or _shipped("video")):
-        return options
-    return replace(options, model="single")
 
 
 def _shipped(folder: str) -> bool:

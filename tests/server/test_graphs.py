@@ -14,7 +14,7 @@ from roomlight.errors import ModelError
 from roomlight_server import providers
 from roomlight_server import session as session_module
 from roomlight_server.graphs import Graph, load_graphs
-from roomlight_server.session import Session, SessionOptions, choose_graphs, for_one_image
+from roomlight_server.session import Session, SessionOptions, choose_graphs
 
 FORMS_ASKED = ("single", "video", "auto")
 
@@ -147,16 +147,14 @@ def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
     assert forms == {"single": "single", "video": "video", "auto": "video"}
 
 
-def test_shipped_single_weights_serve_single_images_and_not_streams(folder, monkeypatch):
+def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
     _edit(folder, card={"steps": 1000}, form="single")
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "single")
     monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
-    assert choose_graphs(SessionOptions(model="single", provider="cpu")).form == "single"
-    assert choose_graphs(SessionOptions(model="auto", provider="cpu")) is None
-    assert choose_graphs(for_one_image(SessionOptions(model="auto", provider="cpu"))).form == "single"
-    asked = SessionOptions(model="classical"), SessionOptions(weights=folder), SessionOptions(model="video")
-    assert [for_one_image(options) for options in asked] == list(asked)
+    for model in ("single", "auto"):
+        assert choose_graphs(SessionOptions(model=model, provider="cpu")).form == "single"
+    assert choose_graphs(SessionOptions(model="classical")) is None
     with pytest.raises(ModelError, match="'video': no trained weights"):
         choose_graphs(SessionOptions(model="video", provider="cpu"))
 

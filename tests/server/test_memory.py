@@ -1,8 +1,11 @@
 """A session's stated memory against the arrays that it really holds."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from roomlight.fusion import FusedVolume
 from roomlight.sglv import Sglv
 from roomlight_server.graphs import load_graphs
 from roomlight_server.memory import KEYFRAME_BYTES, Footprint, give_back
@@ -16,6 +19,8 @@ def arrays_in(thing):
         return [thing]
     if isinstance(thing, Sglv):
         return [thing.alpha, thing.lobes]
+    if isinstance(thing, FusedVolume):
+        return [thing.colour, thing.opacity, thing.count]
     if isinstance(thing, list | tuple):
         return [array for item in thing for array in arrays_in(item)]
     return arrays_in(thing.arrays) if hasattr(thing, "arrays") else []
@@ -39,9 +44,10 @@ def test_the_classical_models_volume():
     assert Footprint.of(None, 16).volume == held_by(session._backend)
 
 
-def test_the_networks_volume_and_probe(tiny_video):
-    graphs = load_graphs(tiny_video[1], allow_untrained=True)
-    session = pushed(SessionOptions(model="video", weights=tiny_video[1], allow_untrained=True, height=32))
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_networks_volume_and_probe(tiny_video, form):
+    graphs = replace(load_graphs(tiny_video[1], allow_untrained=True), form=form)
+    session = pushed(SessionOptions(model=form, weights=tiny_video[1], allow_untrained=True, height=32))
     footprint = Footprint.of(graphs, 32)
     assert footprint.volume == held_by(session._backend)
     probe = session._probes[0]

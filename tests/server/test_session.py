@@ -293,7 +293,6 @@ def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_
     monkeypatch.setattr(session_module, "SHIPPED", tmp_path)
     assert choose_graphs(SessionOptions(model="auto", allow_untrained=True)) is None
     assert Session().model == "classical"
-    assert session_module.for_one_image(SessionOptions()) == SessionOptions()
 
 
 def test_after_warming_up_no_kernel_is_compiled_any_more(turn):

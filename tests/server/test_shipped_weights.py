@@ -10,7 +10,7 @@ from roomlight.captures import open_capture
 from roomlight.metrics import log_l2
 from roomlight_client.demo import sample_capture
 from roomlight_server.graphs import SHIPPED
-from roomlight_server.session import Session, SessionOptions, choose_graphs, for_one_image
+from roomlight_server.session import Session, SessionOptions, choose_graphs
 
 FOLDER = SHIPPED / "single"
 
@@ -34,22 +34,37 @@ def test_they_are_under_20_mb_and_their_card_says_where_they_come_from():
     assert card["date"] <= described["date"][:10]
 
 
-@pytest.fixture(scope="module")
-def scores():
-    """(log-L2, squared error of a glossy ball) in the sample room's first frame, a room never trained on."""
-    capture = open_capture(sample_capture())
-    frame, found = next(iter(capture)), {}
+def scored(frames, probes):
+    """(log-L2, squared error of a glossy ball) after these frames of the sample room, a room never trained on."""
+    found = {}
     for model in ("single", "classical"):
         session = Session(SessionOptions(model=model, provider="cpu"))
-        session.push(frame)
+        handles = [session.track(probe.position) for probe in probes]
+        for frame in frames:
+            session.push(frame)
         errors = []
-        for probe in capture.probes:
-            light, truth = session.light_at(probe.position).panorama, probe.panorama()
-            balls = BallRenderer(view_toward(frame.camera_to_world, probe.position))
+        for handle, probe in zip(handles, probes, strict=True):
+            light, truth = session.light(handle).panorama, probe.panorama()
+            balls = BallRenderer(view_toward(frames[0].camera_to_world, probe.position))
             drawn = [np.minimum(balls.pixels(panorama, "glossy"), 1) for panorama in (light, truth)]
             errors.append((log_l2(light, truth), float(np.square(drawn[0] - drawn[1]).mean())))
         found[model] = np.mean(errors, axis=0)
     return found
+
+
+@pytest.fixture(scope="module")
+def scores():
+    """After the first frame."""
+    capture = open_capture(sample_capture())
+    return scored([next(iter(capture))], capture.probes)
+
+
+def test_a_walk_makes_no_worse_what_they_saw_first():
+    """Every tenth frame of the sample's walk, which ends at another wall: seen alone, each would forget the others."""
+    capture = open_capture(sample_capture())
+    after = scored(list(capture)[::10], capture.probes)
+    assert after["single"][1] < 0.8 * after["classical"][1]
+    assert after["single"][0] < 1.4 * after["classical"][0]
 
 
 def test_a_ball_is_lit_better_than_by_the_classical_model(scores):
@@ -60,7 +75,7 @@ def test_panoramas_are_about_as_near_as_the_classical_models(scores):
     assert scores["single"][0] < 1.25 * scores["classical"][0]
 
 
-def test_a_single_image_takes_them_without_being_told():
-    chosen = choose_graphs(for_one_image(SessionOptions(provider="cpu")))
+def test_they_are_taken_without_being_told():
+    chosen = choose_graphs(SessionOptions(provider="cpu"))
     assert chosen is not None
     assert (chosen.path, chosen.form) == (FOLDER, "single")

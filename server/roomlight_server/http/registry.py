@@ -48,7 +48,9 @@ class Registry:
         try:
             graphs = await self._workers.graphs_of(request.mode)
         except ModelError as error:
-            rule = "`auto` takes what the server was started with, else video networks if it has any, else `classical`"
+            rule = (
+                "`auto` takes what the server was started with, else trained networks if it has any, else `classical`"
+            )
             detail = f"the server cannot serve it: {error}"
             raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
         held = self._current(owner, name)  # another request may have made it meanwhile
