@@ -27,7 +27,7 @@ class Estimate:
 FILL_UPDATE: Final = 0.5
 """Share of a new inference taken over at each frame: what was never seen need not jump when a frame shows a little
 more. Against 1, on three path-traced rooms: smoothness 0.48 instead of 0.72 (1e-3) and log-L2 0.0709 instead of 0.0707
-with the classical model, 0.42 instead of 0.82 and 0.0674 instead of 0.0672 with the single-view networks."""
+with the classical model, 0.33 instead of 0.82 and 0.0676 instead of 0.0672 with the single-view networks."""
 
 ProbeMemory = object
 """A backend's own memory of one probe (2D hidden states); opaque to the session."""

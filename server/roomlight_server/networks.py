@@ -1,8 +1,9 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
 Single view: every frame's initial volume joins those of the frames before (`roomlight.fusion`), and the mean is
-encoded and decoded as if it were one frame's; what a probe has seen accumulates as in the video form, and what is
-inferred moves half-way at each frame (`FILL_UPDATE`). The paper's single view forgets all of it.
+encoded and decoded as if it were one frame's; what a probe has seen accumulates as in the video form. What is inferred
+moves half-way at each frame (`FILL_UPDATE`): the SGLV, and what each probe makes of it. The paper's single view
+forgets all of it.
 
 Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
 then on encoder, GRU, decoder, and the decoder merges with the SGLV before by V_u. Every state has two buffers, and
@@ -89,7 +90,17 @@ class NetworkBackend:
         for step in steps:
             step.run()
         self._frames += 1
-        return result
+        return result if self._fused is None else self._settled()
+
+    def _settled(self) -> Sglv:
+        """The SGLV half-way between the one before and this frame's; what is seen empty is cleared at once."""
+        fresh, held = self._sglv
+        share = np.float32(FILL_UPDATE if self._frames > 1 else 1)
+        empty = self._volume[4] < 0
+        for now, kept in ((fresh.alpha, held.alpha), (fresh.lobes, held.lobes)):
+            kept += share * (now - kept)
+            kept[empty] = 0
+        return held
 
     def new_probe(self) -> ProbeMemory:
         """2D hidden states for one probe, bound."""

@@ -91,18 +91,22 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
 
 
 @torch.inference_mode()
-def test_the_single_engine_sees_the_mean_of_the_frames_volumes(tiny_video):
+def test_the_single_engine_goes_half_way_to_what_the_mean_of_the_volumes_tells(tiny_video):
     session = Session(_options(tiny_video, "single"))
     assert session.model == "single"
     model = load_checkpoint(tiny_video[0]).model.single
     fused, given = FusedVolume.fresh(GRID.shape), np.empty((5, *GRID.shape), np.float32)
-    for frame in FRAMES[:4]:
+    alpha, lobes = np.float32(0), np.float32(0)
+    for number, frame in enumerate(FRAMES[:4]):
         session.push(frame)
         fused.add(initial_volume(GRID, frame))
         fused.write(given)
-        wanted = _sglv_of(model(torch.from_numpy(given[None])))
-        np.testing.assert_allclose(session.sglv.alpha, wanted.alpha, atol=2e-3)
-        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(wanted.lobes[..., :7]), atol=1e-2)
+        wanted, share = _sglv_of(model(torch.from_numpy(given[None]))), 0.5 if number else 1
+        alpha = (alpha + share * (wanted.alpha - alpha)) * (given[4] == 0)
+        lobes = (lobes + share * (wanted.lobes - lobes)) * (given[4] == 0)[..., None]
+        np.testing.assert_allclose(session.sglv.alpha, alpha, atol=2e-3)
+        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(lobes[..., :7]), atol=1e-2)
+    assert np.abs(alpha - wanted.alpha).max() > 1e-2  # it is not there yet
 
 
 def test_the_single_engine_does_not_mind_a_frame_twice(tiny_video):
