@@ -16,7 +16,7 @@ from typing import cast
 from onnx import ModelProto
 
 from roomlight.errors import ModelError
-from roomlight_export.folder import MODEL_FILE, check_target, new_folder
+from roomlight_export.folder import check_target, new_folder
 from roomlight_export.graphs import Graph, graphs_of
 from roomlight_export.inputs import probe_frames, room_volume
 from roomlight_export.onnx_file import OPSET, half_rounded, to_onnx
@@ -31,7 +31,7 @@ from roomlight_export.parity import (
 )
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_server.graphs import FORMAT
+from roomlight_server.graphs import DESCRIPTION, FORMAT
 from roomlight_server.providers import open_graph
 
 RECURRENT_STEPS = 8
@@ -175,7 +175,7 @@ def _describe(folder: Path, loaded: Checkpoint, graphs: Mapping[str, Graph], rep
         },
         "date": datetime.now(UTC).isoformat(timespec="seconds"),
     }
-    (folder / MODEL_FILE).write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+    (folder / DESCRIPTION).write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
 
 
 def _sha256(path: Path) -> str:

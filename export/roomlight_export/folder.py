@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from roomlight.errors import OutputError
-
-MODEL_FILE = "model.json"
+from roomlight_server.graphs import DESCRIPTION
 
 
 def check_target(out: Path) -> None:
@@ -59,7 +58,7 @@ def _take_place(temporary: Path, target: Path) -> None:
 
 def _is_model(folder: Path) -> bool:
     try:
-        described = json.loads((folder / MODEL_FILE).read_text(encoding="utf-8"))
+        described = json.loads((folder / DESCRIPTION).read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return False
     return isinstance(described, dict) and "graphs" in described

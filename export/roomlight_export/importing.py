@@ -6,9 +6,7 @@ is what the graphs compute with: the checkpoint's weights rounded to half.
 """
 
 import hashlib
-import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import onnx
@@ -17,12 +15,11 @@ from jaxtyping import Float
 from onnx import GraphProto, numpy_helper
 
 from roomlight.errors import ModelError
-from roomlight_export.folder import MODEL_FILE
 from roomlight_export.graphs import Graph, graphs_of
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
-from roomlight_model.config import FORMS, ModelConfig
+from roomlight_model.config import ModelConfig
 from roomlight_model.networks import build
-from roomlight_server.graphs import FORMAT
+from roomlight_server.graphs import DESCRIPTION, read_description
 
 
 def load_weights(path: Path) -> Checkpoint:
@@ -36,32 +33,15 @@ def load_exported(folder: Path) -> Checkpoint:
     Raises ModelError for what is no model folder, a graph that its `model.json` does not name, a weight that is missing
     or does not fit.
     """
-    described = _described(folder)
+    described = read_description(folder)
     try:
-        config = ModelConfig.from_dict(described.get("config"))
+        config = ModelConfig.from_dict(described["config"])
     except ModelError as error:
-        raise ModelError(f"{folder / MODEL_FILE}: {error}") from error
+        raise ModelError(f"{folder / DESCRIPTION}: {error}") from error
     model = build(described["form"], config)
     for graph in graphs_of(model):
         _fill(graph, folder / f"{graph.name}.onnx", described["graphs"].get(graph.name))
     return Checkpoint(described["form"], config, model.eval(), described["card"])
-
-
-def _described(folder: Path) -> dict[str, Any]:
-    path = folder / MODEL_FILE
-    try:
-        described = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise ModelError(
-            f"{path}: cannot be read ({error.strerror or error}); a model folder comes from `roomlight export`"
-        ) from error
-    except ValueError as error:
-        raise ModelError(f"{path}: is not JSON ({error})") from error
-    if not isinstance(described, dict) or described.get("format") != FORMAT or described.get("form") not in FORMS:
-        raise ModelError(f"{path}: not a RoomLight model of format {FORMAT} with a form of {', '.join(FORMS)}")
-    if not isinstance(described.get("card"), dict) or not isinstance(described.get("graphs"), dict):
-        raise ModelError(f"{path}: its card or its list of graphs is damaged; export the checkpoint again")
-    return described
 
 
 def _fill(graph: Graph, path: Path, entry: object) -> None:
@@ -71,7 +51,7 @@ def _fill(graph: Graph, path: Path, entry: object) -> None:
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror or error}); export the checkpoint again") from error
     if not isinstance(entry, dict) or hashlib.sha256(data).hexdigest() != entry.get("sha256"):
-        raise ModelError(f"{path}: is not the graph that {MODEL_FILE} names (digest differs); export again")
+        raise ModelError(f"{path}: is not the graph that {DESCRIPTION} names (digest differs); export again")
     stored = _weights(onnx.load_from_string(data).graph)
     with torch.no_grad():
         for name, weight in graph.module.named_parameters():

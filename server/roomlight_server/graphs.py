@@ -23,6 +23,7 @@ Buffers = dict[str, Float32[np.ndarray, "..."]]
 """Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
 FORMAT: Final = 1
 """Of `model.json`; written by `roomlight_export.exporting`."""
+DESCRIPTION: Final = "model.json"
 SINGLE_GRAPHS: Final = (
     "single_sg_encoder",
     "single_sg_decoder",
@@ -119,25 +120,8 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
     Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the
     weights were never trained and `allow_untrained` does not say that this is meant.
     """
-    index_path = path / "model.json"
-    try:
-        index = json.loads(index_path.read_text())
-    except OSError as error:
-        raise ModelError(
-            f"{index_path}: cannot be read ({error.strerror}); a model directory comes from `roomlight export`"
-        ) from error
-    except ValueError as error:
-        raise ModelError(f"{index_path}: is not JSON ({error})") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
-        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
-    form: Form = index["form"]
-    card, entries = index.get("card") or {}, index.get("graphs") or {}
-    config = index.get("config") or {}
-    blend = config.get("blend", {}) if isinstance(config, dict) else None
-    if not isinstance(card, dict) or not isinstance(entries, dict) or not isinstance(blend, dict):
-        raise ModelError(
-            f"{index_path}: its card, its configuration or its list of graphs is damaged; export the checkpoint again"
-        )
+    index = read_description(path)
+    form, card, entries = index["form"], index["card"], index["graphs"]
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
@@ -151,6 +135,30 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
         if not isinstance(entry, dict) or not file.is_file():
             raise ModelError(f"{file}: missing; export the checkpoint again")
         if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
-            raise ModelError(f"{file}: is not the graph that {index_path.name} names (digest differs); export again")
+            raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
         graphs[name] = Graph(open_graph(file, resolved), name)
-    return LightingGraphs(path, form, card, resolved, graphs, bool(blend.get("filled", True)))
+    return LightingGraphs(
+        path, form, card, resolved, graphs, bool(index["config"].get("blend", {}).get("filled", True))
+    )
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """A model directory's `model.json`: form, and the mappings config, card and graphs. Raises ModelError."""
+    index_path = path / DESCRIPTION
+    try:
+        index = json.loads(index_path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(
+            f"{index_path}: cannot be read ({error.strerror or error}); a model directory comes from `roomlight export`"
+        ) from error
+    except ValueError as error:
+        raise ModelError(f"{index_path}: is not JSON ({error})") from error
+    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
+        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
+    parts = {name: {} if index.get(name) is None else index[name] for name in ("config", "card", "graphs")}
+    blend = parts["config"].get("blend", {}) if isinstance(parts["config"], dict) else None
+    if not all(isinstance(part, dict) for part in (*parts.values(), blend)):
+        raise ModelError(
+            f"{index_path}: its card, its configuration or its list of graphs is damaged; export the checkpoint again"
+        )
+    return index | parts
