@@ -53,6 +53,12 @@ def train(
             "people film the lit side of a room.",
         ),
     ] = 0.0,
+    frames: Annotated[
+        int,
+        typer.Option(
+            min=1, help="Up to so many frames of a walk together, as a stream shows them; 1: single views only."
+        ),
+    ] = 1,
     seed: Annotated[int, typer.Option(min=0, help="Of weights, order and augmentation.")] = 0,
     device: Annotated[Literal["auto", "cpu", "cuda"], typer.Option(help="Where to train.")] = "auto",
     every: Annotated[int, typer.Option(min=1, help="Look at held-out rooms every so many steps.")] = 1000,
@@ -73,6 +79,7 @@ def train(
             rendering_weight=rendering_weight,
             depth=depth,
             surround_max=surround_max,
+            frames=frames,
             seed=seed,
             model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha)),
         )

@@ -14,7 +14,7 @@ import pytest
 import torch
 
 from recordings import BoxRecordings
-from roomlight.conventions import panorama_rays
+from roomlight.conventions import linear_to_srgb8, panorama_rays, srgb8_to_linear
 from roomlight.errors import ModelError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
@@ -25,6 +25,8 @@ from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.stages import predict, predicted_panoramas, rendered, stage_losses, trained_modules
 from roomlight_model.training.trainer import Trainer
+from roomlight_model.training.validation import Validation
+from roomlight_server.session import WORKING_SIZE, Session, SessionOptions
 
 TINY = ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4))
 OPTIONS = TrainOptions(
@@ -315,3 +317,87 @@ def test_options_survive_json(tmp_path):
     path.write_text(json.dumps({"colour": "red"}))
     with pytest.raises(ModelError, match="colour"):
         TrainOptions.read(path)
+
+
+def test_several_frames_are_shown_as_the_serving_engine_shows_a_stream():
+    """The volume in the engine's buffer after the same frames; what was seen is what its probes have seen."""
+    recording = BoxRecordings(1).read(0, frames=[0, 8, 16])
+    example = example_of(recording, 0, np.random.default_rng(0), depth="exact", later=[1, 2])
+    session = Session(SessionOptions(model="single", height=60))
+    handles = [session.track(tuple(position)) for position in example.positions.tolist()]
+    frames = [example.completed, *example.later]
+    for frame in frames:
+        session.push(frame)
+    resized = [replace(frame.resized(*WORKING_SIZE), index=k) for k, frame in enumerate(frames)]
+    whole = replace(example, frame=resized[0], depth_m=resized[0].depth_m, later=tuple(resized[1:]))
+    batch = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
+    np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
+    np.testing.assert_array_equal(batch.volume[0].numpy(), session._backend._volume)
+    seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
+    for handle, mask in zip(handles, seen, strict=True):
+        np.testing.assert_array_equal(mask, session.light(handle).observed > 0)
+    assert (batch.kept > 0).any()
+    assert ((batch.kept > 0) & ~(batch.mask > 0)).any()
+
+
+def test_what_earlier_frames_showed_stays_and_has_no_gradient():
+    recording = BoxRecordings(1).read(0, frames=[0, 16])
+    example = example_of(recording, 0, np.random.default_rng(0), depth="exact", later=[1])
+    batch = collate([example], volume_shape=(16, 15, 21), panorama_height=24)
+    model = SingleModel(TINY)
+    _, blended = predicted_panoramas(model, model(batch.volume), batch, bf16=False, device=CPU)
+    kept = (batch.kept > 0).expand_as(blended)
+    assert blended[kept].equal(batch.before[kept])
+    truth = batch.truth[kept]
+    assert (blended[kept] - truth).abs().median() < 0.03
+    blended[kept].sum().backward()
+    assert all(p.grad is None or not p.grad.any() for p in model.parameters())
+
+
+def test_frames_shown_together_have_one_exposure():
+    """Phones change exposure as they go; a wall is as bright in the third frame as in the first."""
+    recording = BoxRecordings(1).read(0, frames=[0, 0])
+    twice = replace(recording, exposure=np.array([1.0, 0.5]))
+    darker = linear_to_srgb8(srgb8_to_linear(recording.colour[1]) * 0.5)
+    twice = replace(twice, colour=np.stack([recording.colour[0], darker]))
+    example = example_of(twice, 0, np.random.default_rng(0), depth="exact", later=[1])
+    open_ = ~example.frame.clipped
+    np.testing.assert_allclose(example.later[0].image[open_], example.frame.image[open_], atol=0.02)
+
+
+def test_how_many_frames_a_stream_has_shown_varies_from_one_to_all():
+    recordings = BoxRecordings(1)
+    rng = np.random.default_rng(0)
+    drawn = [read_example(recordings, 0, rng, depth="both", augment=True, frames=5) for _ in range(40)]
+    assert {1 + len(example.later) for example in drawn} == {1, 2, 3, 4, 5}
+    assert all(len({frame.depth_m.shape for frame in (one.frame, *one.later)}) == 1 for one in drawn)
+    plain = read_example(recordings, 0, rng, depth="exact", augment=False, frames=5)
+    assert len(plain.later) == 4
+    last = recordings.read(0, frames=[30]).camera_to_world[0]
+    np.testing.assert_array_equal(plain.later[-1].camera_to_world, last)
+
+
+def test_however_augmented_several_frames_and_truth_show_one_room():
+    rng = np.random.default_rng(4)
+    for _ in range(8):
+        example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
+        batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+        seen = torch.where(batch.kept > 0, batch.before, batch.partial)
+        known = ((batch.mask > 0) | (batch.kept > 0)).expand_as(seen) & (seen < 0.95)
+        assert (seen[known] - batch.truth[known]).abs().median() < 0.03
+
+
+def test_a_run_on_walks_repeats_its_curve_and_scores_them(tmp_path):
+    options = replace(OPTIONS, stage="single-joint", frames=3)
+    trainer = Trainer(options, BoxRecordings(3), tmp_path / "whole", device=CPU)
+    trainer.train(report=quiet)
+    first = Trainer(options, BoxRecordings(3), tmp_path / "parts", device=CPU)
+    first.train(report=quiet, stop=lambda: first.step >= 3)
+    again = Trainer(options, BoxRecordings(3), tmp_path / "parts", device=CPU)
+    again.train(report=quiet)
+    assert curve(tmp_path / "parts") == curve(tmp_path / "whole")
+    validation = Validation(BoxRecordings(3), [0], options)
+    scores = validation.scores(trainer.averaged(), device=CPU)
+    assert {"log_l2_blended", "log_l2_blended_walk", "log_l2_sglv_walk"} <= set(scores)
+    both = [scores[f"log_l2_{name}"] + 0.3 * scores[f"rendering_{name}"] for name in ("blended", "blended_walk")]
+    assert validation.loss(scores) == pytest.approx(np.mean(both))

@@ -24,7 +24,8 @@ class TrainOptions:
     are trained there. rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
     `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
     blending graphs. surround_max: trained on are sequences that are at most so many times as bright all around as in
-    their first frame (`roomlight_model.training.rooms.surround`; 0: on all).
+    their first frame (`roomlight_model.training.rooms.surround`; 0: on all). frames: up to so many of a walk are shown
+    together, as a stream shows them: the volume is their mean (`roomlight.fusion`), panoramas accumulate.
     """
 
     stage: Stage = "single-sglv"
@@ -41,6 +42,7 @@ class TrainOptions:
     volume_shape: tuple[int, int, int] = (32, 30, 42)
     panorama_height: int = 60
     depth: DepthKind = "both"
+    frames: int = 1
     augment: bool = True
     surround_max: float = 0.0
     bf16: bool = True
@@ -51,7 +53,8 @@ class TrainOptions:
         """ModelError for a value that no run can use; it names the option."""
         if self.stage not in STAGES:
             raise ModelError(f"stage is {self.stage!r}; it is one of {', '.join(STAGES)}")
-        for name, least in (("steps", 1), ("batch", 1), ("rays", 8), ("sphere_pixels", 0), ("sphere_samples", 2)):
+        leasts = {"steps": 1, "batch": 1, "rays": 8, "frames": 1, "sphere_pixels": 0, "sphere_samples": 2}
+        for name, least in leasts.items():
             if getattr(self, name) < least:
                 raise ModelError(f"{name} is {getattr(self, name)}; it is {least} or more")
         for name, low, high in (

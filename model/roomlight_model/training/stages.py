@@ -94,7 +94,7 @@ def predicted_panoramas(
     device: torch.device,
     weight_height: int | None = None,
 ) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
-    """The volume's panoramas at the probes, and the blended ones.
+    """The volume's panoramas at the probes, and the blended ones; what earlier frames showed stays.
 
     weight_height: rows at which the blending network runs, if not the panoramas'; its weight is then resampled, as the
     serving engine does it.
@@ -108,7 +108,10 @@ def predicted_panoramas(
             blended, _ = model.blend(*panels)
         else:
             blended = _blended_at(model, *panels, height=weight_height)
-    return hdr, blended.float().unflatten(0, batch.truth.shape[:2])
+    blended = blended.float().unflatten(0, batch.truth.shape[:2])
+    if batch.before is not None and batch.kept is not None:
+        blended = torch.where(batch.kept > 0, batch.before, blended)
+    return hdr, blended
 
 
 def _blended_at(

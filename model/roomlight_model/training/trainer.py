@@ -274,7 +274,16 @@ class Trainer:
             order = np.random.default_rng([options.seed, number // count]).permutation(count)
             rng = np.random.default_rng([options.seed, STAGES.index(options.stage), step, slot])
             index = int(order[number % count])
-            examples.append(read_example(self._recordings, index, rng, depth=options.depth, augment=options.augment))
+            examples.append(
+                read_example(
+                    self._recordings,
+                    index,
+                    rng,
+                    depth=options.depth,
+                    augment=options.augment,
+                    frames=options.frames,
+                )
+            )
         height = None if options.stage == "single-sglv" else options.panorama_height
         return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
 

@@ -19,7 +19,7 @@ from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
 from roomlight_model.networks import SingleModel
 from roomlight_model.sphere import disc, look_up, sample_sphere, shade, sphere_normals
-from roomlight_model.training.examples import Batch, Example, Recordings, collate, example_of
+from roomlight_model.training.examples import Batch, Example, Recordings, collate, example_of, read_example
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.stages import predicted_panoramas, rendered_panoramas
 
@@ -33,7 +33,8 @@ Panoramas = Float[Tensor, "p 3 h w"]
 
 
 class Validation:
-    """The first frames of some sequences, collated once; exact depth."""
+    """The first frames of some sequences, collated once; exact depth. Where several frames are trained on together,
+    also as many spread over each whole walk."""
 
     def __init__(self, recordings: Recordings, numbers: Sequence[int], options: TrainOptions) -> None:
         """`numbers` says which sequences."""
@@ -41,24 +42,27 @@ class Validation:
         self._options = options
         self.images: list[UInt8[np.ndarray, "h w 3"]] = []
         self._batches: list[Batch] = []
+        self._walks: list[Batch] = []
         self._baselines: dict[str, list[tuple[float, float]]] = {"mean_colour": [], "warp": []}
         for number in numbers:
             example = example_of(recordings.read(number, frames=[0]), 0, rng, depth="exact")
             self.images.append(linear_to_srgb8(example.frame.image))
             batch = collate([example], volume_shape=options.volume_shape, panorama_height=HEIGHT)
             self._batches.append(batch)
+            if options.frames > 1:
+                walk = read_example(recordings, number, rng, depth="exact", augment=False, frames=options.frames)
+                self._walks.append(collate([walk], volume_shape=options.volume_shape, panorama_height=HEIGHT))
             for name, method in (("mean_colour", MeanColour(HEIGHT)), ("warp", WarpAndFill(HEIGHT))):
                 self._baselines[name].append(_errors(_baseline(method, example), batch))
 
     def scores(self, model: SingleModel, *, device: torch.device) -> dict[str, float]:
         """Mean log-L2 and rendering loss of the volume alone, of the blended panoramas once they are trained, of the
-        frame's mean colour everywhere, and of the frame warped to the probe."""
-        errors: dict[str, list[tuple[float, float]]] = {"sglv": []}
-        if self.blends:
-            errors["blended"] = []
-        for batch in self._batches:
-            for name, panoramas in self._predict(model, batch, device).items():
-                errors[name].append(_errors(panoramas, batch))
+        frame's mean colour everywhere, and of the frame warped to the probe; `_walk`: after a walk's frames."""
+        errors: dict[str, list[tuple[float, float]]] = {}
+        for batches, after in ((self._batches, ""), (self._walks, "_walk")):
+            for batch in batches:
+                for name, panoramas in self._predict(model, batch, device).items():
+                    errors.setdefault(name + after, []).append(_errors(panoramas, batch))
         scores: dict[str, float] = {}
         for name, values in (errors | self._baselines).items():
             scores[f"log_l2_{name}"], scores[f"rendering_{name}"] = np.mean(values, axis=0).tolist()
@@ -70,9 +74,11 @@ class Validation:
         return self._options.stage != "single-sglv"
 
     def loss(self, scores: dict[str, float]) -> float:
-        """The paper's loss of what the stage trains: log-L2 plus the weighted rendering loss."""
+        """The paper's loss of what the stage trains: log-L2 plus the weighted rendering loss; the mean of first frames'
+        and walks'."""
         name = "blended" if self.blends else "sglv"
-        return scores[f"log_l2_{name}"] + self._options.rendering_weight * scores[f"rendering_{name}"]
+        weight, names = self._options.rendering_weight, [name, name + "_walk"] if self._walks else [name]
+        return float(np.mean([scores[f"log_l2_{one}"] + weight * scores[f"rendering_{one}"] for one in names]))
 
     def draw(self, model: SingleModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
         """PNG, a row for each of the first sequences: its frame, then truth, volume and blended, each also darker."""
