@@ -1,27 +1,20 @@
-"""From recordings to what the networks are trained on: initial volumes, partial panoramas, the true light.
+"""From recordings to examples: which frames, whose depth, augmented how.
 
-Made on CPU threads with the same torch-free code that serves; every random choice comes from (seed, step), so that a
-run that was killed goes on as if it had not been.
+Made on CPU threads; every random choice comes from (seed, step), so that a run that was killed goes on as if it had
+not been.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 import numpy as np
-import torch
-from jaxtyping import Bool, Float
-from torch import Tensor
+from jaxtyping import Float
 
-from roomlight.balls import resize_panorama
-from roomlight.blend import CLOSER_M, PanoramaState, accumulate, farthest_depth_m, filled_detail
-from roomlight.clipping import restore_clipped
 from roomlight.conventions import srgb8_to_linear
 from roomlight.depth import complete_depth
 from roomlight.frame import CLIPPED_SRGB8, Frame
-from roomlight.fusion import FusedVolume
-from roomlight.mesh import FrameMesh
-from roomlight.volume import VolumeGrid, initial_volume
+from roomlight.volume import VolumeGrid
 from roomlight_model.dataset.arkit_depth import arkit_like
 from roomlight_model.dataset.recording import GLASS, Recording
 from roomlight_model.training.options import DepthKind
@@ -77,43 +70,6 @@ class Example:
         return replace(self.frame, depth_m=self.depth_m)
 
 
-@dataclass(frozen=True, eq=False)
-class Batch:
-    """Examples as tensors. Points and directions in world axes are turned into each volume's frame by `turn`."""
-
-    volume: Float[Tensor, "b 5 z y x"]
-    lower_m: Float[Tensor, "b 3"]
-    voxel_m: Float[Tensor, "b 3"]
-    turn: Float[Tensor, "b 3 3"]
-    """World to volume axes; a mirrored example's holds the reflection too."""
-    origins: Float[Tensor, "b p 3"]
-    """Probes in the volume's frame."""
-    to_viewer: Float[Tensor, "b p 3"]
-    """Unit world vectors from the probes toward the camera."""
-    truth: Float[Tensor, "b p 3 h w"]
-    partial: Float[Tensor, "b p 3 h w"] | None = None
-    """What the last frame's mesh shows at each probe, and beyond it a fill, for the blending stages."""
-    mask: Float[Tensor, "b p 1 h w"] | None = None
-    """What of that the mesh shows."""
-    before: Float[Tensor, "b p 3 h w"] | None = None
-    """What the frames before it showed there."""
-    kept: Float[Tensor, "b p 1 h w"] | None = None
-    """Where that is what a probe has: the last frame shows nothing nearer."""
-
-    def to(self, device: torch.device) -> "Batch":
-        """The same on another device."""
-        moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
-        return replace(self, **moved)
-
-    def pieces(self, size: int) -> list["Batch"]:
-        """The same examples in batches of `size`, the last of what is left."""
-        parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
-        return [
-            replace(self, **{name: part[number] for name, part in parts.items()})
-            for number in range(len(parts["volume"]))
-        ]
-
-
 def read_example(
     recordings: Recordings, index: int, rng: np.random.Generator, *, depth: DepthKind, augment: bool, frames: int = 1
 ) -> Example:
@@ -162,39 +118,6 @@ def example_of(
     )
 
 
-def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], panorama_height: int | None) -> Batch:
-    """A batch; panorama_height, where given, asks for partial panoramas of that height (and truth resampled to it).
-
-    All examples have equally many probes.
-    """
-    columns: dict[str, list[np.ndarray]] = {}
-
-    def put(name: str, value: np.ndarray) -> None:
-        columns.setdefault(name, []).append(np.asarray(value, np.float32))
-
-    for example in examples:
-        frames = [restore_clipped(example.frame, example.depth_m)]
-        frames += [restore_clipped(frame, complete_depth(frame.depth_m)) for frame in example.later]
-        grid = VolumeGrid.from_frame(frames[0], shape=volume_shape)
-        flip = np.diag([-1.0 if example.mirrored else 1.0, 1.0, 1.0])
-        volume = _mean_volume(grid, frames)
-        put("volume", volume[..., ::-1] if example.mirrored else volume)
-        put("lower_m", grid.lower_m)
-        put("voxel_m", grid.voxel_m)
-        turn = flip @ grid.world_to_volume[:3, :3]
-        put("turn", turn)
-        away = example.positions - frames[0].camera_to_world[:3, 3]
-        put("origins", away @ turn.T)
-        put("to_viewer", -away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6))
-        put("truth", np.moveaxis(_at_height(example.truth, panorama_height), -1, 1))
-        if panorama_height is not None:
-            meshes = [FrameMesh(frame) for frame in frames]
-            looks = [_look(meshes, position, grid, panorama_height) for position in example.positions]
-            for name, planes in zip(_Look._fields, zip(*looks, strict=True), strict=True):
-                put(name, np.stack([np.moveaxis(plane, -1, 0) for plane in planes]))
-    return Batch(**{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()})
-
-
 def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) -> list[int]:
     """At most `most` frames from `first` on: spread evenly to a moment of the stream, the last one without `rng`.
 
@@ -209,42 +132,6 @@ def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) 
 
 def _example_of_all(recording: Recording, rng: np.random.Generator, *, depth: DepthKind) -> Example:
     return example_of(recording, 0, rng, depth=depth, later=range(1, len(recording.colour)))
-
-
-def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray, "5 z y x"]:
-    """What the serving engine shows the networks after these frames."""
-    if len(frames) == 1:
-        return initial_volume(grid, frames[0])
-    fused = FusedVolume.fresh(grid.shape)
-    for frame in frames:
-        fused.add(initial_volume(grid, frame))
-    volume = np.empty((5, *grid.shape), np.float32)
-    fused.write(volume)
-    return volume
-
-
-class _Look(NamedTuple):
-    """What `Batch` holds of one probe, under the same names."""
-
-    partial: Float[np.ndarray, "h w 3"]
-    mask: Bool[np.ndarray, "h w 1"]
-    before: Float[np.ndarray, "h w 3"]
-    kept: Bool[np.ndarray, "h w 1"]
-
-
-def _look(meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: VolumeGrid, height: int) -> _Look:
-    """As the serving engine has it at the last frame, if every detail of the frames before came in whole."""
-    state = PanoramaState.fresh(height, grid.depth_max_m)
-    nothing = np.zeros((height, 2 * height, 3), np.float32)
-    farthest_m = np.float32(farthest_depth_m(grid.depth_max_m))
-    *earlier, last = (mesh.look_from(position, height=height) for mesh in meshes)
-    for look in earlier:
-        depth_m, weight = np.minimum(look.depth_m, farthest_m), look.mask.astype(np.float32)
-        accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=depth_m, weight=weight)
-    depth_m = np.minimum(last.depth_m, farthest_m)
-    filled = filled_detail(state, last.radiance, depth_m, mask=last.mask, hdr=nothing)
-    kept = (state.seen > 0) & ~(last.mask & (state.depth_m - depth_m >= CLOSER_M))
-    return _Look(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 
 def _near(example: Example) -> bool:
@@ -286,9 +173,3 @@ def _contrasted(
     gain = np.float32(np.clip(images[0].mean() / max(float(others[0].mean()), 1e-4), 1, 2.5))
     lit = np.minimum(truth ** np.float32(power) * gain, np.float32(_BRIGHTEST))
     return [np.minimum(other * gain, 1) for other in others], lit
-
-
-def _at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Float[np.ndarray, "p h2 w2 3"]:
-    if height is None or panoramas.shape[1] == height:
-        return panoramas
-    return np.stack([resize_panorama(panorama, height) for panorama in panoramas])

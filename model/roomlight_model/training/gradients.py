@@ -14,8 +14,8 @@ import torch
 from torch import Tensor, nn
 
 from roomlight_model.networks import SingleModel
+from roomlight_model.training.batches import Batch
 from roomlight_model.training.clock import StepClock
-from roomlight_model.training.examples import Batch
 from roomlight_model.training.options import STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, predict, stage_losses
 

@@ -21,7 +21,7 @@ from roomlight_model.marching import march
 from roomlight_model.networks import SingleModel
 from roomlight_model.sg import SGVolume
 from roomlight_model.sphere import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
-from roomlight_model.training.examples import Batch
+from roomlight_model.training.batches import Batch
 from roomlight_model.training.options import Stage, TrainOptions
 
 

@@ -32,8 +32,9 @@ from roomlight.errors import ModelError, OutputError
 from roomlight.images import write_whole
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.networks import SingleModel
+from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.clock import StepClock
-from roomlight_model.training.examples import Batch, Recordings, collate, read_example
+from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, trained_modules
