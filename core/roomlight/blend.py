@@ -54,6 +54,10 @@ class PanoramaState:
             np.zeros(shape, np.float32),
         )
 
+    def lets_in(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+        """Where a surface this far away is enough closer than what was seen before: the conservative rule."""
+        return self.depth_m - depth_m >= CLOSER_M
+
     def coverage(self) -> float:
         """Share of the sphere that was observed, by solid angle, in [0, 1]."""
         return float((self.seen * panorama_solid_angles(self.seen.shape[0])).sum() / (4 * np.pi))
@@ -87,7 +91,7 @@ def latest_detail(
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
     """(radiance, how well it is known): this frame's detail where the conservative rule would take it in, else what
     was seen before."""
-    fresh = mask & (state.depth_m - detail_depth_m >= CLOSER_M)
+    fresh = mask & state.lets_in(detail_depth_m)
     known = np.where(fresh, np.float32(1), state.seen)
     return np.where(fresh[..., None], detail, state.radiance), known
 
@@ -135,8 +139,7 @@ def accumulate_reference(
     weight: Float[np.ndarray, "h w"],
 ) -> None:
     """Readable twin of `accumulate`, equation by equation in NumPy."""
-    closer = state.depth_m - detail_depth_m >= CLOSER_M
-    blend = np.maximum(weight - ~closer, 0)
+    blend = np.maximum(weight - ~state.lets_in(detail_depth_m), 0)
     held = (1 - state.seen[..., None]) * hdr + state.seen[..., None] * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * held
     state.depth_m[:] = blend * detail_depth_m + (1 - blend) * state.depth_m

@@ -6,7 +6,7 @@ is noise. Classical model over three path-traced rooms, every third frame: log-L
 the pyramid.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -43,6 +43,10 @@ class PartialPanorama:
     radiance: Float[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w"]
     depth_m: Float[np.ndarray, "h w"]
+
+    def within(self, farthest_m: float) -> "PartialPanorama":
+        """The same with what is farther away taken to be there."""
+        return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
 
 
 class FrameMesh:

@@ -30,7 +30,7 @@ from roomlight.sglv import Sglv, check_position, render_panorama
 from roomlight.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
 from roomlight_server.backend import Backend, ProbeMemory
 from roomlight_server.classical import ClassicalBackend
-from roomlight_server.graphs import SHIPPED, LightingGraphs, load_graphs
+from roomlight_server.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight_server.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
 from roomlight_server.networks import NetworkBackend
 from roomlight_server.providers import Provider
@@ -135,7 +135,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
 
 
 def _shipped(folder: str) -> bool:
-    return (SHIPPED / folder / "model.json").is_file()
+    return (SHIPPED / folder / DESCRIPTION).is_file()
 
 
 class Session:
@@ -290,8 +290,7 @@ class Session:
         assert self._grid is not None
         with clock.stage("partial"):
             partial = mesh.look_from(np.asarray(probe.position), height=self.options.height)
-            farthest_m = np.float32(farthest_depth_m(self._grid.depth_max_m))
-            partial = replace(partial, depth_m=np.minimum(partial.depth_m, farthest_m))
+            partial = partial.within(farthest_depth_m(self._grid.depth_max_m))
         with clock.stage("blend"):
             radiance, transmittance = rendered
             estimate = self._backend.estimate(

@@ -125,7 +125,7 @@ def test_killed_with_no_warning_it_repeats_the_curve_it_would_have_had(tmp_path)
 def test_a_mirrored_example_is_the_mirrored_room():
     """The same volume seen in a mirror gives the same light along mirrored rays."""
     recordings = BoxRecordings(1)
-    plain = example_of(recordings.read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    plain = example_of(recordings.read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([plain, replace(plain, mirrored=True)], volume_shape=(16, 15, 21), panorama_height=None)
     assert batch.volume[0].flip(-1).equal(batch.volume[1])
     torch.manual_seed(0)
@@ -142,7 +142,7 @@ def test_a_mirrored_example_is_the_mirrored_room():
 
 def test_truth_and_image_are_in_the_same_units_and_at_the_same_place():
     """What the frame's mesh shows at a probe is what the truth shows there: poses, units and mirroring all agree."""
-    example = example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
     seen = batch.mask.expand_as(batch.truth) > 0
     assert seen.float().mean() > 0.05
@@ -186,19 +186,19 @@ def test_some_exact_depth_has_holes_at_panes_and_nowhere_else():
     recording = replace(whole, surface=pane)
     known = set()
     for seed in range(24):
-        measured = example_of(recording, 0, np.random.default_rng(seed), depth="both").frame.depth_m
+        measured = example_of(recording, np.random.default_rng(seed), depth="both").frame.depth_m
         if measured.shape != pane[0].shape:  # phone-like
             continue
         assert (measured[pane[0] != GLASS] > 0).all()
         known.add(bool((measured[pane[0] == GLASS] > 0).all()))
         assert len(np.unique(measured[pane[0] == GLASS] > 0)) == 1
     assert known == {True, False}
-    assert (example_of(recording, 0, np.random.default_rng(0), depth="exact").frame.depth_m > 0).all()
+    assert (example_of(recording, np.random.default_rng(0), depth="exact").frame.depth_m > 0).all()
 
 
 def test_losses_are_finite_in_bf16_too():
     batch = collate(
-        [example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="arkit")],
+        [example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="arkit")],
         volume_shape=(16, 15, 21), panorama_height=16,
     )  # fmt: skip
     for stage in ("single-sglv", "single-joint"):
@@ -235,7 +235,7 @@ def test_pieces_of_a_batch_add_up_to_its_gradient():
 
 
 def test_blending_needs_partial_panoramas():
-    example = example_of(BoxRecordings(1).read(0, frames=[0]), 0, np.random.default_rng(0), depth="exact")
+    example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=None)
     model = SingleModel(TINY)
     with pytest.raises(ValueError, match="panorama_height"):
@@ -323,7 +323,7 @@ def test_options_survive_json(tmp_path):
 def test_several_frames_are_shown_as_the_serving_engine_shows_a_stream():
     """The volume in the engine's buffer after the same frames; what was seen is what its probes have seen."""
     recording = BoxRecordings(1).read(0, frames=[0, 8, 16])
-    example = example_of(recording, 0, np.random.default_rng(0), depth="exact", later=[1, 2])
+    example = example_of(recording, np.random.default_rng(0), depth="exact")
     session = Session(SessionOptions(model="single", height=60))
     handles = [session.track(tuple(position)) for position in example.positions.tolist()]
     frames = [example.completed, *example.later]
@@ -343,7 +343,7 @@ def test_several_frames_are_shown_as_the_serving_engine_shows_a_stream():
 
 def test_what_earlier_frames_showed_stays_and_has_no_gradient():
     recording = BoxRecordings(1).read(0, frames=[0, 16])
-    example = example_of(recording, 0, np.random.default_rng(0), depth="exact", later=[1])
+    example = example_of(recording, np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=24)
     model = SingleModel(TINY)
     _, blended = predicted_panoramas(model, model(batch.volume), batch, bf16=False, device=CPU)
@@ -361,7 +361,7 @@ def test_frames_shown_together_have_one_exposure():
     twice = replace(recording, exposure=np.array([1.0, 0.5]))
     darker = linear_to_srgb8(srgb8_to_linear(recording.colour[1]) * 0.5)
     twice = replace(twice, colour=np.stack([recording.colour[0], darker]))
-    example = example_of(twice, 0, np.random.default_rng(0), depth="exact", later=[1])
+    example = example_of(twice, np.random.default_rng(0), depth="exact")
     open_ = ~example.frame.clipped
     np.testing.assert_allclose(example.later[0].image[open_], example.frame.image[open_], atol=0.02)
 

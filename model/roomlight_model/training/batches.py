@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from roomlight.balls import resize_panorama
-from roomlight.blend import CLOSER_M, PanoramaState, accumulate, farthest_depth_m, filled_detail
+from roomlight.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
 from roomlight.clipping import restore_clipped
 from roomlight.depth import complete_depth
 from roomlight.frame import Frame
@@ -95,8 +95,6 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
 
 def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray, "5 z y x"]:
     """What the serving engine shows the networks after these frames."""
-    if len(frames) == 1:
-        return initial_volume(grid, frames[0])
     fused = FusedVolume.fresh(grid.shape)
     for frame in frames:
         fused.add(initial_volume(grid, frame))
@@ -118,14 +116,13 @@ def _look(meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: V
     """As the serving engine has it at the last frame, if every detail of the frames before came in whole."""
     state = PanoramaState.fresh(height, grid.depth_max_m)
     nothing = np.zeros((height, 2 * height, 3), np.float32)
-    farthest_m = np.float32(farthest_depth_m(grid.depth_max_m))
-    *earlier, last = (mesh.look_from(position, height=height) for mesh in meshes)
+    farthest_m = farthest_depth_m(grid.depth_max_m)
+    *earlier, last = (mesh.look_from(position, height=height).within(farthest_m) for mesh in meshes)
     for look in earlier:
-        depth_m, weight = np.minimum(look.depth_m, farthest_m), look.mask.astype(np.float32)
-        accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=depth_m, weight=weight)
-    depth_m = np.minimum(last.depth_m, farthest_m)
-    filled = filled_detail(state, last.radiance, depth_m, mask=last.mask, hdr=nothing)
-    kept = (state.seen > 0) & ~(last.mask & (state.depth_m - depth_m >= CLOSER_M))
+        weight = look.mask.astype(np.float32)
+        accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=look.depth_m, weight=weight)
+    filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
+    kept = (state.seen > 0) & ~(last.mask & state.lets_in(last.depth_m))
     return _Look(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 

@@ -82,40 +82,34 @@ def read_example(
     other = augment and rng.random() < _OTHER_FRAMES
     first = int(rng.integers(count)) if other else 0
     numbers = _spread(first, count, frames, rng if augment else None)
-    example = _example_of_all(recordings.read(index, frames=numbers), rng, depth=depth)
+    example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
     if first and not _near(example):
         numbers = _spread(0, count, frames, rng)
-        example = _example_of_all(recordings.read(index, frames=numbers), rng, depth=depth)
+        example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
     return _augmented(example, rng) if augment else example
 
 
-def example_of(
-    recording: Recording, at: int, rng: np.random.Generator, *, depth: DepthKind, later: Sequence[int] = ()
-) -> Example:
-    """The example that one decoded frame of a recording makes, or with it some `later` ones; both: half phone-like, a
+def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKind) -> Example:
+    """The example that a recording's decoded frames make together, in the first one's units; both: half phone-like, a
     quarter with holes at panes."""
-    chosen = [at, *later]
-    depth_mm = recording.depth_mm[chosen]
+    depth_mm = recording.depth_mm
     if depth == "arkit" or (depth == "both" and rng.random() < 0.5):
-        depth_mm, _ = arkit_like(depth_mm, recording.surface[chosen], recording.colour[chosen], rng)
+        depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
     elif depth == "both" and rng.random() < _SEEN_THROUGH:
-        depth_mm = np.where(recording.surface[chosen] == GLASS, np.uint16(0), depth_mm)
-    frames = [
+        depth_mm = np.where(recording.surface == GLASS, np.uint16(0), depth_mm)
+    first, *later = (
         Frame(
-            index=order,
-            image=srgb8_to_linear(recording.colour[number])
-            * np.float32(recording.exposure[at] / recording.exposure[number]),
-            clipped=(recording.colour[number] >= CLIPPED_SRGB8).any(-1),
+            index=number,
+            image=srgb8_to_linear(colour) * np.float32(recording.exposure[0] / recording.exposure[number]),
+            clipped=(colour >= CLIPPED_SRGB8).any(-1),
             depth_m=measured.astype(np.float32) / np.float32(1000),
             intrinsics=recording.intrinsics,
             camera_to_world=recording.camera_to_world[number],
         )
-        for order, (number, measured) in enumerate(zip(chosen, depth_mm, strict=True))
-    ]
-    truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[at])
-    return Example(
-        frames[0], complete_depth(frames[0].depth_m), recording.probe_positions, truth, later=tuple(frames[1:])
+        for number, (colour, measured) in enumerate(zip(recording.colour, depth_mm, strict=True))
     )
+    truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0])
+    return Example(first, complete_depth(first.depth_m), recording.probe_positions, truth, later=tuple(later))
 
 
 def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) -> list[int]:
@@ -128,10 +122,6 @@ def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) 
     left = count - first
     reach = left if rng is None else min(left, int(np.exp(rng.uniform(0, np.log(left + 1)))))
     return sorted({first + round(float(step)) for step in np.linspace(0, reach - 1, min(most, reach))})
-
-
-def _example_of_all(recording: Recording, rng: np.random.Generator, *, depth: DepthKind) -> Example:
-    return example_of(recording, 0, rng, depth=depth, later=range(1, len(recording.colour)))
 
 
 def _near(example: Example) -> bool:

@@ -46,7 +46,7 @@ class Validation:
         self._walks: list[Batch] = []
         self._baselines: dict[str, list[tuple[float, float]]] = {"mean_colour": [], "warp": []}
         for number in numbers:
-            example = example_of(recordings.read(number, frames=[0]), 0, rng, depth="exact")
+            example = example_of(recordings.read(number, frames=[0]), rng, depth="exact")
             self.images.append(linear_to_srgb8(example.frame.image))
             batch = collate([example], volume_shape=options.volume_shape, panorama_height=HEIGHT)
             self._batches.append(batch)
