@@ -68,9 +68,10 @@ def train(
     from roomlight_model.config import ModelConfig, SGConfig
 
     try:
-        from roomlight_model.training.options import TrainOptions
-        from roomlight_model.training.rooms import TrainingRooms
+        from roomlight_model.training.options import OPTIONS, TrainOptions
+        from roomlight_model.training.rooms import HELD_OUT, TrainingRooms
 
+        begun = out / OPTIONS
         options = TrainOptions(
             stage=stage,
             steps=steps,
@@ -87,8 +88,10 @@ def train(
             rooms = TrainingRooms(
                 data,
                 surround_max=surround_max,
+                held_out=TrainOptions.read(begun).held_out if begun.exists() else HELD_OUT,
                 progress=lambda done, of: status.update(f"looking at sequence {done} of {of}"),
             )
+        options = replace(options, held_out=len(rooms.held_out))
         if volume == "full":
             options = replace(options, volume_shape=VOLUME_SHAPE)
         card = run(

@@ -5,13 +5,18 @@ from dataclasses import replace
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
+import stub_rooms
 from recordings import BoxRecordings
 from roomlight.errors import ModelError
+from roomlight_client.cli import app
 from roomlight_client.train import train
 from roomlight_export.importing import load_exported
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.dataset.generate import GenerateOptions, generate
+from roomlight_model.training.options import OPTIONS as OPTIONS_FILE
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.rooms import split_off
 from roomlight_server.graphs import SHIPPED
@@ -98,6 +103,18 @@ def test_held_out_rooms_are_trained_on_by_nobody():
     assert training.read(0, frames=[0]).name == "box-48"
     assert training.read(152, frames=[0]).name == "box-0"  # the second folder's
     assert [len(part) for part in split_off([BoxRecordings(3)])] == [3, 0]
+
+
+def test_a_run_keeps_what_it_began_with_from_training_when_its_data_have_grown(tmp_path):
+    data, out = tmp_path / "data", tmp_path / "run"
+    for steps, sequences in ((1, 8), (2, 16)):
+        generate(data, GenerateOptions(sequences, shard_size=8, frames=1, renderer=stub_rooms.NAME), workers=1)
+        options = ["--stage", "single-sglv", "--steps", str(steps), "--batch", "1"]
+        shown = CliRunner().invoke(app, ["train", str(data), "--out", str(out), *options])
+        assert shown.exit_code == 0, shown.output
+        card = load_checkpoint(out / "model.pt").card
+        assert (card["steps"], card["sequences"]) == (steps, sequences - 2)
+    assert TrainOptions.read(out / OPTIONS_FILE).held_out == 2
 
 
 def test_a_missing_gpu_is_an_error_that_says_what_to_do(tmp_path, monkeypatch):

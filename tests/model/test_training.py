@@ -301,6 +301,7 @@ def test_too_few_sequences_are_refused(tmp_path):
         ({"learning_rate": 0.0}, "learning_rate is 0.0"),
         ({"volume_shape": (4, 30, 42)}, "volume_shape"),
         ({"panorama_height": 61}, "panorama_height is 61"),
+        ({"held_out": -1}, "held_out is -1"),
     ],
 )
 def test_options_that_no_run_can_use_are_refused(changes, message):

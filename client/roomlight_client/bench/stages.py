@@ -12,7 +12,7 @@ from roomlight.blend import PanoramaState, accumulate, accumulate_reference, fil
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.frame import Frame
-from roomlight.mesh import FrameMesh
+from roomlight.mesh import FrameMesh, PartialPanorama
 from roomlight.sglv import Far, Sglv, render_rays, render_rays_reference
 from roomlight.volume import VolumeGrid, initial_volume, initial_volume_reference
 from roomlight_client.bench import costs, plain_torch
@@ -243,22 +243,24 @@ def _brute_force_depth(
 
 def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
     """What the blending network mixes in beyond the mesh."""
-    height = size.panorama_height
-    seen = FrameMesh(frame).look_from(np.asarray(PROBE), height=height)
-    state = PanoramaState.fresh(height, grid.depth_max_m)
+    seen, state = _first_look(frame, grid, size)
 
     def fill() -> Float[np.ndarray, "h w 3"]:
         return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
 
-    return Stage(_FILL, Way(fill), costs.fill_cost(2 * height**2), note="with networks")
+    return Stage(_FILL, Way(fill), costs.fill_cost(state.seen.size), note="with networks")
+
+
+def _first_look(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
+    """What one frame shows a probe, and the panorama that is to take it in."""
+    height = size.panorama_height
+    return FrameMesh(frame).look_from(np.asarray(PROBE), height=height), PanoramaState.fresh(height, grid.depth_max_m)
 
 
 def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
-    height = size.panorama_height
-    seen = FrameMesh(frame).look_from(np.asarray(PROBE), height=height)
+    seen, state = _first_look(frame, grid, size)
     random = np.random.default_rng(0)
-    state = PanoramaState.fresh(height, grid.depth_max_m)
-    hdr = random.random((height, 2 * height, 3), dtype=np.float32)
+    hdr = random.random(state.radiance.shape, dtype=np.float32)
     weight = np.where(seen.mask, random.random(seen.mask.shape, dtype=np.float32), np.float32(0))
 
     def apply(to: PanoramaState, how: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
@@ -283,7 +285,7 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
     return Stage(
         "accumulation",
         Way(lambda: apply(ours_state, accumulate)),
-        costs.accumulate_cost(height * 2 * height),
+        costs.accumulate_cost(state.seen.size),
         Way(lambda: apply(reference_state, accumulate_reference)),
         torch,
         differences=found,

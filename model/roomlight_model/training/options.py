@@ -12,7 +12,8 @@ from roomlight_model.config import ModelConfig
 Stage = Literal["single-sglv", "single-blend", "single-joint"]
 STAGES: Final[tuple[str, ...]] = get_args(Stage)
 DepthKind = Literal["exact", "arkit", "both"]
-Device = Literal["auto", "cpu", "cuda"]
+OPTIONS: Final = "options.json"
+"""Where a run's folder says what was asked."""
 
 
 @dataclass(frozen=True)
@@ -25,7 +26,8 @@ class TrainOptions:
     `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
     blending graphs. surround_max: trained on are sequences that are at most so many times as bright all around as in
     their first frame (`roomlight_model.training.rooms.surround`; 0: on all). frames: up to so many of a walk are shown
-    together, as a stream shows them: the volume is their mean (`roomlight.fusion`), panoramas accumulate.
+    together, as a stream shows them: the volume is their mean (`roomlight.fusion`), panoramas accumulate. held_out: how
+    many of the first folder's sequences are kept from training; what was kept when a run began is kept when it goes on.
     """
 
     stage: Stage = "single-sglv"
@@ -45,6 +47,7 @@ class TrainOptions:
     frames: int = 1
     augment: bool = True
     surround_max: float = 0.0
+    held_out: int = 48
     bf16: bool = True
     seed: int = 0
     model: ModelConfig = field(default_factory=ModelConfig)
@@ -53,8 +56,15 @@ class TrainOptions:
         """ModelError for a value that no run can use; it names the option."""
         if self.stage not in STAGES:
             raise ModelError(f"stage is {self.stage!r}; it is one of {', '.join(STAGES)}")
-        leasts = {"steps": 1, "batch": 1, "rays": 8, "frames": 1, "sphere_pixels": 0, "sphere_samples": 2}
-        for name, least in leasts.items():
+        for name, least in (
+            ("steps", 1),
+            ("batch", 1),
+            ("rays", 8),
+            ("frames", 1),
+            ("held_out", 0),
+            ("sphere_pixels", 0),
+            ("sphere_samples", 2),
+        ):
             if getattr(self, name) < least:
                 raise ModelError(f"{name} is {getattr(self, name)}; it is {least} or more")
         for name, low, high in (

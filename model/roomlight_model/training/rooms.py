@@ -18,7 +18,7 @@ from roomlight_model.dataset.recording import Recording
 from roomlight_model.training.examples import Recordings
 
 HELD_OUT: Final = 48
-"""Sequences kept from training, at most a quarter of all: 12 rooms of four walks, 24 of two."""
+"""Sequences kept from training, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
 
 
 class Part:
@@ -80,16 +80,18 @@ class TrainingRooms:
         folders: Sequence[Path],
         *,
         surround_max: float = 0.0,
+        held_out: int = HELD_OUT,
         progress: Callable[[int, int], object] | None = None,
     ) -> None:
-        """surround_max: train on sequences whose `surround` is no more than this (0: on all); what is held out is not
-        chosen. `progress` hears how many of the sequences were looked at for it. DatasetError where a folder is no
-        dataset, or none of its sequences is left.
+        """held_out: at most so many are kept from training; a run that goes on gives what it began with, since a folder
+        that has grown meanwhile would keep more. surround_max: train on sequences whose `surround` is no more than
+        this (0: on all); what is held out is not chosen. `progress` hears how many of the sequences were looked at for
+        it. DatasetError where a folder is no dataset, or none of its sequences is left.
         """
         self._folders, self._most, self._progress = tuple(folders), surround_max, progress
         self._surrounds: dict[tuple[int, str], float] = {}
         datasets = self._open()
-        chosen, self.held_out = split_off(datasets)
+        chosen, self.held_out = split_off(datasets, held_out)
         self._kept = frozenset(datasets[0].names[: len(self.held_out)])
         self.training = Part(self._places(datasets))
         if not len(self.training) and len(chosen):

@@ -36,7 +36,7 @@ from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.clock import StepClock
 from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
-from roomlight_model.training.options import STAGES, TrainOptions
+from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, trained_modules
 
 _AHEAD: Final = 3
@@ -176,8 +176,8 @@ class Trainer:
         return _channels_last(model).eval()
 
     def keep_scored(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
-        """Write model.pt with the EMA weights and what they scored, and best.pt if no earlier look at held-out rooms
-        scored as low."""
+        """Write model.pt anew with what its EMA weights scored, and best.pt if no earlier look at held-out rooms scored
+        as low."""
         averaged, card = self.averaged(), {**self.card(), "held_out": score, "scores": dict(scores or {})}
         save_checkpoint(self.out / "model.pt", averaged, card=card)
         best = self.out / "best.pt"
@@ -289,7 +289,7 @@ class Trainer:
         return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
 
     def _open(self) -> None:
-        told = self.out / "options.json"
+        told = self.out / OPTIONS
         if not told.exists():
             if self.out.exists() and any(self.out.iterdir()):
                 raise OutputError(f"{self.out}: holds something else than a training run; give an empty folder")
