@@ -68,8 +68,8 @@ def train(
     from roomlight_model.config import ModelConfig, SGConfig
 
     try:
-        from roomlight_model.training.options import OPTIONS, TrainOptions
-        from roomlight_model.training.rooms import HELD_OUT, TrainingRooms
+        from roomlight_model.training.options import HELD_OUT, OPTIONS, TrainOptions
+        from roomlight_model.training.rooms import TrainingRooms
 
         begun = out / OPTIONS
         options = TrainOptions(

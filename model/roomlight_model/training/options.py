@@ -14,6 +14,8 @@ STAGES: Final[tuple[str, ...]] = get_args(Stage)
 DepthKind = Literal["exact", "arkit", "both"]
 OPTIONS: Final = "options.json"
 """Where a run's folder says what was asked."""
+HELD_OUT: Final = 48
+"""Sequences kept from training, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
 
 
 @dataclass(frozen=True)
@@ -47,7 +49,7 @@ class TrainOptions:
     frames: int = 1
     augment: bool = True
     surround_max: float = 0.0
-    held_out: int = 48
+    held_out: int = HELD_OUT
     bf16: bool = True
     seed: int = 0
     model: ModelConfig = field(default_factory=ModelConfig)

@@ -7,7 +7,7 @@ stage and from night to night. What the test split is for is not looked at here.
 from collections import Counter
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -16,9 +16,7 @@ from roomlight.errors import DatasetError
 from roomlight_model.dataset.loader import Dataset
 from roomlight_model.dataset.recording import Recording
 from roomlight_model.training.examples import Recordings
-
-HELD_OUT: Final = 48
-"""Sequences kept from training, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
+from roomlight_model.training.options import HELD_OUT
 
 
 class Part:
