@@ -10,7 +10,10 @@ import pytest
 from jaxtyping import install_import_hook
 
 _ROOT = Path(__file__).parent.parent
-_SOURCES = [_ROOT / folder for folder in ("core", "model", "export", "server", "client")]
+_SOURCES = [
+    _ROOT / folder
+    for folder in ("core", "model", "generator", "export", "server", "client", "evaluation", "bench", "cli")
+]
 
 
 def _modules() -> list[str]:

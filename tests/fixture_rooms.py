@@ -8,10 +8,10 @@ import shutil
 import sys
 from pathlib import Path
 
-from roomlight_model.dataset.generate import GenerateOptions, generate
-from roomlight_model.dataset.room_sequences import film_walks, set_stage
-from roomlight_model.rooms.furniture import Catalogue, catalogue
-from roomlight_model.rooms.props import procedural_models
+from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_generator.rooms.furniture import Catalogue, catalogue
+from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.sequences.render import render_walks, solve_lighting
 
 FOLDER = Path(__file__).parent / "data" / "rooms"
 ROOMS = {"train": 2, "test": 2}
@@ -19,17 +19,17 @@ FRAMES = 4
 SEED = 21
 
 
-def lit_stage(room_index, *, seed=SEED, split="train"):
+def lit_room(room_index, *, seed=SEED, split="train"):
     """A room with its light solved, without a library."""
     models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
-    return set_stage(room_index, seed=seed, split=split, catalogue=models)
+    return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
 
 
 def render_room(room_index, *, seed, split, furniture, count, frames):
-    """What `roomlight_model.dataset.room_sequences.render_room` does without a library."""
+    """What `roomlight_generator.sequences.render.render_room` does without a library."""
     assert furniture is None
-    stage = lit_stage(room_index, seed=seed, split=split)
-    yield from film_walks(stage, room_index, seed=seed, split=split, count=count, frames=frames)
+    stage = lit_room(room_index, seed=seed, split=split)
+    yield from render_walks(stage, room_index, seed=seed, split=split, count=count, frames=frames)
 
 
 def main():

@@ -9,12 +9,12 @@ from functools import cache
 import numpy as np
 
 from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import column_major, pack
-from roomlight_server.http.app import create_app
-from roomlight_server.http.serving import server_of
-from roomlight_server.http.settings import ServerSettings
-from roomlight_server.session import Session
+from roomlight_server.app import create_app
+from roomlight_server.serving import server_of
+from roomlight_server.settings import ServerSettings
 from rooms import BoxRoom, camera_at
 
 SMALL = {"mode": "classical", "height": 16, "reference_exposure": 1.0}

@@ -3,7 +3,7 @@
 import numpy as np
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight_model.dataset.recording import Recording
+from roomlight.dataset.recording import Recording
 from rooms import BoxRoom, camera_at
 
 

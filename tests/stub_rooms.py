@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from roomlight.camera import Intrinsics
-from roomlight_model.dataset.recording import GLASS, LIGHT, Recording
+from roomlight.dataset.recording import GLASS, LIGHT, Recording
 
 NAME = f"{__name__}:render_room"
 FOREIGN = {"torch", "av", "onnxruntime", "fastapi", "liblzfse", "filelock", "roomlight.captures", "roomlight_server"}

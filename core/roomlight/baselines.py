@@ -11,12 +11,10 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.camera import transform_points
-from roomlight.conventions import direction_to_uv
-from roomlight.fill import push_pull
+from roomlight.conventions import Position, direction_to_uv
+from roomlight.engine.fill import push_pull
+from roomlight.engine.sglv import check_position
 from roomlight.frame import Frame
-from roomlight.sglv import check_position
-
-Position = tuple[float, float, float]
 
 SUPERSAMPLING = 2
 """Points are splatted into a z-buffer this many times finer, then averaged: point samples alias otherwise.

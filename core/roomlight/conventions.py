@@ -20,6 +20,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, UInt8
 
+Position = tuple[float, float, float]
+"""A point (x, y, z) in world metres, y up."""
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Rec. 709's weights of linear RGB; their sum is 1."""
 OPENCV_TO_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])

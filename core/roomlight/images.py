@@ -104,8 +104,8 @@ def encode_exr(image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | 
 
 
 def write_exr(path: Path, image: Float[np.ndarray, "h w 3"], *, metadata: dict[str, str] | None = None) -> None:
-    """Write `encode_exr`'s bytes; whole or not at all (as `write_whole`)."""
-    write_whole(path, encode_exr(image, metadata=metadata))
+    """Write `encode_exr`'s bytes; whole or not at all (as `write_atomic`)."""
+    write_atomic(path, encode_exr(image, metadata=metadata))
 
 
 def encode_png(image: Shaped[np.ndarray, "h w *c"]) -> bytes:
@@ -121,10 +121,10 @@ def encode_png(image: Shaped[np.ndarray, "h w *c"]) -> bytes:
 
 def write_png(path: Path, image: Shaped[np.ndarray, "h w *c"]) -> None:
     """Write `encode_png`'s bytes; whole or not at all."""
-    write_whole(path, encode_png(image))
+    write_atomic(path, encode_png(image))
 
 
-def write_whole(path: Path, data: bytes) -> None:
+def write_atomic(path: Path, data: bytes) -> None:
     """Write bytes under a temporary name, then rename: a reader never sees half a file."""
     temporary = path.with_name(f".{path.name}.part")
     try:

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.balls import BallRenderer, Material
 from roomlight.conventions import panorama_solid_angles
+from roomlight.spheres import Material, SphereRenderer
 
 Panorama = Float[np.ndarray, "h w 3"]
 
@@ -98,22 +98,22 @@ class SphereJudge:
     """Compares spheres lit by a prediction with those lit by one truth, whose pictures are rendered once.
 
     `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
-    the ball only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
+    the sphere only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
     squared difference.
     """
 
-    def __init__(self, truth: Panorama, balls: BallRenderer) -> None:
-        """`balls` says from where the spheres are seen; one renderer may serve many judges."""
-        self._balls = balls
-        self._truth = {sphere: balls.pixels(truth, sphere) for sphere in SPHERES}
-        self._glossy = np.clip(balls.pixels(truth, "glossy"), 0, 1)
+    def __init__(self, truth: Panorama, spheres: SphereRenderer) -> None:
+        """`spheres` says from where the spheres are seen; one renderer may serve many judges."""
+        self._spheres = spheres
+        self._truth = {sphere: spheres.pixels(truth, sphere) for sphere in SPHERES}
+        self._glossy = np.clip(spheres.pixels(truth, "glossy"), 0, 1)
 
     def scores(self, prediction: Panorama) -> dict[str, float]:
         """The seven sphere metrics by their keys in `METRICS`."""
-        glossy = np.clip(self._balls.pixels(prediction, "glossy"), 0, 1)
+        glossy = np.clip(self._spheres.pixels(prediction, "glossy"), 0, 1)
         scores = {"render_l2": float(np.mean((glossy - self._glossy) ** 2, dtype=np.float64))}
         for sphere in SPHERES:
-            pixels = self._balls.pixels(prediction, sphere)
+            pixels = self._spheres.pixels(prediction, sphere)
             scores[f"si_rmse_{sphere}"] = si_rmse(pixels, self._truth[sphere])
             scores[f"angular_deg_{sphere}"] = angular_error_deg(pixels, self._truth[sphere])
         return scores

@@ -15,6 +15,8 @@ from typing import cast
 
 from onnx import ModelProto
 
+from roomlight.engine.graphs import DESCRIPTION, FORMAT
+from roomlight.engine.providers import open_graph
 from roomlight.errors import ModelError
 from roomlight_export.folder import check_target, new_folder
 from roomlight_export.graphs import Graph, graphs_of
@@ -31,8 +33,6 @@ from roomlight_export.parity import (
 )
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_server.graphs import DESCRIPTION, FORMAT
-from roomlight_server.providers import open_graph
 
 RECURRENT_STEPS = 8
 """Steps after frame 0 over which parity is checked."""

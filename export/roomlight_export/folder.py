@@ -7,8 +7,8 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
+from roomlight.engine.graphs import DESCRIPTION
 from roomlight.errors import OutputError
-from roomlight_server.graphs import DESCRIPTION
 
 
 def check_target(out: Path) -> None:

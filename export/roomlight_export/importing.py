@@ -14,12 +14,12 @@ import torch
 from jaxtyping import Float
 from onnx import GraphProto, numpy_helper
 
+from roomlight.engine.graphs import DESCRIPTION, read_description
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph, graphs_of
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.config import ModelConfig
 from roomlight_model.networks import build
-from roomlight_server.graphs import DESCRIPTION, read_description
 
 
 def load_weights(path: Path) -> Checkpoint:

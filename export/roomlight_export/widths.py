@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
+from roomlight.engine.providers import open_graph, openvino_device
 from roomlight.threads import thread_count
 from roomlight_export.graphs import Graph, graphs_of, sample_inputs
 from roomlight_export.inputs import room_volume
@@ -22,7 +23,6 @@ from roomlight_export.onnx_file import half_rounded, to_onnx
 from roomlight_export.parity import session_runner, torch_runner
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import VideoModel
-from roomlight_server.providers import open_graph, openvino_device
 
 CONFIGS: tuple[ModelConfig, ...] = (
     ModelConfig(SGConfig(channels=16, full_channels=8), BlendConfig(channels=8, full_channels=4)),

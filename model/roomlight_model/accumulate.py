@@ -1,6 +1,6 @@
 """The recursion over a probe's panoramas in PyTorch: the conservative rule, blending and accumulation.
 
-The differentiable twin of `roomlight.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
+The differentiable twin of `roomlight.engine.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
 linear; depths are distances from the probe, all in one unit, which is also that of the rule's margin.
 """
 
@@ -10,8 +10,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from roomlight.blend import DARK, FILL_COLOUR
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.blend import DARK, FILL_COLOUR
 
 
 class Panorama(NamedTuple):
@@ -68,7 +68,7 @@ def conservative(
 ) -> Float[Tensor, "b 1 h w"]:
     """L_M = max(L_M - 1(D_hat - D < margin), 0): seen detail stays unless the new surface is clearly closer.
 
-    0.25 is the paper's margin; `roomlight.blend` takes it in metres.
+    0.25 is the paper's margin; `roomlight.engine.blend` takes it in metres.
     """
     not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
     return torch.relu(weight - not_closer)

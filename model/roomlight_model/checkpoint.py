@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from roomlight.errors import ModelError, OutputError
-from roomlight.images import write_whole
+from roomlight.images import write_atomic
 from roomlight_model.config import FORMS, Form, ModelConfig
 from roomlight_model.networks import SingleModel, VideoModel, build
 
@@ -51,7 +51,7 @@ def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mappin
     )
     if path.is_dir():
         raise OutputError(f"{path}: is a folder; give the name of a checkpoint file")
-    write_whole(path, buffer.getvalue())
+    write_atomic(path, buffer.getvalue())
 
 
 def save_untrained(path: Path, form: Form, config: ModelConfig, *, seed: int = 0) -> None:

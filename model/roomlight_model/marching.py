@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from roomlight.sglv import MAX_SAMPLES, Far
+from roomlight.engine.sglv import MAX_SAMPLES, Far
 from roomlight.threads import shard
 from roomlight_model.kernels.march import SAMPLES, march_forward_backward
 from roomlight_model.render import render_rays
@@ -29,7 +29,7 @@ def march(
 ) -> Float[Tensor, "b n 3"]:
     """Radiance along unit directions, a ray each from its own origin; differentiable in alpha and lobes alone.
 
-    Samples stand one mean voxel edge apart (equations 1 and 2 as in `roomlight.sglv`). ValueError above 256 samples.
+    Samples stand one mean voxel edge apart (equations 1, 2: `roomlight.engine.sglv`). ValueError above 256 samples.
     """
     if samples > SAMPLES:
         raise ValueError(f"{samples} samples a ray: the kernel holds {SAMPLES}")

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight.blend import UNSEEN_DEPTH
+from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, fill_in, first_panorama
 from roomlight_model.blend import (
     SINGLE_PANELS,
@@ -35,9 +35,9 @@ class SGState(NamedTuple):
 
 class Observation(NamedTuple):
     """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m. `ldr` is what the mesh
-    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.fill.continued`).
+    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.engine.fill.continued`).
 
-    Depth is at most `roomlight.blend.farthest_depth_m`, as the session clips it: else the conservative rule would
+    Depth is at most `roomlight.engine.blend.farthest_depth_m`, as the session has it: else the conservative rule would
     hold back the first sight of surfaces past the volume.
     """
 

@@ -1,4 +1,4 @@
-"""SGLV ray tracing in PyTorch: the differentiable twin of `roomlight.sglv`, for training (paper, section 3).
+"""SGLV ray tracing in PyTorch: the differentiable twin of `roomlight.engine.sglv`, for training (paper, section 3).
 
 Frame: the volume's, in metres, for origins, directions and lobe axes. Plain `grid_sample` over all samples at
 once: it keeps [N, samples, 11] values for the backward pass, so give it a training step's subset of rays.
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from roomlight.sglv import MAX_SAMPLES, Far
+from roomlight.engine.sglv import MAX_SAMPLES, Far
 
 
 def render_rays(

@@ -1,7 +1,7 @@
 """The Monte Carlo rendering layer: a glossy sphere under predicted light, differentiable (paper, equation R_p).
 
 The material is the paper's: Karis's microfacet BRDF (2013) with albedo 0.8 and roughness 0.2, as in
-`roomlight.balls` (whose "glossy" is the readable twin). Directions follow the BRDF: a share of them the half
+`roomlight.spheres` (whose "glossy" is the readable twin). Directions follow the BRDF: a share of them the half
 vectors of the specular lobe, the rest the cosine; the density that divides is the mixture's, so that the estimate is
 unbiased for whatever light. Frame: that of the vectors given, world or volume.
 """
@@ -14,7 +14,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from roomlight.balls import GLOSSY_ALBEDO, GLOSSY_F0, GLOSSY_ROUGHNESS
+from roomlight.spheres import GLOSSY_ALBEDO, GLOSSY_F0, GLOSSY_ROUGHNESS
 
 SPECULAR_SHARE = 0.5
 """Of the samples; the lobe carries a tenth of the energy and nearly all of the variance under small lamps."""

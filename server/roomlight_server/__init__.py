@@ -1,1 +1,1 @@
-"""The session engine: ONNX Runtime, NumPy and numba only; never PyTorch."""
+"""The session server: HTTP and WebSocket in front of the engine. `serving.serve` starts one."""

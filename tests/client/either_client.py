@@ -5,7 +5,7 @@ import inspect
 
 import httpx
 
-from roomlight_client.sdk import AsyncClient, Client, Session
+from roomlight_client import AsyncClient, Client, Session
 
 
 class _Awaited:

@@ -10,10 +10,10 @@ import pytest
 
 from http_servers import RunningServer
 from roomlight.captures import CaptureOptions
+from roomlight.engine.session import SessionOptions
+from roomlight.sample import sample_capture
 from roomlight.wire.frame_message import column_major
-from roomlight_client.demo import sample_capture
-from roomlight_client.replay import ReplayOptions, replay
-from roomlight_server.session import SessionOptions
+from roomlight_cli.replay import ReplayOptions, replay
 
 SAMPLE = sample_capture()
 INDEX = json.loads((SAMPLE / "capture.json").read_text())

@@ -16,12 +16,12 @@ from either_client import Script
 from hypothesis import given
 from hypothesis import strategies as st
 
+import roomlight_client as sdk
 from roomlight.errors import RoomLightError, WireError
 from roomlight.wire.light_message import MEDIA_TYPE
-from roomlight_client import sdk
-from roomlight_client.sdk import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
-from roomlight_client.sdk.errors import refusal
-from roomlight_client.sdk.retry import parse_retry_after
+from roomlight_client import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
+from roomlight_client.errors import refusal
+from roomlight_client.retry import parse_retry_after
 
 BOTH = pytest.mark.parametrize("kind", ["sync", "async"])
 STATE = {
@@ -410,7 +410,7 @@ def test_both_clients_have_the_same_names_and_arguments(one, other):
 
 
 def test_the_sdk_needs_no_engine():
-    code = "import sys, roomlight_client.sdk; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    code = "import sys, roomlight_client; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     loaded = set(done.stdout.split())
     assert {"roomlight", "roomlight_client", "httpx"} <= loaded

@@ -8,17 +8,17 @@ import numpy as np
 import pytest
 from either_client import client_of
 
+import roomlight_client as sdk
 from http_servers import HeldSession, RunningServer
 from roomlight.captures import CaptureWriter
 from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.messages import Form
-from roomlight_client import sdk
-from roomlight_client.sdk import CameraFrame, Client, Retry
-from roomlight_server.session import Session, SessionOptions
+from roomlight_client import CameraFrame, Client, Retry
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
@@ -209,7 +209,7 @@ def test_a_full_server_is_asked_again_as_it_says():
 
 def test_a_lost_answer_is_asked_for_again_and_the_frame_counts_once(monkeypatch):
     """The connection breaks while the engine works on the frame: the repetition waits for the same outcome."""
-    monkeypatch.setattr("roomlight_server.http.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
     HeldSession.reset()
     with RunningServer(model="classical") as running:
         released = []

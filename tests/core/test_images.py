@@ -16,9 +16,9 @@ from roomlight.images import (
     read_bytes,
     read_colour,
     read_panorama,
+    write_atomic,
     write_exr,
     write_png,
-    write_whole,
 )
 
 RNG = np.random.default_rng(5)
@@ -220,7 +220,7 @@ def _write(kind, path):
     elif kind == "png":
         write_png(path, SRGB)
     else:
-        write_whole(path, b"bytes")
+        write_atomic(path, b"bytes")
 
 
 @pytest.mark.parametrize("kind", ["exr", "png", "bytes"])

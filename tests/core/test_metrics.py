@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight.balls import BallRenderer
 from roomlight.metrics import (
     METRICS,
     SphereJudge,
@@ -17,6 +16,7 @@ from roomlight.metrics import (
     si_rmse,
     smoothness,
 )
+from roomlight.spheres import SphereRenderer
 
 
 def panorama(seed: int = 0, height: int = 16) -> np.ndarray:
@@ -101,7 +101,7 @@ def test_black_agrees_with_black_only() -> None:
 
 def test_sphere_scores_are_zero_for_the_truth_and_see_what_they_should() -> None:
     truth = panorama(3, 32)
-    judge = SphereJudge(truth, BallRenderer((0.0, 0.0, -1.0), size=24))
+    judge = SphereJudge(truth, SphereRenderer((0.0, 0.0, -1.0), size=24))
     assert judge.scores(truth) == pytest.approx(dict.fromkeys(judge.scores(truth), 0), abs=1e-5)
     brighter = judge.scores(2 * truth)
     assert brighter.pop("render_l2") > 0.001  # this one sees the scale, the others do not
@@ -113,7 +113,7 @@ def test_sphere_scores_are_zero_for_the_truth_and_see_what_they_should() -> None
 
 
 def test_every_metric_has_a_column() -> None:
-    judge = SphereJudge(panorama(height=8), BallRenderer((0.0, 0.0, -1.0), size=8))
+    judge = SphereJudge(panorama(height=8), SphereRenderer((0.0, 0.0, -1.0), size=8))
     measured = {"log_l2", "ldr_l2", "smoothness", *judge.scores(panorama(height=8))}
     assert {metric.key for metric in METRICS} == measured
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 
+from roomlight.engine.graphs import SHIPPED
 from roomlight.errors import ModelError
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_exported, load_weights
@@ -14,7 +15,6 @@ from roomlight_export.onnx_file import half_rounded
 from roomlight_model.checkpoint import load_checkpoint, save_checkpoint, save_untrained
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import build
-from roomlight_server.graphs import SHIPPED
 
 CONFIG = ModelConfig(
     SGConfig(volume_shape=(17, 14, 23), channels=8, full_channels=4),

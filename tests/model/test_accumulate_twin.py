@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight import blend as serving
+from roomlight.engine import blend as serving
 from roomlight_model.accumulate import Panorama, accumulate, conservative, fill_in, first_panorama
 
 HEIGHT = 12

@@ -5,8 +5,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from roomlight.blend import UNSEEN_DEPTH
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import fill_in
 from roomlight_model.blend import (
     SINGLE_PANELS,

@@ -7,8 +7,8 @@ import pytest
 import torch
 from scipy.stats import chisquare
 
-from roomlight.balls import GLOSSY_ALBEDO, BallRenderer
 from roomlight.conventions import panorama_directions
+from roomlight.spheres import GLOSSY_ALBEDO, SphereRenderer
 from roomlight_model.sphere import brdf_and_density, disc, look_up, sample_sphere, shade, sphere_normals
 
 TO_VIEWER = torch.nn.functional.normalize(torch.tensor([0.3, 0.2, 0.9], dtype=torch.float64), dim=0)
@@ -95,17 +95,17 @@ def test_importance_sampling_is_less_noisy_than_uniform_at_the_same_count():
 
 
 def test_it_agrees_with_the_ball_renderer():
-    """The NumPy ball renderer is another estimator of the same picture."""
+    """The NumPy sphere renderer is another estimator of the same picture."""
     rng = np.random.default_rng(7)
     panorama = rng.uniform(0.1, 1.0, (30, 60, 3)).astype(np.float32)
     to_viewer = TO_VIEWER.numpy()
-    ball = BallRenderer(tuple((-to_viewer).tolist()), size=16)
-    picture = ball.pixels(panorama, "glossy")
-    samples = sample_sphere(torch.from_numpy(ball.normals).double(), TO_VIEWER, samples=2048, generator=seeded(8))
+    sphere = SphereRenderer(tuple((-to_viewer).tolist()), size=16)
+    picture = sphere.pixels(panorama, "glossy")
+    samples = sample_sphere(torch.from_numpy(sphere.normals).double(), TO_VIEWER, samples=2048, generator=seeded(8))
     flat = look_up(torch.from_numpy(panorama).double().permute(2, 0, 1)[None], samples.directions.reshape(1, -1, 3))
     ours = shade(samples, flat.reshape(*samples.weights.shape, 3)).numpy()
-    # the ball renderer prefilters the lobe, which at the rim lets in light from behind the surface: leave the rim out
-    facing = ball.normals @ to_viewer.astype(np.float32) > 0.5
+    # the sphere renderer prefilters the lobe, which at the rim lets in light from behind the surface: leave the rim out
+    facing = sphere.normals @ to_viewer.astype(np.float32) > 0.5
     assert np.abs(ours - picture)[facing].mean() < 0.015 * picture[facing].mean()
 
 

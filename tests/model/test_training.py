@@ -15,10 +15,11 @@ import torch
 
 from recordings import BoxRecordings
 from roomlight.conventions import linear_to_srgb8, panorama_rays, srgb8_to_linear
+from roomlight.dataset.recording import GLASS
+from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
 from roomlight.errors import ModelError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.dataset.recording import GLASS
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import collate
 from roomlight_model.training.examples import example_of, read_example
@@ -27,7 +28,6 @@ from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.stages import predict, predicted_panoramas, rendered, stage_losses, trained_modules
 from roomlight_model.training.trainer import Trainer
 from roomlight_model.training.validation import Validation
-from roomlight_server.session import WORKING_SIZE, Session, SessionOptions
 
 TINY = ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4))
 OPTIONS = TrainOptions(

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
+from roomlight.engine.session import Light
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
@@ -17,9 +18,8 @@ from roomlight.light.resample import panorama_to_cube
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
 from roomlight.wire.messages import Form, LightResponse
-from roomlight_server.http import light_forms
-from roomlight_server.http.live_session import PointLight
-from roomlight_server.session import Light
+from roomlight_server import light_forms
+from roomlight_server.live_session import PointLight
 
 POINT = {"position": [0.2, 1.2, -0.2]}
 

@@ -10,10 +10,10 @@ import pytest
 
 from http_servers import RunningServer
 from roomlight.captures import CaptureOptions, open_capture
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.images import write_exr
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import column_major, pack
-from roomlight_server.session import Session, SessionOptions
 
 SAMPLE = Path(str(files("roomlight") / "data" / "sample"))
 INDEX = json.loads((SAMPLE / "capture.json").read_text())

@@ -144,7 +144,7 @@ def test_a_refused_frame_is_named_wherever_its_header_can_be_read(server):
 
 def test_the_newest_frame_wins_here_too(monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.http.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=3) as server:
         server.open()
         with streaming(server) as stream:

@@ -39,7 +39,7 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.stray_writer import depth_to_png, encoded
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.images import write_exr, write_whole
+from roomlight.images import write_atomic, write_exr
 
 INDEX: Final = "capture.json"
 FORMAT: Final = "roomlight-capture"
@@ -203,11 +203,11 @@ class CaptureWriter:
             "camera_to_world": pose.tolist(),
         }
         jpeg = encoded(".jpg", np.ascontiguousarray(srgb8[..., ::-1]), name=name, quality=jpeg_quality)
-        write_whole(self._partial / entry["colour"], jpeg)
-        write_whole(self._partial / entry["depth"], depth_to_png(depth_m, name=name))
+        write_atomic(self._partial / entry["colour"], jpeg)
+        write_atomic(self._partial / entry["depth"], depth_to_png(depth_m, name=name))
         if confidence is not None:
             entry["confidence"] = f"confidence/{stem}.png"
-            write_whole(self._partial / entry["confidence"], encoded(".png", confidence, name=name))
+            write_atomic(self._partial / entry["confidence"], encoded(".png", confidence, name=name))
         if timestamp_s is not None:
             entry["timestamp_s"] = float(timestamp_s)
         if exposure is not None:
@@ -236,7 +236,7 @@ class CaptureWriter:
             "frames": self._frames,
             "probes": self._probes,
         }
-        write_whole(self._partial / INDEX, json.dumps(index).encode())
+        write_atomic(self._partial / INDEX, json.dumps(index).encode())
         try:
             self._partial.replace(self.path)
         except OSError as error:

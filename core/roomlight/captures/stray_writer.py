@@ -18,7 +18,7 @@ from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures.stray_scanner import COLUMNS, MATRIX, MATRIX_SIZE, ODOMETRY, VIDEO
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.errors import OutputError
-from roomlight.images import write_whole
+from roomlight.images import write_atomic
 
 _CODECS: Final = ("libx265", "libx264", "mpeg4")
 _BT709: Final = 1
@@ -87,8 +87,8 @@ def write_stray_scanner(path: Path, frames: Iterable[RecordedFrame], *, frames_p
                 confidence = frame.confidence
                 if confidence is None:
                     confidence = np.where(frame.depth_m > 0, 2, 0).astype(np.uint8)
-                write_whole(path / f"depth/{number:06d}.png", depth_to_png(frame.depth_m, name=name))
-                write_whole(path / f"confidence/{number:06d}.png", encoded(".png", confidence, name=name))
+                write_atomic(path / f"depth/{number:06d}.png", depth_to_png(frame.depth_m, name=name))
+                write_atomic(path / f"confidence/{number:06d}.png", encoded(".png", confidence, name=name))
                 rows.append(_odometry_row(number, frame, frames_per_second))
             if stream is None or first is None:
                 raise OutputError(f"{path}: a capture needs at least one frame")
@@ -97,8 +97,8 @@ def write_stray_scanner(path: Path, frames: Iterable[RecordedFrame], *, frames_p
         raise OutputError(f"{path / VIDEO}: cannot be written ({error})") from error
     k = first.resized(*MATRIX_SIZE)
     matrix = f"{k.fx}, 0.0, {k.cx}\n0.0, {k.fy}, {k.cy}\n0.0, 0.0, 1.0\n"
-    write_whole(path / MATRIX, matrix.encode())
-    write_whole(path / ODOMETRY, ("\n".join(rows) + "\n").encode())
+    write_atomic(path / MATRIX, matrix.encode())
+    write_atomic(path / ODOMETRY, ("\n".join(rows) + "\n").encode())
 
 
 def _check_camera(camera: Intrinsics, name: str) -> None:

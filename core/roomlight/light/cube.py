@@ -7,11 +7,11 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float16
 
-from roomlight.balls import resize_panorama
 from roomlight.light.checks import check_observed, check_panorama
 from roomlight.light.cube_geometry import FACES, cube_solid_angles
 from roomlight.light.ktx2 import encode_ktx2
 from roomlight.light.resample import MOST_ROWS, SparseMap, cube_to_panorama, panorama_to_cube
+from roomlight.spheres import resize_panorama
 
 SIZES: Final = (16, 32, 64, 128, 256)
 """Widths of a face that are handed out, in pixels; 16 is what ARCore gives."""

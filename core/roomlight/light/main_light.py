@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.balls import resize_panorama
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.light.checks import check_panorama
+from roomlight.spheres import resize_panorama
 
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
 _KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)

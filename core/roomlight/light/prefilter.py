@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float16, Int
 
-from roomlight.kernels.light import gather_lobes
 from roomlight.light.cube import CubeMap, halved
 from roomlight.light.cube_geometry import cube_directions, padded_indices
+from roomlight.light.kernels.gather import gather_lobes
 from roomlight.light.ktx2 import encode_ktx2
 from roomlight.threads import shard
 

@@ -18,8 +18,8 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
-from roomlight.kernels.light import gather_rows
 from roomlight.light.cube_geometry import cube_directions, cube_solid_angles, direction_to_face, texel_index
+from roomlight.light.kernels.gather import gather_rows
 from roomlight.threads import shard
 
 MOST_ROWS: Final = 512

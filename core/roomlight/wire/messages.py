@@ -21,7 +21,7 @@ NO_FRAME: Final = -1
 
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_length=64)]
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
-Position = Annotated[list[Metres], Field(min_length=3, max_length=3)]
+WirePosition = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
 Mode = Literal["auto", "classical", "single", "video"]
 Format = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
@@ -58,7 +58,7 @@ class SessionRequest(WireModel):
 class ProbeBody(WireModel):
     """Where a named probe is, in world metres."""
 
-    position: Position
+    position: WirePosition
 
 
 class Form(WireModel):
@@ -91,7 +91,7 @@ class Form(WireModel):
 class ProbeQuery(WireModel):
     """A point: a position in world metres, or the name of a tracked probe."""
 
-    position: Position | None = None
+    position: WirePosition | None = None
     name: Id | None = None
 
     @model_validator(mode="after")
@@ -128,7 +128,7 @@ class ProbeLight(WireModel):
     etag: the same as long as the light at this point is.
     """
 
-    position: Position
+    position: WirePosition
     name: Id | None = None
     coverage: Number
     etag: str
@@ -202,7 +202,7 @@ class SessionState(WireModel):
     model: Literal["classical", "single", "video"]
     options: SessionRequest
     frames: FrameCounts
-    probes: dict[str, Position]
+    probes: dict[str, WirePosition]
     coverage: dict[str, float]
     keyframes: int
     memory: Memory
@@ -241,7 +241,7 @@ class Track(WireModel):
 
     type: Literal["track"]
     name: Id
-    position: Position
+    position: WirePosition
 
 
 class Untrack(WireModel):
@@ -278,7 +278,7 @@ class ProbesEvent(WireModel):
     """WebSocket, to the client: the named probes, after `track` or `untrack`."""
 
     type: Literal["probes"] = "probes"
-    probes: dict[str, Position]
+    probes: dict[str, WirePosition]
 
 
 class ProblemEvent(WireModel):

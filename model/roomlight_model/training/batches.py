@@ -12,14 +12,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from roomlight.balls import resize_panorama
-from roomlight.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
-from roomlight.clipping import restore_clipped
 from roomlight.depth import complete_depth
+from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
+from roomlight.engine.clipping import restore_clipped
+from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.volume import VolumeGrid, initial_volume
 from roomlight.frame import Frame
-from roomlight.fusion import FusedVolume
-from roomlight.mesh import FrameMesh
-from roomlight.volume import VolumeGrid, initial_volume
+from roomlight.spheres import resize_panorama
 from roomlight_model.training.examples import Example
 
 
@@ -117,7 +117,7 @@ def _look(meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: V
     state = PanoramaState.fresh(height, grid.depth_max_m)
     nothing = np.zeros((height, 2 * height, 3), np.float32)
     farthest_m = farthest_depth_m(grid.depth_max_m)
-    *earlier, last = (mesh.look_from(position, height=height).within(farthest_m) for mesh in meshes)
+    *earlier, last = (mesh.render_panorama(position, height=height).within(farthest_m) for mesh in meshes)
     for look in earlier:
         weight = look.mask.astype(np.float32)
         accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=look.depth_m, weight=weight)

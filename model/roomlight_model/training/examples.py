@@ -12,11 +12,11 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import srgb8_to_linear
+from roomlight.dataset.arkit_depth import arkit_like
+from roomlight.dataset.recording import GLASS, Recording
 from roomlight.depth import complete_depth
+from roomlight.engine.volume import VolumeGrid
 from roomlight.frame import CLIPPED_SRGB8, Frame
-from roomlight.volume import VolumeGrid
-from roomlight_model.dataset.arkit_depth import arkit_like
-from roomlight_model.dataset.recording import GLASS, Recording
 from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5

@@ -27,8 +27,8 @@ class TrainOptions:
     are trained there. rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
     `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
     blending graphs. surround_max: trained on are sequences that are at most so many times as bright all around as in
-    their first frame (`roomlight_model.training.rooms.surround`; 0: on all). frames: up to so many of a walk are shown
-    together, as a stream shows them: the volume is their mean (`roomlight.fusion`), panoramas accumulate. held_out: how
+    their first frame (`training.subsets.surround`; 0: on all). frames: up to so many of a walk are shown
+    together, as a stream shows them: the volume is their mean (`engine.fusion`), panoramas accumulate. held_out: how
     many of the first folder's sequences are kept from training; what was kept when a run began is kept when it goes on.
     """
 

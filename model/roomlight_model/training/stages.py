@@ -144,8 +144,8 @@ def _sglv_losses(sglv: SGVolume, batch: Batch, options: TrainOptions, *, generat
     radiance = rendered(sglv, batch, torch.cat([directions, along], dim=2))
     seen, lit = radiance.split([options.rays, along.shape[2]], dim=2)
     log_l2 = _log_l2(seen, wanted)
-    ball = shade(samples, lit.unflatten(2, samples.weights.shape[2:]))
-    return _sum(log_l2, _rendering(ball, shade(samples, light)), options)
+    sphere = shade(samples, lit.unflatten(2, samples.weights.shape[2:]))
+    return _sum(log_l2, _rendering(sphere, shade(samples, light)), options)
 
 
 def _blend_losses(
@@ -163,8 +163,8 @@ def _blend_losses(
         log_l2 = (log_l2 + _log_l2(hdr, batch.truth)) / 2
     samples, light = _sphere(batch, options, generator=generator)
     read = look_up(blended.flatten(0, 1), samples.directions.flatten(2, 3).flatten(0, 1))
-    ball = shade(samples, read.reshape(light.shape))
-    return _sum(log_l2, _rendering(ball, shade(samples, light)), options)
+    sphere = shade(samples, read.reshape(light.shape))
+    return _sum(log_l2, _rendering(sphere, shade(samples, light)), options)
 
 
 def _sphere(

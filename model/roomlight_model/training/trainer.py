@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from roomlight.errors import ModelError, OutputError
-from roomlight.images import write_whole
+from roomlight.images import write_atomic
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch, collate
@@ -202,7 +202,7 @@ class Trainer:
             },
             buffer,
         )
-        write_whole(self.out / "last.pt", buffer.getvalue())
+        write_atomic(self.out / "last.pt", buffer.getvalue())
         save_checkpoint(self.out / "model.pt", self.averaged(), card=self.card())
 
     def card(self) -> dict[str, Any]:
@@ -294,7 +294,7 @@ class Trainer:
             if self.out.exists() and any(self.out.iterdir()):
                 raise OutputError(f"{self.out}: holds something else than a training run; give an empty folder")
             self.out.mkdir(parents=True, exist_ok=True)
-            write_whole(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
+            write_atomic(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
         elif replace(before := TrainOptions.read(told), steps=self.options.steps) != self.options:
             ours, theirs = self.options.to_dict(), before.to_dict()
             changed = [name for name in ours if ours[name] != theirs[name] and name != "steps"]
@@ -302,7 +302,7 @@ class Trainer:
                 f"{self.out}: its run has other options ({', '.join(changed)}); take another folder or the same options"
             )
         elif before != self.options:
-            write_whole(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
+            write_atomic(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
         last = self.out / "last.pt"
         if last.exists():
             try:
@@ -328,7 +328,7 @@ class Trainer:
                     kept.append(line)
             except (ValueError, KeyError, TypeError):
                 break  # torn by the kill
-        write_whole(log, "".join(line + "\n" for line in kept).encode())
+        write_atomic(log, "".join(line + "\n" for line in kept).encode())
 
     def _log(self, values: dict[str, Any]) -> None:
         with (self.out / "log.jsonl").open("a") as log:

@@ -123,6 +123,6 @@ def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:
         sphere_normals(batch.to_viewer[0], places), batch.to_viewer[0], samples=samples, generator=generator
     )
     flat = sphere.directions.flatten(1, 2)
-    balls = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
-    rendering = (balls[0].clamp(max=1) - balls[1].clamp(max=1)).square().mean()
+    spheres = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
+    rendering = (spheres[0].clamp(max=1) - spheres[1].clamp(max=1)).square().mean()
     return float(difference.square().mean()), float(rendering)

@@ -1,0 +1,176 @@
+"""The networks' stages: ONNX graphs with bound buffers, as the server runs them, beside PyTorch in eager mode.
+
+Without a model folder, graphs of the default widths are exported with untrained weights: time does not depend on what
+the weights are.
+"""
+
+import importlib.util
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.engine.graphs import Graph, LightingGraphs, load_graphs
+from roomlight.engine.providers import open_graph, openvino_device
+from roomlight_bench.costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
+from roomlight_bench.plain_torch import torch_installed
+from roomlight_bench.roofline import Cost
+from roomlight_bench.stage import Stage
+from roomlight_bench.timing import Way
+from roomlight_model.config import ModelConfig
+
+Progress = Callable[[str], None]
+RuntimeName = Literal["cpu", "openvino"]
+_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO bf16"}
+
+
+@dataclass(frozen=True)
+class Networks:
+    """A model's graphs, loaded by each runtime that serves here."""
+
+    config: ModelConfig
+    loaded: dict[RuntimeName, LightingGraphs]
+    trained: bool
+
+    @property
+    def form(self) -> Literal["single", "video"]:
+        """The model's form."""
+        return next(iter(self.loaded.values())).form
+
+
+def export_possible() -> bool:
+    """Whether the extra packages of `roomlight export` are installed."""
+    return all(importlib.util.find_spec(name) is not None for name in ("torch", "onnx", "onnxscript"))
+
+
+def untrained_networks(config: ModelConfig, *, progress: Progress) -> Networks:
+    """A video model of fresh weights: exported, loaded, and its files gone again."""
+    from roomlight_export.graphs import graphs_of
+    from roomlight_export.onnx_file import half_rounded, to_onnx
+    from roomlight_model.networks import SingleModel, VideoModel
+
+    model = half_rounded(VideoModel(config).eval(), "untrained")
+    assert isinstance(model, SingleModel | VideoModel)
+    opened: dict[RuntimeName, dict[str, Graph]] = {runtime: {} for runtime in _runtimes()}
+    with tempfile.TemporaryDirectory() as folder:
+        for graph in graphs_of(model):
+            progress(f"exporting {graph.name}")
+            path = Path(folder) / f"{graph.name}.onnx"
+            path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
+            for runtime, graphs in opened.items():
+                graphs[graph.name] = Graph(open_graph(path, runtime), graph.name)
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs, filled=True)
+        for runtime, graphs in opened.items()
+    }
+    return Networks(config, loaded, trained=False)
+
+
+def load_networks(model: Path) -> Networks:
+    """Load a model folder in every runtime that serves here. Raises ModelError."""
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: load_graphs(model, provider=runtime, allow_untrained=True) for runtime in _runtimes()
+    }
+    described = json.loads((model / "model.json").read_text())
+    return Networks(
+        ModelConfig.from_dict(described.get("config", {})), loaded, trained=bool(loaded["cpu"].card.get("steps"))
+    )
+
+
+def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[Stage]:
+    """3D network, 3D GRU, blending network and 2D GRU: one stage a runtime, PyTorch eager beside the first."""
+    form, sg, blend = networks.form, networks.config.sg, networks.config.blend
+    video = form == "video"
+    plan: list[tuple[str, tuple[str, ...], Cost, float, str]] = [
+        (
+            "SGLV network",
+            (f"{form}_sg_encoder", f"{form}_sg_decoder"),
+            network_cost(sg_layers(sg, recurrent=video)),
+            25.0,
+            "3D encoder and decoder",
+        ),
+        ("3D GRU", ("video_sg_gru",), network_cost(sg_gru_layers(sg)), 19.0, "both levels"),
+        (
+            "blending network",
+            (f"{form}_blend_encoder", f"{form}_blend_decoder"),
+            network_cost(blend_layers(blend, panels=13 if video else 8)),
+            5.2,
+            "2D encoder and decoder",
+        ),
+        ("2D GRU", ("video_blend_gru",), network_cost(blend_gru_layers(blend)), 2.1, "both levels"),
+    ]
+    modules = _eager(networks) if torch_installed() else None
+    stages: list[Stage] = []
+    for name, graphs, cost, paper_ms, note in plan:
+        for runtime, loaded in networks.loaded.items():
+            if not all(graph in loaded.graphs for graph in graphs):
+                continue  # a single-view model has no GRUs
+            first = runtime == "cpu"
+            ours = Way(_bound(loaded, graphs, volume))
+            eager = Way(_run_eager(modules, graphs, volume)) if modules is not None and first else None
+            for way in (ours, eager):
+                if way is not None:
+                    way.run()
+            title = f"{name}, {_RUNTIME_TITLES[runtime]}"
+            stages.append(Stage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
+    return stages
+
+
+def _runtimes() -> tuple[RuntimeName, ...]:
+    return ("cpu", "openvino") if openvino_device() is not None else ("cpu",)
+
+
+def _inputs(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:
+    if name == "volume":
+        return np.ascontiguousarray(volume[None])
+    return np.random.default_rng(0).random(shape, dtype=np.float32)
+
+
+def _bound(
+    loaded: LightingGraphs, names: tuple[str, ...], volume: Float[np.ndarray, "5 z y x"]
+) -> Callable[[], object]:
+    bound = []
+    for name in names:
+        graph = loaded.graphs[name]
+        feed = {key: _inputs(key, shape, volume) for key, shape in graph.inputs.items()}
+        bound.append(graph.bind(feed, graph.new_outputs()))
+
+    def run() -> None:
+        for graph in bound:
+            graph.run()
+
+    return run
+
+
+def _eager(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
+    """The same networks as PyTorch modules, with the names and shapes of their inputs."""
+    from roomlight_export.graphs import graphs_of
+    from roomlight_model.networks import build
+
+    model = build(networks.form, networks.config).eval()
+    return {graph.name: (graph.module, graph.inputs) for graph in graphs_of(model)}
+
+
+def _run_eager(
+    modules: dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]],
+    names: tuple[str, ...],
+    volume: Float[np.ndarray, "5 z y x"],
+) -> Callable[[], object]:
+    import torch
+
+    calls: list[tuple[Callable[..., object], list[torch.Tensor]]] = []
+    for name in names:
+        module, shapes = modules[name]
+        calls.append((module, [torch.from_numpy(_inputs(key, shape, volume)) for key, shape in shapes.items()]))
+
+    @torch.inference_mode()
+    def run() -> None:
+        for module, tensors in calls:
+            module(*tensors)
+
+    return run

@@ -1,0 +1,209 @@
+"""`roomlight dataset check`: the generator's light against a path tracer's, as a table and as pictures."""
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Final
+
+import cv2
+import numpy as np
+import typer
+from jaxtyping import Float, UInt8
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from roomlight.dataset.recording import Split
+from roomlight.drawing import HEADING, Canvas
+from roomlight.errors import DatasetError
+from roomlight.images import write_png
+from roomlight_cli import console
+from roomlight_cli.console import say
+
+if TYPE_CHECKING:
+    from roomlight_generator.verification.check import CheckReport, ProbeDeviation, RoomCheck, SurfaceDeviation, View
+
+DIFFUSE_TARGET: Final = 0.05
+PROBE_TARGET: Final = 0.03
+
+_SHOWN_ERROR: Final = 0.25
+"""The relative error that is shown in full colour: red where ours is brighter, blue where it is darker."""
+_TILE: Final = (480, 360)
+_PROBE: Final = (480, 240)
+_MARGIN: Final = 8
+_LABEL: Final = 20
+
+
+def check(
+    rooms: Annotated[int, typer.Option(min=1, help="How many rooms.")] = 12,
+    seed: Annotated[int, typer.Option(min=0, help="The dataset's seed.")] = 0,
+    first: Annotated[int, typer.Option(min=0, help="Number of the first room.")] = 0,
+    split: Annotated[Split, typer.Option(help="Which split's rooms.")] = "train",
+    samples: Annotated[int, typer.Option(min=2, help="Paths a pixel of the reference's frame and probe.")] = 64,
+    paths: Annotated[
+        int, typer.Option(min=1000, help="Paths for a room's points, at which surfaces are compared, at the most.")
+    ] = 12_000_000,
+    furniture: Annotated[
+        Path | None, typer.Option(help="A .sh3f library, or the cache of several, instead of the installed ones.")
+    ] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for pictures: ours, the reference, the signed error.")
+    ] = None,
+) -> None:
+    """Compare rooms with Mitsuba's path tracer (a development dependency): errors of frames and probes."""
+    if find_spec("mitsuba") is None:
+        raise DatasetError("the check needs the path tracer Mitsuba: pip install mitsuba")
+    from roomlight_generator.verification.check import check_rooms
+
+    done = 0
+
+    with console.err.status(f"room 1 of {rooms}") as status:
+
+        def progress(room: "RoomCheck") -> None:
+            nonlocal done
+            done += 1
+            if out:
+                write_png(out / f"{room.name}.png", compose_check(room))
+            console.err.print(_line(room), soft_wrap=True, markup=False)
+            status.update(f"room {done + 1} of {rooms}")
+
+        report = check_rooms(
+            rooms, seed=seed, first=first, split=split, furniture=furniture, samples=samples, paths=paths, done=progress
+        )
+    print_check(console.out, report)
+    if out:
+        say(f"pictures in {out}")
+
+
+def print_check(terminal: Console, report: "CheckReport") -> None:
+    """Surfaces and probes, a row a room, and what they are against the two targets.
+
+    Beside each error stands what the reference's noise alone would give; rms is our error with it taken out."""
+    from roomlight_generator.verification.check import JUDGED_NOISE, CheckReport
+
+    diffuse, coated, probe = report.diffuse(), report.coated(), report.probe()
+    for title, parts, total in (
+        ("Diffuse surfaces in frames", [room.diffuse for room in report.rooms], diffuse),
+        ("Coated surfaces in frames", [room.coated for room in report.rooms], coated),
+    ):
+        surfaces = _table(f"{title}: relative error in %", ("mean", "noise", "4x4", "noise", "rms", "bias"))
+        for room, part in zip(report.rooms, parts, strict=True):
+            surfaces.add_row(room.name, *_surface(part))
+        surfaces.add_section()
+        surfaces.add_row("all", *_surface(total))
+        terminal.print(surfaces)
+    probes = _table(
+        "Probes: relative error of irradiance in %; seconds for all; paths a point in frames",
+        ("mean", "noise", "bias", "log-L2", "ours", "reference", "paths"),
+    )
+    for room in report.rooms:
+        spent = room.frame.reference_s + room.panorama.reference_s + room.points_s
+        own = room.solve_s + room.frame.ours_s + room.panorama.ours_s
+        probes.add_row(room.name, *_probe(room.probe), f"{own:.1f}", f"{spent:.0f}", str(room.paths))
+    probes.add_section()
+    probes.add_row("all", *_probe(probe))
+    terminal.print(probes)
+    for message in report.left_out:
+        terminal.print(f"left out: {message}", soft_wrap=True, markup=False)
+    if diffuse is not None:
+        mean = diffuse.pixels.mean
+        terminal.print(
+            f"frames, diffuse surfaces: {_percent(mean)} %, {_percent(diffuse.pixels.less_noise)} % without the "
+            f"reference's noise, {_verdict(mean, DIFFUSE_TARGET)}",
+            soft_wrap=True,
+        )
+        blocks = diffuse.blocks
+        terminal.print(
+            f"over blocks of 4 x 4 pixels: {_percent(blocks.mean)} %, {_percent(blocks.less_noise)} % without the "
+            f"noise; rms {_percent(blocks.rms)} %",
+            soft_wrap=True,
+        )
+    judged = CheckReport(report.judged(), ())
+    known = judged.diffuse() if judged.rooms else None
+    if known is not None and len(judged.rooms) < len(report.rooms):
+        terminal.print(
+            f"in the {len(judged.rooms)} rooms where the reference knows diffuse blocks to {_percent(JUDGED_NOISE)} %: "
+            f"{_percent(known.blocks.mean)} %, {_percent(known.blocks.less_noise)} % without the noise; rms "
+            f"{_percent(known.blocks.rms)} %; probes {_percent(judged.probe().irradiance)} %",
+            soft_wrap=True,
+        )
+    terminal.print(
+        f"probes, irradiance: {_percent(probe.irradiance)} %, {_verdict(probe.irradiance, PROBE_TARGET)}",
+        soft_wrap=True,
+    )
+
+
+def compose_check(room: "RoomCheck") -> UInt8[np.ndarray, "h w 3"]:
+    """Frame and probe: ours, the reference, the signed error."""
+    width = 3 * (_TILE[0] + _MARGIN) + _MARGIN
+    canvas = Canvas(width, 2 * _LABEL + _TILE[1] + _PROBE[1] + 4 * _MARGIN)
+    canvas.text((_MARGIN, 6), _line(room), grey=HEADING, width=width - 2 * _MARGIN)
+    canvas.text(
+        (_MARGIN, 6 + _LABEL),
+        f"ours, reference, error: red where ours is brighter, blue where darker, full at {_SHOWN_ERROR:.0%}; "
+        "dark where neither diffuse nor coated, or an edge",
+    )
+    top = 2 * _LABEL + _MARGIN
+    judged = room.kinds.diffuse | room.kinds.coated
+    gain = 0.6 / max(float(np.percentile(room.frame.reference, 90)), 1e-9)
+    for view, size, shown in ((room.frame, _TILE, judged), (room.panorama, _PROBE, None)):
+        error = _error_colours(view)
+        if shown is not None:
+            error = np.where(shown[..., None], error, 0.25 * error).astype(np.float32)
+        pictures = (view.ours * np.float32(gain), view.reference * np.float32(gain), error)
+        for k, picture in enumerate(pictures):
+            canvas.picture((_MARGIN + k * (_TILE[0] + _MARGIN), top), picture, size=size, exposed=False)
+        top += size[1] + _MARGIN
+    return canvas.image
+
+
+def _error_colours(view: "View") -> Float[np.ndarray, "h w 3"]:
+    """White where equal. Both are averaged over 4 x 4 pixels first: the reference's picture is noisy."""
+    ours, reference = (cv2.blur(image.mean(-1), (4, 4)) for image in (view.ours, view.reference))
+    share = (ours - reference) / np.maximum(reference, 1e-3 * float(reference.mean()) + 1e-12) / _SHOWN_ERROR
+    share = np.clip(share, -1, 1)
+    red, blue = 1 - np.maximum(-share, 0), 1 - np.maximum(share, 0)
+    return np.stack([red, 1 - np.abs(share), blue], -1).astype(np.float32)
+
+
+def _line(room: "RoomCheck") -> str:
+    parts = [f"{room.name}, {room.about}:"]
+    for name, part in (("diffuse", room.diffuse), ("coated", room.coated)):
+        if part is not None:
+            parts.append(
+                f"{name} {_percent(part.pixels.mean)} % (noise {_percent(part.pixels.noise)}), "
+                f"4x4 {_percent(part.blocks.mean)} % (noise {_percent(part.blocks.noise)}), bias {_signed(part.bias)};"
+            )
+    irradiance, noise, bias, _ = _probe(room.probe)
+    parts.append(f"probe {irradiance} % (noise {noise}), bias {bias}")
+    return " ".join(parts)
+
+
+def _table(title: str, headings: tuple[str, ...]) -> Table:
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("", no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
+def _surface(part: "SurfaceDeviation | None") -> tuple[str, ...]:
+    if part is None:
+        return ("-",) * 6
+    figures = (part.pixels.mean, part.pixels.noise, part.blocks.mean, part.blocks.noise, part.blocks.rms)
+    return (*(_percent(value) for value in figures), _signed(part.bias))
+
+
+def _probe(probe: "ProbeDeviation") -> tuple[str, str, str, str]:
+    return _percent(probe.irradiance), _percent(probe.noise), _signed(probe.bias), f"{probe.log_l2:.4f}"
+
+
+def _verdict(value: float, target: float) -> str:
+    return f"{'under' if value < target else 'over'} the target of {_percent(target)} %"
+
+
+def _percent(value: float) -> str:
+    return f"{100 * value:.1f}"
+
+
+def _signed(value: float) -> str:
+    return f"{100 * value:+.1f}"

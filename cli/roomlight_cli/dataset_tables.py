@@ -1,0 +1,45 @@
+"""The statistics of a dataset as tables for a terminal."""
+
+from rich import box
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from roomlight_generator.stats import DatasetStats, Spread
+
+_MOST: int = 14
+"""Kinds of furniture listed; the JSON has all."""
+
+
+def print_stats(console: Console, stats: DatasetStats) -> None:
+    """Measures with their spread, counts by kind, and bytes by part."""
+    table = Table(
+        title=f"{stats.sequences} sequences, {stats.rooms} rooms",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+    )
+    table.add_column("")
+    for heading in ("mean", "sd", "5 %", "median", "95 %"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for name, spread in stats.spreads.items():
+        table.add_row(name, *(_short(value) for value in _values(spread)))
+    console.print(table)
+    for title, counts in stats.counts.items():
+        shown = [f"{escape(kind)} {count}" for kind, count in counts.items()]
+        more = f", and {len(shown) - _MOST} more kinds" if len(shown) > _MOST else ""
+        console.print(f"[bold]{title}[/]: {', '.join(shown[:_MOST]) or 'none told'}{more}", soft_wrap=True)
+    total = sum(stats.mean_bytes.values())
+    parts = ", ".join(f"{part} {size / 1e3:.0f}" for part, size in stats.mean_bytes.items())
+    console.print(f"[bold]kB a sequence[/]: {total / 1e3:.0f} ({parts})", soft_wrap=True)
+    if stats.probes_at_half_limit:
+        console.print(f"{stats.probes_at_half_limit} probe pixels are dimmed to the largest half float (65504)")
+
+
+def _values(spread: Spread) -> tuple[float, ...]:
+    return (spread.mean, spread.deviation, spread.low, spread.median, spread.high)
+
+
+def _short(value: float) -> str:
+    """Three digits."""
+    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"

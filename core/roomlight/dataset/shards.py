@@ -1,0 +1,280 @@
+"""Shards: `train-00000.tar` with sequences one behind the other, and `train-00000.jsonl` that says which are whole.
+
+A line of the index is one finished sequence: its name, where its bytes are, their SHA-256, and a checksum of the line
+itself. Bytes are written and synced first, the line after them and synced too; so a sequence exists if and only if
+its line is whole and its bytes have the line's checksum. Whatever else a killed process or a full disk left is at the
+end of either file, belongs to no sequence, and is cut off by the next `ShardWriter`.
+"""
+
+import fcntl
+import hashlib
+import json
+import os
+import zlib
+from collections.abc import Generator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from roomlight.dataset.archive import end_of_archive
+from roomlight.errors import DatasetError, OutputError
+
+
+@dataclass(frozen=True)
+class Entry:
+    """A finished sequence: `length` bytes of the shard from `offset` on, whose SHA-256 is `sha256` (hexadecimal)."""
+
+    name: str
+    offset: int
+    length: int
+    sha256: str
+
+    @property
+    def end(self) -> int:
+        """The first byte behind it."""
+        return self.offset + self.length
+
+    def line(self) -> bytes:
+        """Its line of the index; `check` is the CRC-32 of the line without it."""
+        plain = json.dumps({"name": self.name, "offset": self.offset, "length": self.length, "sha256": self.sha256})
+        return f'{plain[:-1]}, "check": "{zlib.crc32(plain.encode()):08x}"}}\n'.encode()
+
+
+@dataclass(frozen=True)
+class ShardIndex:
+    """What an index file says.
+
+    entries:  the finished sequences, in the order of their bytes.
+    damaged:  lines, counted from 1, that are not whole although whole ones follow: no kill does that.
+    size:     bytes of the file up to the end of the last whole line; what follows was never finished.
+    """
+
+    entries: tuple[Entry, ...]
+    damaged: tuple[int, ...]
+    size: int
+
+
+def shard_path(folder: Path, split: str, number: int) -> Path:
+    """The tar of a shard; its index has the same name with `.jsonl`."""
+    return folder / f"{split}-{number:05d}.tar"
+
+
+def index_path(tar: Path) -> Path:
+    """The index beside a shard."""
+    return tar.with_suffix(".jsonl")
+
+
+def remedy(tar: Path) -> str:
+    """What to do about a damaged shard, for messages."""
+    return (
+        f"`roomlight dataset verify {tar.parent} --repair` takes out what is damaged, "
+        f"and generating again with the same settings fills it in (or delete {tar.name} and {index_path(tar).name})"
+    )
+
+
+def read_index(tar: Path) -> ShardIndex:
+    """The index of a shard; empty where there is none. DatasetError where it cannot be read."""
+    path = index_path(tar)
+    try:
+        data = path.read_bytes()
+    except FileNotFoundError:
+        return ShardIndex((), (), 0)
+    except OSError as error:
+        raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
+    entries: list[Entry] = []
+    bad: list[int] = []
+    at = size = 0
+    damaged: tuple[int, ...] = ()
+    for number, line in enumerate(data.split(b"\n")[:-1], 1):
+        at += len(line) + 1
+        entry = _parse(line + b"\n")
+        if entry is None or (entries and entry.offset < entries[-1].end):
+            bad.append(number)
+            continue
+        entries.append(entry)
+        size, damaged = at, tuple(bad)
+    return ShardIndex(tuple(entries), damaged, size)
+
+
+def _parse(line: bytes) -> Entry | None:
+    """The entry whose line this is, to the byte."""
+    try:
+        values: Any = json.loads(line)
+        entry = Entry(values["name"], values["offset"], values["length"], values["sha256"])
+        return entry if entry.line() == line else None
+    except (ValueError, TypeError, KeyError):
+        return None
+
+
+def read_packed(tar: Path, entry: Entry) -> bytes:
+    """A sequence's bytes, checked; DatasetError with the shard, the sequence and what to do where they do not match."""
+    try:
+        with tar.open("rb") as file:
+            packed = os.pread(file.fileno(), entry.length, entry.offset)
+    except OSError as error:
+        raise DatasetError(
+            f"{tar}: sequence {entry.name} cannot be read ({error.strerror or error}); {remedy(tar)}"
+        ) from error
+    if len(packed) < entry.length:
+        raise DatasetError(f"{tar}: ends inside sequence {entry.name}, which its index has as finished; {remedy(tar)}")
+    if hashlib.sha256(packed).hexdigest() != entry.sha256:
+        raise DatasetError(f"{tar}: sequence {entry.name} does not have its checksum, bytes changed; {remedy(tar)}")
+    return packed
+
+
+def replace_index(tar: Path, entries: Sequence[Entry]) -> None:
+    """Write a shard's index anew, whole or not at all; OutputError where it cannot be."""
+    path = index_path(tar)
+    partial = path.with_name(f".{path.name}.part")
+    with _writing(path):
+        with partial.open("wb") as file:
+            file.writelines(entry.line() for entry in entries)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+        sync_folder(path.parent)
+
+
+def is_finished(tar: Path, names: set[str]) -> bool:
+    """Whether the shard has all of these sequences and its end-of-archive mark; their bytes are not read."""
+    index = read_index(tar)
+    if index.damaged or not names <= {entry.name for entry in index.entries}:
+        return False
+    end = max((entry.end for entry in index.entries), default=0)
+    try:
+        return tar.stat().st_size == end + len(end_of_archive(end)) and index.size == index_path(tar).stat().st_size
+    except OSError:
+        return False
+
+
+class ShardWriter:
+    """Appends sequences to one shard, for one process at a time; use it in a `with` statement.
+
+    Opening brings the shard to its last whole state: a torn tail of tar or index is cut off, finished sequences are
+    read and checked. DatasetError where one in between is damaged; OutputError where the files cannot be written.
+    """
+
+    def __init__(self, tar: Path) -> None:
+        """Waits for another process that has the shard open, such as a worker whose parent was just killed."""
+        self.path = tar
+        with ExitStack() as opened:
+            self._tar = _open(tar, os.O_RDWR | os.O_CREAT)
+            opened.callback(os.close, self._tar)
+            fcntl.flock(self._tar, fcntl.LOCK_EX)
+            self._index = _open(index_path(tar), os.O_RDWR | os.O_CREAT | os.O_APPEND)
+            opened.callback(os.close, self._index)
+            self.entries = self._whole_entries(read_index(tar))
+            self._end = self.entries[-1].end if self.entries else 0
+            with _writing(tar):
+                self._cut()
+                sync_folder(tar.parent)
+            self._opened = opened.pop_all()
+
+    def __enter__(self) -> "ShardWriter":
+        """Itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the files; what was appended stays."""
+        self._opened.close()
+
+    @property
+    def names(self) -> set[str]:
+        """The sequences that the shard has."""
+        return {entry.name for entry in self.entries}
+
+    def append(self, name: str, packed: bytes) -> Entry:
+        """Make a sequence part of the shard, on the disk when this returns; OutputError where that fails."""
+        entry = Entry(name, self._end, len(packed), hashlib.sha256(packed).hexdigest())
+        try:
+            with _writing(self.path):
+                _write_all(self._tar, packed, self._end)
+                os.fsync(self._tar)
+            with _writing(index_path(self.path)):
+                _append_all(self._index, entry.line())
+                os.fsync(self._index)
+        except OutputError:
+            with suppress(OSError):  # give the space back; the next writer would cut it off all the same
+                self._cut()
+            raise
+        self.entries.append(entry)
+        self._end = entry.end
+        return entry
+
+    def finish(self) -> None:
+        """Write the end-of-archive mark. A later writer cuts it off again to go on."""
+        with _writing(self.path):
+            _write_all(self._tar, end_of_archive(self._end), self._end)
+            os.fsync(self._tar)
+
+    def _cut(self) -> None:
+        """Cut both files behind the finished sequences; the index first: no line may stand for bytes that are gone."""
+        os.ftruncate(self._index, sum(len(entry.line()) for entry in self.entries))
+        os.fsync(self._index)
+        os.ftruncate(self._tar, self._end)
+        os.fsync(self._tar)
+
+    def _whole_entries(self, index: ShardIndex) -> list[Entry]:
+        """The finished sequences; those at the end whose bytes do not match were not (a disk that lost a sync)."""
+        if index.damaged:
+            raise DatasetError(f"{index_path(self.path)}: line {index.damaged[0]} is damaged; {remedy(self.path)}")
+        entries = list(index.entries)
+        problems = [_problem(self.path, entry) for entry in entries]
+        while problems and problems[-1] is not None:
+            entries.pop()
+            problems.pop()
+        for problem in problems:
+            if problem is not None:
+                raise problem
+        return entries
+
+
+def _problem(tar: Path, entry: Entry) -> DatasetError | None:
+    try:
+        read_packed(tar, entry)
+    except DatasetError as error:
+        return error
+    return None
+
+
+def sync_folder(folder: Path) -> None:
+    """Make new names in a folder last through a loss of power."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
+
+
+def _open(path: Path, flags: int) -> int:
+    with _writing(path):
+        return os.open(path, flags, 0o644)
+
+
+def _write_all(handle: int, data: bytes, offset: int) -> None:
+    view = memoryview(data)
+    while view:
+        written = os.pwrite(handle, view, offset)
+        view, offset = view[written:], offset + written
+
+
+def _append_all(handle: int, data: bytes) -> None:
+    view = memoryview(data)
+    while view:
+        view = view[os.write(handle, view) :]
+
+
+@contextmanager
+def _writing(path: Path) -> Generator[None]:
+    """Turn what the system refuses into an OutputError with the file's name."""
+    try:
+        yield
+    except OSError as error:
+        raise OutputError(
+            f"{path}: cannot be written ({error.strerror or error}); what is finished stays, "
+            "and the same command goes on from there"
+        ) from error

@@ -1,0 +1,78 @@
+"""Finds damaged sequences by their checksums, and takes them out so that generating makes them again."""
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from roomlight.dataset.archive import filler
+from roomlight.dataset.folder import locked, read_manifest, shard_files
+from roomlight.dataset.shards import Entry, index_path, read_index, read_packed, replace_index
+from roomlight.errors import DatasetError, OutputError
+
+
+@dataclass(frozen=True)
+class VerifyReport:
+    """whole: sequences that have their checksum; damaged: messages, one a damaged sequence or index line."""
+
+    whole: int
+    bytes: int
+    damaged: tuple[str, ...]
+
+
+def verify(folder: Path, *, repair: bool = False, progress: Callable[[int, int], None] | None = None) -> VerifyReport:
+    """Read every sequence and compare its checksum. DatasetError where the folder is no dataset.
+
+    `repair` takes damaged sequences out: their lines leave the index, their bytes become a member that unpacking
+    shows as `.damaged-...`, and the shard counts as unfinished. OutputError where it cannot, or another process is
+    writing to the dataset.
+    """
+    read_manifest(folder)
+    if repair:
+        with locked(folder):
+            return _verify(folder, repair=True, progress=progress)
+    return _verify(folder, repair=False, progress=progress)
+
+
+def _verify(folder: Path, *, repair: bool, progress: Callable[[int, int], None] | None) -> VerifyReport:
+    shards = [(tar, read_index(tar)) for tar in shard_files(folder)]
+    total = sum(len(index.entries) for _, index in shards)
+    whole = done = size = 0
+    damaged: list[str] = []
+    for tar, index in shards:
+        good: list[Entry] = []
+        for entry in index.entries:
+            try:
+                read_packed(tar, entry)
+            except DatasetError as error:
+                damaged.append(str(error))
+            else:
+                good.append(entry)
+                size += entry.length
+            done += 1
+            if progress:
+                progress(done, total)
+        damaged += [f"{index_path(tar)}: line {number} is damaged" for number in index.damaged]
+        if repair and (index.damaged or len(good) < len(index.entries)):
+            _repair(tar, good)
+        whole += len(good)
+    return VerifyReport(whole, size, tuple(damaged))
+
+
+def _repair(tar: Path, good: list[Entry]) -> None:
+    """The index first: from then on the damaged bytes belong to no sequence, whatever happens to them."""
+    replace_index(tar, good)
+    try:
+        handle = os.open(tar, os.O_RDWR | os.O_CREAT, 0o644)
+        try:
+            at = 0
+            for entry in good:
+                if entry.offset > at:
+                    os.pwrite(handle, filler(f".damaged-{tar.stem}-{at}", entry.offset - at), at)
+                at = entry.end
+            os.ftruncate(handle, at)
+            os.fsync(handle)
+        finally:
+            os.close(handle)
+    except OSError as error:
+        raise OutputError(f"{tar}: cannot be written ({error.strerror or error})") from error

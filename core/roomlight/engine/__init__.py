@@ -1,0 +1,1 @@
+"""The engine: turns a stream of frames into light at any point."""

@@ -1,0 +1,146 @@
+"""What a probe keeps between frames, and how a frame's details enter it (paper, section 4.2).
+
+State: L (radiance), the accumulated depth panorama and the accumulated blending weight. Depth is distance
+along the ray in metres; where nothing was seen yet it is `UNSEEN_DEPTH` x D_max, farther than anything in the
+volume, so that whatever is seen first comes in.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.conventions import LUMINANCE, panorama_solid_angles
+from roomlight.engine.fill import continued
+from roomlight.engine.kernels.blend import accumulate_rows
+
+CLOSER_M: Final = 0.25
+"""A newly seen surface replaces what was seen before only if it is this much closer (the paper's value)."""
+FILL_COLOUR: Final = 0.75
+"""Share of the fill's colour in what is inferred beyond the mesh. At 0, 0.75, 1 the angular error of a matte sphere's
+colour is 6.14, 6.12, 6.28 degrees on 160 test rooms and 8.0, 6.8, 6.5 on three captures of other authors; log-L2 does
+not mind."""
+DARK: Final = 1e-3
+"""Of white: darker than this, a fill's own colour means less and less, and grey is taken instead."""
+UNSEEN_DEPTH: Final = 4.0
+"""In units of D_max; the volume's diagonal is 3.2 D_max."""
+
+
+def farthest_depth_m(depth_max_m: float) -> float:
+    """Surfaces beyond this are taken to be here: a little nearer than "unseen", so that they too come in.
+
+    Without it a session that begins with a close-up (small D_max) would never show the rest of its room.
+    """
+    unseen_m = UNSEEN_DEPTH * depth_max_m
+    return min(0.8 * unseen_m, unseen_m - 2 * CLOSER_M)
+
+
+@dataclass(frozen=True)
+class PanoramaState:
+    """One probe's memory; the arrays are updated in place. Float32; [H, 2H, 3], [H, 2H], [H, 2H]."""
+
+    radiance: Float[np.ndarray, "h w 3"]
+    depth_m: Float[np.ndarray, "h w"]
+    seen: Float[np.ndarray, "h w"]
+
+    @classmethod
+    def fresh(cls, height: int, depth_max_m: float) -> "PanoramaState":
+        """Nothing seen yet."""
+        shape = (height, 2 * height)
+        return cls(
+            np.zeros((*shape, 3), np.float32),
+            np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32),
+            np.zeros(shape, np.float32),
+        )
+
+    def lets_in(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+        """Where a surface this far away is enough closer than what was seen before: the conservative rule."""
+        return self.depth_m - depth_m >= CLOSER_M
+
+    def coverage(self) -> float:
+        """Share of the sphere that was observed, by solid angle, in [0, 1]."""
+        return float((self.seen * panorama_solid_angles(self.seen.shape[0])).sum() / (4 * np.pi))
+
+
+def accumulate(
+    state: PanoramaState,
+    *,
+    hdr: Float[np.ndarray, "h w 3"],
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    weight: Float[np.ndarray, "h w"],
+) -> None:
+    """Blend one frame into the state, in place.
+
+    With L_M the weight after the conservative rule, L~ the detail, L. the HDR panorama from the SGLV:
+    L_M = max(L_M - 1(D^ - D~ < 0.25), 0);  L = L_M L~ + (1 - L_M)((1 - M^) L. + M^ L);
+    D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame saw nothing.
+    """
+    # Not sharded: 0.06 ms on one thread for 120 x 240, 0.15 ms when handed to a pool.
+    closer_m, rows = np.float32(CLOSER_M), state.seen.shape[0]
+    accumulate_rows(state.radiance, state.depth_m, state.seen, hdr, detail, detail_depth_m, weight, closer_m, 0, rows)
+
+
+def latest_detail(
+    state: PanoramaState,
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    *,
+    mask: Bool[np.ndarray, "h w"],
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """(radiance, how well it is known): this frame's detail where the conservative rule would take it in, else what
+    was seen before."""
+    fresh = mask & state.lets_in(detail_depth_m)
+    known = np.where(fresh, np.float32(1), state.seen)
+    return np.where(fresh[..., None], detail, state.radiance), known
+
+
+def filled_detail(
+    state: PanoramaState,
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    *,
+    mask: Bool[np.ndarray, "h w"],
+    hdr: Float[np.ndarray, "h w 3"],
+) -> Float[np.ndarray, "h w 3"]:
+    """This frame's detail, and beyond its mask a fill of all that is known by now: what the blending network mixes with
+    the SGLV's panorama `hdr`, which stands in where nothing was ever seen."""
+    radiance, known = latest_detail(state, detail, detail_depth_m, mask=mask)
+    around = continued(radiance, known) if known.any() else hdr
+    return np.where(mask[..., None], detail, around)
+
+
+def fill_in(
+    hdr: Float[np.ndarray, "h w 3"],
+    ldr: Float[np.ndarray, "h w 3"],
+    mask: Bool[np.ndarray, "h w"],
+    *,
+    weight: Float[np.ndarray, "h w"],
+) -> Float[np.ndarray, "h w 3"]:
+    """The SGLV's panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there, and most of its
+    colour (`FILL_COLOUR`).
+
+    How bright a place is that nobody saw is what networks learn; what colour it has, its surroundings tell as well, and
+    better in rooms unlike those that were trained on.
+    """
+    mixed = hdr + weight[..., None] * (ldr - hdr)
+    colour = (ldr + np.float32(DARK)) / ((ldr @ LUMINANCE)[..., None] + np.float32(DARK))
+    coloured = mixed + np.float32(FILL_COLOUR) * ((mixed @ LUMINANCE)[..., None] * colour - mixed)
+    return np.where(mask[..., None], hdr, coloured)
+
+
+def accumulate_reference(
+    state: PanoramaState,
+    *,
+    hdr: Float[np.ndarray, "h w 3"],
+    detail: Float[np.ndarray, "h w 3"],
+    detail_depth_m: Float[np.ndarray, "h w"],
+    weight: Float[np.ndarray, "h w"],
+) -> None:
+    """Readable twin of `accumulate`, equation by equation in NumPy."""
+    blend = np.maximum(weight - ~state.lets_in(detail_depth_m), 0)
+    held = (1 - state.seen[..., None]) * hdr + state.seen[..., None] * state.radiance
+    state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * held
+    state.depth_m[:] = blend * detail_depth_m + (1 - blend) * state.depth_m
+    state.seen[:] = np.minimum(state.seen + blend, 1)

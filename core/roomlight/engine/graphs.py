@@ -1,0 +1,164 @@
+"""A model directory: the ONNX graphs of `roomlight export`, checked and loaded once, shared by all sessions.
+
+`model.json` names the form, the configuration, the training card and each graph's digest. Forms: `single` has
+single_{sg_encoder,sg_decoder,blend_encoder,blend_decoder}; `video` has these for its first frame and
+video_{sg_encoder,sg_gru,sg_decoder,blend_encoder,blend_gru,blend_decoder}.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import onnxruntime as ort
+from jaxtyping import Float32
+
+from roomlight.engine.providers import Provider, open_graph, resolve_provider
+from roomlight.errors import ModelError
+
+Form = Literal["single", "video"]
+Buffers = dict[str, Float32[np.ndarray, "..."]]
+"""Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
+FORMAT: Final = 1
+"""Of `model.json`; written by `roomlight_export.exporting`."""
+DESCRIPTION: Final = "model.json"
+SINGLE_GRAPHS: Final = (
+    "single_sg_encoder",
+    "single_sg_decoder",
+    "single_blend_encoder",
+    "single_blend_decoder",
+)
+VIDEO_GRAPHS: Final = (
+    "video_sg_encoder",
+    "video_sg_gru",
+    "video_sg_decoder",
+    "video_blend_encoder",
+    "video_blend_gru",
+    "video_blend_decoder",
+)
+SHIPPED: Final = Path(__file__).parent / "weights"
+"""Trained weights that come with the package: one directory a form."""
+
+
+class Graph:
+    """One loaded graph, run on buffers that stay where they are."""
+
+    def __init__(self, session: ort.InferenceSession, name: str) -> None:
+        """Read the static shapes of inputs and outputs."""
+        self._session = session
+        self.name = name
+        self.inputs = {node.name: tuple(node.shape) for node in session.get_inputs()}
+        self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
+        for key, shape in (self.inputs | self.outputs).items():
+            if not all(isinstance(size, int) for size in shape):
+                raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
+
+    def new_outputs(self) -> Buffers:
+        """Zeroed buffers for every output."""
+        return {name: np.zeros(shape, np.float32) for name, shape in self.outputs.items()}
+
+    def bind(self, inputs: Buffers, outputs: Buffers) -> "BoundGraph":
+        """Fix the buffers once: every later run reads and writes them in place, without a copy."""
+        binding = self._session.io_binding()
+        for wanted, given, bind in (
+            (self.inputs, inputs, binding.bind_ortvalue_input),
+            (self.outputs, outputs, binding.bind_ortvalue_output),
+        ):
+            if wanted.keys() != given.keys():
+                raise ModelError(f"graph {self.name} has {sorted(wanted)}, the engine gives {sorted(given)}")
+            for name, array in given.items():
+                if array.size != int(np.prod(wanted[name])):
+                    raise ModelError(f"graph {self.name}: {name} is {wanted[name]}, the engine has {array.shape}")
+                if not array.flags.c_contiguous:
+                    raise ModelError(f"graph {self.name}: the buffer for {name} is not contiguous")
+                bind(name, ort.OrtValue.ortvalue_from_numpy(array.reshape(wanted[name])))
+        return BoundGraph(self._session, binding, (*inputs.values(), *outputs.values()))
+
+
+@dataclass(frozen=True)
+class BoundGraph:
+    """A graph with its buffers; `arrays` keeps them alive, because ONNX Runtime holds addresses alone."""
+
+    session: ort.InferenceSession
+    binding: ort.IOBinding
+    arrays: tuple[Float32[np.ndarray, "..."], ...]
+
+    def run(self) -> None:
+        """Run once on the bound buffers."""
+        self.session.run_with_iobinding(self.binding)
+
+
+@dataclass(frozen=True)
+class LightingGraphs:
+    """A loaded model directory."""
+
+    path: Path
+    form: Form
+    card: dict[str, Any]
+    provider: Literal["cpu", "openvino"]
+    graphs: dict[str, Graph]
+    filled: bool
+    """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or the volume stands alone there."""
+
+    @property
+    def volume_shape(self) -> tuple[int, int, int]:
+        """(z, y, x) of the volumes the graphs were exported for."""
+        z, y, x = self.graphs["single_sg_encoder"].inputs["volume"][-3:]
+        return z, y, x
+
+    @property
+    def panorama_height(self) -> int:
+        """Height of the panoramas the blending graphs were exported for."""
+        return self.graphs["single_blend_encoder"].inputs["panels"][-2]
+
+
+def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: bool = False) -> LightingGraphs:
+    """Load and check a model directory.
+
+    Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the
+    weights were never trained and `allow_untrained` does not say that this is meant.
+    """
+    index = read_description(path)
+    form, card, entries = index["form"], index["card"], index["graphs"]
+    if not card.get("steps") and not allow_untrained:
+        raise ModelError(
+            f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
+            "their light would be noise; pass --allow-untrained if that is what you want"
+        )
+    resolved = resolve_provider(provider)
+    graphs: dict[str, Graph] = {}
+    for name in SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ()):
+        file = path / f"{name}.onnx"
+        entry = entries.get(name)
+        if not isinstance(entry, dict) or not file.is_file():
+            raise ModelError(f"{file}: missing; export the checkpoint again")
+        if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
+            raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
+        graphs[name] = Graph(open_graph(file, resolved), name)
+    return LightingGraphs(
+        path, form, card, resolved, graphs, bool(index["config"].get("blend", {}).get("filled", True))
+    )
+
+
+def read_description(path: Path) -> dict[str, Any]:
+    """A model directory's `model.json`: form, and the mappings config, card and graphs. Raises ModelError."""
+    index_path = path / DESCRIPTION
+    try:
+        index = json.loads(index_path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(
+            f"{index_path}: cannot be read ({error.strerror or error}); a model directory comes from `roomlight export`"
+        ) from error
+    except ValueError as error:
+        raise ModelError(f"{index_path}: is not JSON ({error})") from error
+    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
+        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
+    parts = {name: {} if index.get(name) is None else index[name] for name in ("config", "card", "graphs")}
+    blend = parts["config"].get("blend", {}) if isinstance(parts["config"], dict) else None
+    if not all(isinstance(part, dict) for part in (*parts.values(), blend)):
+        raise ModelError(
+            f"{index_path}: its card, its configuration or its list of graphs is damaged; export the checkpoint again"
+        )
+    return index | parts

@@ -1,0 +1,84 @@
+"""A bounded store of keyframes, chosen for coverage: what a probe first asked about late is caught up from.
+
+Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; vertices
+outside the volume count in the cell of its shell that is nearest.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.volume import VolumeGrid
+
+DEFAULT_KEYFRAMES: Final = 24
+"""A keyframe of 320 x 240 pixels takes 5.4 MB (resident memory over 24 of them: 2.2 of image and mesh, the rest
+Embree's copy and tree), so these 130 MB a session; they cover two turns around a room at 58 degrees of view."""
+WORTH_KEEPING: Final = 0.04
+"""A frame enters if this share of its cells is in no keyframe yet: 4 % is a turn of about 2.5 degrees."""
+_CELL: Final = 2
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame's mesh and the cells it covers."""
+
+    index: int
+    mesh: FrameMesh
+    cells: Bool[np.ndarray, " cells"]
+
+
+class KeyframeStore:
+    """At most `capacity` keyframes, in order of time; the one that covers least on its own makes room."""
+
+    def __init__(self, grid: VolumeGrid, capacity: int = DEFAULT_KEYFRAMES) -> None:
+        """An empty store for frames of this volume."""
+        if capacity < 1:
+            raise ValueError(f"a keyframe store holds at least 1 frame, asked for {capacity}")
+        self._grid = grid
+        self.capacity = capacity
+        self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
+        self._keyframes: list[Keyframe] = []
+
+    def __len__(self) -> int:
+        """Keyframes held."""
+        return len(self._keyframes)
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        """Keyframes in order of time, as they are now: offers during a catch-up do no harm."""
+        return iter(tuple(self._keyframes))
+
+    def offer(self, index: int, mesh: FrameMesh) -> bool:
+        """Keep the frame if it shows something new; returns whether it was kept."""
+        cells = self._cells_of(mesh.vertices[mesh.known])
+        total = int(cells.sum())
+        if total == 0 or int((cells & (self._counts == 0)).sum()) < WORTH_KEEPING * total:
+            return False
+        offered = Keyframe(index, mesh, cells)
+        self._keyframes.append(offered)
+        self._counts += cells
+        if len(self._keyframes) > self.capacity:
+            alone = [int((key.cells & (self._counts == 1)).sum()) for key in self._keyframes]
+            dropped = self._keyframes.pop(int(np.argmin(alone)))
+            self._counts -= dropped.cells
+            return dropped is not offered
+        return True
+
+    def covered_cells(self) -> int:
+        """Cells that at least one keyframe shows."""
+        return int((self._counts > 0).sum())
+
+    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
+        grid = self._grid
+        local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
+        shape = [-(-n // _CELL) for n in grid.shape]
+        # What lies outside counts in the shell's nearest cell: a session that begins with a close-up has a
+        # small volume, and the room around it must still be remembered.
+        cells = (local - grid.lower_m) / (grid.voxel_m * _CELL)
+        x, y, z = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
+        covered = np.zeros(len(self._counts), bool)
+        covered[(z * shape[1] + y) * shape[2] + x] = True
+        return covered

@@ -1,0 +1,210 @@
+"""The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
+
+Single view: every frame's initial volume joins those of the frames before (`roomlight.engine.fusion`), and the mean is
+encoded and decoded as if it were one frame's; what a probe has seen accumulates as in the video form. What is inferred
+moves half-way at each frame (`FILL_UPDATE`): the SGLV, and what each probe makes of it. The paper's single view
+forgets all of it.
+
+Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
+then on encoder, GRU, decoder, and the decoder merges with the SGLV before by V_u. Every state has two buffers, and
+each frame's graphs read one and write the other: nothing is copied.
+"""
+
+from dataclasses import dataclass, field, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.engine.backend import FILL_UPDATE, Estimate, ProbeMemory
+from roomlight.engine.blend import PanoramaState, fill_in, filled_detail
+from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.graphs import BoundGraph, LightingGraphs
+from roomlight.engine.mesh import PartialPanorama
+from roomlight.engine.sglv import Far, Sglv
+from roomlight.engine.volume import VolumeGrid
+from roomlight.errors import ModelError
+
+
+class NetworkBackend:
+    """One session's state on shared graphs."""
+
+    far: Far = "boundary"
+
+    def __init__(self, graphs: LightingGraphs) -> None:
+        """States are allocated when the first frame has fixed the volume."""
+        self._graphs = graphs
+        self.name = graphs.form
+
+    def start(self, grid: VolumeGrid) -> None:
+        """Allocate and bind the 3D states."""
+        g = self._graphs.graphs
+        if tuple(grid.shape) != self._graphs.volume_shape:
+            raise ModelError(
+                f"{self._graphs.path}: exported for volumes of {self._graphs.volume_shape}, "
+                f"this session's is {grid.shape}"
+            )
+        self._volume = np.zeros((5, *grid.shape), np.float32)
+        single = self._graphs.form == "single"
+        self._frame_volume = np.zeros_like(self._volume) if single else self._volume
+        self._fused = FusedVolume.fresh(grid.shape) if single else None
+        self._frames = 0
+        sglv = [g["single_sg_decoder"].new_outputs() for _ in range(2)]
+        self._sglv = [Sglv(grid, out["alpha"], out["lobes"]) for out in sglv]
+        features = g["single_sg_encoder"].new_outputs()
+        self._first = [
+            g["single_sg_encoder"].bind({"volume": self._volume}, features),
+            g["single_sg_decoder"].bind({**features, "volume": self._volume}, sglv[0]),
+        ]
+        self._next: list[list[BoundGraph]] = []
+        if self._graphs.form == "video":
+            hidden = [{"h0": features["f0"], "h1": features["f1"]}]  # after the first frame, h = f
+            hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
+            fresh = g["video_sg_encoder"].new_outputs()
+            encode = g["video_sg_encoder"].bind({"volume": self._volume}, fresh)
+            for old, new in ((0, 1), (1, 0)):
+                h_next = {f"{key}_next": array for key, array in hidden[new].items()}
+                before = {"alpha_previous": sglv[old]["alpha"], "lobes_previous": sglv[old]["lobes"]}
+                self._next.append(
+                    [
+                        encode,
+                        g["video_sg_gru"].bind({**hidden[old], **fresh}, h_next),
+                        g["video_sg_decoder"].bind({**hidden[new], **before, "volume": self._volume}, sglv[new]),
+                    ]
+                )
+
+    def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
+        """Where the session writes the frame's initial volume: in the video form the encoder's bound input."""
+        return self._frame_volume
+
+    def update(self) -> Sglv:
+        """Run this frame's graphs on the volume in the buffer."""
+        if self._fused is not None:
+            self._fused.add(self._frame_volume)
+            self._fused.write(self._volume)
+        if self._frames == 0 or self._fused is not None:
+            steps, result = self._first, self._sglv[0]
+        else:
+            turn = (self._frames - 1) % 2
+            steps, result = self._next[turn], self._sglv[1 - turn]
+        for step in steps:
+            step.run()
+        self._frames += 1
+        return result if self._fused is None else self._settled()
+
+    def _settled(self) -> Sglv:
+        """The SGLV half-way between the one before and this frame's; what is seen empty is cleared at once."""
+        fresh, held = self._sglv
+        share = np.float32(FILL_UPDATE if self._frames > 1 else 1)
+        empty = self._volume[4] < 0
+        for now, kept in ((fresh.alpha, held.alpha), (fresh.lobes, held.lobes)):
+            kept += share * (now - kept)
+            kept[empty] = 0
+        return held
+
+    def new_probe(self) -> ProbeMemory:
+        """2D hidden states for one probe, bound."""
+        return _ProbeNetworks(self._graphs)
+
+    def estimate(
+        self,
+        memory: ProbeMemory,
+        state: PanoramaState,
+        *,
+        rendered: Float[np.ndarray, "h w 3"],
+        transmittance: Float[np.ndarray, "h w"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Estimate:
+        """HDR: the SGLV as rendered; beyond the mesh, the network's share of a fill of what was seen, and its colour.
+        Weight: the network's."""
+        del transmittance
+        assert isinstance(memory, _ProbeNetworks)
+        first = memory.frames == 0
+        ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=rendered)
+        weight = memory.weigh(state, rendered, replace(partial, radiance=ldr), depth_max_m)
+        hdr = fill_in(rendered, ldr, partial.mask, weight=weight) if self._graphs.filled else rendered
+        if self._fused is not None and not first:
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
+        return Estimate(hdr, weight * partial.mask)
+
+
+@dataclass
+class _ProbeNetworks:
+    """One probe's blending graphs with their buffers; panoramas of other heights are resampled for the
+    weights alone."""
+
+    graphs: LightingGraphs
+    frames: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        g = self.graphs.graphs
+        self._height = self.graphs.panorama_height
+        shape = (self._height, 2 * self._height)
+        self._mask = np.zeros((1, 1, *shape), np.float32)
+        self._weight = np.zeros((1, 1, *shape), np.float32)
+        self._panels8 = np.zeros((1, 8, *shape), np.float32)
+        features = g["single_blend_encoder"].new_outputs()
+        self._first = [
+            g["single_blend_encoder"].bind({"panels": self._panels8}, features),
+            g["single_blend_decoder"].bind({**features, "mask": self._mask}, {"weight": self._weight}),
+        ]
+        self._next: list[list[BoundGraph]] = []
+        if self.graphs.form == "video":
+            self._panels13 = np.zeros((1, 13, *shape), np.float32)
+            hidden = [{"h0": features["f0"], "h1": features["f1"]}]
+            hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
+            fresh = g["video_blend_encoder"].new_outputs()
+            encode = g["video_blend_encoder"].bind({"panels": self._panels13}, fresh)
+            for old, new in ((0, 1), (1, 0)):
+                h_next = {f"{key}_next": array for key, array in hidden[new].items()}
+                self._next.append(
+                    [
+                        encode,
+                        g["video_blend_gru"].bind({**hidden[old], **fresh}, h_next),
+                        g["video_blend_decoder"].bind({**hidden[new], "mask": self._mask}, {"weight": self._weight}),
+                    ]
+                )
+
+    def weigh(
+        self,
+        state: PanoramaState,
+        rendered: Float[np.ndarray, "h w 3"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Float[np.ndarray, "h w"]:
+        """The raw blending weight L_M for this frame; beyond the mesh, that of the fill in `partial.radiance`."""
+        mask = partial.mask.astype(np.float32)
+        first = self.frames == 0 or self.graphs.form == "single"
+        target, height = (self._panels8 if first else self._panels13)[0], self._height
+        at = 0 if first else 3
+        target[at : at + 3] = _planes(_resample(rendered, height))
+        target[at + 3 : at + 6] = _planes(_resample(partial.radiance, height))
+        self._mask[0, 0] = target[at + 6] = _nearest(mask, height)
+        np.subtract(1, target[at + 6], out=target[at + 7])
+        if not first:
+            target[:3] = _planes(_resample(state.radiance, height))
+            target[11] = _nearest(partial.depth_m, height) / depth_max_m
+            target[12] = _nearest(state.depth_m, height) / depth_max_m
+        for step in self._first if first else self._next[(self.frames - 1) % 2]:
+            step.run()
+        self.frames += 1
+        return _resample(self._weight[0, 0], mask.shape[0])
+
+
+def _planes(image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "3 h w"]:
+    return np.moveaxis(image, -1, 0)
+
+
+def _resample(image: Float[np.ndarray, "h w *c"], height: int) -> Float[np.ndarray, "{height} 2*{height} *c"]:
+    if image.shape[0] == height:
+        return image
+    interpolation = cv2.INTER_AREA if image.shape[0] > height else cv2.INTER_LINEAR
+    return cv2.resize(image, (2 * height, height), interpolation=interpolation)
+
+
+def _nearest(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "{height} 2*{height}"]:
+    """For masks and depth: a mean across an edge is a surface that does not exist, and half a mask is none."""
+    if plane.shape[0] == height:
+        return plane
+    return cv2.resize(plane, (2 * height, height), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -1,0 +1,207 @@
+"""The lighting volume's frame, and its initialisation from one RGB-D frame (paper, 4.1 and its volume table).
+
+Frame: the volume's axes are the first camera's (x right, y up, z backward), its origin is that camera's
+centre. Arrays are [z, y, x]; voxel (k, j, i) has its centre at `lower + (index + 0.5) * voxel`. Units:
+metres.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Int
+
+from roomlight.camera import rigid_inverse
+from roomlight.engine.kernels.volume_init import initialise_slices
+from roomlight.errors import FrameError
+from roomlight.frame import Frame
+from roomlight.threads import shard
+
+VOLUME_SHAPE: Final = (64, 60, 84)
+"""Voxels along z, y, x (the paper's table)."""
+VOLUME_RANGE: Final = np.array([[-1.1, 1.1], [-0.8, 0.8], [-1.2, 0.5]])
+"""Extent along x, y, z in units of the first frame's greatest depth (the paper's table)."""
+DEPTH_MAX_QUANTILE: Final = 0.995
+"""D_max is this quantile of the known depth: one stray pixel must not blow the whole volume up."""
+DEPTH_MAX_FLOOR_M: Final = 0.5
+"""D_max is at least this: a session that begins with a hand before the lens gets a volume of 1.1 m, not of nothing."""
+
+
+@dataclass(frozen=True)
+class VolumeGrid:
+    """Where the volume stands: fixed by the first frame, kept through the session."""
+
+    volume_to_world: Float[np.ndarray, "4 4"]
+    depth_max_m: float
+    shape: tuple[int, int, int] = VOLUME_SHAPE
+
+    @classmethod
+    def from_frame(cls, frame: Frame, *, shape: tuple[int, int, int] = VOLUME_SHAPE) -> "VolumeGrid":
+        """The volume of a session that begins with this frame. Raises FrameError if no depth is known."""
+        known = frame.depth_m[frame.depth_m > 0]
+        if known.size == 0:
+            raise FrameError(
+                f"{frame.source or f'frame {frame.index}'}: no pixel has a depth, so the volume has no size; "
+                "begin with a frame whose depth is known"
+            )
+        depth_max_m = max(DEPTH_MAX_FLOOR_M, float(np.quantile(known, DEPTH_MAX_QUANTILE)))
+        return cls(frame.camera_to_world, depth_max_m, shape)
+
+    @cached_property
+    def lower_m(self) -> Float[np.ndarray, "3"]:
+        """Lower corner (x, y, z) in the volume frame."""
+        return VOLUME_RANGE[:, 0] * self.depth_max_m
+
+    @cached_property
+    def upper_m(self) -> Float[np.ndarray, "3"]:
+        """Upper corner (x, y, z) in the volume frame."""
+        return VOLUME_RANGE[:, 1] * self.depth_max_m
+
+    @cached_property
+    def voxel_m(self) -> Float[np.ndarray, "3"]:
+        """A voxel's edges along x, y, z; the table's ranges make them equal within 2 %."""
+        return (self.upper_m - self.lower_m) / np.array(self.shape[::-1])
+
+    @cached_property
+    def edge_m(self) -> float:
+        """The voxel's side length v of the equations: the mean of the three edges."""
+        return float(self.voxel_m.mean())
+
+    @cached_property
+    def world_to_volume(self) -> Float[np.ndarray, "4 4"]:
+        """Rigid transform from world to volume frame."""
+        return rigid_inverse(self.volume_to_world)
+
+    def centres_m(self) -> Float[np.ndarray, "z y x 3"]:
+        """Voxel centres (x, y, z) in the volume frame, float64."""
+        axes = [
+            low + (np.arange(count) + 0.5) * edge
+            for low, edge, count in zip(self.lower_m, self.voxel_m, self.shape[::-1], strict=True)
+        ]
+        z, y, x = np.meshgrid(axes[2], axes[1], axes[0], indexing="ij")
+        return np.stack([x, y, z], axis=-1)
+
+    def contains(self, position_world: tuple[float, float, float]) -> bool:
+        """Whether a world position (metres) lies inside the volume."""
+        inside = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
+        return bool(((inside >= self.lower_m) & (inside <= self.upper_m)).all())
+
+
+def initial_volume(
+    grid: VolumeGrid,
+    frame: Frame,
+    *,
+    far_unknown: bool = True,
+    out: Float[np.ndarray, "5 z y x"] | None = None,
+) -> Float[np.ndarray, "5 z y x"]:
+    """Initial volume of one frame: colour c (3), opacity alpha, emptiness e (paper, section 4.1), float32.
+
+    With v the voxel's side, z its depth in this camera and D the depth map at its projection (bilinear):
+    alpha = clip(4((z - D)/v + 1), 0, 1) in front of the surface and clip(4((D - z)/v + 5), 0, 1) behind it,
+    c = alpha C, e = -1 where (D - z)/v > 3. Outside the frustum everything is 0.
+
+    Pixels without depth (windows, far walls) enter with D = where their ray leaves the volume, less one
+    voxel, and claim no emptiness (e = 0): they are mostly the brightest light of the room.
+    `far_unknown=False` drops them, for comparison. `out` is written in place when given (the session's bound
+    buffer).
+    """
+    volume = np.empty((5, *grid.shape), np.float32) if out is None else out
+    camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
+    k = frame.intrinsics
+    lens = np.array([k.fx / k.width, k.fy / k.height, k.cx / k.width, k.cy / k.height], np.float32)
+    camera_in_volume = rigid_inverse(camera_from_volume)[:3, 3].astype(np.float32)
+    arguments = (
+        frame.image,
+        frame.depth_m,
+        lens,
+        camera_from_volume.astype(np.float32),
+        camera_in_volume,
+        grid.lower_m.astype(np.float32),
+        grid.voxel_m.astype(np.float32),
+        np.float32(grid.edge_m),
+        far_unknown,
+        volume,
+    )
+    shard(lambda start, stop: initialise_slices(*arguments, start, stop), grid.shape[0])
+    return volume
+
+
+def initial_volume_reference(
+    grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True
+) -> Float[np.ndarray, "5 z y x"]:
+    """Readable twin of `initial_volume` in plain NumPy, equation by equation."""
+    camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
+    centres = grid.centres_m()
+    in_camera = centres @ camera_from_volume[:3, :3].T + camera_from_volume[:3, 3]
+    xy, depth_of_voxel = frame.intrinsics.project(in_camera)
+    size = np.array([frame.intrinsics.width, frame.intrinsics.height])
+    with np.errstate(invalid="ignore"):
+        seen = (depth_of_voxel > 0) & (xy >= 0).all(axis=-1) & (xy < size).all(axis=-1)
+    uv = (xy[seen] / size).astype(np.float64)
+    z = depth_of_voxel[seen]
+
+    depth, known_share = _bilinear_known(frame.depth_m, uv)
+    unknown = known_share < 0.5
+    camera_in_volume = rigid_inverse(camera_from_volume)[:3, 3]
+    far = _exit_depth(grid, camera_in_volume, centres[seen], z) - grid.edge_m
+    surface = np.where(unknown, far, depth)
+
+    v = grid.edge_m
+    in_front = 4 * ((z - surface) / v + 1)
+    behind = 4 * ((surface - z) / v + 5)
+    alpha = np.clip(np.where(surface > z, in_front, behind), 0, 1)
+    if not far_unknown:
+        alpha = np.where(unknown, 0, alpha)
+    empty = np.where(~unknown & ((surface - z) / v > 3), -1.0, 0.0)
+
+    volume = np.zeros((5, *grid.shape), np.float32)
+    volume[:3, seen] = (alpha[:, None] * _bilinear(frame.image, uv)).T
+    volume[3, seen] = alpha
+    volume[4, seen] = empty
+    return volume
+
+
+def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
+    corners, weights = _corners(image.shape[1], image.shape[0], uv)
+    return sum(w[:, None] * image[row, column] for (row, column), w in zip(corners, weights, strict=True))  # pyright: ignore[reportReturnType]
+
+
+def _bilinear_known(
+    depth_m: Float[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
+    """Bilinear depth over the known samples alone, and the share of the weight that was known."""
+    corners, weights = _corners(depth_m.shape[1], depth_m.shape[0], uv)
+    total, share = np.zeros(len(uv)), np.zeros(len(uv))
+    for (row, column), weight in zip(corners, weights, strict=True):
+        value = depth_m[row, column]
+        total += weight * value
+        share += weight * (value > 0)
+    return total / np.maximum(share, 1e-6), share
+
+
+def _corners(
+    width: int, height: int, uv: Float[np.ndarray, "n 2"]
+) -> tuple[list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]], list[Float[np.ndarray, " n"]]]:
+    """(row, column) of the four samples around each (u, v), and their bilinear weights."""
+    column = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
+    row = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
+    i0, j0 = column.astype(int), row.astype(int)
+    i1, j1 = np.minimum(i0 + 1, width - 1), np.minimum(j0 + 1, height - 1)
+    fi, fj = column - i0, row - j0
+    corners = [(j0, i0), (j0, i1), (j1, i0), (j1, i1)]
+    return corners, [(1 - fj) * (1 - fi), (1 - fj) * fi, fj * (1 - fi), fj * fi]
+
+
+def _exit_depth(
+    grid: VolumeGrid,
+    camera: Float[np.ndarray, "3"],
+    points: Float[np.ndarray, "n 3"],
+    depth: Float[np.ndarray, " n"],
+) -> Float[np.ndarray, " n"]:
+    """z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
+    direction = points - camera
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        wall = np.where(direction > 0, grid.upper_m, grid.lower_m)
+        reach = np.where(np.abs(direction) > 1e-9, (wall - camera) / direction, np.inf)
+    return depth * reach.min(axis=-1)

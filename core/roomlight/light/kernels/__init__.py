@@ -1,0 +1,1 @@
+"""Compiled kernels of the light forms; each has a readable reference in the tests."""

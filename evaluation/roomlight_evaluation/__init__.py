@@ -1,0 +1,1 @@
+"""Scores light estimates against ground truth."""

@@ -1,0 +1,36 @@
+"""The furniture's digest: which models a dataset was made with."""
+
+import hashlib
+from pathlib import Path
+
+from roomlight.errors import DatasetError
+from roomlight_generator.rooms.furniture.catalogue import installed_libraries, named_library
+
+
+def digest(furniture: Path | None) -> str | None:
+    """SHA-256 of the furniture: of a file, or of all files of a folder with their names.
+
+    Without a path, of what `rooms.furniture.load_catalogue` would take, and None where that is nothing. DatasetError
+    where there is no such file or it cannot be read.
+    """
+    root = furniture if furniture is not None else named_library()
+    try:
+        if root is None:
+            return _digest_of({path.name: path for path in installed_libraries()})
+        if root.is_file():
+            return hashlib.sha256(root.read_bytes()).hexdigest()
+        found = _digest_of({str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()})
+    except OSError as error:
+        raise DatasetError(f"{root or 'furniture'}: cannot be read ({error.strerror or error})") from error
+    if found is None:
+        raise DatasetError(f"{root}: there is no such file, or no file in it; name a furniture library or cache")
+    return found
+
+
+def _digest_of(files: dict[str, Path]) -> str | None:
+    if not files:
+        return None
+    found = hashlib.sha256()
+    for name, path in sorted(files.items()):
+        found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return found.hexdigest()

@@ -1,0 +1,163 @@
+"""Colours as rooms have them: wall paints, glazes, stones, cloths, and what goes with what."""
+
+from typing import Final
+
+import numpy as np
+
+from roomlight_generator.rooms.colour import linear_to_oklab, luminance, paint
+from roomlight_generator.rooms.scene import Rgb
+
+_HUES: Final = (
+    12,
+    25,
+    25,
+    45,
+    45,
+    62,
+    62,
+    85,
+    85,
+    100,
+    118,
+    145,
+    145,
+    165,
+    190,
+    215,
+    240,
+    240,
+    255,
+    255,
+    266,
+    300,
+    348,
+)
+"""Hues people paint and weave in, common ones twice; degrees in OKLab."""
+
+_WALL_HUES: Final = (
+    # hue, spread, weight
+    (150, 14, 2.2), (120, 10, 1.2), (240, 12, 2.2), (262, 8, 1.0), (200, 12, 1.1), (45, 8, 1.6), (30, 8, 0.6),
+    (88, 8, 1.5), (68, 8, 0.8), (12, 10, 1.0), (350, 10, 0.6), (310, 12, 0.5),
+)  # fmt: skip
+
+
+def hue(rng: np.random.Generator) -> float:
+    """Any hue that is in use."""
+    return float((rng.choice(_HUES) + rng.normal(0, 6)) % 360)
+
+
+def white(rng: np.random.Generator) -> Rgb:
+    """White paint: .75 to .88, a touch warm, now and then a touch cool."""
+    warm = rng.random() < 0.75
+    return paint(
+        rng.uniform(0.75, 0.88), rng.uniform(0, 0.014), rng.uniform(70, 105) if warm else rng.uniform(200, 260)
+    )
+
+
+def off_white(rng: np.random.Generator) -> Rgb:
+    """Cream, ivory, pale greige."""
+    return paint(rng.uniform(0.6, 0.78), rng.uniform(0.01, 0.04), rng.uniform(68, 102))
+
+
+def beige(rng: np.random.Generator) -> Rgb:
+    """Beige, sand, taupe."""
+    return paint(rng.uniform(0.35, 0.62), rng.uniform(0.012, 0.045), rng.uniform(55, 90))
+
+
+def grey(rng: np.random.Generator) -> Rgb:
+    """Pale to middle grey."""
+    return paint(rng.uniform(0.22, 0.68), rng.uniform(0, 0.012), rng.uniform(0, 360))
+
+
+def neutral_wall(rng: np.random.Generator) -> Rgb:
+    """Most walls."""
+    kinds = (white, off_white, beige, grey)
+    return kinds[int(rng.choice(4, p=(0.45, 0.25, 0.15, 0.15)))](rng)
+
+
+def wall_colour(rng: np.random.Generator) -> Rgb:
+    """A wall one would call coloured: pastel, muted, strong or dark."""
+    weights = np.array([entry[2] for entry in _WALL_HUES])
+    middle, spread, _ = _WALL_HUES[int(rng.choice(len(_WALL_HUES), p=weights / weights.sum()))]
+    angle = (middle + rng.normal(0, spread)) % 360
+    kind = int(rng.choice(4, p=(0.28, 0.36, 0.2, 0.16)))
+    if kind == 0:
+        return paint(rng.uniform(0.48, 0.72), rng.uniform(0.03, 0.07), angle)
+    if kind == 1:
+        return paint(rng.uniform(0.2, 0.5), rng.uniform(0.03, 0.08), angle)
+    if kind == 2:
+        # Yellows and oranges are strong only where they are light, blues and greens also where they are dark.
+        low, high = (0.3, 0.55) if 50 < angle < 115 else (0.12, 0.4)
+        return paint(rng.uniform(low, high), rng.uniform(0.08, 0.17), angle)
+    return dark_wall(rng)
+
+
+def dark_wall(rng: np.random.Generator) -> Rgb:
+    """Navy, bottle green, charcoal, aubergine, chocolate."""
+    middle, low, high = ((258, 0.03, 0.09), (160, 0.02, 0.06), (0, 0.0, 0.008), (335, 0.02, 0.06), (48, 0.02, 0.05))[
+        int(rng.choice(5, p=(0.3, 0.25, 0.25, 0.1, 0.1)))
+    ]
+    return paint(rng.uniform(0.045, 0.14), rng.uniform(low, high), middle + rng.normal(0, 6))
+
+
+def glaze(rng: np.random.Generator) -> Rgb:
+    """Wall tiles: mostly white and pale, some strong colours, some black."""
+    pick = rng.random()
+    if pick < 0.45:
+        return paint(rng.uniform(0.65, 0.85), rng.uniform(0, 0.015), rng.uniform(0, 360))
+    if pick < 0.65:
+        return paint(rng.uniform(0.4, 0.7), rng.uniform(0.01, 0.06), hue(rng))
+    if pick < 0.9:
+        return paint(rng.uniform(0.08, 0.4), rng.uniform(0.05, 0.13), hue(rng))
+    return paint(rng.uniform(0.02, 0.08), rng.uniform(0, 0.02), hue(rng))
+
+
+def stone_colour(rng: np.random.Generator) -> Rgb:
+    """Floor tiles and slabs: beige, grey, terracotta, slate, near-white."""
+    pick = rng.random()
+    if pick < 0.35:
+        return paint(rng.uniform(0.3, 0.6), rng.uniform(0.012, 0.05), rng.uniform(60, 90))
+    if pick < 0.65:
+        return paint(rng.uniform(0.15, 0.55), rng.uniform(0, 0.012), rng.uniform(0, 360))
+    if pick < 0.78:
+        return paint(rng.uniform(0.14, 0.3), rng.uniform(0.06, 0.1), rng.uniform(38, 55))
+    if pick < 0.9:
+        return paint(rng.uniform(0.04, 0.14), rng.uniform(0, 0.02), rng.uniform(150, 270))
+    return paint(rng.uniform(0.6, 0.78), rng.uniform(0, 0.012), rng.uniform(60, 110))
+
+
+def cloth_colour(rng: np.random.Generator) -> Rgb:
+    """Upholstery, curtains, carpets: half neutral, half coloured."""
+    pick = rng.random()
+    if pick < 0.2:
+        return paint(rng.uniform(0.4, 0.68), rng.uniform(0.005, 0.035), rng.uniform(60, 95))
+    if pick < 0.42:
+        return paint(rng.uniform(0.06, 0.45), rng.uniform(0, 0.015), rng.uniform(0, 360))
+    if pick < 0.55:
+        return paint(rng.uniform(0.06, 0.3), rng.uniform(0.02, 0.06), rng.uniform(40, 75))
+    if pick < 0.8:
+        return paint(rng.uniform(0.1, 0.45), rng.uniform(0.03, 0.08), hue(rng))
+    if pick < 0.93:
+        return paint(rng.uniform(0.06, 0.35), rng.uniform(0.08, 0.16), hue(rng))
+    return paint(rng.uniform(0.02, 0.05), rng.uniform(0, 0.03), hue(rng))
+
+
+def companion(rng: np.random.Generator, colour: Rgb) -> Rgb:
+    """A second colour for a pattern on the first: the same hue lighter or darker, a neighbour, or the opposite."""
+    _, a, b = (float(value) for value in linear_to_oklab(np.array(colour)))
+    chroma, angle = float(np.hypot(a, b)), float(np.degrees(np.arctan2(b, a)))
+    level = luminance(colour)
+    other = level * rng.uniform(0.25, 0.65) if level > 0.3 else min(0.75, level * rng.uniform(1.8, 4.5) + 0.05)
+    turn = float(rng.choice([0, 0, 0, 35, -35, 180]))
+    return paint(other, max(0.01, chroma * rng.uniform(0.5, 1.3)), angle + turn)
+
+
+def dyes(rng: np.random.Generator, count: int) -> list[Rgb]:
+    """Colours that go together: one pale ground first, then shades of two or three hues, light and dark."""
+    base = hue(rng)
+    turns = ((0, 25, -25), (0, 180, 20), (0, 120, -120), (0, 0, 0), (0, 150, 210))[int(rng.integers(5))]
+    out = [paint(rng.uniform(0.5, 0.8), rng.uniform(0.005, 0.04), rng.uniform(60, 100))]
+    for k in range(count - 1):
+        level = float(np.exp(rng.uniform(np.log(0.04), np.log(0.5))))
+        out.append(paint(level, rng.uniform(0.02, 0.13), base + turns[k % 3] + rng.normal(0, 8)))
+    return out

@@ -1,0 +1,82 @@
+"""Wall and floor textures of Sweet Home 3D: of its jar, or of `.sh3t` texture libraries."""
+
+import re
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from roomlight.errors import FurnitureError
+from roomlight_generator.rooms.furniture.archive import Archive
+from roomlight_generator.rooms.furniture.properties import numbered, parse_properties
+from roomlight_generator.rooms.furniture.sh3f import Warn
+from roomlight_generator.rooms.furniture.textures import read_picture
+from roomlight_generator.rooms.scene import Texture
+
+SurfaceKind = Literal["wall", "floor"]
+
+CATALOGUES: Final = (
+    "PluginTexturesCatalog.properties",
+    "com/eteks/sweethome3d/io/DefaultTexturesCatalog.properties",
+)
+
+_OUTDOOR: Final = re.compile(r"grass|box tree|hedge|pebble|paving|gravel|asphalt|roof|sky|cloud|water", re.IGNORECASE)
+
+_SIDE: Final = 512
+"""Pixels of a repeat, which is 0.2 to 0.8 m wide: 1 to 2 mm each."""
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """A texture for a wall or a floor with its physical size."""
+
+    id: str
+    kind: SurfaceKind
+    texture: Texture
+    attribution: str | None = None
+
+
+def read_surfaces(archive: Archive, warn: Warn) -> list[Surface]:
+    """The textures of an archive fit for a room; none where it has no texture catalogue."""
+    member = next((found for name in CATALOGUES if (found := archive.find(name)) is not None), None)
+    if member is None:
+        return []
+    general, entries = numbered(parse_properties(archive.read(member, limit=8 << 20)))
+    surfaces: list[Surface] = []
+    for number, properties in entries.items():
+        try:
+            surface = _surface(archive, number, properties, general)
+        except FurnitureError as error:
+            warn(f"{error}; left out")
+            continue
+        if surface is not None:
+            surfaces.append(surface)
+    return surfaces
+
+
+def _surface(archive: Archive, number: int, properties: dict[str, str], general: dict[str, str]) -> Surface | None:
+    category = properties.get("category", "").strip().lower()
+    name = properties.get("name", f"texture {number}")
+    if category not in ("wall", "floor") or _OUTDOOR.search(name):
+        return None
+    identity = properties.get("id") or f"{archive.path.stem}#{number}"
+    where = f"{archive.path}: texture {identity!r}"
+    try:
+        size = (float(properties["width"]) / 100, float(properties["height"]) / 100)
+    except (KeyError, ValueError) as error:
+        raise FurnitureError(f"{where} has no size in numbers") from error
+    if not all(0.01 <= side <= 20 for side in size):
+        raise FurnitureError(f"{where}: its size {size[0]:g} x {size[1]:g} m is absurd (catalogues are in centimetres)")
+    member = archive.find(properties.get("image", ""))
+    if member is None:
+        raise FurnitureError(f"{where}: its image {properties.get('image')!r} is not in the file")
+    picture = read_picture(archive, member, side=_SIDE)
+    made_by = ", ".join(
+        " ".join(part.split())
+        for part in (properties.get("creator") or general.get("provider"), general.get("license"))
+        if part
+    )
+    return Surface(
+        identity,
+        "wall" if category == "wall" else "floor",
+        Texture(picture.image, size),
+        f"{name}: {made_by}" if made_by else None,
+    )

@@ -1,0 +1,47 @@
+"""At what height things may be put down on a model, measured by rays from above: catalogues know it for few."""
+
+from typing import Final
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+
+from roomlight_generator.rooms.scene import Mesh
+
+_GRID: Final = 11
+_LEVEL_M: Final = 0.012
+"""Heights that differ by less than twice this are one surface."""
+
+_FLAT: Final = 0.6
+_LISTED_FLAT: Final = 0.45
+"""Least share of the footprint that lies at one height, as measured and where a catalogue lists that height."""
+
+_ABOVE: Final = 0.1
+"""Most of the footprint that may rise over it: things are put down anywhere, and must not stand in a mirror."""
+
+_LOW_M: Final = 0.15
+
+
+def top_m(mesh: Mesh, *, listed_m: float | None) -> float | None:
+    """Height of the flat surface that takes up most of the model seen from above, or None where none does.
+
+    The height a catalogue lists is preferred to the one that most of the footprint has.
+    """
+    low, high = mesh.bounds()
+    along = (np.arange(_GRID) + 0.5) / _GRID * 0.94 + 0.03
+    x, z = np.meshgrid(low[0] + along * (high[0] - low[0]), low[2] + along * (high[2] - low[2]))
+    origins = np.stack([x.ravel(), np.full(x.size, high[1] + 0.1), z.ravel()], 1).astype(np.float32)
+    down = np.broadcast_to(np.array([0, -1, 0], np.float32), origins.shape).copy()
+    scene = EmbreeScene()
+    TriangleMesh(scene, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.int32))
+    found = scene.run(origins, down, query="INTERSECT", output=True)
+    hit = np.asarray(found["primID"]) >= 0
+    heights = np.where(hit, high[1] + 0.1 - np.asarray(found["tfar"]), -1.0)
+    common = max(heights, key=lambda height: float((abs(heights - height) < _LEVEL_M).mean()))
+    for level, least in ((listed_m, _LISTED_FLAT), (float(common), _FLAT)):
+        if level is None or level < _LOW_M:
+            continue
+        flat = float((abs(heights - level) < 2 * _LEVEL_M).mean())
+        if flat >= least and float((heights > level + 2 * _LEVEL_M).mean()) <= _ABOVE:
+            return float(np.clip(level, 0, high[1]))
+    return None

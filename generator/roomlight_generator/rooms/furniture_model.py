@@ -1,0 +1,52 @@
+"""A piece of furniture before it is put anywhere, whatever it was read from or made by.
+
+Model frame: metres, y up, x to its right, **front toward +z** (a sofa's back is at -z), origin at the middle of its
+footprint's bounding box, bottom at y = 0.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.dataset.recording import Split
+from roomlight_generator.rooms.scene import Mesh, Rgb
+
+
+@dataclass(frozen=True, eq=False)
+class LightSource:
+    """Where a lamp's bulb sits: model frame, metres; colour is relative linear RGB (brightest channel 1)."""
+
+    position: Float[np.ndarray, "3"]
+    diameter_m: float
+    colour: Rgb = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, eq=False)
+class FurnitureModel:
+    """A furniture model with what the planner needs to know about it; its mesh is made when first asked for.
+
+    width_m (x), height_m (y) and depth_m (z) are its bounding box. elevation_m is the height of its bottom over the
+    floor where it hangs on a wall. top_m is the height, over its own bottom, of the surface that things may stand on
+    (None: nothing may). split says which rooms may use it: "train" and "test" share no model.
+    """
+
+    id: str
+    name: str
+    role: str
+    split: Split
+    width_m: float
+    height_m: float
+    depth_m: float
+    load: Callable[[], Mesh]
+    elevation_m: float = 0.0
+    top_m: float | None = None
+    lights: tuple[LightSource, ...] = ()
+    attribution: str | None = None
+
+    @cached_property
+    def mesh(self) -> Mesh:
+        """The mesh, in the model frame."""
+        return self.load()

@@ -1,0 +1,124 @@
+"""The plan of a room's shell: what furniture may stand on, lean against and hang from.
+
+World frame, metres, floor at y = 0. Plan coordinates are (x, z).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight_generator.rooms.furniture_model import FurnitureModel
+from roomlight_generator.rooms.scene import Item, Opening
+
+
+@dataclass(frozen=True, eq=False)
+class Gap:
+    """A stretch of a wall that is no wall: from start_m to end_m along it, bottom_m to top_m above the floor.
+
+    keep_clear_m is the depth of floor in front of it that nothing may stand on (a door's swing, a walkway).
+    covered says that curtains or blinds hang before it: nothing hangs or leans there. A window with a sill has
+    bottom_m > 0: low furniture may stand below it.
+    """
+
+    kind: Literal["window", "door", "passage", "niche"]
+    start_m: float
+    end_m: float
+    bottom_m: float
+    top_m: float
+    keep_clear_m: float = 0.0
+    covered: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Wall:
+    """A straight inner wall, from start to end in plan; `inward` is the unit normal into the room.
+
+    Seen from inside, start is at the left hand and end at the right: (end - start) / length = (inward_z, -inward_x).
+    height_m is the least height along it (slanted ceilings make it lower than the room's).
+    """
+
+    start: Float[np.ndarray, "2"]
+    end: Float[np.ndarray, "2"]
+    inward: Float[np.ndarray, "2"]
+    height_m: float
+    gaps: tuple[Gap, ...] = ()
+
+    @property
+    def length_m(self) -> float:
+        """Its length."""
+        return float(np.linalg.norm(self.end - self.start))
+
+    def at(self, along_m: float, away_m: float = 0.0) -> Float[np.ndarray, "2"]:
+        """The plan point so far along the wall and so far away from it into the room."""
+        direction = (self.end - self.start) / max(self.length_m, 1e-9)
+        return self.start + along_m * direction + away_m * self.inward
+
+    def facing_degrees(self) -> float:
+        """The turn (`Mesh.placed`) that makes a model stand with its back to this wall: +z goes to `inward`."""
+        return float(np.degrees(np.arctan2(self.inward[0], self.inward[1])))
+
+
+@dataclass(frozen=True, eq=False)
+class Shell:
+    """A room without furniture: its items (walls, floor, ceiling, frames, doors, curtains, a glimpse of a second
+    room), its outdoor openings, and its plan.
+
+    polygon is the floor's outline of the main room, clockwise seen from above (x to the right and z down the page);
+    walls come in the same order, one for each side. height_m is the ceiling's height in the middle, `ceiling_at` its
+    height anywhere. spots (x, z, free radius) are free plan points in a second room or corridor seen through an open
+    door, where a piece or two may stand.
+    """
+
+    items: tuple[Item, ...]
+    openings: tuple[Opening, ...]
+    polygon: Float[np.ndarray, "n 2"]
+    walls: tuple[Wall, ...]
+    height_m: float
+    slopes: tuple[tuple[Float[np.ndarray, "3"], float], ...] = ()
+    spots: tuple[tuple[float, float, float], ...] = ()
+
+    def ceiling_at(self, x: float, z: float) -> float:
+        """Height of the ceiling over a plan point: the least of the flat one and of each slope n . (x, y, z) = d."""
+        heights = [(d - n[0] * x - n[2] * z) / n[1] for n, d in self.slopes]
+        return float(min([self.height_m, *heights]))
+
+    def contains(self, x: float, z: float, margin_m: float = 0.0) -> bool:
+        """Whether the plan point lies inside the polygon, at least margin_m from every wall."""
+        inside = False
+        previous = self.polygon[-1]
+        nearest = np.inf
+        for corner in self.polygon:
+            (x0, z0), (x1, z1) = previous, corner
+            if (z0 > z) != (z1 > z) and x < x0 + (z - z0) * (x1 - x0) / (z1 - z0):
+                inside = not inside
+            edge = np.array([x1 - x0, z1 - z0])
+            along = np.clip(((x - x0) * edge[0] + (z - z0) * edge[1]) / max(float(edge @ edge), 1e-12), 0, 1)
+            nearest = min(nearest, float(np.hypot(x - x0 - along * edge[0], z - z0 - along * edge[1])))
+            previous = corner
+        return inside and nearest >= margin_m
+
+
+@dataclass(frozen=True, eq=False)
+class Placement:
+    """A model put somewhere: turned about y by degrees, its origin moved to (x, y, z)."""
+
+    model: FurnitureModel
+    x: float
+    y: float
+    z: float
+    degrees: float
+
+    def item(self) -> Item:
+        """The thing in world coordinates."""
+        model = self.model
+        mesh = model.mesh.placed(self.x, self.y, self.z, degrees=self.degrees)
+        return Item(name=model.name, role=model.role, mesh=mesh, attribution=model.attribution)
+
+    def light_positions(self) -> Float[np.ndarray, "n 3"]:
+        """Where its bulbs are, world frame."""
+        c, s = np.cos(np.radians(self.degrees)), np.sin(np.radians(self.degrees))
+        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        local = np.array([light.position for light in self.model.lights], np.float64).reshape(-1, 3)
+        return local @ turn.T + np.array([self.x, self.y, self.z])

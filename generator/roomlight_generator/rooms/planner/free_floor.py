@@ -1,0 +1,119 @@
+"""Where a body may walk: the floor, less what stands on it, as a grid.
+
+Plan coordinates (x, z), metres. Rows of the grid go along z, columns along x.
+"""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight_generator.rooms.plan import Placement, Shell
+from roomlight_generator.rooms.planner.body import Body
+from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
+
+OBSTACLE_M: Final = (0.05, 1.9)
+"""What takes up any height in between is in the way: not rugs, not lamps overhead."""
+
+
+@dataclass(frozen=True, eq=False)
+class FreeFloor:
+    """free[row, column] says whether a body may stand with its middle at origin + cell_m * (column, row)."""
+
+    free: Bool[np.ndarray, "rows columns"]
+    origin: tuple[float, float]
+    cell_m: float
+
+    def is_free(self, x: float, z: float) -> bool:
+        """Whether the cell nearest to the plan point is free; False outside of the grid."""
+        column, row = round((x - self.origin[0]) / self.cell_m), round((z - self.origin[1]) / self.cell_m)
+        rows, columns = self.free.shape
+        return 0 <= row < rows and 0 <= column < columns and bool(self.free[row, column])
+
+    def points(self) -> Float[np.ndarray, "n 2"]:
+        """Plan points (x, z) of all free cells."""
+        rows, columns = np.nonzero(self.free)
+        return np.stack([self.origin[0] + self.cell_m * columns, self.origin[1] + self.cell_m * rows], 1)
+
+    def area_m2(self) -> float:
+        """Area of the places for a body's middle."""
+        return float(self.free.sum()) * self.cell_m**2
+
+    def largest(self) -> "FreeFloor":
+        """Only its largest connected region (steps to the four neighbours)."""
+        if not self.free.any():
+            return self
+        _, labels, stats, _ = cv2.connectedComponentsWithStats(self.free.astype(np.uint8), connectivity=4)
+        return replace(self, free=labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
+
+    def swept_m2(self, radius_m: float) -> float:
+        """Area that a disc covers when its middle goes through all free cells."""
+        steps = math.ceil(radius_m / self.cell_m)
+        padded = np.pad(self.free.astype(np.uint8), steps)
+        return float(cv2.dilate(padded, disc(radius_m / self.cell_m)).sum()) * self.cell_m**2
+
+
+def disc(radius_cells: float) -> np.ndarray:
+    """A filled circle as a structuring element."""
+    reach = math.ceil(radius_cells)
+    along = np.arange(-reach, reach + 1)
+    return (along[:, None] ** 2 + along[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
+
+
+def bare_floor(shell: Shell, *, radius_m: float, cell_m: float = 0.1) -> FreeFloor:
+    """Places for the middle of a body in the unfurnished room: inside, radius_m from every wall."""
+    low, high = shell.polygon.min(0), shell.polygon.max(0)
+    columns, rows = (int(n) for n in np.floor((high - low) / cell_m) + 1)
+    x, z = np.meshgrid(float(low[0]) + cell_m * np.arange(columns), float(low[1]) + cell_m * np.arange(rows))
+    inside = np.zeros(x.shape, bool)
+    nearest = np.full(x.shape, np.inf)
+    for (x0, z0), (x1, z1) in zip(shell.polygon, np.roll(shell.polygon, -1, axis=0), strict=True):
+        if z0 != z1:
+            inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
+        along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
+        along = np.clip(along, 0, 1)
+        nearest = np.minimum(nearest, (x - x0 - along * (x1 - x0)) ** 2 + (z - z0 - along * (z1 - z0)) ** 2)
+    head = np.full(x.shape, True)
+    for normal, d in shell.slopes:
+        head &= (d - normal[0] * x - normal[2] * z) / normal[1] >= OBSTACLE_M[1]
+    return FreeFloor(inside & (nearest >= radius_m**2) & head, (float(low[0]), float(low[1])), cell_m)
+
+
+def shadow(floor: FreeFloor, body: Body, radius_m: float) -> tuple[slice, slice, Bool[np.ndarray, "r c"]]:
+    """Rows and columns of the grid near a body, and which of their cells are within radius_m of its footprint."""
+    reach = body.reach + radius_m + floor.cell_m
+    rows, columns = floor.free.shape
+    first_column = min(max(math.floor((body.x - reach - floor.origin[0]) / floor.cell_m), 0), columns)
+    last_column = min(max(math.ceil((body.x + reach - floor.origin[0]) / floor.cell_m) + 1, first_column), columns)
+    first_row = min(max(math.floor((body.z - reach - floor.origin[1]) / floor.cell_m), 0), rows)
+    last_row = min(max(math.ceil((body.z + reach - floor.origin[1]) / floor.cell_m) + 1, first_row), rows)
+    dx = floor.origin[0] + floor.cell_m * np.arange(first_column, last_column) - body.x
+    dz = (floor.origin[1] + floor.cell_m * np.arange(first_row, last_row) - body.z)[:, None]
+    right = np.maximum(np.abs(dx * body.cosine - dz * body.sine) - body.half_width, 0)
+    front = np.maximum(np.abs(dx * body.sine + dz * body.cosine) - body.half_depth, 0)
+    near = right * right + front * front < radius_m * radius_m
+    return slice(first_row, last_row), slice(first_column, last_column), near
+
+
+def in_the_way(body: Body) -> bool:
+    """Whether it takes up any height that a walking body needs."""
+    return body.low < OBSTACLE_M[1] and body.high > OBSTACLE_M[0]
+
+
+def free_floor(shell: Shell, placements: Iterable[Placement], *, radius_m: float, cell_m: float = 0.1) -> FreeFloor:
+    """Where the middle of an upright body of that radius may be, all regions of it (see `FreeFloor.largest`).
+
+    Placements are in the way when they take up any height between 0.05 and 1.9 m, and so are curtains and open doors of
+    the shell, walls, and slanted ceilings lower than 1.9 m.
+    """
+    floor = bare_floor(shell, radius_m=radius_m, cell_m=cell_m)
+    free = floor.free.copy()
+    for body in [*shell_bodies(shell), *map(Body.placed, placements)]:
+        if in_the_way(body):
+            rows, columns, near = shadow(floor, body, radius_m)
+            free[rows, columns] &= ~near
+    return replace(floor, free=free)

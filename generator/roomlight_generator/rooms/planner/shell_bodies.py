@@ -1,0 +1,102 @@
+"""What the shell itself puts into the room: curtains, open door leaves, beams, columns.
+
+Read from the meshes of its items, so that the planner need not know how a shell is built.
+"""
+
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight_generator.rooms.plan import Shell
+from roomlight_generator.rooms.planner.body import Body
+from roomlight_generator.rooms.scene import Mesh
+
+ALONGSIDE: Final = frozenset(
+    {"wall", "floor", "ceiling", "second_room", "skirting", "moulding", "frame", "pane", "sill"}
+)
+"""Parts that enclose the room or run along its walls."""
+
+STANDS_OUT_M: Final = 0.07
+"""Skirtings, linings and sills that stand out of the wall by less are nobody's obstacle."""
+
+SLICE_M: Final = 0.25
+"""Of a slanted part, for each of its boxes."""
+
+STEP_M: Final = 0.1
+"""Between points on the edges of triangles."""
+
+CELL_M: Final = 0.15
+"""Points of one connected part lie in neighbouring cells of this size."""
+
+
+def shell_bodies(shell: Shell) -> list[Body]:
+    """Boxes around the parts of the shell that stand in the room, one for each connected part of an item."""
+    bodies: list[Body] = []
+    for item in shell.items:
+        if item.role in ALONGSIDE:
+            continue
+        points = _along_edges(item.mesh)
+        points = points[_out_of_wall(shell, points[:, [0, 2]])]
+        if len(points):
+            bodies += _boxes(points)
+    return bodies
+
+
+def _along_edges(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    starts, ends = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
+    lengths = np.linalg.norm(ends - starts, axis=1)
+    long = lengths > STEP_M
+    steps = int(np.ceil(lengths.max(initial=0.0) / STEP_M))
+    shares = np.arange(1, steps)[:, None, None] / max(steps, 1)
+    between = starts[long] + shares * (ends[long] - starts[long])
+    return np.concatenate([starts, between.reshape(-1, 3)])
+
+
+def _out_of_wall(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+    x, z = plan[:, 0], plan[:, 1]
+    inside = np.zeros(len(plan), bool)
+    near = np.zeros(len(plan), bool)
+    for (x0, z0), (x1, z1) in zip(shell.polygon, np.roll(shell.polygon, -1, axis=0), strict=True):
+        if z0 != z1:
+            inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
+        along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
+        along = np.clip(along, 0, 1)
+        near |= np.hypot(x - x0 - along * (x1 - x0), z - z0 - along * (z1 - z0)) < STANDS_OUT_M
+    return inside & ~near
+
+
+def _boxes(points: Float[np.ndarray, "n 3"]) -> list[Body]:
+    plan = points[:, [0, 2]]
+    cells = np.floor((plan - plan.min(0)) / CELL_M).astype(int)
+    grid = np.zeros(cells.max(0) + 1, np.uint8)
+    grid[cells[:, 0], cells[:, 1]] = 1
+    count, labels = cv2.connectedComponents(grid, connectivity=8)
+    part = labels[cells[:, 0], cells[:, 1]]
+    bodies: list[Body] = []
+    for label in range(1, count):
+        bodies += [_box(own) for own in _slices(points[part == label])]
+    return bodies
+
+
+def _slices(points: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "m 3"]]:
+    """What slants (a rafter) is cut into lengths, each with a low box of its own; else all of it."""
+    middle = points.mean(0)
+    _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
+    if not 0.15 < abs(float(axes[0, 1])) < 0.97:
+        return [points]
+    place = np.floor((points - middle) @ axes[0] / SLICE_M).astype(int)
+    return [points[place == one] for one in np.unique(place)]
+
+
+def _box(own: Float[np.ndarray, "n 3"]) -> Body:
+    corners = cv2.boxPoints(cv2.minAreaRect(np.ascontiguousarray(own[:, [0, 2]], np.float32))).astype(np.float64)
+    side, other = corners[1] - corners[0], corners[2] - corners[1]
+    x, z = corners.mean(0)
+    # A turn of t has its right hand along (cos t, -sin t).
+    degrees = float(np.degrees(np.arctan2(-side[1], side[0])))
+    width, depth = float(np.linalg.norm(side)), float(np.linalg.norm(other))
+    low, high = float(own[:, 1].min()), float(own[:, 1].max())
+    return Body.of(float(x), float(z), degrees, width=width + 0.02, depth=depth + 0.02, low=low, high=high)

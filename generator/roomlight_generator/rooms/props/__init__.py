@@ -1,0 +1,5 @@
+"""Procedural furniture and props: every role of a room without any furniture library. Meshes are made on demand."""
+
+from roomlight_generator.rooms.props.procedural import procedural_models
+
+__all__ = ["procedural_models"]

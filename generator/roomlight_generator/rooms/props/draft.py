@@ -1,0 +1,128 @@
+"""What a maker of procedural furniture hands over: sizes at once, the mesh when it is asked for.
+
+FurnitureModel frame: metres, y up, front +z, standing on y = 0, middle of the footprint at the origin.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight_generator.rooms.furniture_model import LightSource
+from roomlight_generator.rooms.scene import Material, Mesh
+from roomlight_generator.rooms.shapes import Number, Vector, block, blocks, box, clad, rod, turned
+
+FAR = 99.0
+"""A longest edge that nothing reaches: flat parts are not cut into pieces."""
+
+
+@dataclass(frozen=True, eq=False)
+class Draft:
+    """A model before its mesh: `size` is its bounding box (width, height, depth), which the mesh is stretched to fit
+    exactly; makers build within a few per cent of it."""
+
+    name: str
+    size: tuple[float, float, float]
+    build: Callable[[], Mesh]
+    elevation_m: float = 0.0
+    top_m: float | None = None
+    lights: tuple[LightSource, ...] = ()
+
+
+Maker = Callable[[np.random.Generator], Draft]
+"""Draws one variant. `build` may go on drawing from the same generator: it is called once, after the maker."""
+
+
+def fitted(mesh: Mesh, size: tuple[Number, Number, Number]) -> Mesh:
+    """Stretched and moved so that its bounding box is `size`, centred in x and z and standing on y = 0."""
+    low, high = mesh.bounds().astype(np.float64)
+    scale = np.array(size) / np.maximum(high - low, 1e-9)
+    middle = np.array([(low[0] + high[0]) / 2, low[1], (low[2] + high[2]) / 2])
+    return mesh.transformed(np.diag(scale).astype(np.float32), (-middle * scale).astype(np.float32))
+
+
+class Kit:
+    """Parts on their way to being one mesh. Places are where the origin of a part's own frame goes."""
+
+    def __init__(self) -> None:
+        """Empty."""
+        self._parts: list[Mesh] = []
+
+    def add(
+        self,
+        shape: Mesh,
+        material: Material,
+        at: Vector = (0, 0, 0),
+        *,
+        yaw: Number = 0,
+        pitch: Number = 0,
+        roll: Number = 0,
+    ) -> None:
+        """A shape in a material: rolled about z, pitched about x, turned about y (degrees), then moved."""
+        mesh = clad(shape, material)
+        for degrees, axis in ((roll, "z"), (pitch, "x"), (yaw, "y")):
+            if degrees:
+                mesh = turned(mesh, degrees, axis)
+        self._parts.append(mesh.transformed(np.eye(3, dtype=np.float32), np.array([*at], np.float32)))
+
+    def slab(
+        self,
+        material: Material,
+        size: Vector,
+        at: Vector = (0, 0, 0),
+        *,
+        radius: Number = 0.006,
+        arcs: int = 1,
+        yaw: Number = 0,
+        pitch: Number = 0,
+        roll: Number = 0,
+    ) -> None:
+        """A box with its bottom's middle at `at`: 108 triangles with rounded edges, 12 where radius is 0."""
+        width, height, depth = (float(length) for length in size)
+        shape = box(width, height, depth, radius=radius, step=FAR, arcs=arcs) if radius else block(width, height, depth)
+        self.add(shape, material, at, yaw=yaw, pitch=pitch, roll=roll)
+
+    def bar(
+        self,
+        material: Material,
+        start: Vector,
+        end: Vector,
+        radius: Number,
+        end_radius: Number | None = None,
+        *,
+        segments: int = 8,
+    ) -> None:
+        """A straight round bar."""
+        self.add(rod(start, end, radius, end_radius, segments=segments, step=FAR), material)
+
+    def blocks(self, material: Material, boxes: Iterable[tuple[Number, ...]]) -> None:
+        """Sharp boxes in one material, each (width, height, depth, x, y, z of its bottom's middle)."""
+        table = np.array([[float(value) for value in row] for row in boxes], np.float64).reshape(-1, 6)
+        if len(table):
+            self.add(blocks(table[:, :3], table[:, 3:]), material)
+
+    def put(self, mesh: Mesh, at: Vector = (0, 0, 0), *, yaw: Number = 0) -> None:
+        """Something already clad."""
+        x, y, z = (float(value) for value in at)
+        self._parts.append(mesh.placed(x, y, z, degrees=float(yaw)))
+
+    def mesh(self) -> Mesh:
+        """All parts as one mesh."""
+        return Mesh.joined(self._parts)
+
+
+def between(rng: np.random.Generator, low: Number, high: Number) -> float:
+    """A uniform draw."""
+    return float(rng.uniform(low, high))
+
+
+def light(x: Number, y: Number, z: Number, diameter_m: Number = 0.06) -> LightSource:
+    """A bulb in the model frame."""
+    return LightSource(position=np.array([x, y, z], np.float64), diameter_m=diameter_m)
+
+
+def ring_of(count: int, radius: Number, phase: Number = 0.0) -> Float[np.ndarray, "n 2"]:
+    """So many points (x, z) evenly round a circle."""
+    angle = 2 * np.pi * np.arange(count) / count + phase
+    return radius * np.stack([np.cos(angle), np.sin(angle)], 1)

@@ -1,0 +1,431 @@
+"""Triangle meshes of simple things: grids, rounded boxes, cushions, lathed and swept shapes.
+
+Frames: right-handed, y up, metres. Every closed shape is wound outward, so that a ray that meets a back face knows
+it started inside something. `step` is the longest edge wanted: the light cache lives on the vertices.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from roomlight_generator.rooms.scene import Material, Mesh
+
+Number = int | float
+"""A length or an angle as one writes it: 0 and 0.02. The test run's checker takes no int for a float."""
+
+Vector = Sequence[Number] | Float[np.ndarray, "3"]
+
+
+_BARE: Final = Material()
+
+
+def clad(mesh: Mesh, material: Material) -> Mesh:
+    """The same shape in one material. Coordinates in metres become repeats of its texture (those of `unit_uv` are kept
+    by giving the texture the size 1 x 1)."""
+    uvs = mesh.uvs
+    if material.texture is not None:
+        uvs = (uvs / np.array(material.texture.size_m, np.float32)).astype(np.float32)
+    return replace(mesh, uvs=uvs, materials=(material,))
+
+
+def turned(mesh: Mesh, degrees: Number, axis: str = "y") -> Mesh:
+    """Rotated about an axis through the origin, counter-clockwise seen from its tip."""
+    return mesh.transformed(_rotation(degrees, axis), np.zeros(3, np.float32))
+
+
+def _mesh(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> Mesh:
+    return Mesh(
+        vertices.astype(np.float32),
+        normals.astype(np.float32),
+        uvs.astype(np.float32),
+        faces.astype(np.int32),
+        np.zeros(len(faces), np.int32),
+        (_BARE,),
+    )
+
+
+def _rotation(degrees: Number, axis: str) -> Float[np.ndarray, "3 3"]:
+    c, s = float(np.cos(np.radians(degrees))), float(np.sin(np.radians(degrees)))
+    rows = {
+        "x": [[1, 0, 0], [0, c, -s], [0, s, c]],
+        "y": [[c, 0, s], [0, 1, 0], [-s, 0, c]],
+        "z": [[c, -s, 0], [s, c, 0], [0, 0, 1]],
+    }
+    return np.array(rows[axis], np.float32)
+
+
+def _grid_faces(rows: int, columns: int) -> Int[np.ndarray, "f 3"]:
+    """Triangles of a (rows + 1) x (columns + 1) vertex grid; normal is d/d(column) x d/d(row)."""
+    index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
+    a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
+    c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
+    return np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
+
+
+def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
+    """Area-weighted vertex normals; vertices at the same place (to 10 micrometres) share one, so seams do not show."""
+    cell = np.rint(vertices * 1e5).astype(np.int64)
+    _, place = np.unique(cell @ np.array([1, 1 << 21, 1 << 42]), return_inverse=True)
+    corners = vertices[faces]
+    area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]).astype(np.float64)
+    at, count = place[faces].T.ravel(), int(place.max()) + 1
+    total = np.stack([np.bincount(at, np.tile(area[:, k], 3), count) for k in range(3)], 1)
+    normals = total[place]
+    return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)).astype(np.float32)
+
+
+def spaced(length: Number, step: Number, breaks: Sequence[Number] = ()) -> Float[np.ndarray, " n"]:
+    """Coordinates from 0 to length, no further apart than step, that include the breaks."""
+    stops = [0.0, *sorted(breaks), length]
+    pieces = [
+        np.linspace(low, high, max(1, int(np.ceil((high - low) / step))) + 1)[1:] for low, high in pairwise(stops)
+    ]
+    return np.concatenate([np.zeros(1), *pieces]).astype(np.float32)
+
+
+def rectangle(
+    origin: Vector,
+    edge_u: Vector,
+    edge_v: Vector,
+    *,
+    step: Number = 0.1,
+    hole: tuple[Number, Number, Number, Number] | None = None,
+    unit_uv: bool = False,
+) -> Mesh:
+    """A flat rectangle, normal along edge_u x edge_v; a hole is (u0, u1, v0, v1) in metres along the edges.
+
+    Texture coordinates are metres, or 0 to 1 with v downward (as images are stored) where `unit_uv` is set.
+    """
+    start, u, v = (np.asarray(part, np.float32) for part in (origin, edge_u, edge_v))
+    length_u, length_v = float(np.linalg.norm(u)), float(np.linalg.norm(v))
+    along_u = spaced(length_u, step, hole[:2] if hole else ())
+    along_v = spaced(length_v, step, hole[2:] if hole else ())
+    gu, gv = np.meshgrid(along_u, along_v)
+    vertices = start + gu[..., None] * (u / length_u) + gv[..., None] * (v / length_v)
+    faces = _grid_faces(len(along_v) - 1, len(along_u) - 1)
+    if hole:
+        middle_u, middle_v = gu.ravel()[faces].mean(1), gv.ravel()[faces].mean(1)
+        inside = (middle_u > hole[0]) & (middle_u < hole[1]) & (middle_v > hole[2]) & (middle_v < hole[3])
+        faces = faces[~inside]
+    normal = np.cross(u, v) / (length_u * length_v)
+    uv = np.stack([gu / length_u, 1 - gv / length_v] if unit_uv else [gu, gv], -1).reshape(-1, 2)
+    count = gu.size
+    return _mesh(
+        vertices.reshape(-1, 3).astype(np.float32),
+        np.broadcast_to(normal.astype(np.float32), (count, 3)).copy(),
+        uv.astype(np.float32),
+        faces,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _BoxTemplate:
+    """A rounded box of half size 1 per axis, waiting for its size: vertex = core * inner + radius * normal."""
+
+    inner: Float[np.ndarray, "v 3"]
+    normals: Float[np.ndarray, "v 3"]
+    axis: Int[np.ndarray, " v"]
+    faces: Int[np.ndarray, "f 3"]
+
+
+@lru_cache(maxsize=512)
+def _box_template(pieces: tuple[int, int, int], arcs: int) -> _BoxTemplate:
+    """Six grids, each with so many pieces along its flat part and `arcs` segments to half an edge."""
+    arc = np.tan(np.linspace(0, np.pi / 4, arcs + 1))[1:]
+    inner: list[np.ndarray] = []
+    normals: list[np.ndarray] = []
+    axes: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    offset = 0
+    for axis in range(3):
+        a, b = (axis + 1) % 3, (axis + 2) % 3
+        lines: list[tuple[np.ndarray, np.ndarray]] = []
+        for other in (a, b):
+            flat = np.linspace(-1, 1, pieces[other] + 1)
+            lines.append(
+                (
+                    np.concatenate([np.full(arcs, -1.0), flat, np.full(arcs, 1.0)]),
+                    np.concatenate([-arc[::-1], np.zeros(len(flat)), arc]),
+                )
+            )
+        for sign in (1, -1):
+            place_a, place_b = np.meshgrid(lines[0][0], lines[1][0])
+            slope_a, slope_b = np.meshgrid(lines[0][1], lines[1][1])
+            direction = np.empty((*place_a.shape, 3))
+            direction[..., a], direction[..., b], direction[..., axis] = slope_a, slope_b, sign
+            direction /= np.linalg.norm(direction, axis=-1, keepdims=True)
+            middle = np.empty_like(direction)
+            middle[..., a], middle[..., b], middle[..., axis] = place_a, place_b, sign
+            grid = _grid_faces(len(lines[1][0]) - 1, len(lines[0][0]) - 1)
+            inner.append(middle.reshape(-1, 3))
+            normals.append(direction.reshape(-1, 3))
+            axes.append(np.full(place_a.size, axis))
+            faces.append((grid if sign > 0 else grid[:, ::-1]) + offset)
+            offset += place_a.size
+    return _BoxTemplate(np.concatenate(inner), np.concatenate(normals), np.concatenate(axes), np.concatenate(faces))
+
+
+def _along_grain(
+    points: Float[np.ndarray, "*v 3"], axis: Int[np.ndarray, " n"], half: Float[np.ndarray, "*u 3"]
+) -> Float[np.ndarray, "*v 2"]:
+    """Texture coordinates in metres for points on faces across `axis`: u runs along the longer side of each face."""
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    swap = half[..., a] < half[..., b]
+    rows = np.arange(len(axis))
+    first, second = points[..., rows, a], points[..., rows, b]
+    return np.stack([np.where(swap, second, first), np.where(swap, first, second)], -1)
+
+
+def box(
+    width: Number, height: Number, depth: Number, *, radius: Number = 0.008, step: Number = 0.1, arcs: int = 2
+) -> Mesh:
+    """A box with rounded edges, centred in x and z and standing on y = 0; half an edge has `arcs` segments."""
+    half = np.array([width, height, depth], np.float64) / 2
+    radius = float(min(radius, half.min() * 0.999))
+    core = half - radius
+    a, b, c = (max(1, int(np.ceil(2 * length / step - 1e-6))) for length in core)
+    template = _box_template((a, b, c), arcs)
+    points = core * template.inner + radius * template.normals
+    uv = _along_grain(points, template.axis, half)
+    points[:, 1] += half[1]
+    return _mesh(points, template.normals, uv, template.faces)
+
+
+def blocks(sizes: Float[np.ndarray, "n 3"], places: Float[np.ndarray, "n 3"]) -> Mesh:
+    """Sharp-edged boxes (12 triangles each) of size (width, height, depth), each standing with the middle of its
+    bottom at its place: books, slats, drawers, all at once."""
+    template = _box_template((1, 1, 1), 0)
+    half = np.asarray(sizes, np.float64)[:, None] / 2
+    local = half * template.inner
+    uv = _along_grain(local, template.axis, half[:, 0])
+    middle = np.asarray(places, np.float64)[:, None] + half * np.array([0.0, 1.0, 0.0])
+    count, corners = len(half), len(template.inner)
+    faces = template.faces + corners * np.arange(count)[:, None, None]
+    return _mesh(
+        (middle + local).reshape(-1, 3), np.tile(template.normals, (count, 1)), uv.reshape(-1, 2), faces.reshape(-1, 3)
+    )
+
+
+def block(width: Number, height: Number, depth: Number) -> Mesh:
+    """One sharp-edged box, centred in x and z and standing on y = 0."""
+    return blocks(np.array([[width, height, depth]], np.float64), np.zeros((1, 3)))
+
+
+def cushion(
+    width: Number,
+    height: Number,
+    depth: Number,
+    *,
+    plump: Number = 0.5,
+    radius: Number = 0.05,
+    step: Number = 0.05,
+    arcs: int = 3,
+) -> Mesh:
+    """A soft box, thickest in the middle of its largest side: `height` is its thickness, standing on y = 0.
+
+    plump 0 is a rounded box; 1 tapers to nothing at the seams, as a scatter cushion does.
+    """
+    base = box(width, height, depth, radius=min(radius, height * 0.49), step=step, arcs=arcs)
+    points = base.vertices.copy()
+    x, z = 2 * points[:, 0] / width, 2 * points[:, 2] / depth
+    profile = 1 - plump * (1 - np.sqrt(np.clip(1 - x**4, 0, 1) * np.clip(1 - z**4, 0, 1)))
+    points[:, 1] = height / 2 + (points[:, 1] - height / 2) * profile
+    # Corners of a filled cover stand out a little: its sides are drawn in between them.
+    points[:, 0] *= 1 - 0.05 * plump * (1 - z**2)
+    points[:, 2] *= 1 - 0.05 * plump * (1 - x**2)
+    return replace(base, vertices=points.astype(np.float32), normals=smooth_normals(points, base.faces))
+
+
+def lathe(lines: Sequence[Sequence[tuple[Number, Number]]], *, segments: int = 32) -> Mesh:
+    """Turned about the y axis: each line of (radius, height) is smooth, corners lie between lines.
+
+    A line that rises on the outside and closes inward over the top faces outward.
+    """
+    vertices: list[np.ndarray] = []
+    normals: list[np.ndarray] = []
+    uvs: list[np.ndarray] = []
+    faces: list[np.ndarray] = []
+    offset = 0
+    angle = np.linspace(0, 2 * np.pi, segments + 1)
+    for line in lines:
+        profile = np.asarray(line, np.float64)
+        tangent = np.gradient(profile, axis=0)
+        normal = np.stack([tangent[:, 1], -tangent[:, 0]], 1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        run = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(profile, axis=0), axis=1))])
+        ring = np.stack([np.cos(angle), np.zeros_like(angle), -np.sin(angle)], 1)
+        up = np.array([0.0, 1.0, 0.0])
+        vertices.append((profile[:, None, :1] * ring + profile[:, None, 1:] * up).reshape(-1, 3))
+        normals.append((normal[:, None, :1] * ring + normal[:, None, 1:] * up).reshape(-1, 3))
+        width = np.broadcast_to(angle * float(profile[:, 0].max()), (len(profile), segments + 1))
+        uvs.append(np.stack([width, np.broadcast_to(run[:, None], width.shape)], -1).reshape(-1, 2))
+        faces.append(_grid_faces(len(profile) - 1, segments) + offset)
+        offset += len(profile) * (segments + 1)
+    return _mesh(
+        np.concatenate(vertices).astype(np.float32),
+        np.concatenate(normals).astype(np.float32),
+        np.concatenate(uvs).astype(np.float32),
+        np.concatenate(faces).astype(np.int32),
+    )
+
+
+def rod(
+    start: Vector,
+    end: Vector,
+    radius: Number,
+    end_radius: Number | None = None,
+    *,
+    segments: int = 14,
+    step: Number = 0.1,
+) -> Mesh:
+    """A straight round bar between two points, closed at both ends, tapering where `end_radius` differs."""
+    low, high = np.asarray(start, np.float64), np.asarray(end, np.float64)
+    length = float(np.linalg.norm(high - low))
+    top = radius if end_radius is None else end_radius
+    steps = max(2, int(length / step) + 1)
+    side = [(radius + (top - radius) * t, length * t) for t in np.linspace(0, 1, steps)]
+    mesh = lathe([[(1e-4, 0.0), (radius, 0.0)], side, [(top, length), (1e-4, length)]], segments=segments)
+    y = (high - low) / length
+    x = np.cross(y, [0.0, 0.0, 1.0] if abs(y[2]) < 0.9 else [1.0, 0.0, 0.0])
+    x /= np.linalg.norm(x)
+    frame = np.stack([x, y, np.cross(x, y)], 1).astype(np.float32)
+    return replace(mesh, vertices=mesh.vertices @ frame.T + low.astype(np.float32), normals=mesh.normals @ frame.T)
+
+
+def sphere(radius: Number, *, rings: int = 18, segments: int = 36) -> Mesh:
+    """A ball about the origin."""
+    angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
+    line = [(max(float(radius * np.cos(t)), 1e-5), float(radius * np.sin(t))) for t in angle]
+    return lathe([line], segments=segments)
+
+
+def loft(lines: Sequence[Sequence[Sequence[Number]]], *, exponent: Number = 2.0, segments: int = 28) -> Mesh:
+    """A lathe whose rings are not round: each line is smooth, of rings (half x, half z, y[, x, z of its middle]).
+
+    exponent 2 makes ellipses, 6 rectangles with round corners (superellipses). Lines run as those of `lathe`.
+    """
+    angle = np.linspace(0, 2 * np.pi, segments + 1)
+    c, s = np.cos(angle), -np.sin(angle)
+    stretch = (np.abs(c) ** float(exponent) + np.abs(s) ** float(exponent)) ** (-1 / float(exponent))
+    c, s = c * stretch, s * stretch
+    parts: list[Mesh] = []
+    for line in lines:
+        rings = np.array([[*ring, 0.0, 0.0][:5] for ring in line], np.float64)
+        points = np.stack(
+            [
+                rings[:, :1] * c + rings[:, 3:4],
+                np.broadcast_to(rings[:, 2:3], (len(rings), segments + 1)),
+                rings[:, 1:2] * s + rings[:, 4:5],
+            ],
+            -1,
+        )
+        along = np.diff(np.concatenate([points[:, -2:-1], points, points[:, 1:2]], 1), axis=1)
+        normal = np.cross(along[:, 1:] + along[:, :-1], np.gradient(points, axis=0))
+        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-20)
+        girth = np.concatenate([np.zeros((len(rings), 1)), np.cumsum(np.linalg.norm(along[:, 1:-1], axis=-1), 1)], 1)
+        climb = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(1)
+        run = np.broadcast_to(np.concatenate([[0], np.cumsum(climb)])[:, None], girth.shape)
+        parts.append(
+            _mesh(
+                points.reshape(-1, 3),
+                normal.reshape(-1, 3),
+                np.stack([girth, run], -1).reshape(-1, 2),
+                _grid_faces(len(rings) - 1, segments),
+            )
+        )
+    return Mesh.joined(parts)
+
+
+def tube(path: Sequence[Vector], radius: Number, *, segments: int = 8) -> Mesh:
+    """A round bar bent along a path of points, closed at both ends."""
+    points = np.array([list(point) for point in path], np.float64)
+    tangent = np.gradient(points, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    side = np.cross(tangent[0], np.eye(3)[int(np.abs(tangent[0]).argmin())])
+    angle = np.linspace(0, 2 * np.pi, segments + 1)
+    rings = np.empty((len(points), segments + 1, 3))
+    for k, forward in enumerate(tangent):
+        side = side - forward * (side @ forward)
+        side /= np.linalg.norm(side)
+        rings[k] = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(forward, side)
+    run = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
+    girth = np.broadcast_to(angle * float(radius), rings.shape[:2])
+    faces = [_grid_faces(len(points) - 1, segments)]
+    vertices = [(points[:, None] + radius * rings).reshape(-1, 3)]
+    normals = [rings.reshape(-1, 3)]
+    uvs = [np.stack([np.broadcast_to(run[:, None], girth.shape), girth], -1).reshape(-1, 2)]
+    offset = rings.shape[0] * rings.shape[1]
+    fan = np.stack([np.zeros(segments, np.int64), np.arange(1, segments + 1), np.arange(2, segments + 2)], 1)
+    for end, sign in ((0, -1), (-1, 1)):
+        vertices.append(np.concatenate([points[end][None], points[end] + radius * rings[end]]))
+        normals.append(np.tile(sign * tangent[end], (segments + 2, 1)))
+        uvs.append(np.zeros((segments + 2, 2)))
+        faces.append((fan if sign > 0 else fan[:, ::-1]) + offset)
+        offset += segments + 2
+    return _mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(uvs), np.concatenate(faces))
+
+
+def prism(outline: Float[np.ndarray, "n 2"], height: Number) -> Mesh:
+    """An upright prism standing on y = 0 over an outline (x, z) that its centroid sees whole, either way round."""
+    ring = np.asarray(outline, np.float64)
+    after = np.roll(ring, -1, 0)
+    if (ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum() > 0:
+        # Seen from above, x to the right and z down the page: the side must run clockwise there.
+        ring = ring[::-1]
+        after = np.roll(ring, -1, 0)
+    count, top = len(ring), float(height)
+    edge = after - ring
+    length = np.linalg.norm(edge, axis=1)
+    outward = np.stack([-edge[:, 1], np.zeros(count), edge[:, 0]], 1) / length[:, None]
+    run = np.concatenate([[0], np.cumsum(length)])
+    quad = np.empty((count, 4, 3))
+    quad[:, 0, ::2], quad[:, 1, ::2], quad[:, 2, ::2], quad[:, 3, ::2] = ring, after, after, ring
+    quad[:, :2, 1], quad[:, 2:, 1] = 0.0, top
+    quad_uv = np.empty((count, 4, 2))
+    quad_uv[:, 0, 0], quad_uv[:, 1, 0], quad_uv[:, 2, 0], quad_uv[:, 3, 0] = run[:-1], run[1:], run[1:], run[:-1]
+    quad_uv[:, :, 1] = quad[:, :, 1]
+    first = 4 * np.arange(count)[:, None]
+    faces = [first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]
+    vertices, normals, uvs = [quad.reshape(-1, 3)], [np.repeat(outward, 4, 0)], [quad_uv.reshape(-1, 2)]
+    offset = 4 * count
+    around = np.arange(count)
+    fan = np.stack([np.zeros(count, np.int64), 1 + around, 1 + (around + 1) % count], 1)
+    for y, sign in ((top, 1), (0.0, -1)):
+        flat = np.concatenate([ring.mean(0, keepdims=True), ring])
+        vertices.append(np.stack([flat[:, 0], np.full(count + 1, y), flat[:, 1]], 1))
+        normals.append(np.tile([0.0, sign, 0.0], (count + 1, 1)))
+        uvs.append(flat)
+        faces.append((fan if sign > 0 else fan[:, ::-1]) + offset)
+        offset += count + 1
+    return _mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(uvs), np.concatenate(faces))
+
+
+def sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness: Number = 0.004) -> Mesh:
+    """A thin bent surface seen from both sides (a leaf, a curtain): two layers, each facing out."""
+    rows, columns = points.shape[:2]
+    faces = _grid_faces(rows - 1, columns - 1)
+    middle = points.reshape(-1, 3).astype(np.float32)
+    normals = smooth_normals(middle, faces)
+    lengths_u = np.linalg.norm(np.diff(points, axis=1), axis=-1).mean(0)
+    lengths_v = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(1)
+    u, v = np.meshgrid(np.concatenate([[0], np.cumsum(lengths_u)]), np.concatenate([[0], np.cumsum(lengths_v)]))
+    uv = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
+    half = np.float32(thickness / 2)
+    return _mesh(
+        np.concatenate([middle + half * normals, middle - half * normals]),
+        np.concatenate([normals, -normals]),
+        np.concatenate([uv, uv]),
+        np.concatenate([faces, faces[:, ::-1] + len(middle)]).astype(np.int32),
+    )
+
+
+def faces_look_along_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:
+    """For each face with an area, whether its winding agrees with its vertices' normals."""
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return (wound * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12

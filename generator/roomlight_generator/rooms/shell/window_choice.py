@@ -1,0 +1,172 @@
+"""What a room's windows look like: one taste for all of them, with what differs from window to window drawn anew."""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+
+from roomlight_generator.rooms.shell.holes import Cover, Window, WindowLook
+from roomlight_generator.rooms.shell.sheets import Rect
+from roomlight_generator.rooms.shell.style import CoverKind, Range, ShellStyle, WindowKind, between
+
+
+@dataclass(frozen=True)
+class _Sizes:
+    width: Range
+    bottom: Range
+    top: Range
+    sash: Range
+    """Width of one sash."""
+
+
+_SIZES: Final[dict[WindowKind, _Sizes]] = {
+    "casement": _Sizes((0.7, 2.0), (0.75, 1.0), (1.95, 2.45), (0.45, 0.75)),
+    "sash": _Sizes((0.65, 1.15), (0.5, 0.9), (2.0, 2.6), (2.0, 2.0)),
+    "picture": _Sizes((1.4, 3.2), (0.25, 0.8), (2.05, 2.6), (1.2, 3.5)),
+    "french": _Sizes((0.9, 3.0), (0.02, 0.06), (2.0, 2.5), (0.55, 0.95)),
+    "office": _Sizes((0.9, 1.7), (0.75, 1.0), (2.2, 2.8), (0.8, 1.8)),
+    "bathroom": _Sizes((0.4, 0.85), (1.15, 1.5), (1.75, 2.1), (0.9, 0.9)),
+}
+
+
+@dataclass(frozen=True)
+class WindowTaste:
+    """One make of window and of cover. Widths and heights are for every window of the room."""
+
+    kind: WindowKind
+    look: WindowLook
+    cover: Cover
+    width_m: float
+    bottom_m: float
+    top_m: float
+    sash_m: float
+    wall_m: float
+    french_share: float
+    covered_share: float
+    rng: np.random.Generator
+
+    @property
+    def in_a_row(self) -> bool:
+        """Office windows fill one wall before the next."""
+        return self.kind == "office"
+
+    @property
+    def pier_m(self) -> float:
+        """Wall between two windows, and half of it beside the last."""
+        if self.cover.curtains:
+            return 2 * self.cover.spread_m + 0.08
+        return 0.14 if self.in_a_row else 0.3
+
+    @property
+    def least_cell_m(self) -> float:
+        """Below this width of wall for each there are fewer windows."""
+        return self.pier_m + min(self.width_m, 0.6)
+
+    def window(self, side: int, s0: float, s1: float) -> Window | None:
+        """The window from s0 to s1; None where that is too narrow to be one."""
+        if s1 - s0 < 0.38:
+            return None
+        low = self.bottom_m
+        if self.kind == "french" and self.rng.random() > self.french_share:
+            low = max(low, 0.85)
+        columns = max(1, round((s1 - s0) / self.sash_m))
+        sill = min(self.look.sill_m, 0.025 if self.cover.curtains else 1.0) if low > 0.2 else 0.0
+        look = replace(self.look, columns=columns, sill_m=sill)
+        return Window(side, (s0, s1, low, self.top_m), self.wall_m, look, self._cover(low))
+
+    def skylight(self, slope: int, hole: Rect, depth_m: float) -> Window:
+        """A roof window: one sash, nothing or a blind before it."""
+        look = replace(
+            self.look, kind="picture", columns=1, bars=(1, 1), inset=0.5, sill_m=0.0, frame_m=0.06, transom=0.0
+        )
+        cover = replace(self.cover, share=between(self.rng, (0.2, 0.7)))
+        if cover.kind not in ("roller", "roller_down", "venetian"):
+            cover = Cover("none")
+        return Window(slope, hole, depth_m, look, cover, in_slope=True)
+
+    def _cover(self, low: float) -> Cover:
+        """The same kind for every window, drawn as far as someone left it."""
+        cover = self.cover
+        if cover.full and self.rng.random() > self.covered_share:
+            cover = replace(cover, kind="open_curtains" if cover.curtains else "roller")
+        if cover.curtains and cover.bottom_m > 0.1:
+            cover = replace(cover, bottom_m=max(low - 0.15, 0.02))
+        if cover.kind in ("roller", "venetian") and self.rng.random() < 0.5:
+            cover = replace(cover, share=between(self.rng, (0.15, 1.0)))
+        if cover.kind == "roller":
+            cover = replace(cover, share=min(cover.share, 0.8))
+        return cover
+
+
+def choose_taste(
+    style: ShellStyle, height_m: float, wall_m: float, area_m2: float, rng: np.random.Generator
+) -> WindowTaste:
+    """One taste for a room of this height and floor area: large rooms have wider windows."""
+    kind = style.window_kinds[_weighted([weight for _, weight in style.window_kinds], rng)][0]
+    covers = style.covers[_weighted([weight for _, weight in style.covers], rng)][0]
+    cover = _cover(covers, kind, height_m, rng)
+    sizes = _SIZES[kind]
+    least = 0.13 + (cover.lift_m if cover.curtains else 0.0)
+    top = min(between(rng, sizes.top), height_m - least)
+    bottom = min(between(rng, sizes.bottom), top - 0.4)
+    bars = (1, 1)
+    if kind in ("casement", "sash", "french") and rng.random() < 0.45:
+        bars = (int(rng.integers(2, 5 if kind == "french" else 4)), 1 if kind == "french" else int(rng.integers(1, 3)))
+    look = WindowLook(
+        kind=kind,
+        columns=1,
+        bars=bars,
+        frame_m=between(rng, (0.045, 0.08)),
+        thickness_m=between(rng, (0.05, 0.08)),
+        inset=between(rng, (0.35, 0.95)),
+        sill_m=between(rng, (0.02, 0.12)) if rng.random() < 0.85 else 0.0,
+        transom=between(rng, (0.22, 0.32)) if kind in ("casement", "office") and rng.random() < 0.3 else 0.0,
+    )
+    return WindowTaste(
+        kind=kind,
+        look=look,
+        cover=cover,
+        width_m=between(
+            rng, (sizes.width[0] + min(area_m2 / 80, 0.5) * (sizes.width[1] - sizes.width[0]), sizes.width[1])
+        ),
+        bottom_m=bottom,
+        top_m=top,
+        sash_m=between(rng, sizes.sash),
+        wall_m=wall_m,
+        french_share=0.6 if rng.random() < 0.5 else 1.0,
+        # Someone may have drawn only some of them.
+        covered_share=1.0 if rng.random() < 0.5 else 0.5,
+        rng=rng,
+    )
+
+
+def _weighted(weights: list[float], rng: np.random.Generator) -> int:
+    share = np.array(weights, np.float64)
+    return int(rng.choice(len(share), p=share / share.sum()))
+
+
+def _cover(kind: CoverKind, window: WindowKind, height_m: float, rng: np.random.Generator) -> Cover:
+    cover = Cover(kind)
+    if cover.curtains:
+        long = window == "french" or rng.random() < 0.7
+        # The rod hangs at most half a metre over the window, and clear of the ceiling.
+        lift = between(rng, (0.06, min(0.3, max(height_m - 2.15, 0.07))))
+        return replace(
+            cover,
+            spread_m=between(rng, (0.14, 0.32)),
+            lift_m=lift,
+            bottom_m=between(rng, (0.01, 0.04)) if long else 0.5,
+            share=between(rng, (0.25, 0.75)),
+            pitch_m=between(rng, (0.09, 0.17)),
+        )
+    if kind in ("roller", "roller_down"):
+        share = 1.0 if kind == "roller_down" else between(rng, (0.12, 0.8))
+        return replace(cover, share=share, translucent=bool(kind == "roller_down" or rng.random() < 0.6))
+    if kind == "venetian":
+        share = between(rng, (0.5, 1.0)) if rng.random() < 0.6 else 1.0
+        return replace(
+            cover, share=share, tilt_degrees=between(rng, (-60.0, 60.0)), pitch_m=between(rng, (0.022, 0.05))
+        )
+    if kind == "vertical":
+        return replace(cover, tilt_degrees=between(rng, (15.0, 80.0)), pitch_m=between(rng, (0.09, 0.13)))
+    return cover

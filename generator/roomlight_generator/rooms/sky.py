@@ -1,0 +1,330 @@
+"""The outdoors: a small panorama of sky, skyline and ground, and the sun.
+
+Panorama: the project's equirectangular convention, 64 x 128, radiance in kcd/m2 (no sun in it). The sun's irradiance
+on a surface facing it is in klx (kcd/m2 x sr). Light in it is consistent: ground and facades are lit by the sky above
+them and by the sun. Relative sky luminance follows the CIE general sky (ISO 15469:2004), absolute levels the hour.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.conventions import panorama_directions, panorama_solid_angles
+from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb, paint
+from roomlight_generator.rooms.finishes.noise import fbm
+from roomlight_generator.rooms.scene import Sky, Sun
+
+SkyKind = Literal["clear", "partly_cloudy", "overcast", "golden", "dusk", "night"]
+SKY_KINDS: Final[tuple[SkyKind, ...]] = ("clear", "partly_cloudy", "overcast", "golden", "dusk", "night")
+
+HEIGHT: Final = 64
+_SHAPE: Final = (HEIGHT, 2 * HEIGHT)
+
+_Number = int | float
+_Range = tuple[_Number, _Number]
+
+Panorama = Float[np.ndarray, "64 128 3"]
+Plane = Float[np.ndarray, "64 128"]
+
+
+@dataclass(frozen=True)
+class _Time:
+    """Ranges for one kind of sky: sun's elevation in degrees, horizontal illuminance by the sky alone and the sun's
+    on a surface facing it (klx), colour temperatures at the zenith, at the horizon and of the sun; CIE parameters
+    (gradation a, b; indicatrix c, d, e)."""
+
+    elevation: _Range
+    sky_klx: _Range
+    sun_klx: _Range
+    zenith_kelvin: _Range
+    horizon_kelvin: _Range
+    sun_kelvin: _Range
+    cie: tuple[_Number, ...]
+
+
+_TIMES: Final[dict[SkyKind, _Time]] = {
+    "clear": _Time((15, 58), (8, 16), (50, 100), (14000, 26000), (6600, 8000), (4600, 5600), (-1, -0.32, 10, -3, 0.45)),
+    "partly_cloudy": _Time(
+        (15, 58), (14, 28), (35, 90), (13000, 24000), (6500, 7800), (4600, 5500), (0, -1, 5, -2.5, 0.3)
+    ),
+    "overcast": _Time((15, 55), (5, 20), (0, 0), (6500, 7800), (6300, 7400), (5500, 5500), (4, -0.7, 0, -1, 0)),
+    "golden": _Time((8, 14), (3, 8), (20, 45), (12000, 22000), (4200, 5600), (3000, 3900), (-1, -0.32, 10, -3, 0.45)),
+    "dusk": _Time((-7, -2), (0.004, 0.4), (0, 0), (14000, 26000), (4500, 9000), (2600, 2600), (-1, -0.25, 5, -2, 0.3)),
+    "night": _Time((-40, -20), (1e-4, 1.5e-3), (0, 0), (4500, 9000), (2100, 3800), (2600, 2600), (3.5, -0.6, 0, -1, 0)),
+}
+
+
+def make_sky(
+    kind: str,
+    rng: np.random.Generator,
+    *,
+    toward: Float[np.ndarray, "3"] | None = None,
+    spread_degrees: float | int = 40.0,
+) -> Sky:
+    """A sky of one of `SKY_KINDS`, with what stands before it.
+
+    `toward` (world) is the azimuth, +- spread_degrees, at which the sun stands: out of a window, say; None: anywhere.
+    The sun always clears the skyline; behind a cloud (`partly_cloudy`, one in four) it is left out. ValueError for
+    another kind.
+    """
+    if kind not in _TIMES:
+        raise ValueError(f"no sky is called {kind!r}: there are {', '.join(SKY_KINDS)}")
+    time = _TIMES[kind]
+    azimuth = float(rng.uniform(-np.pi, np.pi))
+    if toward is not None and float(np.hypot(toward[0], toward[2])) > 1e-6:
+        azimuth = float(np.arctan2(toward[2], toward[0]) + np.radians(spread_degrees) * rng.uniform(-1, 1))
+    elevation = np.radians(rng.uniform(*time.elevation))
+    direction = _direction(azimuth, float(elevation))
+    views = panorama_directions(HEIGHT)
+    sky = _clear_dome(time, views, direction, rng)
+    sun = None
+    if kind == "partly_cloudy":
+        sky, hidden = _clouded(sky, views, direction, rng)
+    else:
+        hidden = False
+    if kind == "overcast":
+        low = fbm(rng, _SHAPE, (8, 8), octaves=3) * np.maximum(views[..., 1], 0)
+        sky = (sky * (1 + rng.uniform(0.1, 0.4) * low)[..., None]).astype(np.float32)
+    if kind in ("dusk", "golden"):
+        sky = _afterglow(sky, views, azimuth, rng, strength=2.5 if kind == "dusk" else 0.6)
+    level = np.exp(rng.uniform(*np.log(time.sky_klx)))
+    sky = (sky * (level / _klx(sky, np.array([0.0, 1.0, 0.0])))).astype(np.float32)
+    if time.sun_klx[1] > 0 and not hidden:
+        # Lower suns are weaker and redder: they shine through more air.
+        height = (elevation - np.radians(time.elevation[0])) / np.radians(time.elevation[1] - time.elevation[0])
+        share = float(np.clip(height + rng.normal(0, 0.15), 0, 1))
+        klx = time.sun_klx[0] + (time.sun_klx[1] - time.sun_klx[0]) * share
+        red, green, blue = blackbody_rgb(round(time.sun_kelvin[0] + (time.sun_kelvin[1] - time.sun_kelvin[0]) * share))
+        sun = Sun(direction.astype(np.float64), (klx * red, klx * green, klx * blue))
+    return _with_ground(Sky(sky, sun), views, rng, dark=kind in ("dusk", "night"))
+
+
+def horizontal_irradiance(sky: Sky) -> Float[np.ndarray, "3"]:
+    """Linear RGB irradiance in klx of a horizontal surface under the sky, sun included."""
+    up = np.array([0.0, 1.0, 0.0])
+    return _irradiance(sky.panorama, up) + _sun_irradiance(sky.sun, up)
+
+
+def vertical_irradiance(
+    sky: Sky, outward: Float[np.ndarray, "3"], *, sun_share: float | int = 0.5
+) -> Float[np.ndarray, "3"]:
+    """Linear RGB irradiance in klx of an upright surface that faces `outward` (world; its y is left out).
+
+    Ground and skyline count; of the sun only `sun_share` does: the reveal of a window shades the rest.
+    """
+    normal = np.array([outward[0], 0.0, outward[2]], np.float64)
+    normal /= max(float(np.linalg.norm(normal)), 1e-9)
+    return _irradiance(sky.panorama, normal) + sun_share * _sun_irradiance(sky.sun, normal)
+
+
+def _direction(azimuth: float, elevation: float) -> Float[np.ndarray, "3"]:
+    ring = np.cos(elevation)
+    return np.array([ring * np.cos(azimuth), np.sin(elevation), ring * np.sin(azimuth)])
+
+
+def _irradiance(panorama: Panorama, normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    weight = np.maximum(panorama_directions(HEIGHT) @ normal, 0) * panorama_solid_angles(HEIGHT)
+    return (panorama * weight[..., None]).sum((0, 1), dtype=np.float64)
+
+
+def _sun_irradiance(sun: Sun | None, normal: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
+    if sun is None:
+        return np.zeros(3)
+    return np.array(sun.irradiance) * max(0.0, float(sun.direction @ normal))
+
+
+def _klx(panorama: Panorama, normal: Float[np.ndarray, "3"]) -> float:
+    return float(LUMINANCE @ _irradiance(panorama, normal))
+
+
+def _clear_dome(time: _Time, views: Panorama, sun: Float[np.ndarray, "3"], rng: np.random.Generator) -> Panorama:
+    """Relative CIE luminance times the colour from horizon to zenith; nothing below the horizon."""
+    up = np.maximum(views[..., 1], 0.012)
+    a, b, c, d, e = time.cie
+    gradation = 1 + a * np.exp(b / up)
+    angle = np.arccos(np.clip(views @ sun, -1, 1))
+    # The peak about the sun is capped at 12 degrees: narrower is the sun's own business.
+    around = np.maximum(angle, np.radians(12))
+    scattered = 1 + c * (np.exp(d * around) - np.exp(d * np.pi / 2)) + e * np.cos(around) ** 2
+    brightness = np.maximum(gradation * scattered, 0.02)
+    zenith = np.array(blackbody_rgb(round(rng.uniform(*time.zenith_kelvin))))
+    horizon = np.array(blackbody_rgb(round(rng.uniform(*time.horizon_kelvin))))
+    share = (up ** rng.uniform(0.35, 0.6))[..., None]
+    colour = horizon + (zenith - horizon) * share
+    if c > 0:
+        # Light scattered forward is as white as the sun.
+        near = np.exp(-angle / 0.35)[..., None]
+        colour = colour + (np.array(blackbody_rgb(round(time.sun_kelvin[1]))) - colour) * 0.8 * near
+    return (colour * brightness[..., None] * (views[..., 1:2] > 0)).astype(np.float32)
+
+
+def _clouded(
+    sky: Panorama, views: Panorama, sun: Float[np.ndarray, "3"], rng: np.random.Generator
+) -> tuple[Panorama, bool]:
+    """White clouds, brightest about the sun, grey below; and whether one hides the sun."""
+    size = 128
+    field = fbm(rng, (size, size), (6, 6), octaves=5, gain=0.6)
+    scale = rng.uniform(6, 12)
+    up = np.maximum(views[..., 1], 0.08)
+    x, z = views[..., 0] / up * scale + size / 2, views[..., 2] / up * scale + size / 2
+    there = cv2.remap(field, x.astype(np.float32), z.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    density = np.clip((there - rng.uniform(-0.25, 0.3)) * 3, 0, 1) * (views[..., 1] > 0)
+    lit = float(np.quantile(sky @ LUMINANCE, 0.9)) * rng.uniform(1.2, 2.2)
+    facing = 0.75 + 0.6 * np.maximum(views @ sun, 0) ** 3
+    white = np.array(blackbody_rgb(6000)) * lit
+    grey = np.array(blackbody_rgb(7200)) * lit * 0.4
+    thick = (np.clip(density - 0.6, 0, 1) * rng.uniform(0.5, 2.2))[..., None]
+    cloud = (white + (grey - white) * np.clip(thick, 0, 1)) * facing[..., None]
+    mixed = (sky + (cloud - sky) * density[..., None]).astype(np.float32)
+    return mixed, bool(rng.random() < 0.25)
+
+
+def _afterglow(
+    sky: Panorama, views: Panorama, azimuth: float, rng: np.random.Generator, *, strength: float
+) -> Panorama:
+    """A warm band low over where the sun is or went down, rose further up."""
+    bearing = np.arctan2(views[..., 2], views[..., 0])
+    side = np.exp(-((1 - np.cos(bearing - azimuth)) / rng.uniform(0.3, 0.9)))
+    up = np.maximum(views[..., 1], 0)
+    level = float((sky @ LUMINANCE)[views[..., 1] > 0].mean()) * strength
+    orange, rose = np.array(blackbody_rgb(round(rng.uniform(2000, 2600)))), np.array([1.7, 0.78, 1.0])
+    band = (side * np.exp(-up / 0.13))[..., None] * orange + 0.35 * (side * np.exp(-up / 0.35))[..., None] * rose
+    return (sky + level * band * (views[..., 1:2] > 0)).astype(np.float32)
+
+
+def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: bool) -> Sky:
+    """Lawn or street below, and hills, trees, hedges or facades before the sky; lit as the sky and sun light them."""
+    bearing = np.arctan2(views[0, :, 2], views[0, :, 0])
+    skyline, kind = _skyline(bearing, sky.sun, rng)
+    elevation = np.arcsin(np.clip(views[..., 1], -1, 1))
+    down = horizontal_irradiance(sky)
+    if dark:  # street lamps: 0.2 to 15 lux, of sodium or white diodes
+        down = down + np.exp(rng.uniform(*np.log((2e-4, 1.5e-2)))) * np.array(
+            blackbody_rgb(int(rng.integers(2000, 4200)))
+        )
+    ground = _ground_albedo(views, rng)
+    # Houses and trees around keep part of the sky from the ground.
+    panorama = np.where((elevation < 0)[..., None], ground * (down * rng.uniform(0.6, 0.95) / np.pi), sky.panorama)
+    behind = (elevation < skyline[None, :]) & (elevation > -0.06)
+    sides = np.stack([_facing(sky, float(angle)) for angle in bearing[::8] + np.pi])
+    lit = np.stack(
+        [np.interp(np.arange(len(bearing)), np.arange(0, len(bearing), 8), sides[:, k]) for k in range(3)], 1
+    )
+    lit = lit + 0.5 * 0.15 * down  # and what the street throws back
+    albedo = _facades(elevation, bearing, skyline, rng) if kind == "houses" else _leaves(rng, kind)
+    panorama = np.where(behind[..., None], albedo * (lit / np.pi)[None], panorama)
+    if dark:
+        panorama = _lamps(panorama, elevation, behind & (kind == "houses"), rng)
+    return replace(sky, panorama=np.ascontiguousarray(panorama, np.float32))
+
+
+def _skyline(
+    bearing: Float[np.ndarray, " w"], sun: Sun | None, rng: np.random.Generator
+) -> tuple[Float[np.ndarray, " w"], str]:
+    """The elevation, in radians, below which something stands before the sky, at each azimuth."""
+    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.42, 0.3, 0.14, 0.14)))]
+    width = len(bearing)
+    if kind == "houses":
+        line = np.zeros(width)
+        at = int(rng.integers(width))
+        end = at + width
+        while at < end:
+            wide = int(rng.integers(6, 22))
+            tall = rng.uniform(0.12, 0.7) if rng.random() < 0.8 else 0.03
+            line[np.arange(at, min(at + wide, end)) % width] = tall
+            at += wide
+    else:
+        low, high, cells = {"trees": (0.1, 0.4, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
+        noise = fbm(rng, (8, width), (1, cells), octaves=3)[0]
+        line = low + (high - low) * np.clip(0.5 + noise, 0, 1)
+    if sun is not None:
+        top = float(np.arcsin(sun.direction[1])) - 0.06
+        off = np.arccos(np.clip(np.cos(bearing - np.arctan2(sun.direction[2], sun.direction[0])), -1, 1))
+        line = np.where(off < 0.35, np.minimum(line, max(top, 0.02)), line)
+    return line, kind
+
+
+def _facing(sky: Sky, azimuth: float) -> Float[np.ndarray, "3"]:
+    return vertical_irradiance(sky, _direction(azimuth, 0.0), sun_share=1.0)
+
+
+def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:
+    """Lawn, paving, asphalt, gravel or (seldom) snow, clouded."""
+    albedos = (
+        paint(rng.uniform(0.06, 0.14), 0.07, rng.uniform(115, 140)),
+        paint(rng.uniform(0.15, 0.35), 0.02, rng.uniform(60, 90)),
+        paint(rng.uniform(0.06, 0.12), 0.004, 250),
+        paint(rng.uniform(0.1, 0.22), 0.04, rng.uniform(55, 80)),
+        paint(rng.uniform(0.6, 0.8), 0.01, 240),
+    )
+    first = albedos[int(rng.choice(5, p=(0.42, 0.24, 0.2, 0.1, 0.04)))]
+    second = albedos[int(rng.choice(4))]
+    patches = np.clip(fbm(rng, _SHAPE, (8, 4), octaves=3) * 3 + 0.2, 0, 1)[..., None]
+    # Near the house (steeply below) is one thing, beyond it the other.
+    near = np.clip((-views[..., 1:2] - rng.uniform(0.2, 0.7)) * 12, 0, 1)
+    share = np.clip(near + 0.2 * patches, 0, 1)
+    return (np.array(first) + (np.array(second) - np.array(first)) * share).astype(np.float32)
+
+
+def _leaves(rng: np.random.Generator, kind: str) -> Panorama:
+    """Foliage, in clumps; far hills are bluer."""
+    if kind == "hills":
+        colour = paint(rng.uniform(0.08, 0.18), 0.03, rng.uniform(150, 240))
+    else:
+        colour = paint(rng.uniform(0.04, 0.1), rng.uniform(0.045, 0.08), rng.uniform(118, 145))
+    clumps = fbm(rng, _SHAPE, (32, 64), octaves=2)
+    return (np.array(colour) * np.clip(1 + 0.7 * clumps, 0.3, 2)[..., None]).astype(np.float32)
+
+
+def _facades(
+    elevation: Plane, bearing: Float[np.ndarray, " w"], skyline: Float[np.ndarray, " w"], rng: np.random.Generator
+) -> Panorama:
+    """Each house its own wall colour; windows in rows, dark by day; roofs on some."""
+    out = np.zeros((*_SHAPE, 3), np.float32)
+    edges = np.flatnonzero(np.diff(skyline, prepend=skyline[-1]) != 0)
+    house = np.searchsorted(edges, np.arange(len(bearing)), side="right") % max(len(edges), 1)
+    storey = rng.uniform(0.11, 0.17)
+    for number in range(max(len(edges), 1)):
+        pick = rng.random()
+        if pick < 0.45:
+            wall = paint(rng.uniform(0.35, 0.75), rng.uniform(0, 0.04), rng.uniform(50, 100))
+        elif pick < 0.75:
+            wall = paint(rng.uniform(0.1, 0.25), rng.uniform(0.05, 0.09), rng.uniform(35, 50))
+        else:
+            wall = paint(rng.uniform(0.1, 0.5), rng.uniform(0, 0.06), rng.uniform(0, 360))
+        columns = np.flatnonzero(house == number)
+        out[:, columns] = wall
+        spacing = int(rng.integers(3, 6))
+        rows = ((elevation[:, 0] / storey) % 1 > 0.4) & (elevation[:, 0] > -0.02)
+        glass = np.ix_(rows, columns[np.arange(len(columns)) % spacing > spacing // 2])
+        out[glass] = np.array([0.06, 0.07, 0.08])
+        if rng.random() < 0.6:
+            roof = paint(rng.uniform(0.04, 0.2), rng.uniform(0, 0.07), rng.uniform(30, 60))
+            top = elevation[:, columns] > skyline[None, columns] - 0.08
+            out[:, columns] = np.where(top[..., None], np.array(roof, np.float32), out[:, columns])
+    return out
+
+
+def _lamps(
+    panorama: Panorama, elevation: Plane, houses: Bool[np.ndarray, "64 128"], rng: np.random.Generator
+) -> Panorama:
+    """Lit windows across the street and a few street lamps: 5 to 150 cd/m2 over a window, 0.2 to 3 kcd/m2 a lamp's
+    pixel."""
+    out = panorama.copy()
+    candidates = np.argwhere(houses & (elevation > 0.0))
+    if len(candidates):
+        for row, column in candidates[rng.integers(0, len(candidates), int(rng.integers(2, 14)))]:
+            glow = np.exp(rng.uniform(np.log(0.005), np.log(0.15))) * np.array(
+                blackbody_rgb(int(rng.integers(2400, 4500)))
+            )
+            out[row : row + 2, column : column + int(rng.integers(1, 3))] += glow
+    for _ in range(int(rng.integers(0, 4))):
+        row = int(rng.integers(int(0.42 * HEIGHT), int(0.49 * HEIGHT)))
+        column = int(rng.integers(2 * HEIGHT))
+        out[row, column] += np.exp(rng.uniform(np.log(0.2), np.log(3.0))) * np.array(
+            blackbody_rgb(int(rng.integers(2000, 4000)))
+        )
+    return out.astype(np.float32)

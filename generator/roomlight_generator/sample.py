@@ -1,0 +1,32 @@
+"""The sample capture that RoomLight ships: one sequence of the generator, with procedural furniture alone.
+
+Without the furniture library, so that anyone makes the same files, and nobody needs to be credited in them.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from roomlight.dataset.extract import write_capture
+from roomlight.dataset.sequence_files import encode
+from roomlight_generator.rooms.build import room_generator
+from roomlight_generator.rooms.furniture import Catalogue
+from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.sequences.render import plan_camera_path, render_sequence, solve_lighting
+
+ROOM: Final = 6
+WALK: Final = 1
+"""What is shipped was chosen by eye: at night, a lamp leaves the view and comes back, another enters it."""
+SEED: Final = 9
+
+
+def generate_sample(out: Path, *, seed: int = SEED, room: int = ROOM, walk: int = WALK) -> None:
+    """Write one sequence as a capture folder; the same arguments give the same files.
+
+    OutputError where `out` holds something already or cannot be written; ValueError where the room has no walk.
+    """
+    catalogue = Catalogue().joined(procedural_models("train"))
+    stage = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
+    rng = room_generator(room, seed=seed, split="train", purpose=1 + walk)
+    recording = render_sequence(stage, plan_camera_path(stage, rng), rng, name="sample room")
+    write_capture(encode(replace(recording, name="sample room")), out)

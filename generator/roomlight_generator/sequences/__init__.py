@@ -1,0 +1,1 @@
+"""Camera walks through a lit room, rendered as a phone records them."""

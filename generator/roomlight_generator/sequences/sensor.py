@@ -1,0 +1,110 @@
+"""From light to the 8-bit picture that a phone hands out: lens, noise, clipping, sRGB.
+
+The response is sRGB's and nothing else, because every client linearises by it; some sequences (`Sensor.response`)
+deviate a little, as phones do.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roomlight.conventions import linear_to_srgb, linear_to_srgb8
+
+BASE_MULTIPLIER: Final = 4.2
+"""Per kcd/m2: up to here a phone needs no amplification (f/1.8, 1/30 s, ISO 32 clip at 237 cd/m2); above, the noise of
+the light itself shows: gain is multiplier / BASE_MULTIPLIER."""
+OWN_RESPONSE_SHARE: Final = 0.3
+"""Of sequences whose tone curve is not exactly sRGB's."""
+
+_FULL_WELL: Final = 150_000.0
+"""Electrons at white, without gain, behind one pixel of a 320 x 240 picture. An assumption: a sixth of the 160 pixels
+of 6,000 that fall on it, because video reads fewer of them and its denoising leaves coarse grain."""
+_READ_NOISE: Final = 6.0
+"""Electrons."""
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """One phone's camera. noise scales the noise of the model, blur_px is the lens's standard deviation, vignetting the
+    loss in the corners, sharpening the strength of an unsharp mask. response is (gamma, contrast) about sRGB's curve,
+    (1, 0) is sRGB itself."""
+
+    noise: float = 1.0
+    grain_px: float = 0.5
+    blur_px: float = 0.4
+    vignetting: float = 0.0
+    sharpening: float = 0.0
+    response: tuple[float, float] = (1.0, 0.0)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator) -> "Sensor":
+        """One at random."""
+        own = rng.random() < OWN_RESPONSE_SHARE
+        gamma, contrast = rng.uniform(0.95, 1.05), rng.uniform(-0.06, 0.06)
+        return cls(
+            noise=float(np.exp(rng.normal(0, 0.5))),
+            grain_px=float(rng.uniform(0.3, 0.8)),
+            blur_px=float(rng.uniform(0.25, 0.7)),
+            vignetting=float(rng.uniform(0, 0.12)) if rng.random() < 0.6 else 0.0,
+            sharpening=float(rng.uniform(0, 0.5)) if rng.random() < 0.5 else 0.0,
+            response=(float(gamma), float(contrast)) if own else (1.0, 0.0),
+        )
+
+    @property
+    def exact_response(self) -> bool:
+        """Whether its tone curve is sRGB's."""
+        return self.response == (1.0, 0.0)
+
+
+def develop(
+    radiance: Float[np.ndarray, "h w 3"],
+    sensor: Sensor,
+    rng: np.random.Generator,
+    *,
+    multiplier: float,
+    gains: Float[np.ndarray, "3"],
+) -> UInt8[np.ndarray, "h w 3"]:
+    """The 8-bit sRGB picture of a frame of radiance (kcd/m2), exposed and balanced as `exposure.expose` decided.
+
+    CameraPath and read noise after amplification, smoothed as denoising leaves it (its deviation stays as stated); what
+    passes 1.0 clips. The same generator state gives the same bytes.
+    """
+    image = np.asarray(radiance, np.float32) * (gains * multiplier).astype(np.float32)
+    image = np.minimum(image, np.float32(64.0))  # six stops over white: brighter tells an 8-bit picture nothing
+    if sensor.vignetting:
+        image *= _vignette(image.shape[0], image.shape[1], sensor.vignetting)[..., None]
+    image = cv2.GaussianBlur(image, (0, 0), sensor.blur_px)
+    gain = max(1.0, multiplier / BASE_MULTIPLIER)
+    electrons = _FULL_WELL / gain
+    variance = np.minimum(image, np.float32(1.0)) / electrons + (_READ_NOISE / electrons) ** 2
+    image += np.sqrt(variance) * (sensor.noise * _grain(rng, image.shape[0], image.shape[1], sensor.grain_px))
+    image = np.clip(image, 0, 1)
+    if sensor.sharpening:
+        image = np.clip(image + sensor.sharpening * (image - cv2.GaussianBlur(image, (0, 0), 1.2)), 0, 1)
+    if sensor.exact_response:
+        return linear_to_srgb8(image)
+    gamma, contrast = sensor.response
+    encoded = linear_to_srgb(image) ** np.float32(gamma)
+    encoded += np.float32(contrast) * encoded * (1 - encoded) * (2 * encoded - 1) * 2  # an S that keeps 0, 1/2 and 1
+    return np.rint(np.clip(encoded, 0, 1) * 255).astype(np.uint8)
+
+
+def _vignette(height: int, width: int, loss: float) -> Float[np.ndarray, "{height} {width}"]:
+    """Light left by cos^4-like falloff, 1 in the middle and 1 - loss in the corners."""
+    y = (np.arange(height, dtype=np.float32) + 0.5) / height * 2 - 1
+    x = (np.arange(width, dtype=np.float32) + 0.5) / width * 2 - 1
+    return 1 - np.float32(loss) * (0.5 * (x**2 + y[:, None] ** 2)) ** 1.5
+
+
+def _grain(
+    rng: np.random.Generator, height: int, width: int, size_px: float
+) -> Float[np.ndarray, "{height} {width} 3"]:
+    """Noise of deviation 1, alike in neighbouring pixels and partly in the channels, as demosaicing leaves it."""
+    noise = rng.standard_normal((height, width, 3), np.float32)
+    noise = cv2.GaussianBlur(0.8 * noise + 0.6 * noise[..., 1:2], (0, 0), size_px)
+    kernel = cv2.getGaussianKernel(int(2 * np.ceil(4 * size_px) + 1), size_px).ravel()
+    weight = np.array([1.0, 1.4, 1.0], np.float32)  # of 0.8 n + 0.6 n_green: for green both are one
+    return noise / (weight * np.float32((kernel**2).sum()))

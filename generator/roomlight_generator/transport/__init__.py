@@ -1,0 +1,6 @@
+"""Light transport in a room: ray tracing, a cache of indirect light, frames and panoramas. Needs no PyTorch."""
+
+from roomlight_generator.transport.room_light import FrameView, RoomLight
+from roomlight_generator.transport.tracer import Tracer
+
+__all__ = ["FrameView", "RoomLight", "Tracer"]

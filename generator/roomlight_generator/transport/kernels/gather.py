@@ -1,0 +1,134 @@
+# pyright: reportMissingParameterType=false
+"""Gather rays of the records: by cosine, and into cones about the lights, where the brightest surfaces are.
+
+A lamp's housing and a window's reveals are small, and a hundred times as bright as the walls: by cosine alone they are
+met by chance. Both kinds of rays are weighted by the balance heuristic.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from roomlight_generator.transport.kernels.common import (
+    ALLOCATING,
+    JIT,
+    PHI1,
+    PHI2,
+    cosine_direction,
+    fraction,
+    in_table,
+    mixed,
+    tangents,
+    unit,
+)
+from roomlight_generator.transport.kernels.lights import estimates
+
+LEAST_SEEN = 40  # 255ths: what light a patch never saw straight may still shine on things that it sees
+WIDER = 1.25
+WIDER_M = 0.03  # a light's cone takes in so much about its cluster
+_ZERO = np.float32(0)
+
+
+@njit(**JIT)
+def _within(cone, cones, x, y, z):
+    """Sum of the densities of the cones that a direction lies in."""
+    density = _ZERO
+    for j in range(cones):
+        inside = x * cone[0, j] + y * cone[1, j] + z * cone[2, j] > cone[3, j]
+        density += cone[4, j] if inside else _ZERO
+    return density
+
+
+@njit(**ALLOCATING)
+def gather_rays(
+    lights, vis, position, normal, wound, alpha, row, number, through, cosine_rays, cone_rays, seed,
+    origin, direction, weight, passed,
+):  # fmt: skip
+    """Write cosine_rays + cone_rays rays for each point. weight turns radiance into irradiance (the sum over a
+    point's rays), passed is what a coat lets through of each."""
+    rays = cosine_rays + cone_rays
+    clusters = lights.real
+    each = np.empty(max(clusters, 1), np.float32)
+    cone = np.empty((5, max(clusters, 1)), np.float32)  # direction, cosine of the half angle, density
+    chance = np.empty(max(clusters, 1))
+    for i in range(len(position)):
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        cones, total = 0, 0.0
+        estimates(lights, clusters, vis, row[i], LEAST_SEEN, px, py, pz, nx, ny, nz, each)
+        for which in range(clusters):
+            share = np.float64(each[which])
+            x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
+            d = math.sqrt(x * x + y * y + z * z)
+            r = WIDER * lights.radius[which] + WIDER_M
+            if share <= 0 or d <= 1.05 * r:
+                continue
+            total += share
+            chance[cones] = share
+            cosine = math.sqrt(1 - (r / d) ** 2)
+            width = (r / d) ** 2 / (1 + cosine)  # 1 - cosine without cancellation
+            cone[0, cones], cone[1, cones], cone[2, cones], cone[3, cones] = x / d, y / d, z / d, 1 - width
+            cone[4, cones] = share / (2 * math.pi * width)
+            cones += 1
+        guided = cone_rays if cones > 0 else 0
+        for k in range(cones):
+            cone[4, k] /= total
+        plain = rays - guided
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        turn1 = unit(state)
+        state = mixed(state)
+        turn2 = unit(state)
+        turn3 = unit(mixed(state))
+        which, running = 0, 0.0
+        if cones > 0:
+            running = chance[0]
+        for k in range(rays):
+            at = i * rays + k
+            r1, r2 = fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k)
+            if k < plain:
+                x, y, z, _ = cosine_direction(nx, ny, nz, r1, r2)
+            else:
+                aim = (k - plain + turn3) / guided * total
+                while which < cones - 1 and running <= aim:
+                    which += 1
+                    running += chance[which]
+                ax, ay, az = cone[0, which], cone[1, which], cone[2, which]
+                cosine = 1 - r1 * (1 - cone[3, which])
+                sine = math.sqrt(max(1 - cosine * cosine, 0.0))
+                s, t = sine * math.cos(2 * math.pi * r2), sine * math.sin(2 * math.pi * r2)
+                ux, uy, uz, vx, vy, vz = tangents(ax, ay, az)
+                x = cosine * ax + s * ux + t * vx
+                y = cosine * ay + s * uy + t * vy
+                z = cosine * az + s * uz + t * vz
+            under = x * gx + y * gy + z * gz
+            if under < 0 and k < plain:
+                # A shading normal leans so far that the ray starts into its own surface: it is turned up about it.
+                x, y, z = x - 2 * under * gx, y - 2 * under * gy, z - 2 * under * gz
+            cosine = x * nx + y * ny + z * nz
+            for c in range(3):
+                origin[at, c] = position[i, c]
+            if cosine <= 0 or (under < 0 and k >= plain):
+                weight[at], passed[at] = 0.0, 1.0
+                direction[at, 0], direction[at, 1], direction[at, 2] = gx, gy, gz
+                continue
+            density = _within(cone, cones, np.float32(x), np.float32(y), np.float32(z))
+            weight[at] = cosine / (plain * cosine / math.pi + guided * density)
+            direction[at, 0], direction[at, 1], direction[at, 2] = x, y, z
+            passed[at] = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0
+
+
+@njit(**JIT)
+def gather_sum(radiance, weight, passed, face, distance, rays, irradiance, clear):
+    """Irradiance of each point from its rays, and the harmonic mean of the distances to what it sees."""
+    for p in range(len(clear)):
+        red, green, blue, near, total = 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(p * rays, (p + 1) * rays):
+            t = weight[k] * passed[k]
+            red, green, blue = red + t * radiance[k, 0], green + t * radiance[k, 1], blue + t * radiance[k, 2]
+            total += weight[k]
+            if face[k] >= 0:
+                near += weight[k] / max(distance[k], 1e-3)
+        irradiance[p, 0], irradiance[p, 1], irradiance[p, 2] = red, green, blue
+        clear[p] = total / max(near, 1e-9)

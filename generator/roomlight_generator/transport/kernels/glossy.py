@@ -1,0 +1,317 @@
+# pyright: reportMissingParameterType=false
+"""Kernels of the coat's specular lobe: GGX, sampled by visible normals and by the lights, joined by the balance
+heuristic.
+
+view is the unit direction toward the viewer; normals are on its side.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from roomlight_generator.transport.kernels.common import (
+    ALLOCATING,
+    JIT,
+    LEAST_COSINE,
+    PHI1,
+    PHI2,
+    fraction,
+    fresnel,
+    lobe,
+    mixed,
+    sky_radiance,
+    tangents,
+    unit,
+)
+from roomlight_generator.transport.kernels.lights import (
+    FAR,
+    candidate,
+    chosen_by,
+    crossings,
+    estimate,
+    pick_piece,
+    point_on,
+    resample,
+    sun_may_reach,
+)
+from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal
+
+SPOT_M = 0.06  # spots stand for sunlit surfaces where a lobe is wider than this
+
+
+@njit(**JIT)
+def spot_share(alpha, distance):
+    """How much of a sunlit spot's light in a lobe its samples bring, not reflected rays."""
+    width = alpha * distance
+    return width * width / (width * width + SPOT_M * SPOT_M)
+
+
+@njit(**JIT)
+def spot_shares(alpha, distance, rays, out):
+    """`spot_share` for `rays` rays of each point, by the length of each."""
+    for k in range(len(distance)):
+        out[k] = spot_share(alpha[k // rays], distance[k])
+
+
+@njit(**JIT)
+def lobe_rays(normal, wound, view, alpha, number, rays, seed, direction, weight, density):
+    """`rays` reflections of each point by visible normals (Heitz 2018): direction, lobe over density, density.
+
+    A reflection into the surface has weight 0 and the direction of the geometric normal.
+    """
+    for i in range(len(alpha)):
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        ax, ay, az, bx, by, bz = tangents(nx, ny, nz)
+        vx, vy, vz = view[i, 0], view[i, 1], view[i, 2]
+        a = alpha[i]
+        x, y, z = vx * ax + vy * ay + vz * az, vx * bx + vy * by + vz * bz, vx * nx + vy * ny + vz * nz
+        z = max(z, LEAST_COSINE)
+        sx, sy, sz = a * x, a * y, z
+        length = math.sqrt(sx * sx + sy * sy + sz * sz)
+        sx, sy, sz = sx / length, sy / length, sz / length
+        t1x, t1y, t1z, t2x, t2y, t2z = tangents(sx, sy, sz)
+        # The warp below needs the second tangent to point up along the surface's normal.
+        across = math.sqrt(sx * sx + sy * sy)
+        if across > 1e-6:
+            t1x, t1y, t1z = -sy / across, sx / across, 0.0
+            t2x, t2y, t2z = sy * t1z - sz * t1y, sz * t1x - sx * t1z, sx * t1y - sy * t1x
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        turn1 = unit(state)
+        turn2 = unit(mixed(state))
+        for k in range(rays):
+            r = math.sqrt(fraction(turn1 + PHI1 * k))
+            angle = 2 * math.pi * fraction(turn2 + PHI2 * k)
+            p, q = r * math.cos(angle), r * math.sin(angle)
+            mix = 0.5 * (1 + sz)
+            q = (1 - mix) * math.sqrt(max(1 - p * p, 0.0)) + mix * q
+            w = math.sqrt(max(1 - p * p - q * q, 0.0))
+            hx, hy, hz = p * t1x + q * t2x + w * sx, p * t1y + q * t2y + w * sy, p * t1z + q * t2z + w * sz
+            hx, hy, hz = a * hx, a * hy, max(hz, 1e-6)
+            length = math.sqrt(hx * hx + hy * hy + hz * hz)
+            hx, hy, hz = hx / length, hy / length, hz / length
+            ox, oy, oz = hx * ax + hy * bx + hz * nx, hx * ay + hy * by + hz * ny, hx * az + hy * bz + hz * nz
+            toward = vx * ox + vy * oy + vz * oz
+            lx, ly, lz = 2 * toward * ox - vx, 2 * toward * oy - vy, 2 * toward * oz - vz
+            at = i * rays + k
+            cos_l = lx * nx + ly * ny + lz * nz
+            if toward <= 0 or cos_l <= 0 or lx * gx + ly * gy + lz * gz <= 0:
+                direction[at, 0], direction[at, 1], direction[at, 2] = gx, gy, gz
+                weight[at], density[at] = 0.0, 1.0
+                continue
+            direction[at, 0], direction[at, 1], direction[at, 2] = lx, ly, lz
+            value, chance = lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, a)
+            weight[at] = value / chance if chance > 0 else 0.0
+            density[at] = chance
+
+
+@njit(**ALLOCATING)
+def lobe_lights(
+    lights, outdoors, atlas, position, normal, wound, view, alpha, row, number, vis,
+    rays, candidates, picks, seed, owner, origin, direction, reach, weight, totals,
+):  # fmt: skip
+    """Shadow rays for the lobe, as `lights.propose`; totals keeps each point's sum of estimates for `lobe_share`."""
+    table, kind = lights.piece, lights.kind
+    hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
+    coat_share, toward_sun = lights.coat_share, lights.sun
+    clusters = len(lights.start)
+    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
+    aim = np.empty((candidates, 8))
+    sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
+    sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
+    tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
+    written = 0
+    for i in range(len(alpha)):
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        vx, vy, vz = view[i, 0], view[i, 1], view[i, 2]
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed) + np.uint64(1)))
+        turn1 = unit(state)
+        state = mixed(state)
+        turn2 = unit(state)
+        state = mixed(state)
+        turn3 = unit(state)
+        total = 0.0
+        if clusters > 0:
+            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
+        totals[i] = total
+        if total > 0:
+            which, live = 0, 0
+            for k in range(candidates):
+                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
+                dx, dy, dz, far, red, green, blue, spread, _ = point_on(
+                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
+                    fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
+                )  # fmt: skip
+                if far <= 0 or gx * dx + gy * dy + gz * dz <= 0:
+                    continue
+                value, by_lobe = lobe(nx, ny, nz, vx, vy, vz, dx, dy, dz, alpha[i])
+                scale = value * spread / (density * candidates)
+                if kind[piece, 0] == 2:
+                    scale *= spot_share(alpha[i], far)
+                else:
+                    # density / spread is the density in solid angle.
+                    scale *= candidates * density / (candidates * density + rays * by_lobe * spread)
+                q = (red + green + blue) * scale
+                if not q > 0:
+                    continue
+                aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
+                aim[live, 4], aim[live, 5], aim[live, 6], aim[live, 7] = red * scale, green * scale, blue * scale, q
+                live += 1
+            resample(aim, 7, live, picks, unit(mixed(state)))
+            for k in range(live):
+                if aim[k, 7] == 0:
+                    continue
+                owner[written] = i
+                for c in range(3):
+                    origin[written, c] = position[i, c]
+                    direction[written, c] = aim[k, c]
+                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
+                reach[written] = aim[k, 3]
+                written += 1
+        if sun and gx * sx + gy * sy + gz * sz > 0:
+            radius, angle = outdoors.sun_radius * math.sqrt(turn1), 2 * math.pi * turn2
+            s, t = radius * math.cos(angle), radius * math.sin(angle)
+            dx, dy, dz = sx + s * tax + t * tbx, sy + s * tay + t * tby, sz + s * taz + t * tbz
+            value, _ = lobe(nx, ny, nz, vx, vy, vz, sx, sy, sz, alpha[i])
+            if value > 0 and sun_may_reach(hole, parts, px, py, pz, dx, dy, dz) > 0:
+                length = math.sqrt(dx * dx + dy * dy + dz * dz)
+                owner[written] = i
+                for c in range(3):
+                    origin[written, c] = position[i, c]
+                    weight[written, c] = outdoors.sun_irradiance[c] * value
+                direction[written, 0], direction[written, 1], direction[written, 2] = (
+                    dx / length,
+                    dy / length,
+                    dz / length,
+                )
+                reach[written] = FAR
+                written += 1
+    return written
+
+
+@njit(**JIT)
+def lobe_share(
+    lights, outdoors, vis, row, position, normal, totals, rays, candidates, face, u, v, distance, direction,
+    density, turned, share,
+):  # fmt: skip
+    """Share of emitted light that each reflection keeps, given that the lights are sampled too."""
+    for at in range(len(face)):
+        i = at // rays
+        share[at] = 1.0
+        if turned[at] or totals[i] <= 0:
+            continue
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        dx, dy, dz = direction[at, 0], direction[at, 1], direction[at, 2]
+        f = face[at]
+        slot, d = -1, np.float64(distance[at])
+        if f < 0:
+            found, slot, _ = crossings(outdoors.hole, outdoors.parts, px, py, pz, dx, dy, dz)
+            if found == 0:
+                continue
+        else:
+            cuts = lights.face_cuts[f]
+            if cuts == 0:
+                continue
+            x, y = u[at] * cuts, v[at] * cuts
+            a, b = min(np.int64(x), cuts - 1), min(np.int64(y), cuts - 1)
+            upper = 1 if (x - a) + (y - b) > 1 and a + b < cuts - 1 else 0
+            slot = lights.face_first[f] + 2 * (a * cuts + b) + upper
+        piece = lights.piece_at[slot]
+        if piece < 0:
+            continue
+        c = lights.piece[piece]
+        ux, uy, uz, wx, wy, wz = c[3], c[4], c[5], c[6], c[7], c[8]
+        if f >= 0:
+            ux, uy, uz, wx, wy, wz = ux - c[0], uy - c[1], uz - c[2], wx - c[0], wy - c[1], wz - c[2]
+        mx, my, mz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
+        length = max(math.sqrt(mx * mx + my * my + mz * mz), 1e-30)
+        slope = (mx * dx + my * dy + mz * dz) / length
+        if f < 0:
+            along = mx * (c[0] - px) + my * (c[1] - py) + mz * (c[2] - pz)
+            d = along / length / slope if abs(slope) > 1e-9 else 1e9
+        which = lights.cluster[piece]
+        chance = estimate(lights, which, px, py, pz, normal[i, 0], normal[i, 1], normal[i, 2])
+        if row[i] >= 0:
+            chance *= max(vis[row[i], which], 20) / 255.0
+        by_area = chance / totals[i] * c[19]
+        spread = abs(slope) / (d * d)
+        share[at] = rays * density[at] * spread / (rays * density[at] * spread + candidates * by_area)
+
+
+@njit(**JIT)
+def scattered(owner, weight, seen, count, out):
+    """Add visible rays to their points."""
+    for k in range(count):
+        if seen[k]:
+            for c in range(3):
+                out[owner[k], c] += weight[k, c]
+
+
+@njit(**JIT)
+def pane_shares(geometry, face, u, v, direction, reflected, turned, through, share):
+    """Where rays that met a thin pane go on, mirrored and straight; the share that both its faces reflect."""
+    for i in range(len(face)):
+        corner = geometry.corners[face[i]]
+        dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
+        gx, gy, gz = face_normal(corner, dx, dy, dz)
+        slope = dx * gx + dy * gy + dz * gz
+        f = fresnel(min(-slope, 1.0))
+        share[i] = 2 * f / (1 + f)
+        turned[i, 0], turned[i, 1], turned[i, 2] = dx - 2 * slope * gx, dy - 2 * slope * gy, dz - 2 * slope * gz
+        s, t = u[i], v[i]
+        w = 1 - s - t
+        for c in range(3):
+            place = w * corner[0, c] + s * corner[1, c] + t * corner[2, c]
+            through[i, c] = place + OFFSET * direction[i, c]
+        reflected[i, 0] = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0] + OFFSET * gx
+        reflected[i, 1] = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1] + OFFSET * gy
+        reflected[i, 2] = w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2] + OFFSET * gz
+
+
+@njit(**JIT)
+def splat_rays(lights, outdoors, atlas, shown, samples, x, y, z, seed, origin, direction, reach, light):
+    """Rays from a point to `samples` points on each shown cluster, and what each brings in radiance times solid angle.
+
+    Pieces that are not `shown` send nothing. Returns how many rays there are.
+    """
+    written = 0
+    for which in range(len(lights.start)):
+        first, pieces = lights.start[which], lights.pieces[which]
+        any_shown = False
+        for piece in range(first, first + pieces):
+            any_shown = any_shown or shown[piece]
+        if not any_shown:
+            continue
+        state = mixed(np.uint64(which) ^ mixed(np.uint64(seed)))
+        turn1 = unit(state)
+        turn2 = unit(mixed(state))
+        for k in range(samples):
+            piece = pick_piece(lights.piece, first, pieces, (k + 0.5) / samples)
+            if not shown[piece]:
+                continue
+            dx, dy, dz, far, r, g, b, spread, _ = point_on(
+                lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, atlas, lights.coat_share,
+                lights.sun, piece, fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), x, y, z,
+            )  # fmt: skip
+            if far <= 0:
+                continue
+            scale = spread / (lights.piece[piece, 19] * samples)
+            origin[written, 0], origin[written, 1], origin[written, 2] = x, y, z
+            direction[written, 0], direction[written, 1], direction[written, 2] = dx, dy, dz
+            light[written, 0], light[written, 1], light[written, 2] = r * scale, g * scale, b * scale
+            reach[written] = far
+            written += 1
+    return written
+
+
+@njit(**JIT)
+def sky_seen(panorama, direction, share, out):
+    """Add the sky along rays, times each one's share."""
+    for i in range(len(share)):
+        r, g, b = sky_radiance(panorama, direction[i, 0], direction[i, 1], direction[i, 2])
+        out[i, 0] += r * share[i]
+        out[i, 1] += g * share[i]
+        out[i, 2] += b * share[i]

@@ -1,0 +1,177 @@
+# pyright: reportMissingParameterType=false
+"""Kernels over pixel grids: smoothing within surfaces, edges that want more rays, what such rays take from pixels."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
+
+REACH = 4  # pixels about one in which it is an outlier or not: 80 of them, of which a quarter are known in rough coats
+FEW = 8  # an outlier has fewer than one in so many pixels about it that are like it
+ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise passes, a shadow's edge does not
+
+
+@njit(**ALLOCATING)
+def smooth(image, position, normal, kind, foot, known, spread, step, out):
+    """A bilateral mean over 5 x 5 pixels `step` apart: same kind, one plane, one direction, alike in brightness (within
+    the pixel's spread times `ALIKE`). Only known pixels count; known is set where out then has a value. kind -1 is left
+    out."""
+    had = known.copy()
+    height, width = kind.shape
+    radius, count = 2, 5
+    fall = np.empty((count, count))
+    for a in range(count):
+        for b in range(count):
+            fall[a, b] = math.exp(-((a - radius) ** 2 + (b - radius) ** 2) / 4.0)
+    for y in range(height):
+        for x in range(width):
+            k = kind[y, x]
+            if k < 0:
+                for c in range(3):
+                    out[y, x, c] = image[y, x, c]
+                continue
+            px, py, pz = position[y, x, 0], position[y, x, 1], position[y, x, 2]
+            nx, ny, nz = normal[y, x, 0], normal[y, x, 1], normal[y, x, 2]
+            here = image[y, x, 0] + image[y, x, 1] + image[y, x, 2] + 1e-7
+            narrow = 1 / (1.5 * step * foot[y, x])
+            likeness = 1 / (ALIKE * spread[y, x]) if had[y, x] else 0.0
+            total, red, green, blue = 0.0, 0.0, 0.0, 0.0
+            for a in range(count):
+                j = y + (a - radius) * step
+                if j < 0 or j >= height:
+                    continue
+                for b in range(count):
+                    i = x + (b - radius) * step
+                    if i < 0 or i >= width or kind[j, i] != k or not had[j, i]:
+                        continue
+                    agree = nx * normal[j, i, 0] + ny * normal[j, i, 1] + nz * normal[j, i, 2]
+                    if agree < 0.9:
+                        continue
+                    off = (
+                        nx * (position[j, i, 0] - px) + ny * (position[j, i, 1] - py) + nz * (position[j, i, 2] - pz)
+                    ) * narrow
+                    if abs(off) > 1:
+                        continue
+                    there = image[j, i, 0] + image[j, i, 1] + image[j, i, 2] + 1e-7
+                    # (a - b) / (a + b) is half the difference of logarithms, and cheaper.
+                    differ = 2 * (there - here) / (there + here) * likeness
+                    w = fall[a, b] * (1 - off * off) * (agree - 0.9) * 10 / (1 + differ * differ * differ * differ)
+                    total += w
+                    red += w * image[j, i, 0]
+                    green += w * image[j, i, 1]
+                    blue += w * image[j, i, 2]
+            if total > 1e-9:
+                out[y, x, 0], out[y, x, 1], out[y, x, 2] = red / total, green / total, blue / total
+                known[y, x] = True
+            else:
+                out[y, x, 0], out[y, x, 1], out[y, x, 2] = image[y, x, 0], image[y, x, 1], image[y, x, 2]
+
+
+@njit(**ALLOCATING)
+def tame(image, kind, known, most):
+    """Darken known pixels that outshine `most` times the mean of the known ones of their kind within `REACH` pixels,
+    where hardly any of those are half as bright: what few rays found by chance. Those that are do not count."""
+    height, width = kind.shape
+    total = np.zeros((height, width))
+    for y in range(height):
+        for x in range(width):
+            if kind[y, x] >= 0 and known[y, x]:
+                total[y, x] = image[y, x, 0] + image[y, x, 1] + image[y, x, 2]
+    for y in range(height):
+        for x in range(width):
+            here = total[y, x]
+            if here <= 0:
+                continue
+            count, bright, dim = 0, 0, 0.0
+            for j in range(max(y - REACH, 0), min(y + REACH + 1, height)):
+                for i in range(max(x - REACH, 0), min(x + REACH + 1, width)):
+                    if kind[j, i] == kind[y, x] and known[j, i]:
+                        count += 1
+                        if total[j, i] > 0.5 * here:
+                            bright += 1
+                        else:
+                            dim += total[j, i]
+            # A cell is two pixels wide or three: a ray's luck is a block of 4 to 9 pixels out of 81.
+            if count < 6 or bright * FEW > count + FEW:
+                continue
+            limit = most * dim / (count - bright)
+            if here > limit:
+                for c in range(3):
+                    image[y, x, c] *= limit / here
+
+
+@njit(**JIT)
+def _differ(kind, position, normal, foot, y, x, j, i):
+    if kind[y, x] != kind[j, i]:
+        return True
+    if kind[y, x] < 0:
+        return False
+    agree = normal[y, x, 0] * normal[j, i, 0] + normal[y, x, 1] * normal[j, i, 1] + normal[y, x, 2] * normal[j, i, 2]
+    if agree < 0.85:
+        return True
+    dx = position[j, i, 0] - position[y, x, 0]
+    dy = position[j, i, 1] - position[y, x, 1]
+    dz = position[j, i, 2] - position[y, x, 2]
+    off = dx * normal[y, x, 0] + dy * normal[y, x, 1] + dz * normal[y, x, 2]
+    return abs(off) > 2.5 * foot[y, x]
+
+
+@njit(**JIT)
+def edges(kind, position, normal, foot, image, out):
+    """Mark pixels at whose right or lower neighbour another thing begins, or brightness jumps threefold; and these."""
+    height, width = kind.shape
+    for y in range(height):
+        for x in range(width):
+            for k in range(2):
+                j, i = y + k, x + 1 - k
+                if j >= height or i >= width:
+                    continue
+                here = image[y, x, 0] + image[y, x, 1] + image[y, x, 2] + 1e-6
+                there = image[j, i, 0] + image[j, i, 1] + image[j, i, 2] + 1e-6
+                jump = here > 3 * there or there > 3 * here
+                if jump or _differ(kind, position, normal, foot, y, x, j, i):
+                    out[y, x] = True
+                    out[j, i] = True
+
+
+@njit(**JIT)
+def borrow(
+    kind, position, normal, foot, first, second, pixel_y, pixel_x, kinds, positions, normals, a_out, b_out, found
+):
+    """For extra rays in pixels: the two images' values at the nearest of 3 x 3 pixels that shows the same surface."""
+    height, width = kind.shape
+    for r in range(len(kinds)):
+        found[r] = False
+        if kinds[r] < 0:
+            continue
+        best = 1e30
+        for j in range(max(pixel_y[r] - 1, 0), min(pixel_y[r] + 2, height)):
+            for i in range(max(pixel_x[r] - 1, 0), min(pixel_x[r] + 2, width)):
+                if kind[j, i] != kinds[r]:
+                    continue
+                nx, ny, nz = normal[j, i, 0], normal[j, i, 1], normal[j, i, 2]
+                if nx * normals[r, 0] + ny * normals[r, 1] + nz * normals[r, 2] < 0.9:
+                    continue
+                dx = positions[r, 0] - position[j, i, 0]
+                dy = positions[r, 1] - position[j, i, 1]
+                dz = positions[r, 2] - position[j, i, 2]
+                if abs(dx * nx + dy * ny + dz * nz) > 1.5 * foot[j, i]:
+                    continue
+                d_sq = dx * dx + dy * dy + dz * dz
+                if d_sq < best:
+                    best = d_sq
+                    found[r] = True
+                    for c in range(3):
+                        a_out[r, c] = first[j, i, c]
+                        b_out[r, c] = second[j, i, c]
+
+
+@njit(**JIT)
+def add_rays(image, weight, pixel, radiance):
+    """Add the rays' radiance to their pixels, and count them."""
+    for r in range(len(pixel)):
+        weight[pixel[r]] += 1
+        for c in range(3):
+            image[pixel[r], c] += radiance[r, c]

@@ -1,0 +1,419 @@
+# pyright: reportMissingParameterType=false
+"""Samples of direct light: candidates from the clusters, resampled by what they would give unshadowed.
+
+Each shading point draws `candidates` points on the lights (a cluster in proportion to its estimated contribution times
+the visibility that the room's cache has measured for it, then a piece, then a place), works out what each would give
+if nothing stood between, and picks `picks` of them in proportion for a shadow ray (resampled importance sampling,
+Talbot et al. 2005, with systematic picks): what is left to chance is mostly the shadow.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from roomlight_generator.transport.kernels.common import (
+    ALLOCATING,
+    JIT,
+    LEAST_COSINE,
+    PHI1,
+    PHI2,
+    fraction,
+    in_table,
+    lobe,
+    mixed,
+    sky_radiance,
+    tangents,
+    unit,
+)
+from roomlight_generator.transport.kernels.surfaces import texel, uv_of
+
+FAR = 1e4  # `tracer.FAR_M`
+SHORT = 1e-4  # shadow rays stop so far before a light: the skin of a lampshade may lie a millimetre before it
+LEAST_SEEN = 8  # 255ths: a light that a patch never saw may still be seen from a corner of it
+NEAR_SQ = 1e-8  # a light's squared distance is held off zero: a millimetre's hundredth
+_ZERO, _QUARTER, _ONE, _NEAR, _PER_255 = (np.float32(value) for value in (0, 0.25, 1, 1e-9, 1 / 255))
+
+
+@njit(**JIT)
+def left_to_gathering(distance_sq, area):
+    """Share of a light's contribution from nearby that gather rays bring, not shadow rays.
+
+    The squared distance makes a rare sample close to a surface outshine all others; a function of the geometry alone
+    splits the light between the two estimators without bias. area is that of the light's cluster.
+    """
+    return area / (area + 2 * distance_sq)
+
+
+@njit(**JIT)
+def crossings(hole, parts, px, py, pz, dx, dy, dz):
+    """How many openings a ray passes, the piece's number of the last, and how much of the sky seen through them is
+    left to gather rays."""
+    found, slot, near = 0, -1, 0.0
+    for o in range(len(hole)):
+        h = hole[o]
+        slope = dx * h[9] + dy * h[10] + dz * h[11]
+        if abs(slope) < 1e-7:
+            continue
+        ax, ay, az = px - h[0], py - h[1], pz - h[2]
+        d = -(ax * h[9] + ay * h[10] + az * h[11]) / slope
+        if d <= 0:
+            continue
+        ax, ay, az = ax + d * dx, ay + d * dy, az + d * dz
+        au, av = ax * h[3] + ay * h[4] + az * h[5], ax * h[6] + ay * h[7] + az * h[8]
+        det = h[12] * h[14] - h[13] * h[13]
+        s, t = (au * h[14] - av * h[13]) / det, (av * h[12] - au * h[13]) / det
+        if 0 <= s <= 1 and 0 <= t <= 1:
+            found += 1
+            nu, nv = parts[o, 1], parts[o, 2]
+            i, j = min(np.int64(s * nu), nu - 1), min(np.int64(t * nv), nv - 1)
+            slot = parts[o, 0] + i * nv + j
+            near += left_to_gathering(d * d, math.sqrt(det) / (nu * nv))
+    return found, slot, near / max(found, 1)
+
+
+@njit(**JIT)
+def crossing_counts(hole, parts, position, direction, out):
+    """How many openings each ray passes."""
+    for i in range(len(position)):
+        out[i], _, _ = crossings(
+            hole, parts, position[i, 0], position[i, 1], position[i, 2],
+            direction[i, 0], direction[i, 1], direction[i, 2],
+        )  # fmt: skip
+
+
+@njit(**JIT)
+def sun_may_reach(hole, parts, px, py, pz, dx, dy, dz):
+    """1 where the ray toward the sun passes an opening, 2 where it starts outside of one (a sill, a reveal), else 0."""
+    found, _, _ = crossings(hole, parts, px, py, pz, dx, dy, dz)
+    if found > 0:
+        return 1
+    for o in range(len(hole)):
+        h = hole[o]
+        ax, ay, az = px - h[0], py - h[1], pz - h[2]
+        if ax * h[9] + ay * h[10] + az * h[11] > -0.02:
+            ux, uy, uz = (h[3] + h[6]) / 2, (h[4] + h[7]) / 2, (h[5] + h[8]) / 2
+            ax, ay, az = ax - ux, ay - uy, az - uz
+            if math.sqrt(ax * ax + ay * ay + az * az) < math.sqrt(ux * ux + uy * uy + uz * uz) + 1.0:
+                return 2
+    return 0
+
+
+@njit(**JIT)
+def estimate(lights, which, px, py, pz, nx, ny, nz):
+    """A cluster's contribution to a point if nothing stood between, roughly, and nothing only where it is surely so.
+
+    In single precision and without branches: a loop over clusters becomes vector instructions, and is 30 times as fast.
+    """
+    x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
+    d_sq = x * x + y * y + z * z
+    per_d = _ONE / (np.sqrt(d_sq) + _NEAR)
+    r, t = lights.radius[which], lights.thickness[which]
+    ax, ay, az = lights.axis[0, which], lights.axis[1, which], lights.axis[2, which]
+    # A disc of that radius and thickness reaches so far along the normal.
+    lean = nx * ax + ny * ay + nz * az
+    facing = (nx * x + ny * y + nz * z + r * np.sqrt(max(_ONE - lean * lean, _ZERO)) + t * abs(lean)) * per_d
+    k = lights.coherence[which]
+    toward = -(ax * x + ay * y + az * z)
+    toward = abs(toward) if which < lights.real else toward  # only spots shine to one side
+    seen = _QUARTER * (_ONE - k) + k * max(min((toward + t) * per_d, _ONE), _ZERO)
+    power = lights.power_up[which] if y > _ZERO else lights.power_down[which]
+    return power * max(min(facing, _ONE), _ZERO) * seen / max(d_sq, r * r)
+
+
+@njit(**JIT)
+def estimates(lights, clusters, vis, row, least, px, py, pz, nx, ny, nz, out):
+    """`estimate` for the first clusters, times their visibility where it was measured (row >= 0), at least `least` of
+    its 255ths."""
+    for which in range(clusters):
+        out[which] = estimate(lights, which, px, py, pz, nx, ny, nz)
+    if row >= 0:
+        floor = np.float32(least)
+        for which in range(clusters):
+            out[which] *= max(np.float32(vis[row, which]), floor) * _PER_255
+
+
+@njit(**JIT)
+def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, out):
+    """Add to the estimates what sunlit coats throw toward a point."""
+    sx, sy, sz = lights.sun[0], lights.sun[1], lights.sun[2]
+    for which in range(lights.real, clusters):
+        if lights.lobe_power[which] > 0:
+            x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
+            ax, ay, az = lights.axis[0, which], lights.axis[1, which], lights.axis[2, which]
+            d_sq = x * x + y * y + z * z + 1e-12
+            d = math.sqrt(d_sq)
+            r = lights.radius[which]
+            toward = -(ax * x + ay * y + az * z) / d
+            facing = min((nx * x + ny * y + nz * z + r) / d, 1.0)
+            if facing > 0 and toward > -r / d:
+                # Half vectors turn half as far as directions do over the cluster's width.
+                alpha = min(math.sqrt(lights.lobe_alpha[which] ** 2 + 0.25 * r * r / max(d_sq, r * r)), 0.9)
+                value, _ = lobe(ax, ay, az, -x / d, -y / d, -z / d, sx, sy, sz, alpha)
+                share = lights.lobe_power[which] * value * max(toward, LEAST_COSINE) * facing / max(d_sq, r * r)
+                if row >= 0:
+                    share *= max(vis[row, which], LEAST_SEEN) / 255.0
+                out[which] += np.float32(share)
+
+
+@njit(**JIT)
+def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each, running):
+    """The first clusters' estimates times their measured visibility, and their running sum; returns the total."""
+    estimates(lights, clusters, vis, row, LEAST_SEEN, px, py, pz, nx, ny, nz, each)
+    if clusters > lights.real:
+        add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each)
+    total = 0.0
+    for which in range(clusters):
+        total += each[which]
+        running[which] = total
+    return total
+
+
+@njit(**JIT)
+def emission_at(geometry, materials, atlas, face, u, v):
+    """Radiance that a face sends out at a place, its texture at full size."""
+    m = geometry.material[face]
+    e = materials.emission[m]
+    if not materials.textured_emission[m]:
+        return np.float64(e[0]), np.float64(e[1]), np.float64(e[2])
+    s, t = uv_of(geometry, face, u, v)
+    red, green, blue = texel(atlas, materials.texture[m], 0, s, t)
+    return e[0] * red, e[1] * green, e[2] * blue
+
+
+@njit(**JIT)
+def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, r1, r2, px, py, pz):
+    """A point of a piece seen from p, uniform over its area: direction, reach, radiance, the light's cosine over the
+    squared distance, and the share of it that is left to gather rays."""
+    c = table[piece]
+    what = kind[piece, 0]
+    if what == 2:
+        dx, dy, dz = c[0] - px, c[1] - py, c[2] - pz
+        d_sq = max(dx * dx + dy * dy + dz * dz, NEAR_SQ)
+        d = math.sqrt(d_sq)
+        dx, dy, dz = dx / d, dy / d, dz / d
+        cosine = max(-(dx * c[3] + dy * c[4] + dz * c[5]), 0.0)
+        red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
+        if c[9] > 0 and cosine > 0:
+            # A coat lets its base's light out by the cosine, and throws the sun's on about the mirrored direction.
+            nx, ny, nz = c[6], c[7], c[8]
+            out = in_table(coat_share, c[9], -(dx * nx + dy * ny + dz * nz))
+            value, _ = lobe(nx, ny, nz, -dx, -dy, -dz, sun[0], sun[1], sun[2], c[9])
+            red, green, blue = out * red + value * c[10], out * green + value * c[11], out * blue + value * c[12]
+        return dx, dy, dz, d - SHORT, red, green, blue, cosine / d_sq, left_to_gathering(d_sq, c[18])
+    if what == 1:
+        a, b = r1, r2
+        ux, uy, uz, vx, vy, vz = c[3], c[4], c[5], c[6], c[7], c[8]
+    else:
+        root = math.sqrt(r1)
+        a, b = 1 - root, r2 * root
+        ux, uy, uz, vx, vy, vz = c[3] - c[0], c[4] - c[1], c[5] - c[2], c[6] - c[0], c[7] - c[1], c[8] - c[2]
+    dx, dy, dz = c[0] + a * ux + b * vx - px, c[1] + a * uy + b * vy - py, c[2] + a * uz + b * vz - pz
+    d_sq = max(dx * dx + dy * dy + dz * dz, NEAR_SQ)
+    d = math.sqrt(d_sq)
+    dx, dy, dz = dx / d, dy / d, dz / d
+    wx, wy, wz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+    cosine = abs(wx * dx + wy * dy + wz * dz) / max(math.sqrt(wx * wx + wy * wy + wz * wz), 1e-30)
+    near = left_to_gathering(d_sq, c[18])
+    if what == 1:
+        red, green, blue = sky_radiance(panorama, dx, dy, dz)
+        if len(hole) > 1:
+            found, _, _ = crossings(hole, parts, px, py, pz, dx, dy, dz)
+            share = 1.0 / max(found, 1)
+            red, green, blue = red * share, green * share, blue * share
+        return dx, dy, dz, FAR, red, green, blue, cosine / d_sq, near
+    red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
+    if kind[piece, 1] >= 0:
+        w = 1 - a - b
+        s, t = w * c[9] + a * c[11] + b * c[13], w * c[10] + a * c[12] + b * c[14]
+        tr, tg, tb = texel(atlas, kind[piece, 1], 0, s, t)
+        red, green, blue = red * tr, green * tg, blue * tb
+    return dx, dy, dz, d - SHORT, red, green, blue, cosine / d_sq, near
+
+
+@njit(**JIT)
+def pick_piece(table, low, pieces, remainder):
+    """The piece, of some from `low` on, in whose share of [0, 1) a number falls."""
+    high = low + pieces - 1
+    while low < high:
+        middle = (low + high) // 2
+        if table[middle, 20] > remainder:
+            high = middle
+        else:
+            low = middle + 1
+    return low
+
+
+@njit(**JIT)
+def candidate(lights, running, total, at, which):
+    """The cluster, piece and density over the piece's area that belong to a place in the running sum, at or after
+    cluster `which`."""
+    while which < len(running) - 1 and running[which] <= at:
+        which += 1
+    low = running[which - 1] if which > 0 else 0.0
+    share = running[which] - low
+    within = min((at - low) / max(share, 1e-30), 0.999999)
+    piece = pick_piece(lights.piece, lights.start[which], lights.pieces[which], within)
+    return which, piece, share / total * lights.piece[piece, 19]
+
+
+@njit(**JIT)
+def resample(aim, column, live, picks, turn):
+    """Turn a column of the candidates, what each would give, into the factor on its weight: all are sent, or where
+    there are more than `picks`, so many of them in proportion (systematic), others' factor 0. turn is in [0, 1)."""
+    total = 0.0
+    for k in range(live):
+        total += aim[k, column]
+    step = total / picks
+    at, passed = turn * step, 0.0
+    for k in range(live):
+        given = aim[k, column]
+        passed += given
+        times = 1.0
+        if live > picks:
+            times = 0.0
+            while at < passed:
+                times += step / given
+                at += step
+        aim[k, column] = times
+
+
+@njit(**ALLOCATING)
+def propose(
+    lights, outdoors, atlas, through, points, vis, candidates, picks, sun_picks, seed,
+    owner, origin, direction, reach, weight, passed, cluster,
+):  # fmt: skip
+    """Write the shadow rays of all points; returns how many.
+
+    points: (position, normal, wound, alpha, row, number): row is the visibility row or -1, number what the random
+    numbers hang on. weight is radiance times cosine over density (so that its sum over visible rays is irradiance),
+    passed the share that a coat lets through from there (1 without), cluster the light (-1: the sun through an
+    opening, -2: the sun outside).
+    """
+    position, normal, wound, alpha, row, number = points
+    table, kind = lights.piece, lights.kind
+    hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
+    coat_share, toward_sun = lights.coat_share, lights.sun
+    clusters = len(lights.start)
+    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
+    aim = np.empty((candidates, 9))
+    light = np.empty(candidates, np.int32)
+    sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
+    sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
+    tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
+    written = 0
+    for i in range(len(position)):
+        px, py, pz = position[i, 0], position[i, 1], position[i, 2]
+        nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
+        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        turn1 = unit(state)
+        state = mixed(state)
+        turn2 = unit(state)
+        state = mixed(state)
+        turn3 = unit(state)
+        total = 0.0
+        if clusters > 0:
+            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
+        if total > 0:
+            which, live = 0, 0
+            for k in range(candidates):
+                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
+                dx, dy, dz, far, red, green, blue, spread, near = point_on(
+                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
+                    fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
+                )  # fmt: skip
+                cosine = nx * dx + ny * dy + nz * dz
+                if cosine <= 0 or gx * dx + gy * dy + gz * dz <= 0 or far <= 0:
+                    continue
+                scale = cosine * spread * (1 - near) / (density * candidates)
+                q = (red + green + blue) * scale
+                if not q > 0:
+                    continue
+                if row[i] >= 0:
+                    q *= max(vis[row[i], which], LEAST_SEEN) / 255.0
+                aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
+                aim[live, 4], aim[live, 5], aim[live, 6] = red * scale, green * scale, blue * scale
+                aim[live, 7], aim[live, 8] = q, cosine
+                light[live] = which
+                live += 1
+            resample(aim, 7, live, picks, unit(mixed(state)))
+            for k in range(live):
+                if aim[k, 7] == 0:
+                    continue
+                owner[written] = i
+                for c in range(3):
+                    origin[written, c] = position[i, c]
+                    direction[written, c] = aim[k, c]
+                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
+                reach[written] = aim[k, 3]
+                passed[written] = in_table(through, alpha[i], aim[k, 8]) if alpha[i] > 0 else 1.0
+                cluster[written] = light[k]
+                written += 1
+        if sun and nx * sx + ny * sy + nz * sz > 0 and gx * sx + gy * sy + gz * sz > 0:
+            for k in range(sun_picks):
+                radius = outdoors.sun_radius * math.sqrt(fraction(turn2 + PHI1 * k))
+                angle = 2 * math.pi * fraction(turn3 + PHI2 * k)
+                s, t = radius * math.cos(angle), radius * math.sin(angle)
+                dx, dy, dz = sx + s * tax + t * tbx, sy + s * tay + t * tby, sz + s * taz + t * tbz
+                how = sun_may_reach(hole, parts, px, py, pz, dx, dy, dz)
+                if how == 0:
+                    continue
+                length = math.sqrt(dx * dx + dy * dy + dz * dz)
+                dx, dy, dz = dx / length, dy / length, dz / length
+                cosine = max(nx * dx + ny * dy + nz * dz, 0.0)
+                owner[written] = i
+                for c in range(3):
+                    origin[written, c] = position[i, c]
+                    weight[written, c] = outdoors.sun_irradiance[c] * cosine / sun_picks
+                direction[written, 0], direction[written, 1], direction[written, 2] = dx, dy, dz
+                reach[written] = FAR
+                passed[written] = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0
+                cluster[written] = -how
+                written += 1
+    return written
+
+
+@njit(**JIT)
+def received(owner, weight, passed, cluster, seen, count, outside, irradiance, coated, sun, sun_coated):
+    """Add the visible rays to each point's irradiance, and what of it a coat lets through; of both, what came straight
+    from the sun through an opening, or also outside of any."""
+    for k in range(count):
+        if seen[k]:
+            i = owner[k]
+            for c in range(3):
+                irradiance[i, c] += weight[k, c]
+                coated[i, c] += weight[k, c] * passed[k]
+                if cluster[k] == -1 or (cluster[k] == -2 and outside):
+                    sun[i, c] += weight[k, c]
+                    sun_coated[i, c] += weight[k, c] * passed[k]
+
+
+@njit(**JIT)
+def sun_rays(outdoors, through, position, normal, wound, alpha, number, seed, owner, origin, direction, weight):
+    """One shadow ray toward the sun's disc from each point that it may reach; returns how many. weight is what the
+    point's coat then lets through."""
+    hole, parts = outdoors.hole, outdoors.parts
+    sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
+    ax, ay, az, bx, by, bz = tangents(sx, sy, sz)
+    written = 0
+    for i in range(len(position)):
+        cosine = normal[i, 0] * sx + normal[i, 1] * sy + normal[i, 2] * sz
+        if cosine <= 0 or wound[i, 0] * sx + wound[i, 1] * sy + wound[i, 2] * sz <= 0:
+            continue
+        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        radius = outdoors.sun_radius * math.sqrt(unit(state))
+        angle = 2 * math.pi * unit(mixed(state))
+        s, t = radius * math.cos(angle), radius * math.sin(angle)
+        dx, dy, dz = sx + s * ax + t * bx, sy + s * ay + t * by, sz + s * az + t * bz
+        if sun_may_reach(hole, parts, position[i, 0], position[i, 1], position[i, 2], dx, dy, dz) == 0:
+            continue
+        length = math.sqrt(dx * dx + dy * dy + dz * dz)
+        passed = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0
+        owner[written] = i
+        for c in range(3):
+            origin[written, c] = position[i, c]
+            weight[written, c] = outdoors.sun_irradiance[c] * cosine * passed
+        direction[written, 0], direction[written, 1], direction[written, 2] = dx / length, dy / length, dz / length
+        written += 1
+    return written

@@ -1,0 +1,166 @@
+"""Where a view's rays end: through panes, over mirrors, on a surface, a light or the sky.
+
+Frames: world, y up, metres; radiance in kcd/m2.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32, UInt8
+
+from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
+from roomlight_generator.transport.kernels.glossy import pane_shares
+from roomlight_generator.transport.kernels.patches import mirrored
+from roomlight_generator.transport.kernels.surfaces import surface_points
+from roomlight_generator.transport.tracer import OFFSET_M, Tracer
+
+MIRRORS: Final = 3
+"""Mirrors seen in mirrors; what is behind the last is black."""
+
+PANES: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """Surface points that rays ended on, and the rays' numbers. view is the unit direction back along the ray; foot_m
+    the width there of what the ray stands for."""
+
+    ray: Int32[np.ndarray, " m"]
+    face: Int32[np.ndarray, " m"]
+    u: Float32[np.ndarray, " m"]
+    v: Float32[np.ndarray, " m"]
+    material: Int32[np.ndarray, " m"]
+    position: Float32[np.ndarray, "m 3"]
+    normal: Float32[np.ndarray, "m 3"]
+    wound: Float32[np.ndarray, "m 3"]
+    view: Float32[np.ndarray, "m 3"]
+    albedo: Float32[np.ndarray, "m 3"]
+    emission: Float32[np.ndarray, "m 3"]
+    foot_m: Float32[np.ndarray, " m"]
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Rays followed to their ends, numbered as they came.
+
+    share is what panes and mirrors leave; distance_m to the first surface of any kind (inf without), `surface` its
+    class; face the last hit (-1: the sky along `direction`). panes are reflections still to be looked up: ray, origin,
+    direction, share, distance so far.
+    """
+
+    share: Float32[np.ndarray, " n"]
+    distance_m: Float32[np.ndarray, " n"]
+    surface: UInt8[np.ndarray, " n"]
+    face: Int32[np.ndarray, " n"]
+    u: Float32[np.ndarray, " n"]
+    v: Float32[np.ndarray, " n"]
+    direction: Float32[np.ndarray, "n 3"]
+    length_m: Float32[np.ndarray, " n"]
+    mirrors: UInt8[np.ndarray, " n"]
+    pane_ray: Int32[np.ndarray, " p"]
+    pane_origin: Float32[np.ndarray, "p 3"]
+    pane_direction: Float32[np.ndarray, "p 3"]
+    pane_share: Float32[np.ndarray, " p"]
+    pane_length_m: Float32[np.ndarray, " p"]
+
+
+def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Paths:
+    """Trace rays of a view to their ends."""
+    materials, material_of = tracer.materials, tracer.geometry.material
+    hits = tracer.trace(origins, directions)
+    count = len(origins)
+    share = np.ones(count, np.float32)
+    length = hits.distance_m.copy()
+    distance = np.where(hits.face >= 0, length, np.float32(np.inf))
+    shown = material_of[hits.face]
+    glowing = materials.emission.max(1)[shown] > 0
+    surface = np.where(glowing, LIGHT, np.where(materials.mirror[shown] > 0, MIRROR, ORDINARY)).astype(np.uint8)
+    surface[hits.face < 0] = ORDINARY
+    panes = _through_panes(tracer, origins, directions, distance, share)
+    if len(panes[0]):
+        first = np.full(count, np.inf, np.float32)
+        np.minimum.at(first, panes[0], panes[4])
+        glassy = first < distance
+        distance[glassy], surface[glassy] = first[glassy], GLASS
+    face, u, v = hits.face, hits.u, hits.v
+    direction = directions.copy()
+    mirrors = np.zeros(count, np.uint8)
+    if tracer.has_mirrors:
+        at = np.flatnonzero((face >= 0) & (materials.mirror[shown] > 0))
+        begin = origins[at].copy()
+        for turn in range(MIRRORS):
+            if len(at) == 0:
+                break
+            along, left = direction[at], share[at]
+            mirrored(tracer.geometry, materials, face[at], u[at], v[at], begin, along, left)
+            again = tracer.trace(begin, along)
+            face[at], u[at], v[at], direction[at], share[at] = again.face, again.u, again.v, along, left
+            length[at] += again.distance_m
+            mirrors[at] = turn + 1
+            on = (again.face >= 0) & (materials.mirror[material_of[again.face]] > 0)
+            at, begin = at[on], begin[on]
+        share[at] = 0
+    return Paths(share, distance, surface, face, u, v, direction, length, mirrors, *panes)
+
+
+def _through_panes(
+    tracer: Tracer,
+    origins: Float32[np.ndarray, "n 3"],
+    directions: Float32[np.ndarray, "n 3"],
+    distance: Float32[np.ndarray, " n"],
+    share: Float32[np.ndarray, " n"],
+) -> tuple[np.ndarray, ...]:
+    """Lower `share` for each pane before the first surface; returns the reflections of the first panes."""
+    empty = np.zeros(0, np.int32), *(np.zeros((0, 3), np.float32) for _ in range(2))
+    result = *empty, np.zeros(0, np.float32), np.zeros(0, np.float32)
+    if not tracer.has_glass:
+        return result
+    at = np.arange(len(origins), dtype=np.int32)
+    gone = np.zeros(len(origins), np.float32)
+    begin = origins
+    for number in range(PANES):
+        hits = tracer.trace_glass(begin, directions[at])
+        on = (hits.face >= 0) & (gone[at] + hits.distance_m < distance[at])
+        if not on.any():
+            break
+        at, face = at[on], hits.face[on]
+        u, v = hits.u[on], hits.v[on]
+        reflected, turned, through = (np.empty((len(at), 3), np.float32) for _ in range(3))
+        part = np.empty(len(at), np.float32)
+        pane_shares(tracer.geometry, face, u, v, directions[at], reflected, turned, through, part)
+        gone[at] += hits.distance_m[on]
+        if number == 0:
+            result = at.copy(), reflected, turned, part, gone[at]
+        share[at] *= 1 - part
+        begin = through
+        gone[at] += np.float32(OFFSET_M)  # the kernel's start beyond the pane
+    return result
+
+
+def surfaces_of(
+    tracer: Tracer,
+    face: Int32[np.ndarray, " n"],
+    u: Float32[np.ndarray, " n"],
+    v: Float32[np.ndarray, " n"],
+    direction: Float32[np.ndarray, "n 3"],
+    foot_m: Float32[np.ndarray, " n"],
+) -> Surfaces:
+    """The surface points of those rays that hit something; foot_m is their width where they end."""
+    ray = np.flatnonzero(face >= 0).astype(np.int32)
+    face, u, v, foot = face[ray], u[ray], v[ray], foot_m[ray]
+    along = direction[ray]
+    position, normal, wound, albedo, emission = (np.empty((len(ray), 3), np.float32) for _ in range(5))
+    surface_points(
+        tracer.geometry, tracer.materials, tracer.atlas, face, u, v, along, foot, position, normal, wound, albedo,
+        emission,
+    )  # fmt: skip
+    return Surfaces(
+        ray, face, u, v, tracer.geometry.material[face], position, normal, wound, -along, albedo, emission, foot
+    )
+
+
+def unit_rows(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+    """Each divided by its length."""
+    length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
+    return (vectors / length[:, None]).astype(np.float32)

@@ -1,0 +1,1 @@
+"""Checks the generator's light transport against Mitsuba."""

@@ -1,0 +1,401 @@
+"""The generator's light held against a path tracer's, on the generator's own rooms.
+
+Each room is solved as for a dataset; its first frame and one probe are rendered by both, from the same triangles. Glass
+is taken out for both: the path tracer has none (`dataset.reference`).
+
+A path tracer's picture of a sunlit room keeps a quarter of noise after 500 paths a pixel. Errors are therefore measured
+at some of the frame's pixels, and over blocks of 4 x 4 around them (in which our own noise is averaged out), with as
+many paths each as it takes; the whole picture, with few paths, is for the eye and for sums. What noise is left in the
+reference counts as error, once as it is and once taken out (`dataset.deviation`); rooms in which it is larger than
+`JUDGED_NOISE` say nothing and are counted apart.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
+from roomlight.dataset.recording import Split
+from roomlight.errors import DatasetError
+from roomlight.metrics import log_l2
+from roomlight_generator.rooms.build import build_room, room_generator
+from roomlight_generator.rooms.planner import free_floor
+from roomlight_generator.rooms.scene import Scene
+from roomlight_generator.sequences.render import LitRoom, catalogue_for, plan_camera_path
+from roomlight_generator.sequences.surface_kinds import Kinds, surface_kinds, without_glass
+from roomlight_generator.sequences.walk import FreeSpace
+from roomlight_generator.transport import RoomLight, Tracer
+from roomlight_generator.verification.deviation import Deviation, cube_normals, deviation, irradiance, luminance, pooled
+from roomlight_generator.verification.reference import Reference
+
+FRAME: Final = (160, 120)
+PROBE_HEIGHT: Final = 120
+BODY_M: Final = 0.25
+"""As for a dataset's walks."""
+BLOCK: Final = 4
+POINTS: Final = 96
+"""Blocks of each kind of surface in a room: with errors that scatter by 5 %, their mean is known to 0.5 %."""
+NOISE: Final = 0.02
+"""The points' mean noise at which the reference stops: a sixth of a 5 % error, in squares."""
+PATHS: Final = 12_000_000
+"""Paths for a room's points, at the most: a minute on two cores. Few rooms reach `NOISE` with so many."""
+BLOCK_SHARE: Final = 0.75
+"""Of these paths, for blocks; the rest is for single pixels."""
+JUDGED_NOISE: Final = 0.05
+"""Rooms whose blocks have more noise in the reference than the target allows for error are no measure of it."""
+
+_LEAST_BLOCKS: Final = 12
+_PATHS_A_ROUND: Final = 500_000
+_SUN_SAMPLES: Final = 256
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One picture by both, the reference in halves, and the seconds that each took."""
+
+    ours: Float[np.ndarray, "h w 3"]
+    halves: Float[np.ndarray, "2 h w 3"]
+    ours_s: float
+    reference_s: float
+
+    @property
+    def reference(self) -> Float[np.ndarray, "h w 3"]:
+        """The mean of the halves."""
+        return self.halves.mean(0)
+
+
+@dataclass(frozen=True)
+class SurfaceDeviation:
+    """One kind of surface in a frame: single pixels, blocks of 4 x 4, and the difference of the sums over all its
+    pixels (signed, relative)."""
+
+    pixels: Deviation
+    blocks: Deviation
+    bias: float
+
+
+@dataclass(frozen=True)
+class ProbeDeviation:
+    """Irradiance at 26 normals: mean relative error of luminance, the reference's own noise, the difference of the
+    sums; and the log-L2 of the panorama in units in which the frame's geometric mean is 0.18."""
+
+    irradiance: float
+    noise: float
+    bias: float
+    log_l2: float
+
+
+@dataclass(frozen=True, eq=False)
+class RoomCheck:
+    """One room's figures and pictures. Kinds of surface that hardly show are None. `paths` is how many each of the
+    points took, `points_s` the seconds for them."""
+
+    name: str
+    about: str
+    solve_s: float
+    frame: View
+    panorama: View
+    kinds: Kinds
+    diffuse: SurfaceDeviation | None
+    coated: SurfaceDeviation | None
+    probe: ProbeDeviation
+    paths: int
+    points_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class CheckReport:
+    """All rooms, and the messages of those that had no place for a camera and its probes."""
+
+    rooms: tuple[RoomCheck, ...]
+    left_out: tuple[str, ...]
+
+    def diffuse(self) -> SurfaceDeviation | None:
+        """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
+        return _pooled([room.diffuse for room in self.rooms])
+
+    def judged(self) -> tuple[RoomCheck, ...]:
+        """The rooms in which the reference knows the diffuse surfaces well enough."""
+        known = [room for room in self.rooms if room.diffuse is not None]
+        return tuple(room for room in known if room.diffuse and room.diffuse.blocks.noise <= JUDGED_NOISE)
+
+    def coated(self) -> SurfaceDeviation | None:
+        """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
+        return _pooled([room.coated for room in self.rooms])
+
+    def probe(self) -> ProbeDeviation:
+        """The mean over the rooms."""
+        probes = [room.probe for room in self.rooms]
+        names = ("irradiance", "noise", "bias", "log_l2")
+        return ProbeDeviation(*(float(np.mean([getattr(probe, name) for probe in probes])) for name in names))
+
+
+def check_rooms(
+    rooms: int,
+    *,
+    seed: int = 0,
+    split: Split = "train",
+    furniture: Path | None = None,
+    first: int = 0,
+    samples: int = 64,
+    paths: int = PATHS,
+    done: Callable[[RoomCheck], None] | None = None,
+) -> CheckReport:
+    """Check so many rooms from number `first` on, one by one; `done` is called after each.
+
+    samples are a pixel's paths in pictures, paths what is spent on a room's points. A room without a place for a camera
+    is left out and the next one taken. ImportError without Mitsuba.
+    """
+    catalogue = catalogue_for(furniture)
+    found: list[RoomCheck] = []
+    left_out: list[str] = []
+    index = first
+    while len(found) < rooms:
+        room = build_room(index, seed=seed, split=split, catalogue=catalogue)
+        tracer = Tracer(without_glass(room.scene))
+        begin = time.perf_counter()
+        light = RoomLight.solve(tracer, index)
+        solve_s = time.perf_counter() - begin
+        floor = free_floor(room.shell, room.placements, radius_m=BODY_M)
+        free = FreeSpace(floor.free, floor.origin, floor.cell_m, Tracer(room.scene).distances)
+        stage = LitRoom(room, light, free)
+        try:
+            shot = plan_camera_path(stage, room_generator(index, seed=seed, split=split, purpose=1), probes=1)
+        except (DatasetError, ValueError) as error:
+            left_out.append(str(error))
+        else:
+            camera = shot.intrinsics.resized(*FRAME)
+            check = _compared(
+                light, camera, shot.poses[0], shot.probes[0], samples=samples, paths=paths, seed=index,
+                probe_height=PROBE_HEIGHT, solve_s=solve_s, name=room.name, about=f"{room.room_type}, {_light(stage)}",
+            )  # fmt: skip
+            found.append(check)
+            if done:
+                done(check)
+        index += 1
+    return CheckReport(tuple(found), tuple(left_out))
+
+
+def check_view(
+    scene: Scene,
+    camera: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    probe: Float[np.ndarray, "3"],
+    *,
+    samples: int,
+    paths: int,
+    seed: int = 0,
+    probe_height: int = PROBE_HEIGHT,
+    name: str = "",
+    about: str = "",
+) -> RoomCheck:
+    """One frame and one probe of a scene (its glass left out) by both."""
+    begin = time.perf_counter()
+    light = RoomLight.solve(Tracer(without_glass(scene)), seed)
+    solve_s = time.perf_counter() - begin
+    return _compared(
+        light, camera, camera_to_world, probe, samples=samples, paths=paths, seed=seed, probe_height=probe_height,
+        solve_s=solve_s, name=name, about=about,
+    )  # fmt: skip
+
+
+def _compared(
+    light: RoomLight,
+    camera: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    probe: Float[np.ndarray, "3"],
+    *,
+    samples: int,
+    paths: int,
+    seed: int,
+    probe_height: int,
+    solve_s: float,
+    name: str,
+    about: str,
+) -> RoomCheck:
+    """One frame and one probe of a solved scene by both."""
+    tracer = light.tracer
+    scene = tracer.scene
+    reference = Reference(scene)
+    seeds = np.random.SeedSequence([seed, 0x636B]).generate_state(6).tolist()
+
+    begin = time.perf_counter()
+    frame = light.frame(camera, camera_to_world, seed=seed).radiance
+    frame_s = time.perf_counter() - begin
+    eye = _Rays.through_pixels(camera, camera_to_world)
+    frames = _rendered(reference, frame, frame_s, eye, samples=samples, seeds=seeds[:2])
+
+    begin = time.perf_counter()
+    panorama = light.panorama(probe, height=probe_height, seed=seed)
+    panorama_s = time.perf_counter() - begin
+    around = _Rays.around(probe, probe_height)
+    panoramas = _rendered(reference, panorama, panorama_s, around, samples=samples, seeds=seeds[2:4])
+    _add_sun(panoramas.halves, reference, scene, probe)
+
+    begin = time.perf_counter()
+    kinds = surface_kinds(tracer, camera, camera_to_world)
+    rng = np.random.default_rng(seeds[4])
+    chosen = {"diffuse": _blocks_of(kinds.diffuse, rng), "coated": _blocks_of(kinds.coated, rng)}
+    every = np.concatenate(list(chosen.values()))
+    for_blocks = int(BLOCK_SHARE * paths)
+    blocks, spent = _points(reference, eye, every, size=BLOCK, paths=for_blocks, seed=seeds[5])
+    pixel = every + rng.integers(BLOCK, size=every.shape)
+    pixels, spent_on_pixels = _points(reference, eye, pixel, size=1, paths=paths - for_blocks, seed=seeds[5] + 1)
+    surfaces: dict[str, SurfaceDeviation | None] = {}
+    start = 0
+    for kind, at in chosen.items():
+        part = slice(start, start + len(at))
+        start += len(at)
+        surfaces[kind] = None
+        if len(at):
+            shown = getattr(kinds, kind)
+            bias = luminance(frame)[shown].sum() / max(luminance(frames.reference)[shown].sum(), 1e-30) - 1
+            own = [frame[row : row + BLOCK, column : column + BLOCK].mean((0, 1)) for row, column in at.tolist()]
+            surfaces[kind] = SurfaceDeviation(
+                pixels=deviation(frame[tuple(pixel[part].T)], pixels[:, part]),
+                blocks=deviation(np.array(own), blocks[:, part]),
+                bias=float(bias),
+            )
+    return RoomCheck(
+        name=name,
+        about=about,
+        solve_s=solve_s,
+        frame=frames,
+        panorama=panoramas,
+        kinds=kinds,
+        diffuse=surfaces["diffuse"],
+        coated=surfaces["coated"],
+        probe=_probe_deviation(panoramas, frames.reference),
+        paths=max(spent, spent_on_pixels),
+        points_s=time.perf_counter() - begin,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Rays:
+    """A picture's rays from one point, and the two vectors that span each one's pixel."""
+
+    origin: Float[np.ndarray, "3"]
+    directions: Float[np.ndarray, "h w 3"]
+    spread: Float[np.ndarray, "h w 2 3"]
+
+    @classmethod
+    def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "_Rays":
+        turn = camera_to_world[:3, :3]
+        across = np.array([[1 / camera.fx, 0, 0], [0, -1 / camera.fy, 0]]) @ turn.T
+        spread = np.tile(across, (camera.height, camera.width, 1, 1))
+        return cls(camera_to_world[:3, 3], camera.rays().astype(np.float64) @ turn.T, spread)
+
+    @classmethod
+    def around(cls, position: Float[np.ndarray, "3"], height: int) -> "_Rays":
+        directions = panorama_directions(height).astype(np.float64)
+        x, y, z = np.moveaxis(directions, -1, 0)
+        ring = np.sqrt(x**2 + z**2)
+        along = np.stack([-z, np.zeros_like(x), x], -1)
+        down = np.stack([x * y / ring, -ring, z * y / ring], -1)
+        return cls(np.asarray(position, np.float64), directions, np.stack([along, down], -2) * (np.pi / height))
+
+
+def _rendered(
+    reference: Reference,
+    ours: Float[np.ndarray, "h w 3"],
+    ours_s: float,
+    rays: _Rays,
+    *,
+    samples: int,
+    seeds: list[int],
+) -> View:
+    """The reference's two halves beside ours."""
+    begin = time.perf_counter()
+    directions, spread = rays.directions.reshape(-1, 3), rays.spread.reshape(-1, 2, 3)
+    origins = np.tile(rays.origin, (len(directions), 1))
+    share = max(1, samples // 2)
+    halves = [
+        reference.radiance(origins, directions, samples=share, seed=seed, spread=spread).reshape(ours.shape)
+        for seed in seeds
+    ]
+    return View(ours, np.stack(halves), ours_s, time.perf_counter() - begin)
+
+
+def _add_sun(
+    halves: Float[np.ndarray, "2 h w 3"], reference: Reference, scene: Scene, position: Float[np.ndarray, "3"]
+) -> None:
+    """The sun's disc in a panorama, where it is in view: paths do not meet it."""
+    if scene.sky.sun is None:
+        return
+    height, width = halves.shape[1:3]
+    uv = direction_to_uv(reference.sun_seen(position, samples=_SUN_SAMPLES))
+    row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
+    column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
+    each = np.array(scene.sky.sun.irradiance) / _SUN_SAMPLES / panorama_solid_angles(height)[row]
+    for half in halves:
+        np.add.at(half, (row, column), each.astype(np.float32))
+
+
+def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[np.ndarray, "n 2"]:
+    """Upper left pixels of some blocks that are of the kind throughout; none where there are few."""
+    rows, columns = kind.shape[0] // BLOCK, kind.shape[1] // BLOCK
+    whole = kind[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).all((1, 3))
+    at = np.argwhere(whole)
+    if len(at) < _LEAST_BLOCKS:
+        at = at[:0]
+    return BLOCK * rng.permutation(at)[:POINTS]
+
+
+def _points(
+    reference: Reference, rays: _Rays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
+) -> tuple[Float[np.ndarray, "2 n 3"], int]:
+    """The reference's halves over squares of pixels whose upper left ones are given; and the paths for each square."""
+    count = len(at)
+    halves = np.zeros((2, count, 3), np.float32)
+    if not count:
+        return halves, 0
+    first = tuple(at.T)
+    spread = rays.spread[first]
+    directions = rays.directions[first] + spread.sum(1) * ((size - 1) / 2)
+    origins = np.tile(rays.origin, (count, 1))
+    share = max(1, min(_PATHS_A_ROUND, paths) // (2 * count))
+    rounds = 0
+    while not rounds or 2 * (rounds + 1) * share * count <= paths:
+        for half in range(2):
+            own = (seed % 2**31 + 7919 * rounds) * 2 + half
+            seen = reference.radiance(origins, directions, samples=share, seed=own, spread=size * spread)
+            halves[half] += (seen - halves[half]) / (rounds + 1)
+        rounds += 1
+        if deviation(halves.mean(0), halves).noise <= NOISE:
+            break
+    return halves, 2 * share * rounds
+
+
+def _probe_deviation(view: View, frame: Float[np.ndarray, "h w 3"]) -> ProbeDeviation:
+    normals = cube_normals()
+    ours, a, b = (luminance(irradiance(each, normals)) for each in (view.ours, *view.halves))
+    truth = np.maximum((a + b) / 2, 1e-12)
+    shown = luminance(frame)
+    scale = np.float32(0.18 / np.exp(np.log(np.maximum(shown, 1e-3 * shown.mean() + 1e-12)).mean()))
+    return ProbeDeviation(
+        irradiance=float((np.abs(ours - truth) / truth).mean()),
+        noise=float((np.abs(a - b) / 2 / truth).mean()),
+        bias=float(ours.sum() / truth.sum() - 1),
+        log_l2=log_l2(scale * view.ours, scale * view.reference),
+    )
+
+
+def _pooled(parts: list[SurfaceDeviation | None]) -> SurfaceDeviation | None:
+    known = [part for part in parts if part is not None]
+    pixels, blocks = pooled([part.pixels for part in known]), pooled([part.blocks for part in known])
+    if pixels is None or blocks is None:
+        return None
+    return SurfaceDeviation(pixels, blocks, float(np.mean([part.bias for part in known])))
+
+
+def _light(stage: LitRoom) -> str:
+    facts = stage.room.facts["light"]
+    kinds = sorted({str(source["kind"]) for source in facts["sources"]})
+    return f"{facts['scenario']}: {', '.join(kinds)}"

@@ -1,6 +1,0 @@
-"""Furniture libraries of Sweet Home 3D (.sh3f) as Models: read, classified, simplified, kept in a compact cache."""
-
-from roomlight_model.rooms.furniture.build import build_cache
-from roomlight_model.rooms.furniture.catalogue import Catalogue, load_catalogue
-
-__all__ = ["Catalogue", "build_cache", "load_catalogue"]

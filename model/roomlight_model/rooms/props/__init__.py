@@ -1,5 +1,0 @@
-"""Procedural furniture and props: every role of a room without any furniture library. Meshes are made on demand."""
-
-from roomlight_model.rooms.props.catalogue import procedural_models
-
-__all__ = ["procedural_models"]

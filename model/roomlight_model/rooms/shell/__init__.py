@@ -1,6 +1,0 @@
-"""Room shells: walls with windows and doors, ceilings, curtains and blinds, a glimpse of a second room."""
-
-from roomlight_model.rooms.shell.build import build_shell
-from roomlight_model.rooms.shell.style import STYLES, CoverKind, LowerKind, ShellStyle, WindowKind
-
-__all__ = ["STYLES", "CoverKind", "LowerKind", "ShellStyle", "WindowKind", "build_shell"]

@@ -1,6 +1,0 @@
-"""Light transport in a room: ray tracing, a cache of indirect light, frames and panoramas. Needs no PyTorch."""
-
-from roomlight_model.transport.room_light import FrameView, RoomLight
-from roomlight_model.transport.tracer import Tracer
-
-__all__ = ["FrameView", "RoomLight", "Tracer"]

@@ -1,0 +1,188 @@
+"""The application: routes, middleware, and what happens at start and stop."""
+
+import asyncio
+import logging
+import time
+from collections.abc import AsyncGenerator, Callable
+from contextlib import asynccontextmanager
+from typing import Any
+
+from fastapi import FastAPI, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.openapi.utils import get_openapi
+from starlette.exceptions import HTTPException
+from starlette.middleware.cors import CORSMiddleware
+
+from roomlight import __version__
+from roomlight.errors import RoomLightError
+from roomlight.wire import messages
+from roomlight.wire.frame_header import FrameHeader
+from roomlight_server import light_forms, light_routes, problems, session_routes, stream
+from roomlight_server.auth import AuthMiddleware, Tokens
+from roomlight_server.bodies import BodyMiddleware
+from roomlight_server.context import Context, In
+from roomlight_server.metrics import CONTENT_TYPE, Metrics
+from roomlight_server.registry import Clock, Registry
+from roomlight_server.settings import ServerSettings
+from roomlight_server.workers import Workers
+
+_log = logging.getLogger("roomlight.server")
+_DESCRIPTION = """Frames in, HDR light out, at any point of a room.
+
+Open a session under an id of your own, send frames (colour, depth, camera pose), ask for light. Positions are world
+metres, y up. Light is linear RGB; 1.0 is what the session's reference exposure shows as white. Refusals are problem
+details (RFC 9457) that name the field, its value and the rule. The frame's bytes and the WebSocket
+`/v1/sessions/{id}/stream` are described in `server/WIRE.md`.
+"""
+_SOCKET_MODELS = (
+    FrameHeader,
+    messages.Problem,
+    messages.LightCall,
+    messages.Subscribe,
+    messages.Track,
+    messages.Untrack,
+    messages.FrameEvent,
+    messages.LightAnswer,
+    messages.LightingUpdate,
+    messages.ProbesEvent,
+    messages.ProblemEvent,
+)
+"""In the OpenAPI document for the clients' types, though no HTTP body is of them."""
+
+
+def create_app(
+    settings: ServerSettings, *, clock: Clock = time.monotonic, when_ready: Callable[[], object] | None = None
+) -> FastAPI:
+    """A server's application. `clock`: seconds that only go forward, for the expiry of sessions. `when_ready`: called
+    once, when kernels are compiled and weights loaded.
+    """
+    metrics = Metrics()
+    workers = Workers(settings)
+    registry = Registry(settings, workers, metrics, clock)
+    context = Context(settings, metrics, workers, registry)
+
+    @asynccontextmanager
+    async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
+        tasks = [
+            asyncio.create_task(_get_ready(context, when_ready)),
+            asyncio.create_task(_reap(registry, every_s=min(5.0, settings.idle_expiry_s / 4))),
+        ]
+        try:
+            yield
+        finally:
+            context.ready = False
+            registry.stopping = True
+            for task in tasks:
+                task.cancel()
+            await asyncio.wait(tasks)
+            registry.close()
+            await asyncio.to_thread(workers.stop)
+
+    app = FastAPI(
+        title="RoomLight",
+        version=__version__,
+        description=_DESCRIPTION,
+        lifespan=lifespan,
+        redoc_url=None,
+        redirect_slashes=False,
+        generate_unique_id_function=lambda route: route.name,
+        exception_handlers={
+            problems.ProblemError: problems.on_problem,
+            RequestValidationError: problems.on_invalid,
+            HTTPException: problems.on_http_exception,
+            Exception: problems.on_error,
+        },
+    )
+    app.state.context = context
+    app.include_router(session_routes.router)
+    app.include_router(light_routes.router)
+    app.include_router(stream.router)
+    _add_health(app)
+    app.add_middleware(
+        BodyMiddleware, frame_bytes=settings.max_body_bytes, timeout_s=settings.body_timeout_s, metrics=metrics
+    )
+    app.add_middleware(
+        AuthMiddleware,
+        tokens=Tokens(settings.tokens),
+        origins=settings.allow_origins,
+        loopback=not settings.tokens,
+    )
+    if settings.allow_origins:
+        app.add_middleware(
+            CORSMiddleware,
+            allow_origins=settings.allow_origins,
+            allow_methods=["GET", "PUT", "POST", "DELETE"],
+            allow_headers=["Authorization", "Content-Type", "If-None-Match", "Prefer", "X-Session-Id"],
+            expose_headers=["ETag", "Retry-After", light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER],
+        )
+    app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
+    return app
+
+
+async def _get_ready(context: Context, when_ready: Callable[[], object] | None) -> None:
+    """Beside the serving: the process answers for its health from the first moment."""
+    try:
+        await context.workers.start()
+        await context.workers.aside(light_forms.warm_up)
+    except RoomLightError as error:
+        _log.error("cannot get ready: %s", error)
+    else:
+        if when_ready is not None:
+            when_ready()
+        context.ready = True
+        _log.info("ready")
+
+
+async def _reap(registry: Registry, *, every_s: float) -> None:
+    while True:
+        await asyncio.sleep(every_s)
+        registry.expire()
+
+
+def _add_health(app: FastAPI) -> None:
+    @app.get("/healthz", tags=["server"], summary="Is the process alive")
+    async def healthz() -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]  (FastAPI calls it)
+        """Answers whatever the engine is doing."""
+        return {"status": "ok", "version": __version__}
+
+    @app.get(
+        "/readyz",
+        tags=["server"],
+        summary="Can it serve",
+        responses={503: {"description": "Kernels and weights are being loaded, or the server is stopping"}},
+    )
+    async def readyz(context: In, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
+        """200 once kernels are compiled and weights loaded."""
+        response.status_code = 200 if context.ready else 503
+        return {"status": "ready" if context.ready else "loading"}
+
+    @app.get("/metrics", tags=["server"], summary="For Prometheus", response_class=Response)
+    async def metrics(context: In) -> Response:  # pyright: ignore[reportUnusedFunction]
+        """Counters and histograms; no ids, no addresses."""
+        return Response(context.metrics.text(), media_type=CONTENT_TYPE)
+
+
+def _openapi(app: FastAPI, *, tokens: bool) -> dict[str, Any]:
+    """FastAPI's document, with the models that only the WebSocket and the frame's header have, and with bearer tokens
+    where the server has any.
+    """
+    if app.openapi_schema is None:
+        document = get_openapi(
+            title=app.title, version=app.version, description=app.description, routes=app.routes, tags=app.openapi_tags
+        )
+        parts = document.setdefault("components", {})
+        schemas = parts.setdefault("schemas", {})
+        for model in _SOCKET_MODELS:
+            schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
+            for name, part in schema.pop("$defs", {}).items():
+                schemas.setdefault(name, part)
+            schemas.setdefault(model.__name__, schema)
+        for unused in ("HTTPValidationError", "ValidationError"):
+            schemas.pop(unused, None)
+        if tokens:
+            parts["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
+            for path, operations in document["paths"].items():
+                for operation in operations.values():
+                    operation["security"] = [{"bearer": []}] if path.startswith("/v1/") else []
+        app.openapi_schema = document
+    return app.openapi_schema

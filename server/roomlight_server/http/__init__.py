@@ -1,1 +1,0 @@
-"""The session server: HTTP and WebSocket in front of the engine. `serving.serve` starts one."""

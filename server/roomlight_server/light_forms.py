@@ -1,0 +1,155 @@
+"""Light as a client wants it: a `PointLight` and a `Form` into media type, numbers or bytes, and an ETag.
+
+The forms themselves are `roomlight.light`; this is their only user here.
+"""
+
+import io
+from dataclasses import dataclass
+from typing import Any, Final, get_args
+
+import numpy as np
+
+from roomlight.engine.session import Light
+from roomlight.light.coverage import confidence_png
+from roomlight.light.cube import CubeMap, observed_cube
+from roomlight.light.encode import to_exr, to_hdr, to_png
+from roomlight.light.main_light import main_light
+from roomlight.light.prefilter import prefilter
+from roomlight.light.prior import prior_panorama
+from roomlight.light.spherical_harmonics import Layout, Phase, project
+from roomlight.spheres import resize_panorama
+from roomlight.wire.messages import (
+    CUBE_FORMATS,
+    NO_FRAME,
+    Basis,
+    Form,
+    Format,
+    LightForm,
+    ProbeLight,
+    SessionRequest,
+)
+from roomlight_server.live_session import PointLight
+
+MEDIA_TYPES: Final[dict[str, str]] = {
+    "exr": "image/x-exr",
+    "hdr": "image/vnd.radiance",
+    "png": "image/png",
+    "npy": "application/x-npy",
+    "cube": "application/octet-stream",
+    "ktx2": "image/ktx2",
+    "specular": "image/ktx2",
+    "sh": "application/json",
+    "main_light": "application/json",
+    "confidence": "image/png",
+}
+FACE_SIZE: Final = 32
+"""Default side of a face: ARCore's 16 shows a mirror nothing, and 32 is what 120 rows hold (3 degrees) in the mean."""
+_USUAL: Final = (16, 32, 64)
+"""Widths of a face that are asked for: ARCore's, the default, and what a reflection wants."""
+_BASES: Final[dict[Basis, tuple[Layout, Phase]]] = {
+    "arcore": ("interleaved", "condon-shortley"),
+    "arkit": ("planar", "condon-shortley"),
+    "threejs": ("interleaved", "positive"),
+}
+
+
+@dataclass(frozen=True)
+class Encoded:
+    """One form: numbers, or bytes."""
+
+    form: Form
+    values: dict[str, Any] | None = None
+    data: bytes | None = None
+
+    def described(self) -> LightForm:
+        """As a response lists it; `bytes` is the length of its data."""
+        size = None if self.data is None else len(self.data)
+        kind = self.form.format
+        return LightForm(format=kind, media_type=MEDIA_TYPES[kind], values=self.values, bytes=size)
+
+
+def etag(point: PointLight, form: Form) -> str:
+    """The same as long as the light at the point, and what is asked of it, is the same."""
+    size = "" if form.size is None else f"-{form.size}"
+    extra = {"sh": f"-{form.kind}-{form.basis}", "png": f"-{form.exposure_ev:g}"}.get(form.format, "")
+    return f'"{point.digest}-{form.format}{size}{extra}"'
+
+
+def most_bytes(form: Form) -> int:
+    """The most bytes that the form can take; a panorama of unstated size counts as 1 MB."""
+    if form.format in ("sh", "main_light"):
+        return 1024
+    if form.format in CUBE_FORMATS:
+        side = form.size or FACE_SIZE
+        return 6 * side * side * 8 * (2 if form.format == "specular" else 1) + 1024
+    return (2 * form.size**2 * 12 if form.size else 2**20) + 1024
+
+
+def encode(point: PointLight, form: Form) -> Encoded:
+    """The light in this form; 1 to 30 ms, specular mips of 256 pixels up to a second."""
+    panorama, observed = point.light.panorama, point.light.observed
+    if form.format == "sh":
+        return Encoded(form, values=_harmonics(point, form))
+    if form.format == "main_light":
+        light = main_light(panorama)
+        return Encoded(form, values={"direction": light.direction.tolist(), "intensity": light.intensity.tolist()})
+    if form.format in CUBE_FORMATS:
+        size = form.size or FACE_SIZE
+        cube = CubeMap.from_panorama(panorama, size=size)
+        if form.format == "specular":
+            return Encoded(form, data=prefilter(cube).to_ktx2())
+        alpha = observed_cube(observed, size=size)
+        return Encoded(form, data=cube.to_bytes(alpha) if form.format == "cube" else cube.to_ktx2(alpha))
+    height = form.size or len(panorama)
+    if form.format == "confidence":
+        seen = np.repeat(observed[..., None], 3, axis=-1)
+        return Encoded(form, data=confidence_png(np.clip(resize_panorama(seen, height)[..., 0], 0, 1)))
+    panorama = resize_panorama(panorama, height)
+    if form.format == "npy":
+        stream = io.BytesIO()
+        np.save(stream, np.ascontiguousarray(panorama, np.float32))
+        return Encoded(form, data=stream.getvalue())
+    if form.format == "png":
+        return Encoded(form, data=to_png(panorama, exposure_ev=form.exposure_ev))
+    metadata = {"roomlight:coverage": f"{point.light.coverage:.4f}"}  # as `roomlight replay` writes it
+    return Encoded(form, data=to_exr(panorama, metadata=metadata) if form.format == "exr" else to_hdr(panorama))
+
+
+def warm_up() -> None:
+    """Every form once, of panoramas of the default height, and of cubes every width in `_USUAL`.
+
+    Without it the first cube map of a width takes 0.25 s longer, of 128 pixels 1 s, of 256 nearly 3 (two busy cores),
+    and on a machine where no kernel was ever compiled some seconds more.
+    """
+    height = SessionRequest().height
+    panorama = prior_panorama(height)
+    light = Light((0.0, 0.0, 0.0), panorama, np.zeros(panorama.shape[:2], np.float32), 0.0)
+    point = PointLight(light, "", NO_FRAME)
+    for kind in get_args(Format):
+        for size in _USUAL if kind in CUBE_FORMATS else (None,):
+            encode(point, Form(format=kind, size=size))
+
+
+def encode_all(point: PointLight, forms: list[Form]) -> tuple[ProbeLight, list[bytes]]:
+    """One probe's entry in a response, and the data of its binary forms in order."""
+    encoded = [encode(point, form) for form in forms]
+    described = ProbeLight(
+        position=list(point.light.position),
+        name=point.name,
+        coverage=point.light.coverage,
+        etag=point.digest,
+        forms=[one.described() for one in encoded],
+    )
+    return described, [one.data for one in encoded if one.data is not None]
+
+
+def _harmonics(point: PointLight, form: Form) -> dict[str, Any]:
+    layout, phase = _BASES[form.basis]
+    harmonics = project(point.light.panorama, kind=form.kind, phase=phase)
+    return {
+        "coefficients": harmonics.flat(layout).tolist(),
+        "layout": layout,
+        "phase": phase,
+        "quantity": "radiance",
+        "kind": form.kind,
+    }

@@ -1,0 +1,199 @@
+"""A replay through a server over a real socket writes the very bytes that one by the engine here writes."""
+
+import json
+import shutil
+from pathlib import Path
+
+import cv2
+import numpy as np
+import pytest
+
+from http_servers import RunningServer
+from roomlight.captures import CaptureOptions, CaptureWriter
+from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
+from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import CaptureError, OutputError, WireError
+from roomlight.images import write_exr, write_png
+from roomlight_cli.remote_replay import replay_through
+from roomlight_cli.replay import ReplayOptions, replay
+from rooms import BoxRoom, pan
+
+ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
+PROBES = ((0.4, 1.2, -0.3), (-0.8, 1.0, 0.6))
+SMALL = SessionOptions(model="classical", height=16)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer(model="classical") as running:
+        yield f"http://127.0.0.1:{running.port}"
+
+
+@pytest.fixture(scope="module")
+def native(tmp_path_factory) -> Path:
+    """Every kind of frame: JPEG, linear EXR, an exposure of its own, confidence, a depth map that does not decode."""
+    path = tmp_path_factory.mktemp("captures") / "box"
+    with CaptureWriter(path) as writer:
+        for number, frame in enumerate(pan(ROOM, 4, width=340, height=255)):
+            exposure = 0.7 if number == 2 else 1.0
+            confidence = np.full(frame.depth_m.shape, 2, np.uint8)
+            confidence[:30] = 0
+            writer.add(
+                srgb8=linear_to_srgb8(frame.image * np.float32(exposure)),
+                depth_m=frame.depth_m,
+                intrinsics=frame.intrinsics,
+                camera_to_world=frame.camera_to_world,
+                timestamp_s=0.1 * number,
+                confidence=confidence,
+                exposure=exposure,
+            )
+            if number == 1:
+                linear = frame.image
+    index = json.loads((path / "capture.json").read_text())
+    index["frames"][1]["colour"] = "colour/linear.exr"
+    write_exr(path / "colour" / "linear.exr", linear)
+    broken = path / index["frames"][3]["depth"]
+    broken.write_bytes(broken.read_bytes()[:60])
+    (path / "capture.json").write_text(json.dumps(index))
+    return path
+
+
+@pytest.fixture(scope="module")
+def video(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("captures") / "stray"
+    frames = [
+        RecordedFrame(linear_to_srgb8(f.image), f.depth_m, f.intrinsics, f.camera_to_world)
+        for f in pan(ROOM, 2, width=96, height=72)
+    ]
+    write_stray_scanner(path, frames)
+    return path
+
+
+def panoramas(out: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(out)): path.read_bytes() for path in sorted(out.rglob("*.exr"))}
+
+
+def lasting(report: dict) -> dict:
+    """A report without what time it took."""
+    kept = {name: value for name, value in report.items() if name not in ("wall_s", "stage_ms_median")}
+    kept["frames"] = [
+        {name: value for name, value in frame.items() if name != "stage_ms"} for frame in report["frames"]
+    ]
+    return kept
+
+
+def test_every_byte_is_the_same(native, server, tmp_path):
+    options = ReplayOptions(session=SMALL, probes=PROBES)
+    here = replay(native, tmp_path / "here", options)
+    there = replay_through(server, native, tmp_path / "there", options)
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
+    assert lasting(there.report) == lasting(here.report)
+    assert there.report["stage_ms_median"].keys() == here.report["stage_ms_median"].keys()
+    for name in ("summary.png", "replay.mp4"):
+        assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
+
+
+@pytest.mark.usefixtures("no_pictures")
+@pytest.mark.parametrize("model", ["video", "single"])
+def test_every_byte_of_the_networks_too(native, tiny_video, model, tmp_path):
+    """The server has the weights; the replay that goes through it says which model, and nothing of them."""
+    untrained = {"weights": tiny_video[1], "allow_untrained": True}
+    here = replay(
+        native,
+        tmp_path / "here",
+        ReplayOptions(session=SessionOptions(model=model, height=32, **untrained), probes=PROBES),
+    )
+    asked = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
+    with RunningServer(model="video", **untrained) as running:
+        there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", asked)
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
+    assert lasting(there.report)["frames"] == lasting(here.report)["frames"]
+    assert there.report["model"] == here.report["model"] == model
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_video_frames_too(video, server, tmp_path):
+    options = ReplayOptions(session=SMALL, probes=PROBES[:1])
+    replay(video, tmp_path / "here", options)
+    replay_through(server, video, tmp_path / "there", options)
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert len(panoramas(tmp_path / "here")) == 2
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_interpolation_and_a_point_in_view_go_through_the_same_loop(native, server, tmp_path):
+    options = ReplayOptions(session=SMALL, every=2, interpolate=True)
+    here = replay(native, tmp_path / "here", options)
+    there = replay_through(server, native, tmp_path / "there", options)
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert there.report["interpolated"] == here.report["interpolated"] > 0
+    assert there.report["probes"] == here.report["probes"]
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_probe_outside_the_volume_is_said_so(native, server, tmp_path):
+    options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=((200.0, 0.0, 0.0), PROBES[0]))
+    outside, inside = replay_through(server, native, tmp_path / "out", options).report["probes"]
+    assert outside["outside_volume"] is True
+    assert "outside_volume" not in inside
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_frames_without_depth_at_the_working_size_fare_alike(native, server, tmp_path):
+    """Known depth only in a column that sampling leaves out: no session starts with it, one that runs takes it."""
+    odd = tmp_path / "odd"
+    shutil.copytree(native, odd)
+    index = json.loads((odd / "capture.json").read_text())
+    left_out = sorted(set(range(340)) - {int((column + 0.5) * 340 / 320) for column in range(320)})
+    for number in (0, 2):
+        depth = odd / index["frames"][number]["depth"]
+        millimetres = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
+        millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
+        write_png(depth, millimetres)
+    options = ReplayOptions(session=SMALL, probes=PROBES[:1])
+    here = replay(odd, tmp_path / "here", options).report
+    there = replay_through(server, odd, tmp_path / "there", options).report
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert [frame["index"] for frame in there["frames"]] == [1, 2]
+    for report in (here, there):
+        assert sorted(skipped["index"] for skipped in report["skipped"]) == [0, 3]
+        assert all(
+            Path(skipped["file"]).name in skipped["reason"] for skipped in report["skipped"] if skipped["index"] == 0
+        )
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_what_goes_wrong_leaves_nothing_behind(native, server, tmp_path):
+    out = tmp_path / "out"
+    with pytest.raises(WireError, match="height"):
+        replay_through(server, native, out, ReplayOptions(session=SessionOptions(model="classical", height=1024)))
+    with pytest.raises(CaptureError, match="depth unit"):
+        replay_through(server, native, out, ReplayOptions(CaptureOptions(depth_unit_m=1e-6), session=SMALL))
+    assert not out.exists()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_here_and_there_do_not_mix_in_one_folder(native, server, tmp_path):
+    options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=PROBES[:1])
+    replay(native, tmp_path / "out", options)
+    with pytest.raises(OutputError, match="another replay"):
+        replay_through(server, native, tmp_path / "out", options)
+    assert json.loads((tmp_path / "out" / "replay.json").read_text())["options"]["server"] is None
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_sessions_are_deleted_whatever_happens(native, tmp_path):
+    with RunningServer(model="classical", max_sessions=1) as running:
+        url = f"http://127.0.0.1:{running.port}"
+        options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL)
+        replay_through(url, native, tmp_path / "whole", options)
+
+        def stop(*_):
+            raise KeyboardInterrupt
+
+        with pytest.raises(KeyboardInterrupt):
+            replay_through(url, native, tmp_path / "stopped", ReplayOptions(session=SMALL), progress=stop)
+        assert running.registry._sessions == {}

@@ -1,0 +1,355 @@
+"""Streams: the recording's pace, what is dropped and why, a clean end; in virtual time, and once for real."""
+
+import asyncio
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import httpx
+import pytest
+import typer
+from test_sdk_calls import STATE, problem
+from typer.testing import CliRunner
+
+import roomlight_client as sdk
+from http_servers import RunningServer
+from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
+from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import CaptureError
+from roomlight.wire.frame_message import parse
+from roomlight_cli.commands import stream as stream_command
+from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
+from roomlight_client import AsyncClient
+from rooms import BoxRoom, pan
+
+PROBE = (0.4, 1.2, -0.3)
+RATE = 10.0
+
+
+def write_capture(path: Path, *, timed: bool, count: int = 6) -> Path:
+    with CaptureWriter(path) as writer:
+        for number, frame in enumerate(pan(BoxRoom(), count, width=48, height=36)):
+            writer.add(
+                srgb8=linear_to_srgb8(frame.image),
+                depth_m=frame.depth_m,
+                intrinsics=frame.intrinsics,
+                camera_to_world=frame.camera_to_world,
+                timestamp_s=7.0 + number / RATE if timed else None,
+            )
+    return path
+
+
+@pytest.fixture(scope="module")
+def timed(tmp_path_factory) -> Path:
+    return write_capture(tmp_path_factory.mktemp("captures") / "timed", timed=True)
+
+
+@pytest.fixture(scope="module")
+def untimed(tmp_path_factory) -> Path:
+    return write_capture(tmp_path_factory.mktemp("captures") / "untimed", timed=False)
+
+
+class Room:
+    """A server and a clock in one: frame n is answered `takes_s[n]` after it came, by `fates[n]` if there is one."""
+
+    def __init__(self, *, takes_s=None, fates=None, last_index=None):
+        self.tally = Tally()
+        self.now_s = 100.0
+        self.arrived, self.bodies, self.deleted = {}, {}, 0
+        self._takes_s, self._fates = takes_s or {}, fates or {}
+        self._state = STATE | {"frames": STATE["frames"] | {"last_index": last_index}}
+        self._due, self._changed = {}, asyncio.Event()
+
+    async def _answer(self, request):
+        name = request.url.path.rpartition("/")[2]
+        if request.method == "DELETE":
+            self.deleted += 1
+            return httpx.Response(204)
+        if "/frames/" in request.url.path:
+            return await self._frame(int(name), request.content)
+        if request.method == "POST":
+            values = [
+                {"coefficients": [1.0] * 27, "layout": "interleaved", "phase": "positive", "quantity": "radiance"},
+                {"direction": [0.0, 1.0, 0.0], "intensity": [3.0, 2.0, 1.0]},
+            ]
+            forms = [
+                {"format": kind, "media_type": "application/json", "values": value}
+                for kind, value in zip(("sh", "main_light"), values, strict=True)
+            ]
+            one = {"position": PROBE, "coverage": 0.25, "etag": "e", "forms": forms}
+            return httpx.Response(200, json={"frame": 0, "results": [one]})
+        return httpx.Response(200, json=self._state)
+
+    async def _frame(self, index, body):
+        self.arrived[index], self.bodies[index] = self.now_s, body
+        released = asyncio.Event()
+        self._due[index] = (self.now_s + self._takes_s.get(index, 0.0), released)
+        self._release()
+        self._changed.set()
+        await released.wait()
+        fate = self._fates.get(index, "processed")
+        if isinstance(fate, Exception):
+            raise fate
+        if isinstance(fate, httpx.Response):
+            return httpx.Response(fate.status_code, headers=fate.headers, content=fate.content)
+        return httpx.Response(200, json={"index": index, "status": fate})
+
+    def _release(self):
+        for due_s, released in self._due.values():
+            if due_s <= self.now_s + 1e-9:
+                released.set()
+
+    async def sleep(self, seconds):
+        """Time passes: what is due by then is answered, and nothing else happens meanwhile."""
+        await self._settled()
+        self.now_s += seconds
+        self._release()
+        await self._settled()
+
+    async def _settled(self):
+        while self._on_their_way() != sum(not released.is_set() for _, released in self._due.values()):
+            self._changed.clear()
+            await self._changed.wait()
+
+    def _on_their_way(self):
+        t = self.tally
+        return t.sent - t.processed - t.superseded - t.busy - t.overtaken - t.refused - t.lost
+
+    async def play(self, path, options, show=None):
+        def shown(tally):
+            self._changed.set()
+            if show:
+                show(tally)
+
+        transport = httpx.MockTransport(self._answer)
+        clock = Clock(now=lambda: self.now_s, sleep=self.sleep)
+        async with AsyncClient("http://room.test", transport=transport, sleep=self.sleep) as client:
+            return await stream(path, client, options, tally=self.tally, show=shown, clock=clock)
+
+
+def played(path, options=None, show=None, **room):
+    room = Room(**room)
+    asyncio.run(room.play(path, options or StreamOptions(), show))
+    return room
+
+
+def test_a_recording_keeps_its_own_pace(timed):
+    room = played(timed)
+    assert list(room.arrived) == list(range(6))
+    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([n / RATE for n in range(6)])
+    tally = room.tally
+    assert (tally.frames, tally.due, tally.sent, tally.processed, tally.dropped) == (6, 6, 6, 6, 0)
+    assert tally.pace == 1.0
+    assert tally.rate(room.now_s) == pytest.approx(RATE)
+    assert tally.rate(room.now_s + 60) == 0.0
+    assert tally.light.coverage == 0.25
+    assert room.deleted == 1
+
+
+def test_fps_leaves_frames_out_and_keeps_the_pace(timed):
+    room = played(timed, StreamOptions(fps=3.0))
+    assert [(index, round(moment - 100.0, 6)) for index, moment in room.arrived.items()] == [(0, 0.0), (3, 0.3)]
+
+
+def test_without_times_fps_is_the_pace(untimed):
+    room = played(untimed, StreamOptions(fps=4.0))
+    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([n / 4 for n in range(6)])
+    room = played(untimed, StreamOptions(capture=CaptureOptions(max_frames=2)))
+    assert [moment - 100.0 for moment in room.arrived.values()] == pytest.approx([0, 1 / 3])
+
+
+@pytest.mark.parametrize(("in_flight", "sent"), [(1, [0, 3, 4, 5]), (2, [0, 1, 3, 4, 5])])
+def test_what_is_due_while_others_are_on_their_way_is_dropped(timed, in_flight, sent):
+    room = played(timed, StreamOptions(in_flight=in_flight), takes_s={0: 0.25, 1: 0.15})
+    assert list(room.arrived) == sent
+    assert room.tally.dropped == 6 - len(sent)
+    assert room.tally.frame_ms[-1] == 0.0
+    assert max(room.tally.frame_ms) == pytest.approx(300)  # looked at once every tenth of a second
+
+
+def test_every_fate_is_counted_once_and_no_frame_is_sent_twice(timed):
+    fates = {
+        0: "superseded",
+        1: problem(429, "session-full", retry_after="5"),
+        2: problem(409, "frame-conflict"),
+        3: problem(422, "bad-frame", field="depth", rule="some"),
+        4: httpx.ReadTimeout("slow"),
+        5: "skipped",
+    }
+    room = played(timed, fates=fates)
+    tally = room.tally
+    assert (tally.superseded, tally.busy, tally.overtaken, tally.refused, tally.lost) == (1, 1, 1, 2, 1)
+    assert (tally.sent, tally.processed, tally.light) == (6, 0, None)
+    assert "000003.jpg" in tally.reasons[0]
+    assert "depth" in tally.reasons[0]
+    assert list(room.arrived) == list(range(6))
+
+
+@pytest.mark.parametrize(
+    ("fates", "expected"),
+    [
+        ({2: problem(404, "session-not-found")}, sdk.GoneError),
+        ({2: problem(409, "session-failed")}, sdk.ConflictError),
+        (dict.fromkeys(range(6), httpx.ConnectError("refused")), sdk.UnreachableError),
+    ],
+)
+def test_what_ends_a_stream_is_one_error_and_the_session_is_deleted(timed, fates, expected):
+    room = Room(fates=fates)
+    with pytest.raises(expected):
+        asyncio.run(room.play(timed, StreamOptions()))
+    assert room.deleted == 1
+
+
+def test_interrupted_it_deletes_its_session(timed):
+    async def main():
+        room = Room(takes_s={2: 1e6})
+
+        def stop(tally):
+            if tally.sent == 3:
+                playing.cancel()
+
+        playing = asyncio.create_task(room.play(timed, StreamOptions(), stop))
+        with pytest.raises(asyncio.CancelledError):
+            await playing
+        return room
+
+    room = asyncio.run(main())
+    assert room.tally.processed <= 2
+    assert room.deleted == 1
+
+
+def test_a_session_that_is_there_is_gone_on_with_and_kept(timed):
+    room = played(timed, StreamOptions(session_id="room", keep=True), last_index=41)
+    assert list(room.arrived) == list(range(42, 48))
+    assert room.deleted == 0
+
+
+def test_a_reader_that_cannot_keep_up_plays_slower_and_says_so(timed):
+    room = Room()
+    due = []
+
+    def dawdle(tally):
+        if tally.due > len(due):
+            due.append(tally.due)
+            room.now_s += 0.3
+
+    asyncio.run(room.play(timed, StreamOptions(), dawdle))
+    assert room.tally.sent == 6
+    assert room.tally.pace == pytest.approx(1 / 3, abs=0.01)
+
+
+def test_colour_goes_as_it_is_told(timed):
+    for colour, encoding in (("jpeg", "jpeg"), ("png", "png"), ("exact", "linear_f32")):
+        room = played(timed, StreamOptions(CaptureOptions(max_frames=1), colour=colour))
+        assert parse(room.bodies[0]).header.colour.encoding == encoding
+
+
+def test_frames_of_the_recording_that_are_bad_are_counted(tmp_path):
+    copy = write_capture(tmp_path / "bad", timed=True, count=3)
+    index = json.loads((copy / "capture.json").read_text())
+    (copy / index["frames"][1]["depth"]).write_bytes(b"no PNG")
+    room = played(copy)
+    assert (room.tally.unreadable, room.tally.sent, room.tally.frames) == (1, 2, 3)
+
+
+def test_what_cannot_be_asked():
+    for wrong in ({"fps": 0.0}, {"fps": float("nan")}, {"in_flight": 0}):
+        with pytest.raises(CaptureError, match="must be"):
+            StreamOptions(**wrong)
+
+
+def test_percentiles():
+    assert percentile_ms([], 0.5) is None
+    assert percentile_ms([1.0, 2.0, 10.0], 0.5) == 2.0
+
+
+# --- the command, and a real server -----------------------------------------------------------------------------
+
+app = typer.Typer()
+app.command()(stream_command.stream)
+
+
+@app.command()
+def other() -> None:
+    """A second command, so that the first keeps its name."""
+
+
+def test_the_command_against_a_real_server(timed):
+    with RunningServer(model="classical") as running:
+        url = f"http://127.0.0.1:{running.port}"
+        arguments = ["stream", str(timed), "--server", url, "--height", "16", "--session", "film", "--keep"]
+        shown = CliRunner().invoke(app, [*arguments, "--fps", "1000", "--in-flight", "8", "--colour", "exact"])
+        assert shown.exit_code == 0, shown.output
+        state = running.state("film")
+        assert "film" in shown.output
+        assert "frames sent" in shown.output
+        assert "main light" in shown.output
+        assert state["frames"]["accepted"] + state["frames"]["refused"] == 6
+        assert set(state["probes"]) == {"stream"}
+
+
+def test_streamed_exactly_and_one_at_a_time_it_is_the_engine_s_light(timed):
+    """With nothing dropped, a stream of exact frames is a replay."""
+    direct = Session(SessionOptions(model="classical", height=16))
+    for frame in open_capture(timed):
+        direct.push(frame)
+
+    async def main(url):
+        async with AsyncClient(url) as client:
+            held = StreamOptions(session_id="exact", keep=True, colour="exact", height=16, in_flight=1, probe=PROBE)
+            room = Room()
+
+            async def wait(_):
+                while room._on_their_way():
+                    changed.clear()
+                    await changed.wait()
+
+            changed = asyncio.Event()
+            clock = Clock(now=lambda: 0.0, sleep=wait)
+            await stream(timed, client, held, tally=room.tally, show=lambda _: changed.set(), clock=clock)
+            assert room.tally.processed == 6
+            session = await client.join("exact")
+            return await session.light_at(PROBE)
+
+    with RunningServer(model="classical") as running:
+        light = asyncio.run(main(f"http://127.0.0.1:{running.port}"))
+    assert (light.panorama == direct.light_at(PROBE).panorama).all()
+
+
+@pytest.mark.parametrize(("keep", "said"), [([], "the session is deleted"), (["--keep"], "the session stays")])
+def test_ctrl_c_ends_the_command_with_what_was_done(timed, monkeypatch, keep, said):
+    async def interrupted(*_, tally, show):
+        tally.frames, tally.sent, tally.processed, tally.session_id = 6, 3, 2, "room"
+        tally.busy = 1
+        show(replace(tally, pace=0.5))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("roomlight_cli.stream.stream", interrupted)
+    shown = CliRunner().invoke(app, ["stream", str(timed), *keep])
+    assert shown.exit_code == 130
+    assert "3 of 6 frames sent, 2 in the light" in shown.output
+    assert "1 server busy" in shown.output
+    assert said in shown.output
+
+
+def test_an_error_on_the_way_ends_the_command_after_what_was_done(timed, monkeypatch):
+    async def broken(*_, tally, show):
+        tally.frames, tally.sent, tally.processed = 6, 3, 2
+        show(tally)
+        raise sdk.UnreachableError("nobody there")
+
+    monkeypatch.setattr("roomlight_cli.stream.stream", broken)
+    shown = CliRunner().invoke(app, ["stream", str(timed)])
+    assert isinstance(shown.exception, sdk.UnreachableError)
+    assert "3 of 6 frames sent, 2 in the light" in shown.output
+
+
+@pytest.mark.parametrize(
+    "options",
+    [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu"), SessionOptions(allow_untrained=True)],
+)
+def test_options_of_the_engine_here_mean_nothing_elsewhere(options):
+    with pytest.raises(typer.BadParameter, match="roomlight serve"):
+        stream_command.refuse_local_model("http://room.test", options)
+    stream_command.refuse_local_model("http://room.test", SessionOptions())

@@ -1,0 +1,160 @@
+"""Any sequence by number, all of them as a stream that trains: every one once, in an order that a seed decides."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+import stub_rooms
+from roomlight.captures import open_capture
+from roomlight.dataset import sequence_files as layout
+from roomlight.dataset.arkit_depth import HEIGHT, WIDTH
+from roomlight.dataset.extract import extract
+from roomlight.dataset.loader import Dataset, StreamOptions
+from roomlight.dataset.shards import index_path, read_index
+from roomlight.errors import DatasetError, OutputError
+from roomlight_generator.generate import GenerateOptions, generate
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    out = tmp_path_factory.mktemp("loaded")
+    generate(
+        out,
+        GenerateOptions(24, seed=3, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME),
+        workers=1,
+    )
+    return out
+
+
+@pytest.fixture
+def one_damaged(folder, tmp_path):
+    """A copy whose sequence 9 has a flipped byte."""
+    for path in folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    tar = tmp_path / "train-00002.tar"
+    damaged = bytearray(tar.read_bytes())
+    damaged[read_index(tar).entries[1].offset + 5000] ^= 64
+    tar.write_bytes(damaged)
+    return tmp_path
+
+
+def names(stream):
+    return [example.recording.name for example in stream]
+
+
+def test_sequences_are_read_by_number_whatever_was_read_before(folder):
+    dataset = Dataset(folder)
+    assert len(dataset) == 24
+    assert dataset[17].name == "train-000017"
+    assert [recording.name for recording in dataset] == dataset.names
+    assert dataset.number_of("train-000023") == 23
+    np.testing.assert_array_equal(dataset[17].depth_mm, Dataset(folder)[17].depth_mm)
+
+
+def test_one_frame_decodes_one_frame(folder, monkeypatch):
+    dataset = Dataset(folder)
+    decoded = []
+    real = layout.cv2.imdecode
+    monkeypatch.setattr(layout.cv2, "imdecode", lambda *given: (decoded.append(1), real(*given))[1])
+    recording = dataset.read(5, frames=[0], probes=False)
+    assert len(decoded) == 3  # its colour, its depth, its surface
+    assert recording.colour.shape[0] == recording.camera_to_world.shape[0] == 1
+    assert recording.probe_panoramas.shape[0] == 0
+
+
+def test_a_name_that_is_not_there_says_which_are(folder):
+    with pytest.raises(DatasetError, match="no sequence 'train-000024'; it has 24, from train-000000 to train-000023"):
+        Dataset(folder).number_of("train-000024")
+
+
+def test_a_folder_without_a_manifest_is_no_dataset(tmp_path):
+    with pytest.raises(DatasetError, match="is no dataset"):
+        Dataset(tmp_path)
+    with pytest.raises(DatasetError, match="is no dataset"):
+        Dataset(tmp_path / "nowhere")
+
+
+def test_a_stream_gives_every_sequence_once_in_an_order_of_its_seed(folder):
+    dataset = Dataset(folder)
+    orders = [
+        names(dataset.stream(StreamOptions(seed=seed, epoch=epoch, buffer=6)))
+        for seed, epoch in [(0, 0), (0, 1), (1, 0)]
+    ]
+    for order in orders:
+        assert sorted(order) == dataset.names
+        assert order != dataset.names
+    assert len({tuple(order) for order in orders}) == 3
+    assert names(dataset.stream(StreamOptions(seed=0, buffer=6, workers=1))) == orders[0]
+    assert names(dataset.stream(StreamOptions(seed=0, buffer=6, workers=5))) == orders[0]
+    assert names(dataset.stream(StreamOptions(shuffle=False))) == dataset.names
+
+
+def test_a_buffer_parts_the_walks_through_one_room(folder):
+    """Of 23 neighbours in the stream 12 are of one room where nothing is shuffled, and about 1 in a good shuffle."""
+    order = names(Dataset(folder).stream(StreamOptions(seed=4, buffer=24)))
+    rooms = [int(name[-6:]) // 2 for name in order]
+    assert sum(a == b for a, b in pairwise(rooms)) <= 5
+
+
+def test_parts_share_no_sequence_and_miss_none(folder):
+    dataset = Dataset(folder)
+    parts = [names(dataset.stream(StreamOptions(seed=2, part=(k, 4)))) for k in range(4)]
+    assert sorted(name for part in parts for name in part) == dataset.names
+
+
+def test_exact_depth_is_the_recording_s_and_arkit_depth_a_phone_s(folder):
+    dataset = Dataset(folder)
+    exact = next(dataset.stream(StreamOptions(frames=(0, 2))))
+    np.testing.assert_array_equal(exact.depth_mm, exact.recording.depth_mm)
+    np.testing.assert_array_equal(exact.confidence, np.where(exact.depth_mm > 0, 2, 0))
+    phone = StreamOptions(frames=(0, 2), depth="arkit", shuffle=False)
+    first, again = (next(dataset.stream(phone)) for _ in range(2))
+    assert first.depth_mm.shape == first.confidence.shape == (2, HEIGHT, WIDTH)
+    np.testing.assert_array_equal(first.depth_mm, again.depth_mm)
+    other = next(dataset.stream(StreamOptions(frames=(0, 2), depth="arkit", shuffle=False, epoch=1)))
+    assert (other.depth_mm != first.depth_mm).any()
+    assert abs(np.median(first.depth_mm[first.depth_mm > 0]) - 2300) < 700  # the wall of the recordings
+
+
+def test_a_stream_can_be_left_early(folder):
+    stream = Dataset(folder).stream(StreamOptions())
+    next(stream)
+    stream.close()
+
+
+def test_damage_is_one_sequence_s_and_the_others_load(one_damaged):
+    dataset = Dataset(one_damaged)
+    for number in range(24):
+        if number != 9:
+            dataset.read(number, frames=[0])
+    with pytest.raises(DatasetError, match=r"train-00002\.tar: sequence train-000009 does not have its checksum"):
+        dataset.read(9)
+    with pytest.raises(DatasetError, match="train-000009"):
+        names(dataset.stream())
+    assert len(names(dataset.stream(StreamOptions(damaged="skip")))) == 23
+
+
+def test_a_tail_that_is_being_written_is_not_seen(folder, tmp_path):
+    for path in folder.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    last = tmp_path / "train-00005.tar"
+    lines = index_path(last).read_bytes()
+    index_path(last).write_bytes(lines[:-20])
+    assert len(Dataset(tmp_path)) == 23
+
+
+def test_an_extracted_sequence_is_a_capture(folder, tmp_path, one_damaged):
+    dataset = Dataset(folder)
+    extract(dataset, "train-000006", tmp_path / "out" / "room")
+    frames = list(open_capture(tmp_path / "out" / "room"))
+    assert len(frames) == 4
+    np.testing.assert_allclose(frames[1].depth_m * 1000, dataset[6].depth_mm[1], atol=1e-3)
+    with pytest.raises(OutputError, match="exists already"):
+        extract(dataset, "train-000007", tmp_path / "out" / "room")
+    with pytest.raises(DatasetError, match="train-000009"):
+        extract(Dataset(one_damaged), "train-000009", tmp_path / "out" / "broken")
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(OutputError, match="cannot be written"):
+        extract(dataset, "train-000007", tmp_path / "file" / "below")
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["room"]

@@ -1,0 +1,188 @@
+"""Accumulation of a probe's panorama: the paper's recursion, the conservative rule, and the kernel's twin."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.conventions import LUMINANCE
+from roomlight.engine.blend import (
+    CLOSER_M,
+    DARK,
+    FILL_COLOUR,
+    UNSEEN_DEPTH,
+    PanoramaState,
+    accumulate,
+    accumulate_reference,
+    farthest_depth_m,
+    fill_in,
+)
+
+HEIGHT = 16
+SHAPE = (HEIGHT, 2 * HEIGHT)
+
+
+def _state(seed):
+    rng = np.random.default_rng(seed)
+    return PanoramaState(
+        rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32),
+        rng.uniform(0.5, 8, SHAPE).astype(np.float32),
+        (rng.random(SHAPE) * (rng.random(SHAPE) < 0.7)).astype(np.float32),
+    )
+
+
+def _views(seed, *, binary=False):
+    rng = np.random.default_rng(seed + 1)
+    mask = rng.random(SHAPE) < 0.6
+    weight = mask.astype(np.float32) if binary else (rng.random(SHAPE) * mask).astype(np.float32)
+    return {
+        "hdr": rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32),
+        "detail": (rng.uniform(0, 1, (*SHAPE, 3)) * mask[..., None]).astype(np.float32),
+        "detail_depth_m": (rng.uniform(0.3, 8, SHAPE) * mask).astype(np.float32),
+        "weight": weight,
+    }
+
+
+def _copy(state):
+    return PanoramaState(state.radiance.copy(), state.depth_m.copy(), state.seen.copy())
+
+
+def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0):
+    return {
+        "hdr": np.full((*SHAPE, 3), hdr, np.float32),
+        "detail": np.full((*SHAPE, 3), detail, np.float32),
+        "detail_depth_m": np.full(SHAPE, depth_m, np.float32),
+        "weight": np.full(SHAPE, weight, np.float32),
+    }
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31), st.booleans())
+def test_the_kernel_is_its_readable_twin(seed, binary):
+    fast, slow = _state(seed), _state(seed)
+    for step in range(3):
+        accumulate(fast, **_views(seed + step, binary=binary))
+        accumulate_reference(slow, **_views(seed + step, binary=binary))
+    for field in dataclasses.fields(PanoramaState):
+        # float32 throughout, sums of four terms up to 9
+        np.testing.assert_allclose(
+            getattr(fast, field.name), getattr(slow, field.name), rtol=1e-5, atol=1e-5, err_msg=field.name
+        )
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31))
+def test_what_was_seen_stays_seen_and_is_a_share(seed):
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for step in range(6):
+        before = state.seen.copy()
+        accumulate(state, **_views(seed + step))
+        assert (state.seen >= before).all()
+        assert state.seen.max() <= 1
+        assert 0 <= state.coverage() <= 1
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**31))
+def test_radiance_is_a_mean_of_what_went_in(seed):
+    state, views = _state(seed), _views(seed)
+    low = np.minimum(np.minimum(state.radiance, views["hdr"]), views["detail"])
+    high = np.maximum(np.maximum(state.radiance, views["hdr"]), views["detail"])
+    accumulate(state, **views)
+    assert (state.radiance >= low - 1e-4).all()
+    assert (state.radiance <= high + 1e-4).all()
+
+
+def test_the_first_look_comes_in_whole_and_the_rest_is_the_volumes():
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    views = _constant(weight=1.0)
+    views["weight"][:, HEIGHT:] = 0
+    accumulate(state, **views)
+    assert (state.radiance[:, :HEIGHT] == 1.0).all()
+    assert (state.radiance[:, HEIGHT:] == 2.0).all()
+    assert (state.depth_m[:, :HEIGHT] == 1.0).all()
+    assert (state.depth_m[:, HEIGHT:] == UNSEEN_DEPTH * 3.0).all()
+    assert state.coverage() == pytest.approx(0.5)
+
+
+def test_unseen_pixels_follow_the_newest_volume():
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for hdr in (5.0, 7.0):
+        accumulate(state, **_constant(hdr=hdr, weight=0.0, depth_m=0.0))
+        assert (state.radiance == hdr).all()
+
+
+@pytest.mark.parametrize("depth_m", [2.0, 2.0 - CLOSER_M + 0.01, 3.5])
+def test_details_not_clearly_closer_change_nothing(depth_m):
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    accumulate(state, **_constant(detail=0.5, depth_m=2.0))
+    before = _copy(state)
+    accumulate(state, **_constant(detail=0.9, depth_m=depth_m, hdr=30.0))
+    assert (state.radiance == before.radiance).all()
+    assert (state.depth_m == before.depth_m).all()
+    assert (state.seen == before.seen).all()
+
+
+@pytest.mark.parametrize("depth_m", [2.0 - CLOSER_M - 0.01, 0.1])
+def test_a_clearly_closer_surface_replaces(depth_m):
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    accumulate(state, **_constant(detail=0.5, depth_m=2.0))
+    accumulate(state, **_constant(detail=0.9, depth_m=depth_m, hdr=30.0))
+    assert state.radiance == pytest.approx(np.full((*SHAPE, 3), 0.9))
+    assert state.depth_m == pytest.approx(np.full(SHAPE, depth_m))
+
+
+def test_half_weights_are_the_papers_sums():
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    accumulate(state, **_constant(hdr=2.0, detail=1.0, depth_m=4.0, weight=0.5))
+    # L = .5 x 1 + .5 (1 x 2 + 0); D = .5 x 4 + .5 x 12; M = .5
+    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.seen[0, 0]) == (1.5, 8.0, 0.5)
+    accumulate(state, **_constant(hdr=3.0, detail=1.0, depth_m=4.0, weight=0.5))
+    # L = .5 x 1 + .5 (.5 x 3 + .5 x 1.5); D = .5 x 4 + .5 x 8; M = 1
+    assert (state.radiance[0, 0, 0], state.depth_m[0, 0], state.seen[0, 0]) == (1.625, 6.0, 1.0)
+
+
+@pytest.mark.parametrize("height", [1, 16, 121])
+def test_all_seen_is_a_coverage_of_one(height):
+    state = PanoramaState.fresh(height, 3.0)
+    assert state.coverage() == 0
+    state.seen[:] = 1
+    assert state.coverage() == pytest.approx(1, abs=1e-5)
+
+
+@pytest.mark.parametrize("depth_max_m", [0.1, 0.3, 1.0, 3.0, 12.0])
+def test_whatever_is_seen_first_comes_in_however_far_it_is(depth_max_m):
+    state = PanoramaState.fresh(HEIGHT, depth_max_m)
+    accumulate(state, **_constant(detail=0.5, depth_m=farthest_depth_m(depth_max_m)))
+    assert (state.seen == 1).all()
+    assert farthest_depth_m(depth_max_m) <= 3.2 * depth_max_m + 1e-9
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31))
+def test_beyond_the_mesh_brightness_is_mixed_and_most_colour_is_the_fills(seed):
+    rng = np.random.default_rng(seed)
+    hdr, ldr = rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32), rng.uniform(0.1, 1, (*SHAPE, 3)).astype(np.float32)
+    mask, weight = rng.random(SHAPE) < 0.5, rng.random(SHAPE).astype(np.float32)
+    light = fill_in(hdr, ldr, mask, weight=weight)
+    np.testing.assert_array_equal(light[mask], hdr[mask])
+    light, hdr, ldr, weight = light[~mask], hdr[~mask], ldr[~mask], weight[~mask]
+    brightness = light @ LUMINANCE
+    np.testing.assert_allclose(brightness, (1 - weight) * (hdr @ LUMINANCE) + weight * (ldr @ LUMINANCE), rtol=1e-4)
+    mixed = hdr + weight[:, None] * (ldr - hdr)
+
+    def away(colour):
+        """From the fill's colour."""
+        return colour / (colour @ LUMINANCE)[:, None] - (ldr + DARK) / (ldr @ LUMINANCE + DARK)[:, None]
+
+    np.testing.assert_allclose(away(light), (1 - FILL_COLOUR) * away(mixed), atol=1e-4)
+
+
+def test_a_black_fill_leaves_light_grey_and_finite():
+    light = fill_in(
+        np.full((*SHAPE, 3), 3, np.float32), np.zeros((*SHAPE, 3), np.float32), np.zeros(SHAPE, bool),
+        weight=np.full(SHAPE, 0.5, np.float32),
+    )  # fmt: skip
+    np.testing.assert_allclose(light, 1.5, rtol=1e-5)

@@ -1,0 +1,137 @@
+"""The classical model: a mean over the frames that saw a voxel, and light everywhere from what was seen."""
+
+import numpy as np
+import pytest
+
+from roomlight.engine.blend import PanoramaState, accumulate
+from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.sglv import render_panorama
+from roomlight.engine.volume import VolumeGrid, initial_volume
+from rooms import BoxRoom, camera_at
+
+ROOM = BoxRoom()
+FRAME = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+GRID = VolumeGrid.from_frame(FRAME, shape=(16, 15, 21))
+
+
+def _started():
+    backend = ClassicalBackend()
+    backend.start(GRID)
+    return backend
+
+
+def _put(backend, *, colour, alpha, empty=0.0):
+    volume = backend.volume_buffer()
+    volume[:3], volume[3], volume[4] = alpha * colour, alpha, empty
+    return backend.update()
+
+
+def test_one_frame_is_its_own_volume():
+    backend = _started()
+    volume = initial_volume(GRID, FRAME, out=backend.volume_buffer()).copy()
+    sglv = backend.update()
+    np.testing.assert_allclose(sglv.alpha, volume[3], atol=1e-6)
+    np.testing.assert_allclose(np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5)
+    assert (sglv.lobes[..., 3:] == 0).all()
+
+
+def test_the_same_frame_again_changes_nothing():
+    backend = _started()
+    initial_volume(GRID, FRAME, out=backend.volume_buffer())
+    first = backend.update()
+    alpha, lobes = first.alpha.copy(), first.lobes.copy()
+    for _ in range(3):
+        again = backend.update()
+    np.testing.assert_allclose(again.alpha, alpha, atol=1e-6)
+    np.testing.assert_allclose(again.lobes, lobes, atol=1e-5)
+
+
+def test_alpha_is_a_mean_over_those_that_saw_and_colour_is_weighted_by_alpha():
+    backend = _started()
+    _put(backend, colour=1.0, alpha=1.0)
+    _put(backend, colour=4.0, alpha=0.5)
+    _put(backend, colour=9.0, alpha=0.0)  # not seen: counts for nothing
+    sglv = _put(backend, colour=9.0, alpha=0.0, empty=-1.0)  # seen as empty: counts against
+    assert sglv.alpha[0, 0, 0] == pytest.approx((1 + 0.5 + 0) / 3)
+    assert sglv.lobes[0, 0, 0, :3] == pytest.approx([(1 + 4 * 0.5) / 1.5] * 3)
+
+
+def _estimate(backend, state, partial, position):
+    rendered, transmittance = render_panorama(backend.update(), position, height=32, far=backend.far)
+    return backend.estimate(
+        backend.new_probe(),
+        state,
+        rendered=rendered,
+        transmittance=transmittance,
+        partial=partial,
+        depth_max_m=GRID.depth_max_m,
+    )
+
+
+def test_light_is_known_everywhere_and_details_weigh_one_where_seen():
+    backend = _started()
+    initial_volume(GRID, FRAME, out=backend.volume_buffer())
+    position = (0.1, 1.2, -0.8)
+    partial = FrameMesh(FRAME).render_panorama(np.array(position), height=32)
+    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, position)
+    assert (estimate.weight == partial.mask).all()
+    assert estimate.hdr.min() > 0
+    # the fill is a convex combination of what was seen: no value leaves its range
+    assert estimate.hdr.max() <= FRAME.image.max() * 1.01
+    np.testing.assert_allclose(estimate.hdr[partial.mask], partial.radiance[partial.mask], rtol=1e-3, atol=1e-3)
+
+
+def test_a_uniform_room_is_uniform_everywhere():
+    grey = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+    grey.image[:] = 0.4
+    backend = _started()
+    initial_volume(GRID, grey, out=backend.volume_buffer())
+    position = (0.1, 1.2, -0.8)
+    partial = FrameMesh(grey).render_panorama(np.array(position), height=32)
+    state = PanoramaState.fresh(32, GRID.depth_max_m)
+    estimate = _estimate(backend, state, partial, position)
+    # Colour and opacity are interpolated apart (equation 1), so that the volume darkens where opaque voxels meet
+    # empty black ones; trusted a tenth, that leaves 2.2 % in the fill.
+    np.testing.assert_allclose(estimate.hdr, 0.4, rtol=0.03)
+    accumulate(
+        state,
+        hdr=estimate.hdr,
+        detail=partial.radiance,
+        detail_depth_m=partial.depth_m,
+        weight=estimate.weight,
+    )
+    np.testing.assert_allclose(state.radiance, 0.4, rtol=0.03)
+    np.testing.assert_allclose(state.radiance[partial.mask], 0.4, rtol=1e-5)
+
+
+def test_nothing_seen_gives_no_light_and_no_error():
+    backend = _started()
+    frame = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
+    frame.depth_m[:] = 0
+    partial = FrameMesh(frame).render_panorama(np.zeros(3), height=32)
+    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, (0.0, 1.0, 0.0))
+    assert (estimate.hdr == 0).all()
+    assert (estimate.weight == 0).all()
+
+
+def test_what_was_never_seen_does_not_jump():
+    """Half of each new fill is taken over: the first frame's whole, a later frame's half the way."""
+    backend = _started()
+    state, memory = PanoramaState.fresh(16, 3.0), backend.new_probe()
+    rendered, open_sky = np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32)
+    mask = np.zeros((16, 32), bool)
+    mask[4:8, 4:8] = True
+
+    def look(value):
+        radiance = np.where(mask[..., None], np.float32(value), np.float32(0)) * np.ones(3, np.float32)
+        depth = np.where(mask, np.float32(1), np.float32(0))
+        partial = PartialPanorama(radiance, mask, depth)
+        given = {"rendered": rendered, "transmittance": open_sky, "partial": partial, "depth_max_m": 3.0}
+        estimate = backend.estimate(memory, state, **given)
+        accumulate(state, hdr=estimate.hdr, detail=radiance, detail_depth_m=depth, weight=estimate.weight)
+        return estimate.hdr[12, 20, 0]
+
+    assert look(0.8) == pytest.approx(0.8, rel=1e-5)
+    state.radiance[~mask] = 0.2  # as an earlier, darker fill would have left it
+    assert look(0.8) == pytest.approx(0.5, rel=1e-5)

@@ -1,0 +1,124 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.engine.fill import at_most_white, continued, push_pull
+
+SIZES = [(1, 2), (2, 4), (5, 10), (16, 32), (15, 30), (12, 7), (120, 240)]
+
+
+def scattered(height: int, width: int, share: float, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    rng = np.random.default_rng(seed)
+    weight = (rng.random((height, width)) < share).astype(np.float32)
+    weight[rng.integers(height), rng.integers(width)] = 1
+    return rng.random((height, width, 3)).astype(np.float32), weight
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_known_pixels_are_kept_to_the_bit(height: int, width: int) -> None:
+    image, weight = scattered(height, width, 0.1)
+    filled = push_pull(image, weight)
+    np.testing.assert_array_equal(filled[weight == 1], image[weight == 1])
+
+
+@pytest.mark.parametrize(("height", "width"), SIZES)
+def test_filled_values_stay_within_the_known_ones(height: int, width: int) -> None:
+    image, weight = scattered(height, width, 0.05)
+    filled = push_pull(image, weight)
+    known = image[weight == 1]
+    assert np.isfinite(filled).all()
+    assert (filled >= known.min(axis=0) - 1e-5).all()
+    assert (filled <= known.max(axis=0) + 1e-5).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(height=st.integers(1, 20), width=st.integers(1, 20), seed=st.integers(0, 1000))
+def test_a_constant_stays_that_constant(height: int, width: int, seed: int) -> None:
+    _, weight = scattered(height, width, 0.1, seed)
+    image = np.full((height, width, 2), np.float32(0.7))
+    np.testing.assert_allclose(push_pull(image, weight), 0.7, rtol=1e-5)
+
+
+def test_one_known_pixel_fills_everything() -> None:
+    image = np.zeros((30, 60, 3), np.float32)
+    weight = np.zeros((30, 60), np.float32)
+    image[7, 50] = [3.0, 0.5, 40.0]
+    weight[7, 50] = 1
+    np.testing.assert_allclose(push_pull(image, weight), np.broadcast_to(image[7, 50], image.shape), rtol=1e-5)
+
+
+@pytest.mark.parametrize("columns", [16, 32, 48])
+def test_turning_the_panorama_turns_the_fill(columns: int) -> None:
+    # 4 rows x 8 columns is the coarsest level that a quarter turn of a 64-column panorama leaves whole
+    image, weight = scattered(32, 64, 0.3)
+    turned = push_pull(np.roll(image, columns, axis=1), np.roll(weight, columns, axis=1))
+    np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), columns, axis=1), atol=1e-5)
+
+
+def test_half_a_turn_holds_however_little_is_known() -> None:
+    image, weight = scattered(32, 64, 0.0)
+    turned = push_pull(np.roll(image, 32, axis=1), np.roll(weight, 32, axis=1))
+    np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), 32, axis=1), atol=1e-5)
+
+
+def test_it_wraps_around_the_seam() -> None:
+    image = np.zeros((16, 32, 1), np.float32)
+    weight = np.zeros((16, 32), np.float32)
+    weight[:, 0] = weight[:, 16] = 1
+    image[:, 0] = 1.0
+    filled = push_pull(image, weight)
+    assert filled[8, 31, 0] > 0.8  # next to the bright column, across the seam
+    assert filled[8, 15, 0] < 0.2
+
+
+def test_nothing_known_gives_zeros_and_unknown_colour_is_never_read() -> None:
+    image = np.full((6, 12, 3), np.nan, np.float32)
+    weight = np.zeros((6, 12), np.float32)
+    np.testing.assert_array_equal(push_pull(image, weight), np.zeros((6, 12, 3)))
+    image[2, 3], weight[2, 3] = 0.25, 1
+    np.testing.assert_allclose(push_pull(image, weight), 0.25, rtol=1e-5)
+
+
+def test_everything_known_is_returned_as_it_is() -> None:
+    image, _ = scattered(9, 18, 1.0)
+    np.testing.assert_array_equal(push_pull(image, np.full((9, 18), 2.0, np.float32)), image)
+
+
+def test_a_half_known_pixel_lies_between_its_colour_and_its_surroundings() -> None:
+    image = np.zeros((8, 16, 1), np.float32)
+    weight = np.ones((8, 16), np.float32)
+    image[4, 8], weight[4, 8] = 1.0, 0.5
+    assert 0.45 < push_pull(image, weight)[4, 8, 0] < 0.75
+
+
+def test_continued_keeps_what_is_known_and_lends_no_more_than_white():
+    image = np.full((16, 32, 3), 0.25, np.float32)
+    image[6:9, 10:14] = 40.0  # a window
+    known = np.zeros((16, 32), np.float32)
+    known[4:11, 4:20] = 1
+    filled = continued(image, known)
+    np.testing.assert_array_equal(filled[known == 1], image[known == 1])
+    assert (filled[known == 0] >= 0.25 - 1e-6).all()
+    assert (filled[known == 0] <= 1).all()
+    np.testing.assert_array_equal(continued(np.minimum(image, 1), known), push_pull(np.minimum(image, 1), known))
+
+
+def test_warm_light_lends_its_own_colour():
+    """Cut at white channel by channel, a lamp of (4, 2, 1) would lend (1, 1, 1)."""
+    image = np.full((16, 32, 3), 0.25, np.float32)
+    image[:, 10:14] = 4.0, 2.0, 1.0
+    known = np.zeros((16, 32), np.float32)
+    known[:, 10:14] = 1
+    lent = continued(image, known)[known == 0]
+    np.testing.assert_allclose(lent, np.broadcast_to(np.float32([1, 0.5, 0.25]), lent.shape), rtol=1e-5)
+
+
+def test_at_most_white_keeps_what_is_no_brighter():
+    image = np.random.default_rng(0).random((4, 8, 3), np.float32) * 3
+    cut = at_most_white(image)
+    dim = image.max(-1) <= 1
+    assert dim.any()
+    np.testing.assert_array_equal(cut[dim], image[dim])
+    np.testing.assert_allclose(cut[~dim].max(-1), 1, rtol=1e-6)
+    np.testing.assert_allclose(cut * image[..., :1], image * cut[..., :1], rtol=1e-5)

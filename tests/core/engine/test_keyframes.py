@@ -1,0 +1,109 @@
+"""The keyframe store: bounded, refuses what shows nothing new, and keeps coverage."""
+
+import numpy as np
+import pytest
+
+from roomlight.engine.keyframes import KeyframeStore
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.volume import VolumeGrid
+from rooms import BoxRoom, camera_at, pan
+
+ROOM = BoxRoom()
+SIZE = {"width": 80, "height": 60}
+
+
+@pytest.fixture(scope="module")
+def turn():
+    """Two turns around the room in steps of 20 degrees, and their grid."""
+    frames = pan(ROOM, 36, step_degrees=20, **SIZE)
+    return VolumeGrid.from_frame(frames[0]), [FrameMesh(frame) for frame in frames]
+
+
+def _store(turn, capacity, chosen=None):
+    grid, meshes = turn
+    store = KeyframeStore(grid, capacity)
+    for index in range(len(meshes)) if chosen is None else chosen:
+        store.offer(index, meshes[index])
+    return store
+
+
+@pytest.mark.parametrize("capacity", [1, 2, 5, 24])
+def test_the_store_is_bounded_and_in_order_of_time(turn, capacity):
+    grid, meshes = turn
+    store = KeyframeStore(grid, capacity)
+    for index, mesh in enumerate(meshes):
+        store.offer(index, mesh)
+        assert len(store) <= capacity
+    indices = [key.index for key in store]
+    assert indices == sorted(set(indices))
+    assert len(indices) == len(store) > 0
+
+
+@pytest.mark.parametrize("capacity", [3, 5, 8])
+def test_coverage_is_kept_better_than_by_the_first_or_the_last(turn, capacity):
+    count = len(turn[1])
+    chosen = _store(turn, capacity).covered_cells()
+    first = _store(turn, capacity, range(capacity)).covered_cells()
+    last = _store(turn, capacity, range(count - capacity, count)).covered_cells()
+    assert chosen > 1.1 * max(first, last)
+
+
+def test_enough_room_keeps_nearly_everything_that_was_seen(turn):
+    everything = _store(turn, 1000).covered_cells()
+    assert _store(turn, 10).covered_cells() > 0.9 * everything
+
+
+def test_what_is_counted_is_what_the_kept_frames_show(turn):
+    store = _store(turn, 6)
+    shown = np.any([key.cells for key in store], axis=0)
+    assert store.covered_cells() == shown.sum()
+
+
+def test_the_same_frame_twice_is_refused(turn):
+    grid, meshes = turn
+    store = KeyframeStore(grid, 5)
+    assert store.offer(0, meshes[0])
+    assert not store.offer(1, meshes[0])
+    assert len(store) == 1
+
+
+def test_frames_are_told_apart_without_their_indices(turn):
+    grid, meshes = turn
+    by_index, by_itself = (KeyframeStore(grid, 2) for _ in range(2))
+    for index, mesh in enumerate(meshes[:9]):
+        assert by_itself.offer(0, mesh) == by_index.offer(index, mesh)
+
+
+def test_a_frame_without_depth_is_refused(turn):
+    frame = ROOM.frame(camera_at((0, 1.5, 0)), **SIZE)
+    frame.depth_m[:] = 0
+    store = KeyframeStore(turn[0], 5)
+    assert not store.offer(0, FrameMesh(frame))
+    assert store.covered_cells() == 0
+
+
+def test_a_session_that_begins_with_a_close_up_still_remembers_the_room():
+    """D_max of 0.4 m makes a volume of under a metre: the room around it lies outside."""
+    close = ROOM.frame(camera_at((0.0, 1.5, -2.1)), **SIZE)
+    grid = VolumeGrid.from_frame(close)
+    assert grid.depth_max_m < 0.7
+    store = KeyframeStore(grid, 24)
+    kept = [store.offer(i, FrameMesh(frame)) for i, frame in enumerate(pan(ROOM, 8, step_degrees=45, **SIZE))]
+    assert sum(kept) >= 6
+    assert store.covered_cells() > 100
+
+
+def test_offers_during_a_walk_do_no_harm(turn):
+    grid, meshes = turn
+    store = KeyframeStore(grid, 3)
+    store.offer(0, meshes[0])
+    for key in store:
+        assert key.index == 0
+        store.offer(9, meshes[9])
+    assert len(store) == 2
+
+
+@pytest.mark.parametrize("capacity", [0, -1])
+def test_a_store_for_nothing_is_refused(turn, capacity):
+    with pytest.raises(ValueError, match=str(capacity)):
+        KeyframeStore(turn[0], capacity)

@@ -1,0 +1,63 @@
+"""A session's stated memory against the arrays that it really holds."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.graphs import load_graphs
+from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, give_back
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.sglv import Sglv
+from rooms import BoxRoom, camera_at
+
+
+def arrays_in(thing):
+    """The arrays that an object keeps, in lists and bound graphs too."""
+    if isinstance(thing, np.ndarray):
+        return [thing]
+    if isinstance(thing, Sglv):
+        return [thing.alpha, thing.lobes]
+    if isinstance(thing, FusedVolume):
+        return [thing.colour, thing.opacity, thing.count]
+    if isinstance(thing, list | tuple):
+        return [array for item in thing for array in arrays_in(item)]
+    return arrays_in(thing.arrays) if hasattr(thing, "arrays") else []
+
+
+def held_by(thing):
+    """Bytes of the arrays of an object, each memory counted once."""
+    found = {array.__array_interface__["data"][0]: array.nbytes for array in arrays_in(list(vars(thing).values()))}
+    return sum(found.values())
+
+
+def pushed(options):
+    session = Session(options)
+    session.track((0.2, 1.2, -0.2))
+    session.push(BoxRoom().frame(camera_at((0.2, 1.4, 0.8)), width=64, height=48))
+    return session
+
+
+def test_the_classical_models_volume():
+    session = pushed(SessionOptions(model="classical", height=16))
+    assert Footprint.of(None, 16).volume == held_by(session._backend)
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_networks_volume_and_probe(tiny_video, form):
+    graphs = replace(load_graphs(tiny_video[1], allow_untrained=True), form=form)
+    session = pushed(SessionOptions(model=form, weights=tiny_video[1], allow_untrained=True, height=32))
+    footprint = Footprint.of(graphs, 32)
+    assert footprint.volume == held_by(session._backend)
+    probe = session._probes[0]
+    assert footprint.probe == held_by(probe.memory) + held_by(probe.state)
+
+
+@pytest.mark.parametrize(("started", "expected"), [(False, 300), (True, 300 + 1000 + 3 * KEYFRAME_BYTES)])
+def test_what_is_held(started, expected):
+    assert Footprint(1000, 100).held(keyframes=2, probes=3, started=started) == expected
+
+
+def test_giving_back_does_no_harm():
+    give_back()

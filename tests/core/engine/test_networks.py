@@ -1,0 +1,287 @@
+"""The engine's recursion on ONNX graphs against the same recursion in PyTorch, and its buffers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import torch
+
+from roomlight.engine.blend import CLOSER_M, PanoramaState, filled_detail
+from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.graphs import load_graphs
+from roomlight.engine.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.network_backend import NetworkBackend
+from roomlight.engine.session import Session, SessionOptions, warm_up
+from roomlight.engine.sglv import Sglv, render_panorama
+from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.errors import ModelError
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.networks import Observation
+from rooms import BoxRoom, camera_at, pan
+
+ROOM = BoxRoom(lamp=((0.3, 1.6, -2.5), 0.35))
+FRAMES = pan(ROOM, 4, step_degrees=12, width=80, height=60)
+PROBE = (0.1, 1.2, -0.5)
+SHAPE = (16, 15, 21)
+GRID = VolumeGrid.from_frame(FRAMES[0], shape=SHAPE)
+HEIGHT = 32
+
+
+@pytest.fixture(scope="module")
+def graphs(tiny_video):
+    return load_graphs(tiny_video[1], provider="cpu", allow_untrained=True)
+
+
+def _options(tiny_video, form, height=HEIGHT):
+    return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height)
+
+
+def _observation(sglv, frame, before):
+    """What the session renders at the probe for one frame, as the networks' batch of one."""
+    hdr, _ = render_panorama(sglv, PROBE, height=HEIGHT, far="boundary")
+    partial = FrameMesh(frame).render_panorama(np.array(PROBE), height=HEIGHT)
+
+    def batch(plane):
+        array = np.atleast_3d(plane.astype(np.float32))
+        return torch.from_numpy(np.moveaxis(array, -1, 0)[None].copy())
+
+    state = PanoramaState.fresh(HEIGHT, GRID.depth_max_m)
+    if before is not None:
+        state.radiance[:] = np.moveaxis(before.radiance[0].numpy(), 0, -1)
+        state.depth_m[:] = before.depth[0, 0].numpy() * GRID.depth_max_m
+        state.seen[:] = before.weight[0, 0].numpy()
+    ldr = filled_detail(state, partial.radiance, partial.depth_m, mask=partial.mask, hdr=hdr)
+    depth = partial.depth_m / GRID.depth_max_m
+    return Observation(batch(hdr), batch(ldr), batch(partial.mask), batch(depth))
+
+
+def _sglv_of(volume):
+    return Sglv(GRID, volume.alpha[0].numpy().copy(), volume.lobes[0].numpy().copy())
+
+
+@torch.inference_mode()
+def _in_torch(checkpoint):
+    """(volumes, panorama states) of the video model over the frames, stepped in PyTorch."""
+    model = load_checkpoint(checkpoint).model
+    sg, blend, volumes, panoramas = None, None, [], []
+    for frame in FRAMES:
+        given = torch.from_numpy(initial_volume(GRID, frame)[None])
+        sg = model.start(given) if sg is None else model.step(given, sg)
+        seen = _observation(_sglv_of(sg.volume), frame, blend and blend.panorama)
+        margin = CLOSER_M / GRID.depth_max_m
+        blend = model.blend_start(seen) if blend is None else model.blend_step(seen, blend, margin=margin)
+        volumes.append(_sglv_of(sg.volume))
+        panoramas.append(blend.panorama)
+    return volumes, panoramas
+
+
+def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
+    volumes, panoramas = _in_torch(tiny_video[0])
+    session = Session(_options(tiny_video, "video"))
+    session.track(PROBE)
+    for frame, volume, panorama in zip(FRAMES, volumes, panoramas, strict=True):
+        session.push(frame)
+        # Graph weights are halves (2^-11 relative), and the HDR heads take an exponent of sums of dozens of them
+        np.testing.assert_allclose(session.sglv.alpha, volume.alpha, atol=2e-3)
+        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(volume.lobes[..., :7]), atol=1e-2)
+        light = session.light(0)
+        expected = np.moveaxis(panorama.radiance[0].numpy(), 0, -1)
+        np.testing.assert_allclose(np.log1p(light.panorama), np.log1p(expected), atol=1e-2)
+        np.testing.assert_allclose(light.observed, panorama.weight[0, 0].numpy(), atol=5e-3)
+
+
+@torch.inference_mode()
+def test_the_single_engine_goes_half_way_to_what_the_mean_of_the_volumes_tells(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    assert session.model == "single"
+    model = load_checkpoint(tiny_video[0]).model.single
+    fused, given = FusedVolume.fresh(GRID.shape), np.empty((5, *GRID.shape), np.float32)
+    alpha, lobes = np.float32(0), np.float32(0)
+    for number, frame in enumerate(FRAMES[:4]):
+        session.push(frame)
+        fused.add(initial_volume(GRID, frame))
+        fused.write(given)
+        wanted, share = _sglv_of(model(torch.from_numpy(given[None]))), 0.5 if number else 1
+        alpha = (alpha + share * (wanted.alpha - alpha)) * (given[4] == 0)
+        lobes = (lobes + share * (wanted.lobes - lobes)) * (given[4] == 0)[..., None]
+        np.testing.assert_allclose(session.sglv.alpha, alpha, atol=2e-3)
+        np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(lobes[..., :7]), atol=1e-2)
+    assert np.abs(alpha - wanted.alpha).max() > 1e-2  # it is not there yet
+
+
+def test_the_single_engine_does_not_mind_a_frame_twice(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    session.push(FRAMES[0])
+    alpha, lobes = session.sglv.alpha.copy(), session.sglv.lobes.copy()
+    session.push(FRAMES[0])
+    np.testing.assert_allclose(session.sglv.alpha, alpha, atol=1e-6)
+    np.testing.assert_allclose(session.sglv.lobes, lobes, rtol=1e-4, atol=1e-5)
+
+
+def test_what_the_single_engine_infers_moves_half_way(graphs):
+    backend = NetworkBackend(dataclasses.replace(graphs, form="single"))
+    backend.start(GRID)
+    memory, random, shape = backend.new_probe(), np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
+    mask = random.random(shape) < 0.5
+    seen = PartialPanorama(
+        random.random((*shape, 3), np.float32) * mask[..., None], mask, mask * random.uniform(1, 2, shape).astype("f4")
+    )
+    state = PanoramaState.fresh(HEIGHT, GRID.depth_max_m)
+    state.radiance[:] = random.uniform(0, 3, (*shape, 3))
+    given = {
+        "rendered": random.uniform(0, 3, (*shape, 3)).astype(np.float32),
+        "transmittance": np.zeros(shape, np.float32), "partial": seen, "depth_max_m": GRID.depth_max_m,
+    }  # fmt: skip
+    first, second = (backend.estimate(memory, state, **given) for _ in range(2))
+    np.testing.assert_allclose(second.hdr, (first.hdr + state.radiance) / 2, rtol=1e-5)
+    np.testing.assert_array_equal(second.weight, first.weight)
+
+
+def test_the_video_engine_remembers_them(tiny_video):
+    session = Session(_options(tiny_video, "video"))
+    session.push(FRAMES[0])
+    first = session.sglv.alpha.copy()
+    session.push(FRAMES[3])
+    session.push(FRAMES[0])
+    assert abs(session.sglv.alpha - first).max() > 1e-4
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_first_frame_is_the_same_in_both_forms(tiny_video, form):
+    session, single = Session(_options(tiny_video, form)), Session(_options(tiny_video, "single"))
+    for each in (session, single):
+        each.track(PROBE)
+        each.push(FRAMES[0])
+    np.testing.assert_array_equal(session.light(0).panorama, single.light(0).panorama)
+
+
+def test_voxels_that_the_frame_shows_empty_are_cleared(tiny_video):
+    session = Session(_options(tiny_video, "single"))
+    session.push(FRAMES[0])
+    empty = initial_volume(GRID, FRAMES[0])[4] == -1
+    assert empty.any()
+    assert (session.sglv.alpha[empty] == 0).all()
+    assert (session.sglv.lobes[empty] == 0).all()
+
+
+@pytest.mark.parametrize("height", [16, 48, 120])
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_panoramas_of_other_heights_than_the_graphs(tiny_video, form, height):
+    session = Session(_options(tiny_video, form, height))
+    session.track(PROBE)
+    for frame in FRAMES[:3]:
+        session.push(frame)
+    light = session.light(0)
+    assert light.panorama.shape == (height, 2 * height, 3)
+    assert np.isfinite(light.panorama).all()
+    assert light.panorama.min() >= 0
+    assert 0 < light.observed.max() <= 1
+    mask = FrameMesh(FRAMES[0]).render_panorama(np.array(PROBE), height=height).mask
+    for frame in FRAMES[1:3]:
+        mask |= FrameMesh(frame).render_panorama(np.array(PROBE), height=height).mask
+    assert (light.observed[~mask] == 0).all()
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_streaming_again_gives_the_same_bits(tiny_video, form):
+    once, again = (Session(_options(tiny_video, form)) for _ in range(2))
+    for session in (once, again):
+        session.track(PROBE)
+        for frame in FRAMES:
+            session.push(frame)
+    np.testing.assert_array_equal(once.light(0).panorama, again.light(0).panorama)
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_finer_panoramas_give_the_graphs_one_of_their_surfaces_never_a_mean(graphs, form):
+    """Blocks of 3 x 3 with one surface in the middle and others around: the weight is that of the middle one's."""
+    backend = NetworkBackend(dataclasses.replace(graphs, form=form))
+    backend.start(GRID)
+    coarse, fine = backend.new_probe(), backend.new_probe()
+    random, shape = np.random.default_rng(0), (HEIGHT, 2 * HEIGHT)
+    for _ in range(3):
+        mask = random.random(shape) < 0.6
+        depth = np.where(mask, random.uniform(0.5, 4, shape), 0).astype(np.float32)
+        radiance = (random.uniform(0, 1, (*shape, 3)) * mask[..., None]).astype(np.float32)
+        hdr, held = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
+        before = random.uniform(1, 9, shape).astype(np.float32)
+        seen = np.ones(shape, np.float32)
+        small = coarse.weigh(
+            PanoramaState(held, before, seen), hdr, PartialPanorama(radiance, mask, depth), GRID.depth_max_m
+        )
+        around = (np.arange(3 * HEIGHT)[:, None] % 3 != 1) | (np.arange(6 * HEIGHT) % 3 != 1)
+        partial = PartialPanorama(_thrice(radiance), _thrice(mask) | around, np.where(around, 0.7, _thrice(depth)))
+        state = PanoramaState(_thrice(held), np.where(around, 5, _thrice(before)), _thrice(seen))
+        large = fine.weigh(state, _thrice(hdr), partial, GRID.depth_max_m)
+        # means of nine equal floats differ from them in the last bit or two
+        np.testing.assert_allclose(large[1::3, 1::3], small, atol=1e-5)
+
+
+def _thrice(image):
+    return np.repeat(np.repeat(image, 3, axis=0), 3, axis=1)
+
+
+def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
+    first, second, alone = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3))
+    for session in (first, second, alone):
+        session.track(PROBE)
+    turned = pan(ROOM, 3, start_degrees=90, width=80, height=60)
+    for frame, elsewhere in zip(FRAMES, turned, strict=False):
+        first.push(frame)
+        second.push(elsewhere)
+        alone.push(frame)
+    np.testing.assert_array_equal(first.light(0).panorama, alone.light(0).panorama)
+
+
+def test_warming_up_runs_every_graph_and_leaves_nothing_behind(graphs):
+    warm_up(graphs)
+    fresh, warm = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(2))
+    for session in (fresh, warm):
+        session.track(PROBE)
+        session.push(FRAMES[0])
+    np.testing.assert_array_equal(fresh.light(0).panorama, warm.light(0).panorama)
+
+
+def test_a_late_probe_gets_light_from_the_keyframes(tiny_video):
+    session = Session(_options(tiny_video, "video"))
+    for frame in FRAMES:
+        session.push(frame)
+    light = session.light_at(PROBE)
+    early = FrameMesh(FRAMES[0]).render_panorama(np.array(PROBE), height=HEIGHT).mask
+    late = FrameMesh(FRAMES[-1]).render_panorama(np.array(PROBE), height=HEIGHT).mask
+    assert (light.observed[early & ~late] > 0).all()
+
+
+def test_state_stays_in_the_same_buffers(graphs):
+    backend = NetworkBackend(graphs)
+    backend.start(GRID)
+    given, alphas, lobes = set(), [], []
+    for frame in [*FRAMES, *FRAMES]:
+        given.add(backend.volume_buffer().ctypes.data)
+        initial_volume(GRID, frame, out=backend.volume_buffer())
+        sglv = backend.update()
+        alphas.append(sglv.alpha.ctypes.data)
+        lobes.append(sglv.lobes.ctypes.data)
+    assert len(given) == 1
+    # two buffers that take turns: each frame reads one and writes the other
+    assert len(set(alphas)) == len(set(lobes)) == 2
+    assert alphas[::2] == [alphas[0]] * 4
+    assert alphas[1::2] == [alphas[1]] * 4
+
+
+def test_the_volume_before_is_kept_while_the_next_is_written(graphs):
+    backend = NetworkBackend(graphs)
+    backend.start(GRID)
+    initial_volume(GRID, FRAMES[0], out=backend.volume_buffer())
+    first = backend.update()
+    kept = first.alpha.copy()
+    initial_volume(GRID, FRAMES[1], out=backend.volume_buffer())
+    second = backend.update()
+    np.testing.assert_array_equal(first.alpha, kept)
+    assert (second.alpha != kept).any()
+
+
+def test_graphs_for_another_volume_are_refused(graphs):
+    other = VolumeGrid.from_frame(ROOM.frame(camera_at((0, 1.5, 0)), width=80, height=60), shape=(16, 16, 16))
+    with pytest.raises(ModelError, match=r"\(16, 15, 21\).*\(16, 16, 16\)"):
+        NetworkBackend(graphs).start(other)

@@ -1,0 +1,221 @@
+"""SGLV ray tracing: equations 1 and 2, conservation, equivariance, and the kernel against its readable twin."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.conventions import panorama_directions
+from roomlight.engine.sglv import Sglv, check_position, render_panorama, render_rays, render_rays_reference
+from roomlight.engine.volume import VolumeGrid
+from roomlight.errors import ProbeError
+from rooms import camera_at, turn_about_y
+
+SHAPE = (16, 15, 21)
+GRID = VolumeGrid(camera_at((0.4, 1.5, -0.3), 35, 10), 3.0, SHAPE)
+CENTRE = (0.4, 1.5, -0.3)
+
+
+def _random(seed, *, opacity=0.3, sparse=0.0, grid=GRID):
+    rng = np.random.default_rng(seed)
+    shape = grid.shape
+    alpha = (rng.random(shape) * opacity * (rng.random(shape) >= sparse)).astype(np.float32)
+    lobes = rng.random((*shape, 10)).astype(np.float32)
+    lobes[..., 3:6] *= 5
+    lobes[..., 6] *= 10
+    direction = rng.normal(size=(*shape, 3))
+    lobes[..., 7:] = direction / np.linalg.norm(direction, axis=-1, keepdims=True)
+    return Sglv(grid, alpha, lobes)
+
+
+def _constant(value=1.0, alpha=0.1, grid=GRID):
+    sglv = Sglv.empty(grid)
+    sglv.alpha[:] = alpha
+    sglv.lobes[..., :3] = value
+    return sglv
+
+
+def _directions(count=400, seed=1):
+    directions = np.random.default_rng(seed).normal(size=(count, 3))
+    directions[:6] = np.concatenate([np.eye(3), -np.eye(3)])
+    return (directions / np.linalg.norm(directions, axis=-1, keepdims=True)).astype(np.float32)
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    opacity=st.sampled_from([0.02, 0.3, 1.0]),
+    sparse=st.sampled_from([0.0, 0.95]),
+    position=st.tuples(*[st.floats(-6, 6)] * 3),
+    far=st.sampled_from(["boundary", "none"]),
+    samples=st.sampled_from([1, 17, 128]),
+    step_m=st.sampled_from([None, 0.1, 0.7]),
+)
+def test_the_kernel_is_its_readable_twin(seed, opacity, sparse, position, far, samples, step_m):
+    sglv = _random(seed, opacity=opacity, sparse=sparse)
+    how = {"samples": samples, "step_m": step_m, "far": far}
+    fast, left = render_rays(sglv, position, _directions(), **how)
+    slow, left_slow = render_rays_reference(sglv, position, _directions(), **how)
+    # The kernel is float32 and stops at 1e-3 of a ray: c up to 1, w up to 5 and the lobe's exponent, up to 10,
+    # share that residue (about 0.02). A sample within 1e-6 of the volume's end may count in one and not in the other,
+    # and a ray may graze an edge: such rays are few.
+    far_off = (abs(fast - slow) > 0.03 + 0.01 * abs(slow)).any(axis=-1) | (abs(left - left_slow) > 2e-3)
+    assert far_off.mean() <= 0.01
+    assert np.median(abs(fast - slow)) < 1e-4
+    assert np.isfinite(fast).all()
+
+
+def test_position_outside_sees_the_volume_from_there_and_nothing_past_it():
+    sglv = _constant(alpha=1.0)
+    outside = (40.0, 1.5, -0.3)
+    towards = np.array([[-1, 0, 0]], np.float32)
+    for render in (render_rays, render_rays_reference):
+        radiance, left = render(sglv, outside, np.concatenate([towards, -towards]))
+        assert radiance == pytest.approx(np.array([[1, 1, 1], [0, 0, 0.0]]))
+        assert left == pytest.approx([0, 1], abs=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [0.0, 0.01, 0.2, 0.9])
+def test_weights_and_what_is_left_of_a_ray_sum_to_one(alpha):
+    sglv = _constant(alpha=alpha)
+    radiance, left = render_rays(sglv, CENTRE, _directions(), far="none")
+    assert radiance == pytest.approx(np.repeat(1 - left[:, None], 3, axis=1), abs=1e-5)
+    closed, _ = render_rays(sglv, CENTRE, _directions(), far="boundary")
+    assert closed == pytest.approx(np.ones_like(closed), abs=1.1e-3)  # less the 1e-3 at which a ray stops
+
+
+def test_transmittance_is_the_product_over_the_samples():
+    sglv = _constant(alpha=0.2)
+    along_z = GRID.volume_to_world[:3, 2:3].T.astype(np.float32)
+    _, left = render_rays(sglv, CENTRE, along_z, far="none")
+    samples = np.ceil(GRID.upper_m[2] / GRID.edge_m - 0.5)
+    assert left[0] == pytest.approx(0.8**samples, rel=1e-4)
+
+
+def test_an_empty_volume_gives_no_light():
+    radiance, left = render_panorama(Sglv.empty(GRID), CENTRE, height=16)
+    assert radiance.shape == (16, 32, 3)
+    assert (radiance == 0).all()
+    assert (left == 1).all()
+
+
+def test_an_opaque_shell_hides_what_is_behind_it():
+    inner, outer = Sglv.empty(GRID), Sglv.empty(GRID)
+    for sglv, last in ((inner, 0.0), (outer, 9.0)):
+        sglv.alpha[:] = 1
+        sglv.alpha[4:-4, 4:-4, 4:-4] = 0
+        sglv.lobes[..., :3] = 0.5
+        sglv.lobes[:2, :, :, :3] = last
+    radiance, left = render_panorama(inner, tuple(_centre_of(GRID)), height=24)
+    # Trilinear shells of alpha 1 let no ray by: the ramp across one voxel is met by two samples at least
+    assert radiance == pytest.approx(np.full_like(radiance, 0.5), abs=0.01)
+    assert left.max() < 1e-3
+    assert render_panorama(outer, tuple(_centre_of(GRID)), height=24)[0] == pytest.approx(radiance, abs=0.02)
+
+
+def _centre_of(grid):
+    return grid.volume_to_world[:3, :3] @ ((grid.lower_m + grid.upper_m) / 2) + grid.volume_to_world[:3, 3]
+
+
+@pytest.mark.parametrize("bandwidth", [0.0, 1.5, 30.0])
+def test_one_voxel_shines_as_the_lobe_equation_says(bandwidth):
+    sglv = Sglv.empty(GRID)
+    at = (3, 6, 9)
+    sglv.alpha[at] = 1
+    axis = np.array([0.48, 0.6, 0.64])
+    sglv.lobes[at] = [0.1, 0.2, 0.3, 4.0, 5.0, 6.0, bandwidth, *axis]
+    centre = GRID.volume_to_world[:3, :3] @ GRID.centres_m()[at] + GRID.volume_to_world[:3, 3]
+    directions = _directions(50)
+    for ray in directions:
+        # a step of one half puts a single sample onto the voxel's centre; the next is outside its reach
+        origin = centre - 0.5 * ray
+        radiance, _ = render_rays(sglv, tuple(origin), ray[None], samples=1, step_m=1.0, far="none")
+        cosine = (GRID.world_to_volume[:3, :3] @ ray) @ axis
+        expected = [0.1, 0.2, 0.3] + np.array([4.0, 5.0, 6.0]) * np.exp(bandwidth * (cosine - 1))
+        if GRID.contains(tuple(origin)):
+            # float32 puts the sample within 1e-6 voxels x 30 of the centre
+            assert radiance[0] == pytest.approx(expected, rel=2e-3)
+
+
+def test_parameters_are_accumulated_before_the_lobe_is_taken():
+    """Equation 1 sums s and lambda, equation 2 is applied once: not a sum of lobes."""
+    sglv = _constant(value=0.0, alpha=0.5)
+    sglv.lobes[..., 3:6] = 2.0
+    sglv.lobes[..., 6] = 3.0
+    sglv.lobes[..., 7:] = [0, 0, 1]
+    ray = (GRID.volume_to_world[:3, :3] @ [0, 0, 1]).astype(np.float32)[None]
+    radiance, left = render_rays(sglv, CENTRE, ray, samples=2, far="none")
+    kept = 0.75  # 0.5 + 0.25
+    assert left[0] == pytest.approx(0.25)
+    assert radiance[0] == pytest.approx([2 * kept * np.exp(3 * kept * (kept - 1))] * 3, rel=1e-5)
+
+
+@given(st.floats(0, 20), st.integers(0, 1000))
+@settings(max_examples=10, deadline=None)
+def test_light_is_linear_in_colour_and_weight(factor, seed):
+    sglv = _random(seed)
+    lobes = sglv.lobes.copy()
+    lobes[..., :6] *= np.float32(factor)
+    dimmed = dataclasses.replace(sglv, lobes=lobes)
+    before, after = (render_rays(one, CENTRE, _directions(100))[0] for one in (sglv, dimmed))
+    assert after == pytest.approx(factor * before, rel=1e-3, abs=1e-5)
+
+
+def test_turning_the_volume_by_90_degrees_turns_the_panorama():
+    """On a volume that is cubic in x and z, arrays turned about y are the light turned about y."""
+    pose = np.eye(4)
+    cube = _CubicGrid(pose, 2.0, (12, 10, 12))
+    sglv = _random(3, grid=cube, opacity=0.4)
+    # +90 degrees about y: x' = z, z' = -x, hence array[z', x'] = array[z = x', x = -z']
+    alpha = np.ascontiguousarray(sglv.alpha.transpose(2, 1, 0)[::-1])
+    lobes = np.ascontiguousarray(sglv.lobes.transpose(2, 1, 0, 3)[::-1])
+    lobes[..., 7:] = lobes[..., 7:] @ turn_about_y(np.pi / 2).T.astype(np.float32)
+    turned = Sglv(cube, alpha, lobes)
+    position = np.array([0.2, 0.1, -0.3])
+    directions = _directions(300)
+    rotation = turn_about_y(np.pi / 2)
+    before, left = render_rays(sglv, tuple(position), directions)
+    after, left_after = render_rays(turned, tuple(rotation @ position), (directions @ rotation.T).astype(np.float32))
+    difference = abs(before - after).max(axis=1)
+    assert np.quantile(difference, 0.99) < 1e-2  # a last sample may fall on either side of the wall
+    assert np.median(abs(left - left_after)) < 1e-5
+
+
+class _CubicGrid(VolumeGrid):
+    @property
+    def lower_m(self):
+        return np.array([-1.0, -0.8, -1.0])
+
+    @property
+    def upper_m(self):
+        return np.array([1.0, 0.8, 1.0])
+
+
+def test_turning_camera_and_world_together_turns_the_panorama():
+    """The volume stands in the first camera: a camera turned by a quarter shifts the panorama by a quarter."""
+    quarter = np.eye(4)
+    quarter[:3, :3] = turn_about_y(np.pi / 2)
+    sglv = _random(4)
+    turned = dataclasses.replace(sglv, grid=VolumeGrid(quarter @ GRID.volume_to_world, 3.0, SHAPE))
+    before, _ = render_panorama(sglv, CENTRE, height=24)
+    after, _ = render_panorama(turned, tuple((quarter @ [*CENTRE, 1])[:3].tolist()), height=24)
+    # +90 degrees about y take +Z to +X: u falls by a quarter, 12 of 48 columns
+    assert np.quantile(abs(np.roll(before, -12, axis=1) - after), 0.99) < 1e-2
+
+
+def test_a_panorama_is_its_rays():
+    sglv = _random(5)
+    panorama, left = render_panorama(sglv, CENTRE, height=18)
+    rays, left_of_rays = render_rays(sglv, CENTRE, panorama_directions(18).reshape(-1, 3))
+    assert (panorama.reshape(-1, 3) == rays).all()
+    assert (left.reshape(-1) == left_of_rays).all()
+
+
+@pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, -1001.0), (1e300, 0.0, 0.0)])
+def test_a_position_that_is_none_is_refused(position):
+    with pytest.raises(ProbeError, match="three finite numbers"):
+        check_position(position)
+    with pytest.raises(ProbeError):
+        render_panorama(Sglv.empty(GRID), position, height=16)

@@ -1,0 +1,85 @@
+"""The trained weights that come with the package: whole, small, documented, and better than no network at a sphere."""
+
+import json
+
+import numpy as np
+import pytest
+
+from roomlight.captures import open_capture
+from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.metrics import log_l2
+from roomlight.sample import sample_capture
+from roomlight.spheres import SphereRenderer, view_toward
+
+FOLDER = SHIPPED / "single"
+
+
+def test_they_are_under_20_mb_and_their_card_says_where_they_come_from():
+    assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 20e6
+    described = json.loads((FOLDER / "model.json").read_text())
+    stages, most, card = [], 0, described["card"]
+    while card:
+        assert card["steps"] > 0
+        assert card["hours"] > 0
+        assert card["sequences"] > 200
+        stages.append(card["stage"])
+        most = max(most, card["sequences"])
+        card = card.get("before")
+    assert most > 2500
+    assert stages[:4] == ["single-joint", "single-joint", "single-blend", "single-sglv"]
+    assert stages[-1] == "single-sglv"  # the first of them begins with fresh weights
+    card = described["card"]
+    assert sum(share["sequences"] for share in card["data"]) == card["sequences"]
+    assert all(isinstance(share["seed"], int) for share in card["data"])
+    assert card["scores"]["log_l2_blended"] < card["scores"]["log_l2_warp"] < card["scores"]["log_l2_mean_colour"]
+    assert card["date"] <= described["date"][:10]
+
+
+def scored(frames, probes):
+    """(log-L2, squared error of a glossy sphere) after these frames of the sample room, a room never trained on."""
+    found = {}
+    for model in ("single", "classical"):
+        session = Session(SessionOptions(model=model, provider="cpu"))
+        handles = [session.track(probe.position) for probe in probes]
+        for frame in frames:
+            session.push(frame)
+        errors = []
+        for handle, probe in zip(handles, probes, strict=True):
+            light, truth = session.light(handle).panorama, probe.panorama()
+            spheres = SphereRenderer(view_toward(frames[0].camera_to_world, probe.position))
+            drawn = [np.minimum(spheres.pixels(panorama, "glossy"), 1) for panorama in (light, truth)]
+            errors.append((log_l2(light, truth), float(np.square(drawn[0] - drawn[1]).mean())))
+        found[model] = np.mean(errors, axis=0)
+    return found
+
+
+@pytest.fixture(scope="module")
+def scores():
+    """After the first frame."""
+    capture = open_capture(sample_capture())
+    return scored([next(iter(capture))], capture.probes)
+
+
+def test_a_walk_makes_no_worse_what_they_saw_first():
+    """Every tenth frame of the sample's walk, which ends at another wall: seen alone, each would forget the others."""
+    capture = open_capture(sample_capture())
+    after = scored(list(capture)[::10], capture.probes)
+    assert after["single"][1] < 0.6 * after["classical"][1]
+    assert after["single"][0] < 1.8 * after["classical"][0]
+
+
+def test_a_ball_is_lit_better_than_by_the_classical_model(scores):
+    assert scores["single"][1] < 0.6 * scores["classical"][1]
+
+
+def test_panoramas_are_not_far_from_the_classical_models(scores):
+    """Over many rooms they are nearer to the truth. Here, where small spots light the ceiling, wide glows stand in for
+    them: right for objects, wrong in most pixels."""
+    assert scores["single"][0] < 1.8 * scores["classical"][0]
+
+
+def test_they_are_taken_without_being_told():
+    chosen = choose_graphs(SessionOptions(provider="cpu"))
+    assert chosen is not None
+    assert (chosen.path, chosen.form) == (FOLDER, "single")

@@ -1,0 +1,243 @@
+"""Volume initialisation: the paper's numbers at known places, and the kernel against its readable twin."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.camera import rigid_inverse
+from roomlight.engine.volume import (
+    DEPTH_MAX_FLOOR_M,
+    VOLUME_SHAPE,
+    VolumeGrid,
+    initial_volume,
+    initial_volume_reference,
+)
+from roomlight.errors import FrameError
+from roomlight.frame import Frame
+from rooms import BoxRoom, camera_at, pinhole
+
+ROOM = BoxRoom()
+SMALL = (16, 15, 21)  # a quarter of the paper's shape
+
+
+def _plane_frame(depth_m=4.0, *, image=0.5, camera_to_world=None, width=160, height=120):
+    shape = (height, width)
+    pose = np.eye(4) if camera_to_world is None else camera_to_world
+    return Frame(
+        0,
+        np.full((*shape, 3), image, np.float32),
+        np.zeros(shape, bool),
+        np.full(shape, depth_m, np.float32),
+        pinhole(width, height),
+        pose,
+    )
+
+
+def _depths_and_offsets(grid, frame):
+    """z-depth of every voxel in the camera, and the surface's distance in front of it, in voxel sides."""
+    camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
+    points = grid.centres_m() @ camera_from_volume[:3, :3].T + camera_from_volume[:3, 3]
+    xy, depth = frame.intrinsics.project(points)
+    with np.errstate(invalid="ignore"):
+        seen = (depth > 0) & (xy > 0.001).all(-1) & (xy < [159.999, 119.999]).all(-1)
+        outside = (depth <= 0) | (xy < -0.001).any(-1) | (xy > [160.001, 120.001]).any(-1)
+    return seen, outside, (frame.depth_m[0, 0] - depth) / grid.edge_m
+
+
+def test_the_volume_is_the_papers_table():
+    grid = VolumeGrid.from_frame(_plane_frame(2.0))
+    assert grid.shape == VOLUME_SHAPE == (64, 60, 84)
+    assert grid.depth_max_m == 2.0
+    assert grid.lower_m == pytest.approx([-2.2, -1.6, -2.4])
+    assert grid.upper_m == pytest.approx([2.2, 1.6, 1.0])
+    assert grid.voxel_m == pytest.approx([grid.edge_m] * 3, rel=0.02)
+
+
+def test_centres_are_half_a_voxel_in_from_the_corners():
+    grid = VolumeGrid.from_frame(_plane_frame(2.0), shape=SMALL)
+    centres = grid.centres_m()
+    assert centres.shape == (*SMALL, 3)
+    assert centres[0, 0, 0] == pytest.approx(grid.lower_m + grid.voxel_m / 2)
+    assert centres[-1, -1, -1] == pytest.approx(grid.upper_m - grid.voxel_m / 2)
+
+
+def test_the_volume_stands_in_the_first_camera():
+    pose = camera_at((1.0, 1.5, -0.5), 70, 10)
+    grid = VolumeGrid.from_frame(_plane_frame(2.0, camera_to_world=pose))
+    assert grid.contains((1.0, 1.5, -0.5))
+    ahead = pose[:3, 3] - 2.3 * pose[:3, 2]
+    behind = pose[:3, 3] + 1.1 * pose[:3, 2]
+    assert grid.contains(tuple(ahead))  # to 1.2 D_max in front
+    assert not grid.contains(tuple(behind))  # to 0.5 D_max behind
+
+
+@pytest.mark.parametrize("depth_m", [0.02, 0.3, 0.49])
+def test_a_close_up_makes_no_volume_smaller_than_the_floor(depth_m):
+    grid = VolumeGrid.from_frame(_plane_frame(depth_m))
+    assert grid.depth_max_m == DEPTH_MAX_FLOOR_M
+    assert grid.upper_m[0] - grid.lower_m[0] == pytest.approx(1.1)
+
+
+def test_one_stray_pixel_does_not_blow_the_volume_up():
+    frame = _plane_frame(2.0)
+    frame.depth_m[5, 5] = 900.0
+    assert VolumeGrid.from_frame(frame).depth_max_m == pytest.approx(2.0)
+
+
+def test_a_first_frame_without_depth_is_refused():
+    with pytest.raises(FrameError, match="frame 0: no pixel has a depth"):
+        VolumeGrid.from_frame(_plane_frame(0.0))
+
+
+def test_opacity_around_a_plane_is_the_papers_ramp():
+    frame = _plane_frame(4.0)
+    grid = VolumeGrid.from_frame(frame)
+    seen, outside, offset = _depths_and_offsets(grid, frame)
+    volume = initial_volume(grid, frame)
+    alpha = volume[3]
+    # 4(1 - offset) in front, 4(5 + offset) behind, clipped
+    expected = np.clip(np.where(offset > 0, 4 * (1 - offset), 4 * (5 + offset)), 0, 1)
+    # float32 coordinates of 1e-7 x 5 m over 0.1 m voxels, times the ramp's 4
+    np.testing.assert_allclose(alpha[seen], expected[seen], atol=1e-4)
+    assert (alpha[seen & (offset >= 1.001)] == 0).all()
+    assert (alpha[seen & (offset <= 0.749) & (offset >= -4.749)] == 1).all()
+    assert (alpha[seen & (offset <= -5.001)] == 0).all()
+    assert (volume[:, outside] == 0).all()
+
+
+@pytest.mark.parametrize(
+    ("offset", "alpha", "emptiness"),
+    [
+        (-1.0, 0, 0),
+        (-0.875, 0.5, 0),
+        (-0.75, 1, 0),
+        (-0.1, 1, 0),
+        (0.1, 1, 0),
+        (4.75, 1, 0),
+        (4.875, 0.5, 0),
+        (5.0, 0, 0),
+        (-2.99, 0, 0),
+        (-3.01, 0, -1),
+        (-8.0, 0, -1),
+    ],
+)
+def test_values_at_known_distances_behind_a_plane(offset, alpha, emptiness):
+    """`offset`: how many voxel sides the voxel lies behind the surface; the plane is moved to make it so."""
+    grid = VolumeGrid(np.eye(4), 4.0)
+    k = 12
+    centre_depth = -grid.centres_m()[k, 30, 42, 2]
+    frame = _plane_frame(centre_depth - offset * grid.edge_m)
+    for volume in (initial_volume(grid, frame), initial_volume_reference(grid, frame)):
+        assert volume[3, k, 30, 42] == pytest.approx(alpha, abs=1e-3)  # a ramp of 4 a voxel on float32 depth
+        assert volume[4, k, 30, 42] == emptiness
+        assert volume[:3, k, 30, 42] == pytest.approx(0.5 * np.array([alpha] * 3), abs=1e-3)
+
+
+def test_colour_is_opacity_times_the_image_and_emptiness_is_three_voxels_in_front():
+    frame = ROOM.frame(camera_at((0, 1.5, 0), 30))
+    grid = VolumeGrid.from_frame(frame)
+    volume = initial_volume(grid, frame)
+    bright = dataclasses.replace(frame, image=3 * frame.image)
+    np.testing.assert_allclose(initial_volume(grid, bright)[:3], 3 * volume[:3], rtol=1e-5)
+    assert (volume[3:] == initial_volume(grid, bright)[3:]).all()
+    assert set(np.unique(volume[4])) == {-1.0, 0.0}
+    assert not ((volume[4] < 0) & (volume[3] > 0)).any()
+    flat = _plane_frame(3.0)
+    seen, _, offset = _depths_and_offsets(VolumeGrid.from_frame(flat), flat)
+    emptiness = initial_volume(VolumeGrid.from_frame(flat), flat)[4]
+    assert (emptiness[seen & (offset > 3.001)] == -1).all()
+    assert (emptiness[offset < 2.999] == 0).all()
+
+
+def _random_frame(seed, *, depth_size, unknown, pose, image_size=(48, 36)):
+    rng = np.random.default_rng(seed)
+    width, height = image_size
+    depth = rng.uniform(0.5, 5.0, depth_size[::-1]).astype(np.float32)
+    depth[rng.random(depth.shape) < unknown] = 0
+    image = rng.uniform(0, 4, (height, width, 3)).astype(np.float32)
+    return Frame(1, image, image[..., 0] > 3, depth, pinhole(width, height), pose)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    seed=st.integers(0, 2**31),
+    depth_size=st.sampled_from([(48, 36), (32, 24), (16, 12), (96, 72)]),
+    unknown=st.sampled_from([0.0, 0.2, 0.9]),
+    yaw=st.floats(-180, 180),
+    pitch=st.floats(-80, 80),
+    shift=st.tuples(*[st.floats(-4, 4)] * 3),
+    far_unknown=st.booleans(),
+)
+def test_the_kernel_is_its_readable_twin(seed, depth_size, unknown, yaw, pitch, shift, far_unknown):
+    first = camera_at((0.3, 1.5, 0.2), 25, -8)
+    grid = VolumeGrid(first, 4.0, SMALL)
+    moved = camera_at(np.array((0.3, 1.5, 0.2)) + shift, yaw, pitch)
+    frame = _random_frame(seed, depth_size=depth_size, unknown=unknown, pose=moved)
+    fast = initial_volume(grid, frame, far_unknown=far_unknown)
+    slow = initial_volume_reference(grid, frame, far_unknown=far_unknown)
+    # The kernel is float32 (1e-6 of 5 m: 1e-5 voxels, amplified by the ramp and by noise as depth, 5 m from one
+    # pixel to the next). A voxel within that of a threshold (frustum, unknown, e) may fall on its other side.
+    apart = (abs(fast - slow) > 2e-2).any(axis=0)
+    assert apart.mean() < 2e-3
+    assert np.median(abs(fast - slow)[:, ~apart]) < 1e-4
+    assert np.isfinite(fast).all()
+
+
+def test_the_kernel_is_its_twin_tightly_on_a_smooth_room():
+    grid = VolumeGrid.from_frame(ROOM.frame(camera_at((0, 1.5, 0), 0)))
+    frame = ROOM.frame(camera_at((0.5, 1.2, 0.3), 40, 5), depth_size=(64, 48))
+    difference = abs(initial_volume(grid, frame) - initial_volume_reference(grid, frame))
+    assert np.quantile(difference.max(axis=0), 0.9999) < 1e-3  # the rest: voxels on the very edge of a threshold
+
+
+def test_unknown_pixels_stand_at_the_far_boundary_and_claim_no_emptiness():
+    frame = _plane_frame(4.0)
+    grid = VolumeGrid.from_frame(frame)
+    frame.depth_m[:] = 0
+    volume = initial_volume(grid, frame)
+    assert (volume[4] == 0).all()
+    opaque = np.argwhere(volume[3] > 0.5)
+    assert len(opaque)
+    shape = np.array(grid.shape)
+    # a shell about one voxel inside the walls the rays leave through, five voxels of ramp along z behind it:
+    # none of it may be deep inside, and the front wall's first layer must be covered
+    rim = np.minimum(opaque, shape - 1 - opaque).min(axis=1)
+    assert rim.max() <= 4
+    assert volume[3, 0, 20:40, 30:54].min() == 1
+    assert (initial_volume(grid, frame, far_unknown=False) == 0).all()
+
+
+def test_half_known_corners_decide_by_weight_and_keep_the_known_depth():
+    frame = _plane_frame(3.0)
+    frame.depth_m[:, ::4] = 0  # a lost column: every voxel between has at least one known neighbour
+    grid = VolumeGrid(np.eye(4), 4.0)
+    whole = initial_volume(grid, _plane_frame(3.0))
+    holed = initial_volume(grid, frame, far_unknown=False)
+    known = holed[3] > 0
+    np.testing.assert_allclose(holed[:, known], whole[:, known], atol=1e-3)
+    assert known.sum() > 0.5 * (whole[3] > 0).sum()
+
+
+def test_the_buffer_given_is_the_one_written():
+    frame = _plane_frame(2.0)
+    grid = VolumeGrid.from_frame(frame, shape=SMALL)
+    buffer = np.full((5, *SMALL), 7, np.float32)
+    assert initial_volume(grid, frame, out=buffer) is buffer
+    assert (buffer == initial_volume(grid, frame)).all()
+
+
+def test_turning_the_world_changes_nothing_in_the_volume():
+    first, second = camera_at((0.2, 1.4, 0.1), 10), camera_at((0.5, 1.5, 0.0), 30)
+    turn = camera_at((3.0, -1.0, 2.0), 77)
+    volumes = []
+    for world in (np.eye(4), turn):
+        grid = VolumeGrid.from_frame(_moved(ROOM.frame(first), world))
+        volumes.append(initial_volume(grid, _moved(ROOM.frame(second), world)))
+    assert np.quantile(abs(volumes[0] - volumes[1]).max(axis=0), 0.9999) < 1e-3  # rounding at thresholds
+
+
+def _moved(frame, world):
+    return dataclasses.replace(frame, camera_to_world=world @ frame.camera_to_world)

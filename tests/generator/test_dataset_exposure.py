@@ -1,0 +1,134 @@
+"""What the phone's meter and white balance decide."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from analytic_room import smooth_noise
+
+from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
+from roomlight_generator.sequences.exposure import (
+    MAX_MULTIPLIER,
+    Exposure,
+    Habits,
+    expose,
+    meter,
+    settle,
+    white_balance,
+)
+
+PLAIN = replace(
+    Habits.draw(np.random.default_rng(0)),
+    bias=0.0,
+    highlights=0.5,
+    settle_s=0.6,
+    locked=False,
+    first_error=0.0,
+    max_multiplier=900.0,
+    balance=0.75,
+)
+
+
+def grey(value: float, shape=(30, 40)) -> np.ndarray:
+    return np.full((*shape, 3), value, np.float32)
+
+
+def test_a_grey_wall_comes_out_middle_grey():
+    for radiance in (0.003, 0.1, 2.0):
+        assert 2 ** meter(grey(radiance), PLAIN) * radiance == pytest.approx(0.18, rel=0.02)
+
+
+def test_twice_the_light_is_one_stop_less():
+    frame = smooth_noise(np.random.default_rng(1), 30, 40) * 0.2 + 0.01
+    assert meter(frame, PLAIN) - meter(2 * frame, PLAIN) == pytest.approx(1.0, abs=0.01)
+
+
+def test_a_bright_window_pulls_the_exposure_down_but_still_clips():
+    frame = grey(0.05)
+    frame[:15, :10] = 20.0
+    ignoring, heeding = (meter(frame, replace(PLAIN, highlights=share)) for share in (0.0, 0.5))
+    assert heeding < ignoring - 1
+    assert 2**heeding * 20 > 1
+
+
+def test_the_middle_counts_most():
+    centre, corner = grey(0.1), grey(0.1)
+    centre[10:20, 15:25] = 0.4
+    corner[:10, :10] = 0.4
+    assert meter(centre, PLAIN) < meter(corner, PLAIN) - 0.1
+
+
+def test_a_phone_has_an_end():
+    assert 2 ** meter(grey(1e-6), PLAIN) == pytest.approx(900)
+    assert 2 ** meter(grey(0.0), PLAIN) == pytest.approx(900)
+
+
+def test_exposure_follows_slowly_and_without_overshoot():
+    wanted = np.r_[np.zeros(5), np.full(25, -3.0)]
+    stops = settle(wanted, PLAIN)
+    assert (stops[:5] == 0).all()
+    assert -2.0 < stops[5] < -0.5
+    assert (np.diff(stops) <= 0).all()
+    assert stops[-1] == pytest.approx(-3, abs=0.2)
+
+
+def test_small_changes_and_a_lock_leave_it_alone():
+    assert np.ptp(settle(np.linspace(0, 0.1, 31), PLAIN)) == 0
+    assert np.ptp(settle(np.linspace(0, 3, 31), replace(PLAIN, locked=True))) == 0
+
+
+@pytest.mark.parametrize("kelvin", [2700, 3500, 5000, 8000])
+def test_white_balance_goes_most_of_the_way_to_neutral(kelvin):
+    light = np.array(blackbody_rgb(kelvin))
+    seen = np.log(light[[0, 2]] / light[1])
+    shown = light * white_balance((grey(0.1) * light).astype(np.float32), PLAIN)
+    left = np.log(shown[[0, 2]] / shown[1])
+    assert np.linalg.norm(left) < 0.5 * np.linalg.norm(seen)
+    assert left @ seen >= 0
+    assert shown @ LUMINANCE == pytest.approx(1, abs=0.05)
+
+
+def test_a_green_wall_stays_green():
+    wall = np.array([0.2, 0.5, 0.2])
+    shown = wall * white_balance((grey(0.1) * wall).astype(np.float32), PLAIN)
+    assert shown[1] / shown[0] > 1.6
+    assert shown[1] / shown[2] > 1.6
+
+
+def test_black_frames_get_no_balance():
+    np.testing.assert_array_equal(white_balance(grey(0.0), PLAIN), 1)
+
+
+def sequence(seed: int) -> np.ndarray:
+    rng = np.random.default_rng([seed, 2])
+    frames = np.stack([smooth_noise(rng, 60, 80) for _ in range(8)]) * 0.1 + 0.003
+    frames[2:5, :20, :20] = 5.0
+    return frames * np.array([1.4, 1.0, 0.5], np.float32)
+
+
+def test_decisions_are_in_range_and_repeatable():
+    for seed in range(30):
+        frames = sequence(seed)
+        once, again = (expose(frames, np.random.default_rng(seed)) for _ in range(2))
+        np.testing.assert_array_equal(once.multiplier, again.multiplier)
+        np.testing.assert_array_equal(once.gains, again.gains)
+        assert once.multiplier.shape == (8,)
+        assert (once.multiplier > 0).all()
+        assert once.multiplier.max() < MAX_MULTIPLIER[1] * 1.5
+        assert ((once.gains > 0.3) & (once.gains < 3)).all()
+        assert once.relative[0] == 1
+
+
+def test_some_phones_lock_their_exposure_and_some_do_not():
+    spans = [np.ptp(np.log2(expose(sequence(1), np.random.default_rng(seed)).multiplier)) for seed in range(60)]
+    assert 0.1 < np.mean(np.array(spans) == 0) < 0.5
+
+
+def test_panoramas_are_in_the_first_frames_units():
+    made = Exposure(multiplier=np.array([3.0, 6.0]), gains=np.array([1.2, 1.0, 0.5]))
+    radiance = np.random.default_rng(2).random((4, 8, 3)).astype(np.float32)
+    panorama = made.panorama(radiance)
+    assert panorama.dtype == np.float32
+    np.testing.assert_allclose(panorama, radiance * [3.6, 3.0, 1.5], rtol=1e-6)
+    # what the second frame shows, brought back by its relative exposure, is the panorama's value
+    np.testing.assert_allclose(radiance * made.gains * made.multiplier[1] / made.relative[1], panorama, rtol=1e-6)

@@ -1,0 +1,68 @@
+"""The committed sequences: whole, readable by everything that reads datasets, and plausible as light."""
+
+import shutil
+
+import numpy as np
+import pytest
+
+from fixture_rooms import FOLDER, FRAMES, ROOMS
+from roomlight.captures import open_capture
+from roomlight.conventions import srgb8_to_linear
+from roomlight.dataset.arkit_depth import arkit_like
+from roomlight.dataset.extract import extract
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.verify import verify
+from roomlight_generator.rooms.colour import LUMINANCE
+from roomlight_generator.stats import collect
+
+
+@pytest.fixture(scope="module", params=list(ROOMS))
+def dataset(request):
+    return Dataset(FOLDER, request.param)
+
+
+def test_the_fixture_is_whole(tmp_path):
+    copy = shutil.copytree(FOLDER, tmp_path / "rooms")
+    report = verify(copy)
+    assert report.whole == sum(ROOMS.values())
+    assert not report.damaged
+
+
+def test_each_sequence_holds_what_the_format_promises(dataset):
+    assert len(dataset) == ROOMS["train" if dataset.names[0].startswith("train") else "test"]
+    for recording in dataset:
+        assert recording.colour.shape == (FRAMES, 240, 320, 3)
+        assert recording.depth_mm.shape == recording.surface.shape == (FRAMES, 240, 320)
+        assert recording.probe_panoramas.shape == (3, 120, 240, 3)
+        assert (recording.depth_mm > 0).mean() > 0.9
+
+
+def test_frames_and_panoramas_are_in_the_same_units(dataset):
+    """The first frame's middle brightness lies within the range of what the probes near it see."""
+    for recording in dataset:
+        seen = np.median(srgb8_to_linear(recording.colour[0]) @ LUMINANCE)
+        around = recording.probe_panoramas @ LUMINANCE
+        assert np.percentile(around, 2) < seen < np.percentile(around, 99.9)
+        assert around.max() > 1  # something in the room is brighter than white
+
+
+def test_a_phone_measures_nearly_the_exact_depth(dataset):
+    for recording in dataset:
+        depth_mm, confidence = arkit_like(
+            recording.depth_mm, recording.surface, recording.colour, np.random.default_rng(1)
+        )
+        assert depth_mm.shape == confidence.shape == (FRAMES, 192, 256)
+        near = np.median(depth_mm[depth_mm > 0]) / np.median(recording.depth_mm[recording.depth_mm > 0])
+        assert 0.85 < near < 1.15
+
+
+def test_its_sequences_are_captures(dataset, tmp_path):
+    extract(dataset, dataset.names[0], tmp_path / "capture")
+    capture = open_capture(tmp_path / "capture")
+    assert capture.frame_count == FRAMES
+    assert len(capture.probes) == 3
+
+
+def test_its_statistics_count_rooms():
+    found = collect(Dataset(FOLDER))
+    assert found.sequences == found.rooms == sum(ROOMS.values())

@@ -1,0 +1,230 @@
+"""Splits that share nothing, choices, and where the library is looked for."""
+
+import zipfile
+from collections import Counter
+
+import numpy as np
+import pytest
+from furniture_files import MTL, box_obj, entry, png, simple_library, write_library
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight.errors import FurnitureError
+from roomlight_generator.rooms.furniture import Catalogue, build_cache, load_catalogue
+from roomlight_generator.rooms.furniture.catalogue import cache_folder, installed_libraries, library_files
+from roomlight_generator.rooms.furniture.splits import assign_splits
+from roomlight_generator.rooms.furniture_model import FurnitureModel
+from roomlight_generator.rooms.shapes import box
+
+
+@pytest.fixture(autouse=True)
+def home(tmp_path, monkeypatch):
+    """No user's files: an empty cache folder, nothing installed."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    monkeypatch.delenv("ROOMLIGHT_FURNITURE", raising=False)
+    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED", tmp_path / "nowhere")
+    return tmp_path
+
+
+def refuse(text):
+    raise AssertionError(text)
+
+
+def made(identity, role="sofa", split="train", width=1.0):
+    return FurnitureModel(identity, identity, role, split, width, 1.0, 1.0, load=lambda: box(1, 1, 1))
+
+
+@given(
+    counts=st.lists(st.integers(1, 30), min_size=1, max_size=6),
+    links=st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), max_size=12),
+)
+@settings(max_examples=60, deadline=None)
+def test_splits_share_nothing_and_serve_every_role(counts, links):
+    roles = {f"{role}-{k}": f"r{role}" for role, count in enumerate(counts) for k in range(count)}
+    names = sorted(roles)
+    shared: dict[str, list[str]] = {name: [f"own {name}"] for name in names}
+    for number, (one, two) in enumerate(links):
+        for place in (one, two):
+            shared[names[place % len(names)]].append(f"link {number}")
+    splits = assign_splits(roles, shared)
+    assert splits == assign_splits(dict(reversed(roles.items())), shared)
+    by_split = {
+        split: {digest for name in names if splits[name] == split for digest in shared[name]}
+        for split in ("train", "test")
+    }
+    assert not by_split["train"] & by_split["test"]
+    total = Counter(roles.values())
+    reserved = Counter(roles[name] for name in names if splits[name] == "test")
+    for role, count in total.items():
+        assert reserved[role] < count
+        if not links:
+            assert reserved[role] == (max(1, round(count / 5)) if count >= 3 else 0)
+
+
+def test_a_role_of_three_has_one_reserved_though_others_are_tied_together():
+    roles = {f"s{k}": "sofa" for k in range(3)} | {f"c{k}": "chair" for k in range(3)}
+    splits = assign_splits(roles, {"s0": ["x"], "c0": ["x"], "s1": ["y"], "c1": ["y"]})
+    assert splits["s0"] == splits["c0"]
+    for role in ("s", "c"):
+        assert Counter(splits[f"{role}{k}"] for k in range(3))["test"] == 1
+
+
+def test_the_split_of_most_models_survives_new_ones():
+    roles = {f"m{k}": "sofa" for k in range(40)}
+    before = assign_splits(roles, {})
+    after = assign_splits(roles | {"new": "chair", "newer": "chair"}, {})
+    assert all(before[name] == after[name] for name in roles)
+
+
+def test_choices_keep_to_role_split_size_and_what_fits():
+    rng = np.random.default_rng(1)
+    library = (made("a"), made("b", width=3.0), made("c", split="test"), made("d", role="bed"))
+    catalogue = Catalogue(library)
+    assert {catalogue.choose("sofa", "train", rng).id for _ in range(50)} == {"a", "b"}
+    assert {catalogue.choose("sofa", "train", rng, max_width_m=2.0).id for _ in range(9)} == {"a"}
+    assert {catalogue.choose("sofa", "train", rng, fits=lambda m: m.width_m > 2).id for _ in range(9)} == {"b"}
+    assert catalogue.choose("sofa", "test", rng).id == "c"
+    assert catalogue.choose("sofa", "train", rng, fits=lambda _: False) is None
+    assert catalogue.choose("oven", "train", rng) is None
+    assert [model.id for model in catalogue.models("sofa", "train")] == ["a", "b"]
+
+
+def test_procedural_models_fill_gaps_and_are_mixed_in():
+    rng = np.random.default_rng(2)
+    catalogue = Catalogue((made("a"),)).joined([made("p"), made("q", role="oven")])
+    drawn = Counter(catalogue.choose("sofa", "train", rng).id for _ in range(600))
+    assert 70 < drawn["p"] < 180  # a fifth of 600, within six standard deviations
+    assert catalogue.choose("oven", "train", rng).id == "q"
+    assert catalogue.choose("sofa", "train", rng, fits=lambda model: model.id == "p").id == "p"
+    assert {catalogue.choose("sofa", "train", rng, procedural=0.0).id for _ in range(30)} == {"a"}
+
+
+def test_whatever_fits_the_same_random_numbers_are_drawn():
+    states = []
+    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue().joined([made("p")])):
+        rng = np.random.default_rng(3)
+        catalogue.choose("sofa", "train", rng)
+        states.append(rng.random())
+    assert len(set(states)) == 1
+
+
+def test_a_library_a_folder_and_a_cache_give_the_same_catalogue(tmp_path):
+    folder = tmp_path / "libraries"
+    folder.mkdir()
+    path = simple_library(folder / "one.sh3f", tuple("abcdef"))
+    out = tmp_path / "out.rlf"
+    done: list[tuple[int, int]] = []
+    build_cache([path], out, warn=refuse, progress=lambda k, n: done.append((k, n)))
+    assert done == [(k, 6) for k in range(1, 7)]
+    catalogues = [load_catalogue(where, warn=refuse) for where in (path, folder, out)]
+    for catalogue in catalogues:
+        found = {(model.id, model.split, model.width_m, model.top_m) for model in catalogue.library}
+        assert found == {(model.id, model.split, model.width_m, model.top_m) for model in catalogues[0].library}
+        assert {model.role for model in catalogue.library} == {"chair"}
+        assert catalogue.attributions == ["Chair: Ann Onymous, CC-BY 3.0"]
+        assert catalogue.surfaces("wall", "train") == []
+    assert len(list(cache_folder().iterdir())) == 1
+    assert sum(model.split == "test" for model in catalogues[0].library) == 1
+
+
+def test_models_of_one_shape_are_in_one_split(tmp_path):
+    catalogue = "".join(entry(k + 1, f"m{k}") for k in range(12))
+    files = {f"m{k}/m{k}.obj": box_obj(high=(1, 1, 1 + k // 2)) for k in range(12)}
+    path = write_library(tmp_path / "a.sh3f", catalogue, {**files, **{f"m{k}/m.mtl": MTL for k in range(12)}})
+    splits = {model.id: model.split for model in load_catalogue(path, warn=refuse).library}
+    assert all(splits[f"m{k}"] == splits[f"m{k + 1}"] for k in range(0, 12, 2))
+    assert Counter(splits.values())["test"] == 2
+
+
+def test_a_broken_model_is_left_out_with_a_warning(tmp_path):
+    path = write_library(
+        tmp_path / "a.sh3f",
+        entry(1, "good") + entry(2, "bad") + entry(3, "good"),
+        {"good/good.obj": box_obj(), "good/m.mtl": MTL, "bad/bad.obj": "f 1 2 3\n"},
+    )
+    warnings: list[str] = []
+    catalogue = load_catalogue(path, warn=warnings.append)
+    assert [model.id for model in catalogue.library] == ["good"]
+    assert len(warnings) == 2
+    assert any("bad.obj" in text and "'bad' is left out" in text for text in warnings)
+    assert any("'good' was in another library already" in text for text in warnings)
+
+
+def test_a_damaged_cache_is_made_anew(tmp_path):
+    path = simple_library(tmp_path / "a.sh3f")
+    load_catalogue(path, warn=refuse)
+    (cache,) = cache_folder().iterdir()
+    cache.write_bytes(cache.read_bytes()[:-5])
+    warnings: list[str] = []
+    assert len(load_catalogue(path, warn=warnings.append).library) == 3
+    assert len(warnings) == 1
+    assert "cut short" in warnings[0]
+    load_catalogue(path, warn=refuse)
+
+
+def test_a_texture_found_twice_is_stored_once(tmp_path):
+    catalogue = "id#1=oak\nname#1=Oak\ncategory#1=Floor\nimage#1=/t.png\nwidth#1=40\nheight#1=30\n"
+    for name in ("a.sh3t", "b.jar"):
+        with zipfile.ZipFile(tmp_path / name, "w") as out:
+            out.writestr("PluginTexturesCatalog.properties", catalogue)
+            out.writestr("t.png", png(np.full((8, 8, 3), 100, np.uint8)))
+    (texture,) = load_catalogue(tmp_path, warn=refuse).surfaces("floor", "train")
+    assert texture.size_m == (0.4, 0.3)
+
+
+def test_a_changed_library_is_read_anew(tmp_path):
+    path = simple_library(tmp_path / "a.sh3f")
+    load_catalogue(path, warn=refuse)
+    simple_library(path, ("a", "b", "c", "d"))
+    assert len(load_catalogue(path, warn=refuse).library) == 4
+
+
+def test_an_unwritable_cache_folder_is_got_round(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("x")
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    warnings: list[str] = []
+    assert len(load_catalogue(simple_library(tmp_path / "a.sh3f"), warn=warnings.append).library) == 3
+    assert "cannot be written" in warnings[0]
+    assert str(tmp_path / "tmp") in warnings[0]
+
+
+def test_without_any_library_one_is_told_what_to_do():
+    warnings: list[str] = []
+    catalogue = load_catalogue(warn=warnings.append)
+    assert catalogue.library == ()
+    assert len(warnings) == 1
+    assert "apt install sweethome3d-furniture" in warnings[0]
+    assert "procedural" in warnings[0]
+
+
+def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch):
+    installed = tmp_path / "installed"
+    (installed / "furniture").mkdir(parents=True)
+    simple_library(installed / "furniture" / "a.sh3f", ("a", "b"))
+    assert [path.name for path in installed_libraries(installed)] == ["a.sh3f"]
+    (installed / "sweethome3d.jar").touch()
+    assert [path.name for path in installed_libraries(installed)] == ["a.sh3f", "sweethome3d.jar"]
+    (installed / "sweethome3d.jar").unlink()
+    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED", installed)
+    assert len(load_catalogue(warn=refuse).library) == 2
+    monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(simple_library(tmp_path / "mine.sh3f", ("x", "y", "z"))))
+    assert len(load_catalogue(warn=refuse).library) == 3
+
+
+def test_what_was_named_must_be_usable(tmp_path):
+    with pytest.raises(FurnitureError, match="no such file or folder"):
+        load_catalogue(tmp_path / "gone", warn=refuse)
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(FurnitureError, match="no furniture library in it"):
+        library_files(tmp_path / "empty")
+    (tmp_path / "text.sh3f").write_text("hello")
+    with pytest.raises(FurnitureError, match="not a zip file"):
+        load_catalogue(tmp_path / "text.sh3f", warn=refuse)
+    bare = write_library(tmp_path / "bare.sh3f", None, {"x": "y"})
+    with pytest.raises(FurnitureError, match="holds neither furniture"):
+        load_catalogue(bare, warn=refuse)
+    cars = simple_library(tmp_path / "cars.sh3f", name="Car", category="Vehicles", tags="Car")
+    with pytest.raises(FurnitureError, match="no furniture and no textures in"):
+        load_catalogue(cars, warn=refuse)

@@ -1,0 +1,147 @@
+"""The planner's boxes and its walking grid, against other ways of computing the same."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from planner_rooms import Boxes, model, shell
+
+from roomlight_generator.rooms.plan import Gap, Placement
+from roomlight_generator.rooms.planner import free_floor
+from roomlight_generator.rooms.planner.arrangement import Layout
+from roomlight_generator.rooms.planner.body import Body
+from roomlight_generator.rooms.planner.wall_space import across, stretches
+
+SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
+place = st.floats(-2, 2)
+size = st.floats(0.1, 2)
+turn = st.floats(-360, 360)
+
+
+@given(place, place, turn, size, size, turn, size, size)
+@settings(max_examples=60, deadline=None)
+def test_overlap_is_what_sampling_finds(
+    x: float, z: float, degrees: float, width: float, depth: float, own: float, own_width: float, own_depth: float
+) -> None:
+    one = Body.of(0.0, 0.0, own, width=own_width, depth=own_depth, high=1.0)
+    other = Body.of(x, z, degrees, width=width, depth=depth, high=1.0)
+    grid = np.linspace(-0.999, 0.999, 25)
+    hit = False
+    for a in grid:
+        for b in grid:
+            right, front = other.into(*one.out(float(a) * one.half_width, float(b) * one.half_depth))
+            hit |= abs(right) < other.half_width and abs(front) < other.half_depth
+    assert one.overlaps(other) == other.overlaps(one)
+    if hit and not one.overlaps(other):
+        # Samples may lie within the millimetre of slack.
+        assert not one.overlaps(other, slack_m=0.0) or one.overlaps(other, slack_m=-0.002)
+    if not one.overlaps(other, slack_m=0.0):
+        assert not hit
+
+
+def test_a_body_turned_by_90_has_its_front_toward_x() -> None:
+    body = Body.of(1.0, 2.0, 90.0, width=0.5, depth=1.0, high=1.0)
+    assert body.out(0.0, 1.0) == pytest.approx((2.0, 2.0))
+    assert body.into(2.0, 2.0) == pytest.approx((0.0, 1.0))
+    assert body.out(1.0, 0.0) == pytest.approx((1.0, 1.0))
+
+
+def test_boxes_above_each_other_do_not_meet() -> None:
+    low = Body.of(0.0, 0.0, 0.0, width=1.0, depth=1.0, high=0.5)
+    high = Body.of(0.0, 0.0, 30.0, width=1.0, depth=1.0, low=0.5, high=1.0)
+    assert not low.overlaps(high)
+    assert low.overlaps(Body.of(0.0, 0.0, 0.0, width=1.0, depth=1.0, low=0.4, high=1.0))
+
+
+def test_crosses_sees_a_wall_through_the_middle_and_not_one_alongside() -> None:
+    body = Body.of(0.0, 0.0, 0.0, width=1.0, depth=1.0, high=1.0)
+    assert body.crosses([(-2.0, 0.0, 2.0, 0.0)])
+    assert body.crosses([(0.0, 0.0, 0.1, 0.1)])
+    assert not body.crosses([(-2.0, 0.5, 2.0, 0.5)])
+    assert not body.crosses([(0.9, -2.0, 0.9, 2.0)])
+
+
+def test_the_empty_floor_is_free_but_for_the_margin() -> None:
+    floor = free_floor(shell(SQUARE, {}), (), radius_m=0.25)
+    assert floor.area_m2() == pytest.approx(3.5 * 2.5, rel=0.08)
+    assert floor.is_free(2.0, 1.5)
+    assert not floor.is_free(0.1, 1.5)
+    assert not floor.is_free(9.0, 9.0)
+    assert floor.swept_m2(0.25) == pytest.approx(12.0, rel=0.12)
+    points = floor.points()
+    assert len(points) == floor.free.sum()
+    assert points.min() >= 0.25 - 1e-9
+
+
+def test_cells_keep_their_distance_from_what_stands_there() -> None:
+    piece = Placement(model("sofa", (1.0, 0.8, 0.6)), 2.0, 0.0, 1.5, 30.0)
+    empty = shell(SQUARE, {})
+    free = free_floor(empty, (piece,), radius_m=0.3, cell_m=0.05)
+    body = Body.placed(piece)
+    for x, z in free.points():
+        right, front = body.into(float(x), float(z))
+        assert math.hypot(max(abs(right) - 0.5, 0), max(abs(front) - 0.3, 0)) >= 0.3 - 1e-9
+    assert free.area_m2() < free_floor(empty, (), radius_m=0.3, cell_m=0.05).area_m2() - 1.0
+
+
+@pytest.mark.parametrize(("role", "y", "blocks"), [("rug", 0.0, False), ("picture", 2.0, False), ("sofa", 0.0, True)])
+def test_only_what_is_at_a_persons_height_is_in_the_way(role: str, y: float, blocks: bool) -> None:
+    height = 0.02 if role == "rug" else 0.6
+    piece = Placement(model(role, (1.0, height, 1.0)), 2.0, y, 1.5, 0.0)
+    assert free_floor(shell(SQUARE, {}), (piece,), radius_m=0.25).is_free(2.0, 1.5) != blocks
+
+
+def test_the_largest_region_leaves_out_what_is_shut_off() -> None:
+    barrier = Placement(model("wardrobe", (0.3, 2.0, 3.0)), 2.8, 0.0, 1.5, 0.0)
+    floor = free_floor(shell(SQUARE, {}), (barrier,), radius_m=0.25)
+    assert floor.is_free(3.5, 1.5)
+    assert not floor.largest().is_free(3.5, 1.5)
+    assert floor.largest().is_free(1.0, 1.5)
+
+
+def test_low_slopes_are_no_place_to_walk() -> None:
+    slopes = ((np.array([-1.0, 1.0, 0.0]), 1.0),)
+    floor = free_floor(shell(SQUARE, {}, slopes=slopes, wall_heights={3: 1.0}), (), radius_m=0.25)
+    assert not floor.is_free(0.5, 1.5)
+    assert floor.is_free(1.5, 1.5)
+
+
+def test_free_stretches_leave_out_gaps_and_furniture() -> None:
+    gaps = {0: (Gap("window", 1.0, 2.0, 0.9, 2.0),)}
+    layout = Layout(shell(SQUARE, gaps), Boxes(), np.random.default_rng(0), "train")
+    assert [(one.start_m, one.end_m) for one in stretches(layout, 0.4, low=0.0, high=0.8, walls=(0,))] == [(0.0, 4.0)]
+    tall = stretches(layout, 0.4, low=0.0, high=1.8, walls=(0,))
+    assert [(one.start_m, one.end_m) for one in tall] == [(0.0, 1.0), (2.0, 4.0)]
+    layout.put(model("dresser", (0.5, 0.8, 0.4)), 3.0, 0.22, 0.0)
+    low = stretches(layout, 0.4, low=0.0, high=0.8, walls=(0,))
+    assert [(one.start_m, one.end_m) for one in low] == [(0.0, pytest.approx(2.75)), (pytest.approx(3.25), 4.0)]
+
+
+def test_across_measures_the_room_and_knows_a_parallel_wall() -> None:
+    layout = Layout(shell(SQUARE, {}), Boxes(), np.random.default_rng(0), "train")
+    depth, parallel = across(layout, layout.shell.walls[0], 1.0)
+    assert depth == pytest.approx(3.0)
+    assert parallel
+
+
+def test_a_piece_that_would_shut_a_door_off_is_refused() -> None:
+    gaps = {3: (Gap("door", 1.0, 1.9, 0.0, 2.0, keep_clear_m=0.6),)}
+    layout = Layout(shell(SQUARE, gaps), Boxes(), np.random.default_rng(0), "train")
+    before = len(layout.pieces)
+    assert layout.put(model("wardrobe", (0.3, 2.0, 2.9)), 1.0, 1.5, 0.0) is None
+    assert len(layout.pieces) == before
+    assert layout.walkable()
+    assert layout.put(model("wardrobe", (0.5, 2.0, 1.0)), 2.0, 1.5, 0.0) is not None
+
+
+def test_going_back_takes_away_pieces_and_their_shadow() -> None:
+    layout = Layout(shell(SQUARE, {}), Boxes(), np.random.default_rng(0), "train")
+    free = layout.free().copy()
+    mark = layout.mark()
+    assert layout.put(model("sofa", (1.0, 0.8, 0.6)), 2.0, 1.5, 10.0) is not None
+    assert (layout.free() != free).any()
+    layout.back_to(mark)
+    assert (layout.free() == free).all()
+    assert not layout.pieces

@@ -1,0 +1,136 @@
+"""Whole rooms: the same from the same seed, the splits apart, never dark, their sources as bright as they say."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from roomlight_generator.rooms.build import build_room, room_generator
+from roomlight_generator.rooms.furniture import Catalogue
+from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
+from roomlight_generator.rooms.lights import light_room, switch_on
+from roomlight_generator.rooms.plan import Placement
+from roomlight_generator.rooms.planner import ROOM_TYPES
+from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.rooms.scene import Material, Mesh
+from roomlight_generator.rooms.shapes import box, clad, lathe
+
+
+@cache
+def catalogue():
+    return Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+
+
+@cache
+def room(index, seed=0, split="train"):
+    return build_room(index, seed=seed, split=split, catalogue=catalogue())
+
+
+def flux_klm(mesh):
+    """pi x area x luminance over all faces (colours are of luminance 1 times a factor: the weights are Rec. 709's)."""
+    luminance = np.array([material.emission for material in mesh.materials]) @ [0.2126, 0.7152, 0.0722]
+    a, b, c = (mesh.vertices[mesh.faces[:, k]].astype(np.float64) for k in range(3))
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    return np.pi * (area * luminance[mesh.face_materials]).sum()
+
+
+def lamp(mesh, lights=()):
+    low, high = mesh.bounds()
+    width, height, depth = (float(x) for x in high - low)
+    model = FurnitureModel("m", "lamp", "table_lamp", "train", width, height, depth, lambda: mesh, lights=lights)
+    return Placement(model, 1.0, 0.5, -2.0, 30.0)
+
+
+def test_the_same_arguments_give_the_same_room():
+    first, again = room(3), build_room(3, seed=0, split="train", catalogue=catalogue())
+    assert first.facts == again.facts
+    for one, other in zip(first.scene.items, again.scene.items, strict=True):
+        assert one.name == other.name
+        np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
+        assert [m.emission for m in one.mesh.materials] == [m.emission for m in other.mesh.materials]
+    np.testing.assert_array_equal(first.scene.sky.panorama, again.scene.sky.panorama)
+
+
+@pytest.mark.parametrize(
+    "change", [{"index": 1}, {"seed": 1}, {"split": "test"}, {"purpose": 1}], ids=lambda change: next(iter(change))
+)
+def test_no_two_rooms_share_their_random_numbers(change):
+    given = {"index": 0, "seed": 0, "split": "train", "purpose": 0}
+    one = room_generator(**given).random(4)
+    assert not np.array_equal(one, room_generator(**(given | change)).random(4))
+
+
+def test_the_test_split_has_its_own_models_and_room_types():
+    reserved = {name for name, kind in ROOM_TYPES.items() if kind.split == "test"}
+    assert len(reserved) == 2
+    train = [room(index) for index in range(12)]
+    test = [room(index, split="test") for index in range(12)]
+    assert not {one.room_type for one in train} & reserved
+    assert {one.room_type for one in test} & reserved
+    models = [{name for one in rooms for name in one.facts["models"]} for rooms in (train, test)]
+    assert not models[0] & models[1]
+
+
+@pytest.mark.parametrize("index", range(12))
+def test_no_room_is_dark(index):
+    built = room(index)
+    shining = any(material.emits for item in built.scene.items for material in item.mesh.materials)
+    assert shining or built.scene.openings
+    assert built.facts["light"]["sources"]
+    assert built.facts["triangles"] == built.scene.triangle_count()
+    assert np.isfinite(built.scene.sky.panorama).all()
+
+
+def test_every_time_of_day_comes_up_and_lamps_are_switched():
+    built = room(1)
+    seen, lit = set(), set()
+    for seed in range(60):
+        items = [placement.item() for placement in built.placements]
+        rng = np.random.default_rng(seed)
+        lighting = light_room(built.shell, built.placements, items, rng, split="train")
+        seen.add(lighting.facts["scenario"])
+        lit.add(lighting.facts["lamps_on"] > 0)
+        assert len(lighting.items) >= len(items) + len(built.shell.items)
+    assert seen >= ({"sunny", "overcast", "night"} if built.shell.openings else {"night"})
+    assert lit == {True, False}
+
+
+def test_a_shade_that_hides_its_bulb_sheds_all_of_the_light():
+    shade = clad(box(0.3, 0.3, 0.3), Material(name="shade"))
+    placement = lamp(shade, (LightSource(np.array([0.0, 0.15, 0.0]), 0.05),))
+    lit = switch_on(placement.item(), placement, flux_klm=0.8, colour=(1.0, 1.0, 1.0))
+    assert flux_klm(lit.mesh) == pytest.approx(0.8, rel=1e-3)
+    assert len(lit.mesh.faces) == len(shade.faces)  # no bulb inside
+
+
+def test_an_open_shade_shares_with_its_bulb():
+    tube = clad(lathe([[(0.15, 0.0), (0.15, 0.3)]]), Material(name="shade cloth"))
+    placement = lamp(tube, (LightSource(np.array([0.0, 0.15, 0.0]), 0.06),))
+    lit = switch_on(placement.item(), placement, flux_klm=0.8, colour=(1.2, 0.95, 0.8))
+    total = flux_klm(lit.mesh)
+    bulb = [k for k, material in enumerate(lit.mesh.materials) if material.name == "bulb"]
+    assert len(bulb) == 1
+    part = replace(lit.mesh, faces=lit.mesh.faces[np.isin(lit.mesh.face_materials, bulb)],
+                   face_materials=lit.mesh.face_materials[np.isin(lit.mesh.face_materials, bulb)])  # fmt: skip
+    white = float(np.dot((1.2, 0.95, 0.8), [0.2126, 0.7152, 0.0722]))
+    assert total == pytest.approx(0.8 * white, rel=0.06)  # a sphere of flat faces has a little less area
+    assert 0.1 < flux_klm(part) / total < 0.9
+    centre = part.vertices[np.unique(part.faces)].mean(0)
+    np.testing.assert_allclose(centre, placement.light_positions()[0], atol=0.01)
+
+
+def test_a_bulb_shut_in_by_nameless_parts_makes_them_glow():
+    globe = clad(box(0.2, 0.2, 0.2), Material(name="milk glass"))
+    placement = lamp(globe, (LightSource(np.array([0.0, 0.1, 0.0]), 0.05),))
+    lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
+    assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=1e-3)
+
+
+def test_a_lamp_that_nothing_is_known_of_gets_a_bulb_below_it():
+    plain = clad(box(0.2, 0.1, 0.2), Material(name="metal"))
+    placement = lamp(plain)
+    lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
+    assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=0.06)
+    assert isinstance(lit.mesh, Mesh)
+    assert lit.mesh.bounds()[0, 1] < placement.item().mesh.bounds()[0, 1]

@@ -1,0 +1,200 @@
+"""Procedural shapes: wound outward, closed where they are solid, of the size asked for."""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight_generator.rooms.scene import Material, Mesh, Texture
+from roomlight_generator.rooms.shapes import (
+    block,
+    blocks,
+    box,
+    clad,
+    cushion,
+    faces_look_along_normals,
+    lathe,
+    loft,
+    prism,
+    rectangle,
+    rod,
+    sheet,
+    smooth_normals,
+    sphere,
+    tube,
+    turned,
+)
+
+L_OUTLINE: Final = np.array([[-1.0, -1.0], [0.6, -1.0], [0.6, 0.1], [0.1, 0.1], [0.1, 0.7], [-1.0, 0.7]])
+BENT: Final = [(0.0, 0.0, 0.0), (0.0, 0.3, 0.0), (0.1, 0.5, 0.05), (0.3, 0.6, 0.1)]
+TUB: Final = [
+    [(1e-4, 1e-4, 0.0), (0.4, 0.2, 0.0)],
+    [(0.4, 0.2, 0.0), (0.45, 0.25, 0.3), (0.5, 0.3, 0.5)],
+    [(0.5, 0.3, 0.5), (1e-4, 1e-4, 0.5)],
+]
+
+SOLIDS: Final[dict[str, Callable[[], Mesh]]] = {
+    "box": lambda: box(0.6, 0.4, 0.3, radius=0.02),
+    "plank": lambda: box(1.0, 0.002, 0.3, radius=0.01),
+    "block": lambda: block(0.6, 0.4, 0.3),
+    "cushion": lambda: cushion(0.45, 0.16, 0.4, plump=0.8),
+    "prism": lambda: prism(L_OUTLINE, 0.3),
+    "prism the other way": lambda: prism(L_OUTLINE[::-1].copy(), 0.3),
+    "rod": lambda: rod((0.1, 0.0, 0.2), (0.4, 0.5, -0.1), 0.02, 0.03),
+    "tube": lambda: tube(BENT, 0.02),
+    "ball": lambda: sphere(0.2),
+    "tub": lambda: loft(TUB, exponent=5),
+}
+
+
+def volume_m3(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    return float((corners[:, 0] * np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+
+
+def area_m2(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    return float(
+        np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum() / 2
+    )
+
+
+@pytest.mark.parametrize("name", SOLIDS)
+def test_solids_are_wound_outward(name: str) -> None:
+    mesh = SOLIDS[name]()
+    assert faces_look_along_normals(mesh).all()
+    assert volume_m3(mesh) > 0
+    np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
+    assert np.isfinite(mesh.uvs).all()
+
+
+def test_volumes() -> None:
+    assert volume_m3(sphere(0.2)) == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.03)
+    assert volume_m3(box(0.6, 0.4, 0.3, radius=0.002)) == pytest.approx(0.072, rel=0.01)
+    assert volume_m3(block(0.6, 0.4, 0.3)) == pytest.approx(0.072, rel=1e-5)
+    assert volume_m3(rod((0, 0, 0), (0, 0, 0.5), 0.02)) == pytest.approx(np.pi * 0.02**2 * 0.5, rel=0.05)
+    assert volume_m3(cushion(0.4, 0.16, 0.4, plump=0.8)) < 0.8 * volume_m3(box(0.4, 0.16, 0.4))
+    assert volume_m3(prism(L_OUTLINE, 0.3)) == pytest.approx(0.3 * (1.6 * 1.1 + 1.1 * 0.6), rel=1e-5)
+    assert volume_m3(tube([(0, 0, 0), (0, 1, 0)], 0.02, segments=24)) == pytest.approx(np.pi * 0.02**2, rel=0.02)
+
+
+def test_a_loft_of_exponent_two_is_a_lathe() -> None:
+    """The same profile, round: a slow general maker against the plain one."""
+    profile = [[(0.001, 0.0), (0.2, 0.0)], [(0.2, 0.0), (0.25, 0.1), (0.1, 0.3)]]
+    plain = lathe(profile, segments=28)
+    general = loft([[(r, r, y) for r, y in line] for line in profile], segments=28)
+    np.testing.assert_allclose(general.vertices, plain.vertices, atol=1e-6)
+    np.testing.assert_array_equal(general.faces, plain.faces)
+    # A loft's normals come from its facets: they may tilt by the chord of a segment.
+    np.testing.assert_allclose(general.normals, plain.normals, atol=0.02)
+
+
+def test_a_high_exponent_fills_its_rectangle() -> None:
+    round_one, square = loft(TUB, exponent=2, segments=40), loft(TUB, exponent=20, segments=40)
+    np.testing.assert_allclose(square.bounds(), round_one.bounds(), atol=1e-6)
+    assert volume_m3(square) > 1.2 * volume_m3(round_one)
+
+
+@pytest.mark.parametrize("name", ["box", "block", "cushion", "prism"])
+def test_boxes_are_closed(name: str) -> None:
+    """Welded by position, every edge is walked once each way."""
+    mesh = SOLIDS[name]()
+    _, place = np.unique(np.rint(mesh.vertices * 1e5).astype(int), axis=0, return_inverse=True)
+    faces = place.reshape(-1)[mesh.faces]
+    edges = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]])
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    there, counts = np.unique(edges, axis=0, return_counts=True)
+    back, counts_back = np.unique(edges[:, ::-1], axis=0, return_counts=True)
+    np.testing.assert_array_equal(there, back)
+    np.testing.assert_array_equal(counts, counts_back)
+
+
+@settings(max_examples=25, deadline=None)
+@given(
+    size=st.tuples(*[st.floats(0.005, 3.0)] * 3),
+    radius=st.floats(0.001, 0.1),
+    step=st.floats(0.1, 5.0),
+    arcs=st.integers(1, 3),
+)
+def test_a_box_has_its_size_and_stands_on_the_ground(
+    size: tuple[float, float, float], radius: float, step: float, arcs: int
+) -> None:
+    mesh = box(*size, radius=radius, step=step, arcs=arcs)
+    np.testing.assert_allclose(
+        mesh.bounds(), [[-size[0] / 2, 0, -size[2] / 2], [size[0] / 2, size[1], size[2] / 2]], atol=1e-5
+    )
+    assert faces_look_along_normals(mesh).all()
+
+
+def test_steps_bound_the_edges_of_a_box() -> None:
+    mesh = box(1.0, 0.5, 0.7, step=0.2)
+    corners = mesh.vertices[mesh.faces]
+    longest = np.abs(corners - np.roll(corners, 1, axis=1)).max()
+    assert longest <= 0.2 + 1e-5
+    assert len(box(1.0, 0.5, 0.7, step=99, arcs=1).faces) == 108
+
+
+def test_blocks_are_each_where_and_as_large_as_told() -> None:
+    sizes = np.array([[0.1, 0.2, 0.3], [0.5, 0.05, 0.2]])
+    places = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, -1.0]])
+    mesh = blocks(sizes, places)
+    assert len(mesh.faces) == 24
+    assert volume_m3(mesh) == pytest.approx(0.006 + 0.005, rel=1e-4)
+    np.testing.assert_allclose(mesh.bounds(), [[-0.05, 0, -1.1], [2.25, 1.05, 0.15]], atol=1e-6)
+
+
+def test_grain_runs_along_the_longer_side() -> None:
+    """On every face the texture's u spans the face's longer edge."""
+    for mesh in (block(1.0, 0.02, 0.3), box(0.3, 1.0, 0.02, radius=0.002)):
+        extents = np.ptp(mesh.uvs[mesh.faces[:2]].reshape(-1, 2), axis=0)
+        assert extents[0] >= extents[1]
+
+
+def test_a_hole_takes_its_area_and_nothing_else() -> None:
+    wall = rectangle((0, 0, 0), (3, 0, 0), (0, 2, 0), step=0.17, hole=(0.55, 1.3, 0.4, 1.6))
+    assert area_m2(wall) == pytest.approx(6 - 0.75 * 1.2, rel=1e-5)
+    np.testing.assert_allclose(wall.normals, [[0, 0, 1]] * len(wall.normals), atol=1e-6)
+    assert faces_look_along_normals(wall).all()
+
+
+def test_turning_keeps_shape_and_follows_the_right_hand() -> None:
+    mesh = box(0.6, 0.4, 0.3)
+    assert volume_m3(turned(mesh, 90).placed(1.0, 0.0, 0.0)) == pytest.approx(volume_m3(mesh), rel=1e-4)
+    ball = sphere(0.1).placed(0.0, 0.0, 1.0)
+    np.testing.assert_allclose(turned(ball, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
+    np.testing.assert_allclose(turned(ball, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
+
+
+def test_a_sheet_has_two_sides() -> None:
+    grid = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 2, 4), [0.0], indexing="xy"), -1)[:, :, 0]
+    leaf = sheet(grid.astype(np.float32), thickness=0.01)
+    assert faces_look_along_normals(leaf).all()
+    assert set(np.rint(leaf.normals[:, 2])) == {-1.0, 1.0}
+    assert np.ptp(leaf.vertices[:, 2]) == pytest.approx(0.01, rel=1e-4)
+
+
+def test_a_lathed_wall_is_a_cylinder() -> None:
+    pipe = lathe([[(0.5, 0.0), (0.5, 0.5), (0.5, 1.0)]])
+    np.testing.assert_allclose(pipe.normals[:, 1], 0, atol=1e-6)
+    assert ((pipe.vertices * pipe.normals).sum(1) > 0.49).all()
+
+
+def test_smooth_normals_agree_across_a_seam() -> None:
+    """A ball's first and last meridian are different vertices at the same places, far from the origin too."""
+    ball = sphere(0.2).placed(3.0, 1.0, -4.0)
+    normals = smooth_normals(ball.vertices, ball.faces)
+    outward = ball.vertices - np.array([3.0, 1.0, -4.0], np.float32)
+    outward /= np.linalg.norm(outward, axis=1, keepdims=True)
+    middle = np.abs(outward[:, 1]) < 0.99
+    assert ((normals * outward).sum(1)[middle] > 0.99).all()
+
+
+def test_cladding_counts_repeats_of_the_texture() -> None:
+    texture = Texture(np.zeros((4, 4, 3), np.uint8), size_m=(0.5, 0.25))
+    sheet_of = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0))
+    mesh = clad(sheet_of, Material(texture=texture))
+    np.testing.assert_allclose(mesh.uvs.max(0), [2, 4], atol=1e-5)
+    assert mesh.materials[0].texture is texture

@@ -1,0 +1,150 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomlight_generator.rooms.scene import Material, Mesh, Texture
+from roomlight_generator.rooms.shapes import faces_look_along_normals
+from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
+from roomlight_generator.rooms.shell.sheets import (
+    OVERLAP,
+    Plane,
+    Point,
+    Sheets,
+    area,
+    clipped,
+    rect,
+    triangles,
+    within,
+    without,
+)
+from roomlight_generator.rooms.shell.style import STYLES, ShellStyle
+
+WALL = Plane(np.array([1.0, 0.0, 2.0]), np.array([0.6, 0.0, 0.8]), np.array([0.0, 1.0, 0.0]))
+GREY = Material("grey")
+
+spans = st.tuples(st.floats(0.0, 3.0), st.floats(0.2, 3.0)).map(lambda pair: (pair[0], pair[0] + pair[1]))
+
+
+@given(spans, spans, spans, spans)
+@settings(max_examples=60, deadline=None)
+def test_a_piece_minus_a_hole_and_their_common_part_are_the_piece(
+    a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
+) -> None:
+    piece, hole = rect(*a, *b), rect(*c, *d)
+    common = within(piece, hole)
+    left = sum(area(part) for part in without([piece], hole))
+    taken = area(common) if common else 0.0
+    # Pieces overlap the hole, and one another, by OVERLAP at most along the hole's four edges' lines.
+    assert -1e-6 <= left - (area(piece) - taken) < 4 * OVERLAP * 6.3 + 1e-6
+
+
+def test_no_piece_of_a_holed_sheet_reaches_far_into_the_hole() -> None:
+    hole = [(1.0, 0.5), (2.0, 0.5), (2.0, 1.5), (1.5, 1.9), (1.0, 1.5)]
+    pieces = without([rect(0.0, 3.0, 0.0, 3.0)], hole)
+    inner = [(1.5 + 0.998 * (s - 1.5), 1.1 + 0.998 * (h - 1.1)) for s, h in hole]
+    assert all(not within(piece, inner) for piece in pieces)
+    assert all(area(piece) > 0 for piece in pieces)
+
+
+def test_a_clip_keeps_one_side() -> None:
+    left = clipped(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, 0.5)
+    assert area(left) == pytest.approx(0.5)
+    assert clipped(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, -1.0) == []
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_outlines_are_cut_into_triangles_of_the_same_area(seed: int) -> None:
+    style = ShellStyle(l_shape=0.5, alcove=0.4, bay=0.3, chimney_breast=0.4, chamfer=0.4)
+    corners = choose_outline(style, np.random.default_rng(seed))
+    pieces = triangles(corners)
+    assert sum(area(piece) for piece in pieces) == pytest.approx(area(corners))
+    assert style.area_m2[0] - 1e-6 <= area(corners) <= style.area_m2[1] + 1e-6
+    assert all(area(piece) > 0 for piece in pieces)
+    assert len(pieces) == len(corners) - 2
+    assert area(offset_outline(tuple(corners), 0.01)) > area(corners)
+    size = np.ptp(np.array(corners), axis=0)
+    assert np.abs(np.array(corners).max(0) - size / 2).max() < 1e-9
+
+
+def test_an_outline_that_crosses_itself_or_runs_backward_is_refused() -> None:
+    with pytest.raises(ValueError, match="cannot be cut"):
+        triangles([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])
+    with pytest.raises(ValueError, match="clockwise"):
+        envelope([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)], 2.5, ())
+
+
+def _closed_volume(mesh: Mesh) -> float:
+    corners = mesh.vertices[mesh.faces].astype(np.float64)
+    return float(np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+
+
+def test_bars_are_closed_and_wound_outward() -> None:
+    sheets = Sheets()
+    sheets.bar(WALL, (0.0, 0.5, 1.0, 1.2), (-0.1, 0.2), GREY)
+    mesh = sheets.mesh()
+    assert _closed_volume(mesh) == pytest.approx(0.5 * 0.2 * 0.3, rel=1e-4)
+    assert faces_look_along_normals(mesh).all()
+
+
+def test_the_sides_of_a_hole_face_its_middle() -> None:
+    sheets = Sheets()
+    sheets.tube(WALL, rect(1.0, 2.0, 0.5, 1.5), (0.0, 0.3), GREY)
+    mesh = sheets.mesh()
+    toward = WALL.at(1.5, 1.0, 0.15) - mesh.vertices[mesh.faces].mean(1)
+    assert (np.einsum("fi,fi->f", toward, mesh.normals[mesh.faces[:, 0]]) > 0).all()
+    assert faces_look_along_normals(mesh).all()
+
+
+@pytest.mark.parametrize(("mitre", "length"), [(1.0, 1.96), (-1.0, 2.04), (None, 2.0)])
+def test_swept_profiles_are_mitred_or_capped(mitre: float | None, length: float) -> None:
+    sheets = Sheets()
+    sheets.swept(WALL, [(0.02, 0.0), (0.02, 0.1), (0.0, 0.1)], (0.0, 2.0), (mitre, mitre), GREY)
+    mesh = sheets.mesh()
+    along = (mesh.vertices - WALL.origin) @ WALL.u
+    front = (mesh.vertices - WALL.origin) @ WALL.normal > 0.019
+    assert np.ptp(along[front]) == pytest.approx(length, abs=1e-4)
+    assert faces_look_along_normals(mesh).all()
+
+
+def test_textures_repeat_by_the_metre_and_stand_upright() -> None:
+    image = np.zeros((4, 8, 3), np.uint8)
+    sheets = Sheets()
+    sheets.panel(WALL, rect(0.0, 2.0, 0.0, 3.0), Material("paper", texture=Texture(image, (0.5, 0.25))))
+    mesh = sheets.mesh()
+    assert np.ptp(mesh.uvs, axis=0) == pytest.approx([4.0, 12.0])
+    highest = mesh.vertices[:, 1].argmax()
+    assert mesh.uvs[highest, 1] == mesh.uvs[:, 1].min()
+
+
+def test_an_empty_mesh_and_impossible_styles_are_refused() -> None:
+    with pytest.raises(ValueError, match="nothing was added"):
+        Sheets().mesh()
+    with pytest.raises(ValueError, match="area_m2"):
+        ShellStyle(area_m2=(9.0, 4.0))
+    with pytest.raises(ValueError, match="height"):
+        ShellStyle(height_m=(1.5, 3.0))
+
+
+def test_styles_cover_small_and_large_rooms() -> None:
+    least = min(style.area_m2[0] for style in STYLES.values())
+    most = max(style.area_m2[1] for style in STYLES.values())
+    assert least < 4 < 50 < most
+
+
+def _ccw(points: list[Point]) -> bool:
+    return area(points) > 0
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_footprints_lie_before_and_behind_their_side(seed: int) -> None:
+    corners = choose_outline(ShellStyle(l_shape=1.0), np.random.default_rng(seed))
+    room = envelope(corners, 2.5, ())
+    for side in room.sides:
+        before = side.footprint(0.1, side.length_m - 0.1, -0.2, -0.01)
+        behind = side.footprint(0.1, side.length_m - 0.1, 0.01, 0.2)
+        assert _ccw(before)
+        assert _ccw(behind)
+        shared = [sum(area(p) for t in triangles(corners) if (p := within(f, t))) for f in (before, behind)]
+        assert shared[0] == pytest.approx(area(before), rel=1e-6)
+        assert shared[1] == pytest.approx(0.0, abs=1e-9)
