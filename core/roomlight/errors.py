@@ -1,24 +1,33 @@
-"""What can go wrong, as exceptions a caller can tell apart.
+"""Exceptions that RoomLight raises on purpose.
 
 RoomLightError
-├── CaptureError          a capture is refused whole (names the file)
+├── OptionError           an option is out of range, unknown or contradicts another (also a ValueError)
+├── CaptureError          a capture cannot be used at all (names the file)
 │   └── UnknownFormatError   no reader recognises the folder or file
 ├── FrameError            one frame is unusable and is skipped (names file and frame)
-├── ImageError            a file does not decode, or its size is absurd (names the file)
+├── ImageError            a file does not decode, or its size is out of bounds (names the file)
 ├── ProbeError            a probe position is not usable
-├── ModelError            weights are missing, foreign or do not fit
+├── ModelError            weights are missing, of another version or do not fit
 ├── FurnitureError        a furniture library or its cache is unusable (names file and model)
+├── DatasetError          a dataset or one of its sequences cannot be read, continued or made
 ├── WireError             a message from the network is refused (names field, value and rule)
 ├── ServerError           a server cannot start with these settings (names the setting)
 └── OutputError           a result cannot be written
 
-Every message says what was wrong, with which value, and what to do.
+Every message says what was wrong, with which value, and what to do. Messages name options as the Python API does;
+the command line adds its own flag where it helps.
 """
 
 
 class RoomLightError(Exception):
-    """Base of all errors that RoomLight raises on purpose; the command line prints them without a
-    traceback."""
+    """Base of all errors that RoomLight raises on purpose; the command line prints them without a traceback."""
+
+
+class OptionError(RoomLightError, ValueError):
+    """An option is out of range, unknown, or contradicts another one.
+
+    The message names the option as the Python API spells it, the value and the values that are allowed.
+    """
 
 
 class CaptureError(RoomLightError):
@@ -30,11 +39,11 @@ class UnknownFormatError(CaptureError):
 
 
 class FrameError(RoomLightError):
-    """One frame of a capture cannot be used; the capture goes on without it."""
+    """One frame of a capture cannot be used; reading goes on without it."""
 
 
 class ImageError(RoomLightError):
-    """An image file is missing, truncated, of an absurd size or of the wrong kind."""
+    """An image file is missing, truncated, larger than the limit or of the wrong kind."""
 
 
 class ProbeError(RoomLightError):
@@ -42,36 +51,35 @@ class ProbeError(RoomLightError):
 
 
 class ModelError(RoomLightError):
-    """Weights are missing, of another version, or do not fit what is asked for."""
+    """Weights are missing, of another version, or do not fit the request."""
 
 
 class FurnitureError(RoomLightError):
-    """A furniture library, one of its models, or the cache made of it cannot be used."""
+    """A furniture library, one of its models, or the cache made from it cannot be used."""
 
 
 class DatasetError(RoomLightError):
-    """A dataset, or one sequence of it, cannot be read, continued or made; the other sequences are not touched."""
+    """A dataset, or one of its sequences, cannot be read, continued or made; other sequences stay untouched."""
 
 
 class WireError(RoomLightError):
-    """A message of the wire format is refused; nothing was done with it.
+    """A message of the wire format is refused; it had no effect.
 
-    kind:   a short name of what is wrong, e.g. `bad-header`; `too-large` where a limit was passed.
-    field:  where, as a path in the message (`depth.width`), or "" for the message as a whole.
-    value:  what stood there, shortened.
-    rule:   what would have been right.
+    kind:   short name of the mistake, e.g. `bad-header`; `too-large` where a limit was passed.
+    field:  where it is, as a path in the message (`depth.width`), or "" for the message as a whole.
+    value:  the refused value, shortened.
+    rule:   what is allowed there.
     """
 
     def __init__(self, kind: str, *, field: str, value: object, rule: str) -> None:
-        """The message is made of the parts."""
         self.kind, self.field, self.rule = kind, field, rule
         self.value = shown if len(shown := str(value)) <= 120 else f"{shown[:117]}..."
         super().__init__(f"{field or 'the message'}: {rule}; got {self.value}")
 
 
 class ServerError(RoomLightError):
-    """A session server's settings are not usable, or not safe."""
+    """A server's settings are not usable, or not safe."""
 
 
 class OutputError(RoomLightError):
-    """A result cannot be written where it was asked to go."""
+    """A result cannot be written to its path."""
