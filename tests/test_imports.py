@@ -1,0 +1,67 @@
+"""Import layers: stated in pyproject.toml, held here; and what a process loads when it imports each package."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from importlinter import cli as import_linter
+
+ROOT = Path(__file__).parent.parent
+SOURCES = {
+    "bench": "roomlight_bench",
+    "cli": "roomlight_cli",
+    "client": "roomlight_client",
+    "core": "roomlight",
+    "evaluation": "roomlight_evaluation",
+    "export": "roomlight_export",
+    "generator": "roomlight_generator",
+    "model": "roomlight_model",
+    "server": "roomlight_server",
+}
+TRAINING_EXTRA = {"torch", "onnx", "onnxscript", "tensorboard", "jax"}
+
+
+def modules_of(*folders: str) -> list[str]:
+    names: list[str] = []
+    for folder in folders:
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            parts = path.relative_to(ROOT / folder).with_suffix("").parts
+            if not set(parts) & {"node_modules", "scripts"}:
+                names.append(".".join(part for part in parts if part != "__init__"))
+    return names
+
+
+def loaded_after(imports: list[str]) -> set[str]:
+    """Top-level modules of a fresh interpreter after these imports."""
+    code = f"import sys, {', '.join(imports)}; print(*sorted({{n.partition('.')[0] for n in sys.modules}}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=240)
+    return set(done.stdout.split())
+
+
+def test_import_layers_of_pyproject_are_kept(capfd: pytest.CaptureFixture[str]):
+    result = import_linter.lint_imports(config_filename=str(ROOT / "pyproject.toml"), no_cache=True)
+    assert result == import_linter.EXIT_STATUS_SUCCESS, capfd.readouterr().out
+
+
+@pytest.mark.parametrize("folders", [("core", "server"), ("client", "evaluation")])
+def test_base_install_needs_no_training_extra(folders: tuple[str, ...]):
+    loaded = loaded_after(modules_of(*folders))
+    assert {"roomlight", "numpy"} <= loaded
+    assert not loaded & TRAINING_EXTRA
+
+
+def test_each_source_folder_holds_one_package():
+    for folder, package in SOURCES.items():
+        importable = {
+            path.stem
+            for path in (ROOT / folder).iterdir()
+            if path.suffix == ".py" or (path.is_dir() and (path / "__init__.py").is_file())
+        }
+        assert importable == {package}
+
+
+@pytest.mark.parametrize("package", SOURCES.values())
+def test_each_package_ships_its_types(package: str):
+    folder = next(folder for folder, name in SOURCES.items() if name == package)
+    assert (ROOT / folder / package / "py.typed").is_file()
