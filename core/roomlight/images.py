@@ -3,7 +3,6 @@
 Colour comes in as linear RGB; depth as metres. Every failure is an `ImageError` that names the file.
 """
 
-import contextlib
 import os
 import struct
 import tempfile
@@ -17,6 +16,7 @@ from jaxtyping import Bool, Float, Shaped, UInt8
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
+from roomlight.files import write_atomic
 from roomlight.frame import CLIPPED_SRGB8
 
 MAX_PIXELS = 64_000_000
@@ -122,19 +122,6 @@ def encode_png(image: Shaped[np.ndarray, "h w *c"]) -> bytes:
 def write_png(path: Path, image: Shaped[np.ndarray, "h w *c"]) -> None:
     """Write `encode_png`'s bytes; whole or not at all."""
     write_atomic(path, encode_png(image))
-
-
-def write_atomic(path: Path, data: bytes) -> None:
-    """Write bytes under a temporary name, then rename: a reader never sees half a file."""
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        with contextlib.suppress(OSError):  # it may never have been made
-            temporary.unlink()
-        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
 
 
 def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "h w *c"]:

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from roomlight.errors import ModelError, OutputError
-from roomlight.images import write_atomic
+from roomlight.files import write_atomic
 from roomlight_model.config import FORMS, Form, ModelConfig
 from roomlight_model.networks import SingleModel, VideoModel, build
 

@@ -8,6 +8,7 @@ import OpenEXR
 import pytest
 
 from roomlight.errors import ImageError, OutputError
+from roomlight.files import write_atomic
 from roomlight.images import (
     MAX_PIXELS,
     decode_colour,
@@ -16,7 +17,6 @@ from roomlight.images import (
     read_bytes,
     read_colour,
     read_panorama,
-    write_atomic,
     write_exr,
     write_png,
 )

@@ -39,7 +39,8 @@ from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.stray_writer import depth_to_png, encoded
 from roomlight.errors import CaptureError, FrameError, OutputError
-from roomlight.images import write_atomic, write_exr
+from roomlight.files import write_atomic
+from roomlight.images import write_exr
 
 INDEX: Final = "capture.json"
 FORMAT: Final = "roomlight-capture"

@@ -18,7 +18,7 @@ from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures.stray_scanner import COLUMNS, MATRIX, MATRIX_SIZE, ODOMETRY, VIDEO
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.errors import OutputError
-from roomlight.images import write_atomic
+from roomlight.files import write_atomic
 
 _CODECS: Final = ("libx265", "libx264", "mpeg4")
 _BT709: Final = 1

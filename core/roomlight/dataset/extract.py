@@ -6,7 +6,7 @@ from pathlib import Path
 
 from roomlight.dataset.loader import Dataset
 from roomlight.errors import OutputError
-from roomlight.images import write_atomic
+from roomlight.files import write_atomic
 
 
 def extract(dataset: Dataset, name: str, out: Path) -> None:

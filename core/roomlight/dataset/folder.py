@@ -19,7 +19,7 @@ from roomlight import __version__
 from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import sync_folder
 from roomlight.errors import DatasetError, OutputError
-from roomlight.images import write_atomic
+from roomlight.files import write_atomic
 
 MANIFEST: Final = "dataset.json"
 LOCK: Final = "dataset.lock"

@@ -29,7 +29,7 @@ import numpy as np
 import torch
 
 from roomlight.errors import ModelError, OutputError
-from roomlight.images import write_atomic
+from roomlight.files import write_atomic
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch, collate
