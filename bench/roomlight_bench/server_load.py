@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from roomlight.conventions import Position
-from roomlight.wire.messages import FrameResult, Mode
+from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import AsyncClient, AsyncSession, BusyError, ConflictError
 from roomlight_client.calls import FRAME_MEDIA_TYPE, Call, Reply
 from roomlight_client.retry import NEVER, Timeouts
@@ -52,7 +52,7 @@ class Load:
     fps: float
     bodies: Sequence[bytes]
     probe: Position
-    mode: Mode
+    mode: ModelName
     height: int
 
 

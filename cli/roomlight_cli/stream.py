@@ -21,7 +21,7 @@ from roomlight.conventions import Position
 from roomlight.errors import CaptureError, WireError
 from roomlight.frame import Frame
 from roomlight.placement import point_in_view
-from roomlight.wire.messages import FrameResult, Mode
+from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import (
     AsyncClient,
     AsyncSession,
@@ -63,7 +63,7 @@ class StreamOptions:
     probe: Position | None = None
     session_id: str | None = None
     keep: bool = False
-    mode: Mode = "auto"
+    mode: ModelName = "auto"
     height: int = 120
 
     def __post_init__(self) -> None:

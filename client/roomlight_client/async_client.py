@@ -10,7 +10,7 @@ import httpx
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
-from roomlight.wire.messages import Form, Format, FrameResult, Mode, SessionState
+from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import FORMS, Attempt, Call, Result, SessionCalls, T, Where
 from roomlight_client.errors import RemoteError
@@ -59,7 +59,7 @@ class AsyncClient:
         self,
         session_id: str | None = None,
         *,
-        mode: Mode = "auto",
+        mode: ModelName = "auto",
         height: int = 120,
         reference_exposure: float | None = None,
         use_limited_tracking: bool = False,
@@ -140,15 +140,17 @@ class AsyncSession:
         call = await asyncio.to_thread(self._calls.push, frame, index, colour=colour, wait=wait)
         return await self._client.run(call, retry=None if retry else NEVER)
 
-    async def light_at(self, place: Where, forms: Sequence[Format | Form] = FORMS) -> Light:
+    async def light_at(self, place: Where, forms: Sequence[LightFormat | LightForm] = FORMS) -> Light:
         """As `Session.light_at`."""
         return (await self.lights_at([place], forms))[0]
 
-    async def lights_at(self, places: Sequence[Where], forms: Sequence[Format | Form] = FORMS) -> list[Light]:
+    async def lights_at(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm] = FORMS) -> list[Light]:
         """As `Session.lights_at`."""
         return await self._client.run(self._calls.lights(places, forms))
 
-    async def file(self, place: Where, form: Format | Form = "exr", *, unless: str | None = None) -> LightFile | None:
+    async def file(
+        self, place: Where, form: LightFormat | LightForm = "exr", *, unless: str | None = None
+    ) -> LightFile | None:
         """As `Session.file`."""
         return await self._client.run(self._calls.file(place, calls.as_form(form), unless=unless))
 

@@ -23,9 +23,9 @@ from roomlight.wire.frame_message import explain
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
     ID_PATTERN,
-    Form,
-    Format,
     FrameResult,
+    LightForm,
+    LightFormat,
     LightRequest,
     ProbeBody,
     ProbeQuery,
@@ -43,7 +43,7 @@ _Model = TypeVar("_Model", bound=BaseModel)
 Where = Position | str
 """A point in world metres, or the name of a tracked probe."""
 
-FORMS: Final[tuple[Format, ...]] = ("npy", "sh", "main_light")
+FORMS: Final[tuple[LightFormat, ...]] = ("npy", "sh", "main_light")
 """What `light_at` asks for when it is not told: the panorama as the engine has it, harmonics, the main light."""
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
@@ -202,7 +202,7 @@ class SessionCalls:
         headers = {"Content-Type": FRAME_MEDIA_TYPE} | ({} if wait else {"Prefer": "respond-async"})
         return self._call("PUT", f"/frames/{index}", _reader(FrameResult), content=body, headers=headers)
 
-    def lights(self, places: Sequence[Where], forms: Sequence[Format | Form]) -> Call[list[Light]]:
+    def lights(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm]) -> Call[list[Light]]:
         """Light at several points at one moment. Raises WireError for positions, names or forms that are none."""
         try:
             request = LightRequest(
@@ -220,7 +220,7 @@ class SessionCalls:
 
         return self._call("POST", "/probes", read, json=request, headers={"Accept": MEDIA_TYPE})
 
-    def file(self, place: Where, form: Form, *, unless: str | None) -> Call[LightFile | None]:
+    def file(self, place: Where, form: LightForm, *, unless: str | None) -> Call[LightFile | None]:
         """One form as a file; None if the light's etag still is `unless`."""
         query = _query(place)
         asked = form.model_dump(exclude_defaults=True, exclude_none=True) | {"format": form.format}
@@ -267,10 +267,10 @@ class SessionCalls:
         return Call(method, address, read, sent, content, params or {}, expected)
 
 
-def as_form(form: Format | Form) -> Form:
+def as_form(form: LightFormat | LightForm) -> LightForm:
     """A form by its name, or as it is. Raises WireError for a name that is none."""
     try:
-        return form if isinstance(form, Form) else Form(format=form)
+        return form if isinstance(form, LightForm) else LightForm(format=form)
     except ValidationError as error:
         raise explain(error, kind="invalid") from error
 

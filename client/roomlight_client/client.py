@@ -10,7 +10,7 @@ import httpx
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
-from roomlight.wire.messages import Form, Format, FrameResult, Mode, SessionState
+from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import FORMS, Attempt, Call, Result, SessionCalls, T, Where
 from roomlight_client.errors import RemoteError
@@ -62,7 +62,7 @@ class Client:
         self,
         session_id: str | None = None,
         *,
-        mode: Mode = "auto",
+        mode: ModelName = "auto",
         height: int = 120,
         reference_exposure: float | None = None,
         use_limited_tracking: bool = False,
@@ -155,15 +155,17 @@ class Session:
         call = self._calls.push(frame, index, colour=colour, wait=wait)
         return self._client.run(call, retry=None if retry else NEVER)
 
-    def light_at(self, place: Where, forms: Sequence[Format | Form] = FORMS) -> Light:
+    def light_at(self, place: Where, forms: Sequence[LightFormat | LightForm] = FORMS) -> Light:
         """The light at a point or a tracked probe; a prior before the first frame was processed (`Light.is_prior`)."""
         return self.lights_at([place], forms)[0]
 
-    def lights_at(self, places: Sequence[Where], forms: Sequence[Format | Form] = FORMS) -> list[Light]:
+    def lights_at(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm] = FORMS) -> list[Light]:
         """The light at up to 64 points, all after the same frame, in one call."""
         return self._client.run(self._calls.lights(places, forms))
 
-    def file(self, place: Where, form: Format | Form = "exr", *, unless: str | None = None) -> LightFile | None:
+    def file(
+        self, place: Where, form: LightFormat | LightForm = "exr", *, unless: str | None = None
+    ) -> LightFile | None:
         """One form as a file; None if its etag still is `unless`, so that nothing is sent again."""
         return self._client.run(self._calls.file(place, calls.as_form(form), unless=unless))
 

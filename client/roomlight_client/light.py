@@ -17,7 +17,7 @@ from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.main_light import MainLight
 from roomlight.light.spherical_harmonics import Kind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import NO_FRAME, Format, LightForm, LightResponse
+from roomlight.wire.messages import NO_FRAME, EncodedLight, LightFormat, LightResponse
 from roomlight_client.errors import BadReplyError
 
 
@@ -46,7 +46,7 @@ class Light:
     coverage: float
     etag: str
     name: str | None = None
-    _forms: tuple[tuple[LightForm, bytes], ...] = field(default=(), repr=False)
+    _forms: tuple[tuple[EncodedLight, bytes], ...] = field(default=(), repr=False)
 
     @property
     def is_prior(self) -> bool:
@@ -98,7 +98,7 @@ class Light:
             side = round((len(texels) / 24) ** 0.5)
             return texels.reshape(6, side, side, 4).astype(np.float16)
 
-    def file(self, form: Format) -> bytes:
+    def file(self, form: LightFormat) -> bytes:
         """A form's bytes as a file has them: exr, hdr, png, npy, ktx2, specular, confidence, cube."""
         found = self._find(form)
         return next(data for candidate, data in self._forms if candidate is found)
@@ -113,9 +113,9 @@ class Light:
                 return SphericalHarmonics.from_flat(
                     flat, layout=values["layout"], phase=values["phase"], quantity=values["quantity"], kind=kind
                 )
-        raise self._not_asked(f"sh of kind {kind}", f"Form(format='sh', kind='{kind}')")
+        raise self._not_asked(f"sh of kind {kind}", f"LightForm(format='sh', kind='{kind}')")
 
-    def _find(self, *formats: Format) -> LightForm:
+    def _find(self, *formats: LightFormat) -> EncodedLight:
         for wanted in formats:
             for form, _ in self._forms:
                 if form.format == wanted:
@@ -151,7 +151,7 @@ def parse_lights(body: bytes, media_type: str) -> list[Light]:
 
 
 @contextmanager
-def _reading(form: LightForm) -> Generator[None]:
+def _reading(form: EncodedLight) -> Generator[None]:
     """What a form's bytes or values raise while they are read becomes a BadReplyError that names the form."""
     try:
         yield
@@ -159,7 +159,7 @@ def _reading(form: LightForm) -> Generator[None]:
         raise BadReplyError(f"the form {form.format} cannot be read: {error}") from error
 
 
-def _base64(form: LightForm) -> bytes | None:
+def _base64(form: EncodedLight) -> bytes | None:
     try:
         return None if form.data is None else base64.b64decode(form.data, validate=True)
     except binascii.Error as error:

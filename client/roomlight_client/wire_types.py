@@ -18,9 +18,9 @@ from roomlight.wire.frame_header import WireModel
 TARGET: Final = Path(__file__).parents[1] / "js" / "src" / "wire.ts"
 
 _WORDS: Final = ("ColourEncoding", "DepthFormat", "PlaneEncoding", "TrackingState")
-_MORE_WORDS: Final = ("Mode", "Format", "Kind", "Basis", "FrameStatus")
+_MORE_WORDS: Final = ("ModelName", "LightFormat", "HarmonicsKind", "HarmonicsBasis", "FrameStatus")
 _FROM_SERVER: Final = (
-    *("LightForm", "ProbeLight", "LightResponse", "FrameResult", "FrameCounts", "Memory", "Volume", "SessionState"),
+    *("EncodedLight", "ProbeLight", "LightResponse", "FrameResult", "FrameCounts", "Memory", "Volume", "SessionState"),
     *("Problem", "FrameEvent", "LightAnswer", "LightingUpdate", "ProbesEvent", "ProblemEvent"),
 )
 """Messages that the server writes: it sends every field but those that are null, so defaults are no reason for `?`."""

@@ -1,4 +1,4 @@
-"""Light as a client wants it: a `PointLight` and a `Form` into media type, numbers or bytes, and an ETag.
+"""Light as a client wants it: a `PointLight` and a `LightForm` into media type, numbers or bytes, and an ETag.
 
 The forms themselves are `roomlight.light`; this is their only user here.
 """
@@ -21,10 +21,10 @@ from roomlight.spheres import resize_panorama
 from roomlight.wire.messages import (
     CUBE_FORMATS,
     NO_FRAME,
-    Basis,
-    Form,
-    Format,
+    EncodedLight,
+    HarmonicsBasis,
     LightForm,
+    LightFormat,
     ProbeLight,
     SessionRequest,
 )
@@ -46,7 +46,7 @@ FACE_SIZE: Final = 32
 """Default side of a face: ARCore's 16 shows a mirror nothing, and 32 is what 120 rows hold (3 degrees) in the mean."""
 _USUAL: Final = (16, 32, 64)
 """Widths of a face that are asked for: ARCore's, the default, and what a reflection wants."""
-_BASES: Final[dict[Basis, tuple[Layout, Phase]]] = {
+_BASES: Final[dict[HarmonicsBasis, tuple[Layout, Phase]]] = {
     "arcore": ("interleaved", "condon-shortley"),
     "arkit": ("planar", "condon-shortley"),
     "threejs": ("interleaved", "positive"),
@@ -57,25 +57,25 @@ _BASES: Final[dict[Basis, tuple[Layout, Phase]]] = {
 class Encoded:
     """One form: numbers, or bytes."""
 
-    form: Form
+    form: LightForm
     values: dict[str, Any] | None = None
     data: bytes | None = None
 
-    def described(self) -> LightForm:
+    def described(self) -> EncodedLight:
         """As a response lists it; `bytes` is the length of its data."""
         size = None if self.data is None else len(self.data)
         kind = self.form.format
-        return LightForm(format=kind, media_type=MEDIA_TYPES[kind], values=self.values, bytes=size)
+        return EncodedLight(format=kind, media_type=MEDIA_TYPES[kind], values=self.values, bytes=size)
 
 
-def etag(point: PointLight, form: Form) -> str:
+def etag(point: PointLight, form: LightForm) -> str:
     """The same as long as the light at the point, and what is asked of it, is the same."""
     size = "" if form.size is None else f"-{form.size}"
     extra = {"sh": f"-{form.kind}-{form.basis}", "png": f"-{form.exposure_ev:g}"}.get(form.format, "")
     return f'"{point.digest}-{form.format}{size}{extra}"'
 
 
-def most_bytes(form: Form) -> int:
+def most_bytes(form: LightForm) -> int:
     """The most bytes that the form can take; a panorama of unstated size counts as 1 MB."""
     if form.format in ("sh", "main_light"):
         return 1024
@@ -85,7 +85,7 @@ def most_bytes(form: Form) -> int:
     return (2 * form.size**2 * 12 if form.size else 2**20) + 1024
 
 
-def encode(point: PointLight, form: Form) -> Encoded:
+def encode(point: PointLight, form: LightForm) -> Encoded:
     """The light in this form; 1 to 30 ms, specular mips of 256 pixels up to a second."""
     panorama, observed = point.light.panorama, point.light.observed
     if form.format == "sh":
@@ -125,12 +125,12 @@ def warm_up() -> None:
     panorama = prior_panorama(height)
     light = Light((0.0, 0.0, 0.0), panorama, np.zeros(panorama.shape[:2], np.float32), 0.0)
     point = PointLight(light, "", NO_FRAME)
-    for kind in get_args(Format):
+    for kind in get_args(LightFormat):
         for size in _USUAL if kind in CUBE_FORMATS else (None,):
-            encode(point, Form(format=kind, size=size))
+            encode(point, LightForm(format=kind, size=size))
 
 
-def encode_all(point: PointLight, forms: list[Form]) -> tuple[ProbeLight, list[bytes]]:
+def encode_all(point: PointLight, forms: list[LightForm]) -> tuple[ProbeLight, list[bytes]]:
     """One probe's entry in a response, and the data of its binary forms in order."""
     encoded = [encode(point, form) for form in forms]
     described = ProbeLight(
@@ -143,7 +143,7 @@ def encode_all(point: PointLight, forms: list[Form]) -> tuple[ProbeLight, list[b
     return described, [one.data for one in encoded if one.data is not None]
 
 
-def _harmonics(point: PointLight, form: Form) -> dict[str, Any]:
+def _harmonics(point: PointLight, form: LightForm) -> dict[str, Any]:
     layout, phase = _BASES[form.basis]
     harmonics = project(point.light.panorama, kind=form.kind, phase=phase)
     return {

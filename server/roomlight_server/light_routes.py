@@ -9,10 +9,10 @@ from pydantic import ValidationError
 from roomlight.wire.frame_message import explain
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light, with_data
 from roomlight.wire.messages import (
-    Basis,
-    Form,
-    Format,
-    Kind,
+    HarmonicsBasis,
+    HarmonicsKind,
+    LightForm,
+    LightFormat,
     LightRequest,
     LightResponse,
     ProbeBody,
@@ -61,7 +61,7 @@ _BATCH: Final[dict[str, Any]] = {
     }
 }
 _Metres = Annotated[float, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
-_Format = Annotated[Format, Query()]
+_Format = Annotated[LightFormat, Query()]
 _Size = Annotated[int | None, Query(ge=8, le=512, description="Panorama height, or side of a cube's face.")]
 _Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="png: radiance 2^-ev is white.")]
 
@@ -81,8 +81,8 @@ async def probe(
     z: _Metres,
     format: _Format = "exr",
     size: _Size = None,
-    kind: Kind = "total",
-    basis: Basis = "arcore",
+    kind: HarmonicsKind = "total",
+    basis: HarmonicsBasis = "arcore",
     exposure_ev: _Ev = 0.0,
 ) -> Response:
     """Light at any position; it is caught up from what the session remembers.
@@ -106,8 +106,8 @@ async def named_probe(
     request: Request,
     format: _Format = "exr",
     size: _Size = None,
-    kind: Kind = "total",
-    basis: Basis = "arcore",
+    kind: HarmonicsKind = "total",
+    basis: HarmonicsBasis = "arcore",
     exposure_ev: _Ev = 0.0,
 ) -> Response:
     """Light at a point that is followed from frame to frame: the best that the session has, and at once."""
@@ -183,7 +183,9 @@ def check_size(request: LightRequest) -> None:
         raise ProblemError("invalid", detail, field="forms", value=size, rule=rule)
 
 
-async def answer(workers: Workers, points: list[PointLight], forms: list[Form]) -> tuple[list[ProbeLight], list[bytes]]:
+async def answer(
+    workers: Workers, points: list[PointLight], forms: list[LightForm]
+) -> tuple[list[ProbeLight], list[bytes]]:
     """Every point in every form: the entries of a response, and the binary forms' data in order."""
     results: list[ProbeLight] = []
     parts: list[bytes] = []
@@ -194,7 +196,7 @@ async def answer(workers: Workers, points: list[PointLight], forms: list[Form]) 
     return results, parts
 
 
-async def _one(live: LiveSession, workers: Workers, request: Request, query: ProbeQuery, form: Form) -> Response:
+async def _one(live: LiveSession, workers: Workers, request: Request, query: ProbeQuery, form: LightForm) -> Response:
     point = (await live.lights([query]))[0]
     tag = etag(point, form)
     headers = {
@@ -216,9 +218,9 @@ def _matches(if_none_match: str, tag: str) -> bool:
     return tag in offered or "*" in offered
 
 
-def _form(**values: Any) -> Form:
+def _form(**values: Any) -> LightForm:
     try:
-        return Form(**values)
+        return LightForm(**values)
     except ValidationError as error:
         raise ProblemError.from_wire(explain(error, kind="invalid")) from error
 

@@ -15,10 +15,10 @@ from roomlight.wire.frame_message import explain, stated_index
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import (
     ClientMessage,
-    Form,
     FrameEvent,
     LightAnswer,
     LightCall,
+    LightForm,
     LightingUpdate,
     LightRequest,
     ProbeLight,
@@ -66,7 +66,7 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
 class _Connection:
     def __init__(self, websocket: WebSocket, context: Context, owner: str, live: LiveSession) -> None:
         self._websocket, self._context, self._owner, self._live = websocket, context, owner, live
-        self._forms: list[Form] = []
+        self._forms: list[LightForm] = []
         self._changed = asyncio.Event()
         self._sending = asyncio.Lock()
         self._frames: set[asyncio.Task[None]] = set()
@@ -159,7 +159,7 @@ class _Connection:
         await self._send(ProbesEvent(probes=probes))
 
     async def _lights(
-        self, probes: Sequence[ProbeQuery], forms: list[Form]
+        self, probes: Sequence[ProbeQuery], forms: list[LightForm]
     ) -> tuple[int, list[ProbeLight], list[bytes]]:
         points = await self._live.lights(probes)
         results, parts = await answer(self._context.workers, points, forms)

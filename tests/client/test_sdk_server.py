@@ -17,7 +17,7 @@ from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
-from roomlight.wire.messages import Form
+from roomlight.wire.messages import LightForm
 from roomlight_client import CameraFrame, Client, Retry
 from rooms import BoxRoom, camera_at, pan
 
@@ -58,7 +58,15 @@ def direct():
 
 @BOTH
 def test_frames_in_light_out_to_the_bit(server, kind, direct):
-    forms = ("npy", "sh", Form(format="sh", kind="ambient", basis="arkit"), "main_light", "cube", "confidence", "exr")
+    forms = (
+        "npy",
+        "sh",
+        LightForm(format="sh", kind="ambient", basis="arkit"),
+        "main_light",
+        "cube",
+        "confidence",
+        "exr",
+    )
 
     async def work(client):
         session = await client.open(**SMALL)
@@ -113,7 +121,7 @@ def test_a_file_comes_once_per_light(server, kind):
         assert not (await session.light_at("table")).is_prior
         first = await session.file("table", "hdr")
         same = await session.file("table", "hdr", unless=first.etag)
-        at_point = await session.file(POINTS[1], Form(format="ktx2", size=16))
+        at_point = await session.file(POINTS[1], LightForm(format="ktx2", size=16))
         await session.push(FRAMES[1])
         changed = await session.file("table", "hdr", unless=first.etag)
         await session.close()

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 from roomlight.errors import WireError
 from roomlight.wire.light_message import pack_light, parse_light, with_data
 from roomlight.wire.messages import (
-    Form,
+    EncodedLight,
     LightAnswer,
     LightForm,
     LightRequest,
@@ -22,9 +22,9 @@ from roomlight.wire.messages import (
 
 def response(**more):
     forms = [
-        LightForm(format="sh", media_type="application/json", values={"coefficients": [0.5] * 27}),
-        LightForm(format="exr", media_type="image/x-exr", bytes=5),
-        LightForm(format="cube", media_type="application/octet-stream", bytes=0),
+        EncodedLight(format="sh", media_type="application/json", values={"coefficients": [0.5] * 27}),
+        EncodedLight(format="exr", media_type="image/x-exr", bytes=5),
+        EncodedLight(format="cube", media_type="application/octet-stream", bytes=0),
     ]
     lights = [ProbeLight(position=[0.0, 1.0, float(n)], coverage=0.25, etag="ab", forms=forms) for n in range(2)]
     return LightResponse(frame=7, results=lights) if not more else LightAnswer(frame=7, results=lights, **more)
@@ -68,10 +68,10 @@ def test_what_is_no_id(text):
 
 
 def test_forms_know_their_sizes():
-    assert Form(format="cube", size=256).size == 256
+    assert LightForm(format="cube", size=256).size == 256
     for wrong in ({"format": "cube", "size": 24}, {"format": "exr", "size": 7}, {"format": "exr", "size": 513}):
         with pytest.raises(ValidationError):
-            Form(**wrong)
+            LightForm(**wrong)
 
 
 def test_requests_are_strict():

@@ -17,7 +17,7 @@ from roomlight.light.prior import prior_panorama
 from roomlight.light.resample import panorama_to_cube
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import Form, LightResponse
+from roomlight.wire.messages import LightForm, LightResponse
 from roomlight_server import light_forms
 from roomlight_server.live_session import PointLight
 
@@ -261,5 +261,5 @@ def test_a_server_that_is_ready_has_made_the_usual_cubes():
     before = panorama_to_cube.cache_info().misses
     light = Light((0.0, 0.0, 0.0), prior_panorama(120), np.zeros((120, 240), np.float32), 0.0)
     for size in (16, 32, 64):
-        light_forms.encode(PointLight(light, "", 0), Form(format="cube", size=size))
+        light_forms.encode(PointLight(light, "", 0), LightForm(format="cube", size=size))
     assert panorama_to_cube.cache_info().misses == before

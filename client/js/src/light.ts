@@ -1,9 +1,9 @@
 // Light as it comes: JSON with base64, or "RLL1", the length of the JSON (u32, little-endian), the JSON, the parts.
 
-import { LIGHT_MAGIC, type Format, type LightForm, type LightResponse, type ProbeLight } from "./wire.js";
+import { LIGHT_MAGIC, type LightFormat, type EncodedLight, type LightResponse, type ProbeLight } from "./wire.js";
 
 /** One form of a probe's light: `values` for sh and main_light, `data` for the others. */
-export interface LightData extends Omit<LightForm, "data" | "bytes"> {
+export interface LightData extends Omit<EncodedLight, "data" | "bytes"> {
   data?: Uint8Array<ArrayBuffer>;
 }
 
@@ -18,7 +18,7 @@ export interface Lights extends Omit<LightResponse, "results"> {
 }
 
 /** The first form of this format, if the light has one. */
-export function formOf(light: Light, ...formats: readonly Format[]): LightData | undefined {
+export function formOf(light: Light, ...formats: readonly LightFormat[]): LightData | undefined {
   return light.forms.find((form) => formats.includes(form.format));
 }
 
@@ -54,7 +54,7 @@ export function parseLights<T extends LightResponse>(body: ArrayBuffer): Omit<T,
 
 function withData<T extends LightResponse>(
   response: T,
-  dataOf: (form: LightForm) => Uint8Array<ArrayBuffer> | undefined,
+  dataOf: (form: EncodedLight) => Uint8Array<ArrayBuffer> | undefined,
 ): Omit<T, "results"> & Lights {
   const results = response.results.map((result) => ({
     ...result,

@@ -6,7 +6,7 @@ import { decodeLights, parseLights, type Light, type LightData, type Lights } fr
 import { Stream, type StreamOptions } from "./stream.js";
 import {
   LIGHT_MEDIA_TYPE,
-  type Form,
+  type LightForm,
   type FrameResult,
   type LightRequest,
   type LightResponse,
@@ -76,7 +76,7 @@ export class Session {
   }
 
   /** Light at one point, a position or the name of a followed one, in some forms. */
-  async lightAt(point: Position | string, forms: readonly Form[], options: CallOptions = {}): Promise<Light> {
+  async lightAt(point: Position | string, forms: readonly LightForm[], options: CallOptions = {}): Promise<Light> {
     const probe = typeof point === "string" ? { name: point } : { position: point };
     const { results } = await this.light({ probes: [probe], forms }, options);
     return results[0]!;
@@ -96,7 +96,7 @@ export class Session {
   /** One form of the light at a point; null if the light that `etag`, of an earlier answer, names still stands there. */
   async probe(
     point: Position | string,
-    form: Form,
+    form: LightForm,
     options: CallOptions & { etag?: string } = {},
   ): Promise<Probed | null> {
     const query = new URLSearchParams();

@@ -6,7 +6,7 @@ import type { ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
 import type {
   ClientMessage,
-  Form,
+  LightForm,
   FrameResult,
   LightAnswer,
   LightingUpdate,
@@ -102,7 +102,7 @@ export class Stream {
   }
 
   /** Light of the followed points, now and after each frame, to `onLighting`; no forms: no more. */
-  subscribe(forms: readonly Form[]): void {
+  subscribe(forms: readonly LightForm[]): void {
     this.send({ type: "subscribe", forms });
   }
 

@@ -20,9 +20,9 @@ export type PlaneEncoding = "raw" | "png" | "zstd";
 
 export type TrackingState = "normal" | "limited" | "not_available";
 
-export type Mode = "auto" | "classical" | "single" | "video";
+export type ModelName = "auto" | "classical" | "single" | "video";
 
-export type Format = "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
+export type LightFormat = "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
 
 export type Kind = "total" | "ambient";
 
@@ -76,8 +76,8 @@ export interface DepthPart {
  *               threejs (27 interleaved, signs all positive).
  * exposure_ev:  for png: radiance 2^-exposure_ev is white.
  */
-export interface Form {
-  format: Format;
+export interface LightForm {
+  format: LightFormat;
   size?: number | null; // 8 to 512
   kind?: Kind; // default "total"
   basis?: Basis; // default "arcore"
@@ -163,7 +163,7 @@ export interface LightAnswer {
 /** WebSocket, to the server: light now. The answer carries the same `request`. */
 export interface LightCall {
   probes: readonly ProbeQuery[]; // 1 to 64 of them
-  forms: readonly Form[]; // 1 to 8 of them
+  forms: readonly LightForm[]; // 1 to 8 of them
   type: "light";
   request?: string; // default ""
 }
@@ -174,8 +174,8 @@ export interface LightCall {
  * values: for sh and main_light, the numbers themselves.
  * data:   for the others in JSON, base64; in a binary light message `bytes` is their length instead.
  */
-export interface LightForm {
-  format: Format;
+export interface EncodedLight {
+  format: LightFormat;
   media_type: string;
   values?: { readonly [name: string]: unknown } | null;
   data?: string | null;
@@ -185,7 +185,7 @@ export interface LightForm {
 /** Light at several points, each in every one of the forms, all at one moment of the session. */
 export interface LightRequest {
   probes: readonly ProbeQuery[]; // 1 to 64 of them
-  forms: readonly Form[]; // 1 to 8 of them
+  forms: readonly LightForm[]; // 1 to 8 of them
 }
 
 /**
@@ -226,7 +226,7 @@ export interface ProbeLight {
   name?: string | null;
   coverage: number;
   etag: string;
-  forms: readonly LightForm[];
+  forms: readonly EncodedLight[];
 }
 
 /** A point: a position in world metres, or the name of a tracked probe. */
@@ -274,7 +274,7 @@ export interface ProblemEvent {
  * min_confidence:      depth pixels below this confidence (0, 1, 2) are unknown.
  */
 export interface SessionRequest {
-  mode?: Mode; // default "auto"
+  mode?: ModelName; // default "auto"
   height?: number; // 16 to 512; default 120
   reference_exposure?: number | null; // 1e-06 to 1,000,000
   use_limited_tracking?: boolean; // default false
@@ -300,7 +300,7 @@ export interface SessionState {
 /** WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop. */
 export interface Subscribe {
   type: "subscribe";
-  forms: readonly Form[]; // 0 to 8 of them
+  forms: readonly LightForm[]; // 0 to 8 of them
 }
 
 /** WebSocket, to the server: follow this point from now on; a name that is taken moves. */

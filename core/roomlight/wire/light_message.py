@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from typing import Any, Final, TypeVar
 
 from roomlight.errors import WireError
-from roomlight.wire.messages import LightForm, LightResponse
+from roomlight.wire.messages import EncodedLight, LightResponse
 
 MAGIC: Final = b"RLL1"
 MEDIA_TYPE: Final = "application/vnd.roomlight.light"
@@ -54,7 +54,7 @@ def parse_light(body: bytes, model: type[_Response]) -> tuple[_Response, list[li
     return response, parts
 
 
-def with_data(form: LightForm, data: bytes) -> LightForm:
+def with_data(form: EncodedLight, data: bytes) -> EncodedLight:
     """The form as JSON carries it: its data in base64."""
     replaced: dict[str, Any] = {"bytes": None, "data": base64.b64encode(data).decode()}
     return form.model_copy(update=replaced)

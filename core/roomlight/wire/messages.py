@@ -23,10 +23,10 @@ Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_leng
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 WirePosition = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
-Mode = Literal["auto", "classical", "single", "video"]
-Format = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
-Kind = Literal["total", "ambient"]
-Basis = Literal["arcore", "arkit", "threejs"]
+ModelName = Literal["auto", "classical", "single", "video"]
+LightFormat = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
+HarmonicsKind = Literal["total", "ambient"]
+HarmonicsBasis = Literal["arcore", "arkit", "threejs"]
 CUBE_FORMATS: Final = ("cube", "ktx2", "specular")
 FACE_SIZES: Final = (16, 32, 64, 128, 256)
 FrameStatus = Literal["processed", "queued", "superseded", "skipped"]
@@ -47,7 +47,7 @@ class SessionRequest(WireModel):
     min_confidence:      depth pixels below this confidence (0, 1, 2) are unknown.
     """
 
-    mode: Mode = "auto"
+    mode: ModelName = "auto"
     height: Annotated[int, Field(ge=16, le=512), WHOLE] = 120
     reference_exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] | None = None
     use_limited_tracking: bool = False
@@ -61,7 +61,7 @@ class ProbeBody(WireModel):
     position: WirePosition
 
 
-class Form(WireModel):
+class LightForm(WireModel):
     """One form in which light is wanted.
 
     size:         height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); side of a face of cube,
@@ -72,19 +72,19 @@ class Form(WireModel):
     exposure_ev:  for png: radiance 2^-exposure_ev is white.
     """
 
-    format: Format
+    format: LightFormat
     size: Annotated[int, Field(ge=8, le=512), WHOLE] | None = None
-    kind: Kind = "total"
-    basis: Basis = "arcore"
+    kind: HarmonicsKind = "total"
+    basis: HarmonicsBasis = "arcore"
     exposure_ev: Annotated[float, Field(ge=-16, le=16, allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
-    def _face_sizes(self) -> "Form":
+    def _face_sizes(self) -> "LightForm":
         if self.format in CUBE_FORMATS and self.size not in (None, *FACE_SIZES):
             said = {"format": self.format, "sizes": ", ".join(map(str, FACE_SIZES))}
             rule = PydanticCustomError("face_size", "faces of {format} are {sizes} pixels wide", said)
             at = InitErrorDetails(type=rule, loc=("size",), input=self.size)  # the field that is wrong, not the whole
-            raise ValidationError.from_exception_data("Form", [at])
+            raise ValidationError.from_exception_data("LightForm", [at])
         return self
 
 
@@ -105,17 +105,17 @@ class LightRequest(WireModel):
     """Light at several points, each in every one of the forms, all at one moment of the session."""
 
     probes: Annotated[list[ProbeQuery], Field(min_length=1, max_length=MAX_PROBES)]
-    forms: Annotated[list[Form], Field(min_length=1, max_length=MAX_FORMS)]
+    forms: Annotated[list[LightForm], Field(min_length=1, max_length=MAX_FORMS)]
 
 
-class LightForm(WireModel):
+class EncodedLight(WireModel):
     """One form of one probe's light.
 
     values: for sh and main_light, the numbers themselves.
     data:   for the others in JSON, base64; in a binary light message `bytes` is their length instead.
     """
 
-    format: Format
+    format: LightFormat
     media_type: str
     values: dict[str, Any] | None = None
     data: str | None = None
@@ -132,7 +132,7 @@ class ProbeLight(WireModel):
     name: Id | None = None
     coverage: Number
     etag: str
-    forms: list[LightForm]
+    forms: list[EncodedLight]
 
 
 class LightResponse(WireModel):
@@ -233,7 +233,7 @@ class Subscribe(WireModel):
     """WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop."""
 
     type: Literal["subscribe"]
-    forms: Annotated[list[Form], Field(max_length=MAX_FORMS)]
+    forms: Annotated[list[LightForm], Field(max_length=MAX_FORMS)]
 
 
 class Track(WireModel):

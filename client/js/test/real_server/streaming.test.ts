@@ -10,7 +10,7 @@ import {
   parseHdr,
   RoomLight,
   RoomLightError,
-  type Form,
+  type LightForm,
   type Frame,
   type Light,
   type Lights,
@@ -21,7 +21,7 @@ import { plainFrame, vectors } from "../vectors.js";
 
 const server = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: process.env["ROOMLIGHT_TOKEN"]! });
 const options = { mode: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
-const FORMS: Form[] = [
+const FORMS: LightForm[] = [
   { format: "npy" },
   { format: "hdr" },
   { format: "cube", size: 16 },
