@@ -46,7 +46,7 @@ def test_what_is_no_light_message_is_refused(damage):
         parse_light(damage, LightResponse)
     whole = pack_light(response(), [b"first", b"", b"other", b""])
     for wrong in (whole[:-1], whole + b"x"):
-        with pytest.raises(WireError, match="parts should end"):
+        with pytest.raises(WireError, match="parts must end"):
             parse_light(wrong, LightResponse)
 
 

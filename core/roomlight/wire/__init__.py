@@ -1,1 +1,4 @@
-"""What crosses the network: frames in, light out. `server/WIRE.md` is the document; nothing here opens a socket."""
+"""The wire format: messages that carry frames to a server and light back, specified in `server/WIRE.md`.
+
+These modules build, parse and check messages. They open no sockets.
+"""

@@ -1,6 +1,6 @@
-"""A parsed frame message into a `Frame`: colour to linear RGB, depth to metres, exposure and confidence applied.
+"""Decode a parsed frame message to a `Frame`: linear RGB, depth in metres, exposure and confidence applied.
 
-Every size was held to the header by `frame_message.parse`; decompression stops at it. Failures are WireErrors.
+`frame_message.parse` has checked every size against the header; decompression stops at these sizes.
 """
 
 import importlib
@@ -24,17 +24,23 @@ _HEIC: Final = "pillow_heif"
 
 
 def heic_available() -> bool:
-    """Whether this install decodes HEIC (the extra `heic`)."""
+    """Return whether HEIC can be decoded (the extra `heic` is installed)."""
     return importlib.util.find_spec(_HEIC) is not None
 
 
 def decode_frame(
     message: FrameMessage, index: int, *, reference_exposure: float = 1.0, min_confidence: int = 1
 ) -> Frame:
-    """The message as a frame, radiance in units of the reference exposure. Raises WireError with the field."""
+    """Decode the message to a frame; a radiance of 1 is white at the reference exposure.
+
+    Depth whose confidence is below `min_confidence` becomes unknown.
+
+    Raises:
+        WireError: A part does not decode or has unusable values; `field` names it.
+    """
     image, clipped = _colour(message)
     ratio = message.header.exposure / reference_exposure
-    if ratio != 1.0:  # so that what was not scaled keeps its bits
+    if ratio != 1.0:  # keeps unscaled images bit-exact
         image = image / np.float32(ratio)
     depth_m = _depth(message, min_confidence)
     try:
@@ -65,30 +71,30 @@ def _colour(message: FrameMessage) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.
     try:
         image, clipped = decode_colour(bytes(data), "the image")
     except RoomLightError as error:
-        raise _refused("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
+        raise _error("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
     if image.shape[:2] != (height, width):
-        rule = f"the pixels must stand as {width} x {height}, without an EXIF turn"
-        raise _refused("colour", f"{image.shape[1]} x {image.shape[0]}", rule)
+        rule = f"the pixels must be stored as {width} x {height}, without an EXIF rotation"
+        raise _error("colour", f"{image.shape[1]} x {image.shape[0]}", rule)
     return image, clipped
 
 
 def _heic(message: FrameMessage) -> UInt8[np.ndarray, "h w 3"]:
-    """8-bit sRGB; the size is read from the file's boxes before a pixel is decoded."""
+    """Decode HEIC to 8-bit sRGB; the size in the file's header is checked before any pixel is decoded."""
     if not heic_available():
-        rule = "this server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
-        raise _refused("colour.encoding", "heic", rule)
+        rule = "the server has no HEIC decoder (pip install 'roomlight[heic]'); send jpeg or png"
+        raise _error("colour.encoding", "heic", rule)
     heif: Any = importlib.import_module(_HEIC)
     size = (message.intrinsics.width, message.intrinsics.height)
     try:
         image = heif.open_heif(bytes(message.colour), convert_hdr_to_8bit=True)
         if image.size != size:
-            rule = f"the image must have the size that the header states, {size[0]} x {size[1]}"
-            raise _refused("colour", f"{image.size[0]} x {image.size[1]}", rule)
+            rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
+            raise _error("colour", f"{image.size[0]} x {image.size[1]}", rule)
         pixels = np.asarray(image)
     except (ValueError, RuntimeError, OSError, EOFError, SyntaxError) as error:
-        raise _refused("colour", f"{len(message.colour)} bytes of heic", f"does not decode ({error})") from error
+        raise _error("colour", f"{len(message.colour)} bytes of heic", f"does not decode ({error})") from error
     if pixels.dtype != np.uint8 or pixels.shape not in ((size[1], size[0], 3), (size[1], size[0], 4)):
-        raise _refused("colour", f"{pixels.dtype} {pixels.shape}", "8-bit RGB")
+        raise _error("colour", f"{pixels.dtype} {pixels.shape}", "8-bit RGB")
     return np.ascontiguousarray(pixels[..., :3])
 
 
@@ -98,7 +104,7 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
         try:
             depth_m = decode_depth(bytes(message.depth), "the depth map", unit_m=0.001)
         except RoomLightError as error:
-            raise _refused("depth", f"{len(message.depth)} bytes of png", str(error)) from error
+            raise _error("depth", f"{len(message.depth)} bytes of png", str(error)) from error
     else:
         raw = _plane(part, message.depth, DEPTH_BYTES[part.format], "depth")
         if part.format == "uint16_mm":
@@ -110,17 +116,21 @@ def _depth(message: FrameMessage, min_confidence: int) -> Float[np.ndarray, "dh 
     depth_m = clean_depth(depth_m.reshape(part.height, part.width))
     known = depth_m > 0
     if not known.any():
-        raise _refused("depth", "0 known pixels", "at least one pixel must have a depth")
+        raise _error("depth", "0 known pixels", "at least one pixel must have a known depth")
     median_m, (low, high) = float(np.median(depth_m[known])), DEPTH_MEDIAN_M
     if not low <= median_m <= high:
-        raise _refused("depth", f"a median of {median_m:.4g} m", f"{low:g} to {high:g} m; is {part.format} its unit?")
+        raise _error(
+            "depth",
+            f"a median of {median_m:.4g} m",
+            f"must be {low:g} to {high:g} m; check that the unit is that of {part.format}",
+        )
     if message.confidence is None or message.header.confidence is None:
         return depth_m
     confidence = _confidence(message.header.confidence, message.confidence)
     trusted = np.where(confidence >= min_confidence, depth_m, np.float32(0))
     if not trusted.any():
-        rule = f"at least one pixel with depth must have a confidence of {min_confidence} or more"
-        raise _refused("confidence", f"at most {confidence.max()}", rule)
+        rule = f"at least one pixel with known depth must have a confidence of {min_confidence} or more"
+        raise _error("confidence", f"at most {confidence.max()}", rule)
     return trusted
 
 
@@ -130,24 +140,24 @@ def _confidence(part: ConfidencePart, data: memoryview) -> UInt8[np.ndarray, "h 
     try:
         return decode_grey8(bytes(data), "the confidence map")
     except RoomLightError as error:
-        raise _refused("confidence", f"{len(data)} bytes of png", str(error)) from error
+        raise _error("confidence", f"{len(data)} bytes of png", str(error)) from error
 
 
 def _plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field: str) -> bytes | memoryview:
-    """The raw values; decompression never writes more than they take."""
+    """Return the raw values of a plane; decompression is limited to their size."""
     size = part.width * part.height * item
     if part.encoding == "raw":
         return data
     try:
-        # a window over 8 MB is no depth map's; without this bound a header of 18 bytes asks for 128 MB
+        # no depth map needs a window above 8 MB; without this bound a message of 18 bytes allocates 128 MB
         decompressor = zstandard.ZstdDecompressor(max_window_size=2**23)
         raw = decompressor.decompress(data, max_output_size=size, allow_extra_data=False)
     except (zstandard.ZstdError, MemoryError) as error:
-        raise _refused(field, f"{len(data)} bytes of zstd", f"must decompress to {size} bytes ({error})") from error
+        raise _error(field, f"{len(data)} bytes of zstd", f"must decompress to {size} bytes ({error})") from error
     if len(raw) != size:
-        raise _refused(field, f"{len(raw)} bytes decompressed", f"must be {size}")
+        raise _error(field, f"{len(raw)} bytes decompressed", f"must be {size}")
     return raw
 
 
-def _refused(field: str, value: object, rule: str) -> WireError:
+def _error(field: str, value: object, rule: str) -> WireError:
     return WireError("bad-frame", field=field, value=value, rule=rule)

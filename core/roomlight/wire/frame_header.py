@@ -1,7 +1,7 @@
-"""The JSON header of a frame message: its fields, and what each must be.
+"""The JSON header of a frame message: its fields, their types and their ranges.
 
 Units: pixels, metres, seconds. Poses are camera-to-world in ARKit's axes (camera x right, y up, z backward; world
-y up). Pydantic checks types and ranges here; what needs two fields or the bytes is checked in `frame_message`.
+y up). Pydantic checks each field here. `frame_message` checks fields against each other and against the bytes.
 """
 
 from typing import Annotated, Final, Literal
@@ -9,10 +9,10 @@ from typing import Annotated, Final, Literal
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field
 
 VERSION: Final = 1
-SIDE: Final = 16_384
-"""Longest side of an image or a depth map in pixels; `FrameLimits` bounds the area."""
+MAX_SIDE: Final = 16_384
+"""Longest side of an image or a depth map in pixels. `FrameLimits` bounds the area."""
 MAX_INDEX: Final = 2**53 - 1
-"""The largest whole number that every client's arithmetic holds exactly."""
+"""The largest integer that every client language represents exactly (JavaScript numbers are doubles)."""
 
 ColourEncoding = Literal["jpeg", "png", "heic", "rgb8", "linear_f32"]
 DepthFormat = Literal["uint16_mm", "float16_m", "float32_m"]
@@ -20,32 +20,33 @@ PlaneEncoding = Literal["raw", "png", "zstd"]
 TrackingState = Literal["normal", "limited", "not_available"]
 
 DEPTH_BYTES: Final[dict[str, int]] = {"uint16_mm": 2, "float16_m": 2, "float32_m": 4}
-"""Bytes of one depth value, little-endian."""
+"""Bytes per depth value, little-endian."""
 
 
-def whole(value: object) -> object:
-    """7.0 is the whole number 7, as in JSON, whose writers do not all tell them apart; anything else as it is."""
+def as_whole_number(value: object) -> object:
+    """Convert a float without a fraction to an integer (JSON writers may send 7 as 7.0); keep any other value."""
     return int(value) if isinstance(value, float) and value.is_integer() else value
 
 
-WHOLE: Final = BeforeValidator(whole)
-"""After an integer's bounds, so that these stand in the schema."""
-Pixels = Annotated[int, Field(ge=1, le=SIDE), WHOLE]
-ByteCount = Annotated[int, Field(ge=1, le=2**31), WHOLE]
-Number = Annotated[float, Field(allow_inf_nan=False)]
+WHOLE_NUMBER: Final = BeforeValidator(as_whole_number)
+"""Annotate an integer with this after its bounds; the bounds then appear in the JSON schema."""
+Pixels = Annotated[int, Field(ge=1, le=MAX_SIDE), WHOLE_NUMBER]
+ByteCount = Annotated[int, Field(ge=1, le=2**31), WHOLE_NUMBER]
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 
 
 class WireModel(BaseModel):
-    """Strict, frozen, closed: a misspelt field is an error, not a default."""
+    """Base of all messages: strict types, immutable, unknown fields are errors."""
 
     model_config = ConfigDict(strict=True, frozen=True, extra="forbid")
 
 
 class ColourPart(WireModel):
-    """The first part. Its size in pixels is the intrinsics'; pixels stand as the sensor gave them, with no EXIF turn.
+    """The first part: the colour image, in sensor orientation (no EXIF rotation), of the size of the intrinsics.
 
-    jpeg, png, heic: 8-bit sRGB. rgb8: 8-bit sRGB, row by row, 3 bytes a pixel. linear_f32: float32 linear RGB
-    [h, w, 3], then uint8 [h, w], 1 where the sensor clipped: for replays that must not lose a bit.
+    jpeg, png, heic: an 8-bit sRGB file.
+    rgb8:            8-bit sRGB, row by row, 3 bytes per pixel.
+    linear_f32:      float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor clipped; lossless, for replays.
     """
 
     encoding: ColourEncoding
@@ -53,9 +54,9 @@ class ColourPart(WireModel):
 
 
 class DepthPart(WireModel):
-    """The second part: z-depth, row by row, little-endian, the same view as the colour.
+    """The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
 
-    0 (or, for floats, anything that is not finite and positive) is unknown, and so is 65535 mm.
+    Unknown depth is 0 or 65535 in millimetres; in metres, any value that is not finite and positive.
     """
 
     format: DepthFormat
@@ -66,7 +67,7 @@ class DepthPart(WireModel):
 
 
 class ConfidencePart(WireModel):
-    """The optional third part: one byte a depth pixel, 0 low, 1 medium, 2 high, of the depth's size."""
+    """The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map."""
 
     format: Literal["uint8"] = "uint8"
     encoding: PlaneEncoding = "raw"
@@ -76,34 +77,33 @@ class ConfidencePart(WireModel):
 
 
 class WireIntrinsics(WireModel):
-    """A pinhole camera in pixels of the colour image; pixel centres at half integers."""
+    """A pinhole camera in pixels of the colour image. Pixel centres are at half integers."""
 
-    fx: Number
-    fy: Number
-    cx: Number
-    cy: Number
+    fx: FiniteNumber
+    fy: FiniteNumber
+    cx: FiniteNumber
+    cy: FiniteNumber
     width: Pixels
     height: Pixels
 
 
 class FrameHeader(WireModel):
-    """Everything about a frame but its pixels.
+    """Everything about a frame except its pixels.
 
-    index:            needed on a WebSocket; over HTTP the address has it, and if given here it must be the same.
-    camera_to_world:  16 numbers, column by column, as a `simd_float4x4` stands in memory: x axis, y axis, z axis,
-                      position.
-    exposure:         how much light the image took, in units of the session's reference exposure (for instance shutter
-                      seconds x ISO): linear radiance is divided by exposure / reference.
-    tracking_state:   ARKit's; frames that are not `normal` are not used unless the session asks for it.
+    index:            required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+    camera_to_world:  16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+    exposure:         exposure of the image in the unit of the session's reference exposure (for example shutter
+                      seconds x ISO); linear radiance is divided by exposure / reference exposure.
+    tracking_state:   ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
     """
 
-    version: Annotated[Literal[1], WHOLE] = VERSION
-    index: Annotated[int, Field(ge=0, le=MAX_INDEX), WHOLE] | None = None
+    version: Annotated[Literal[1], WHOLE_NUMBER] = VERSION
+    index: Annotated[int, Field(ge=0, le=MAX_INDEX), WHOLE_NUMBER] | None = None
     colour: ColourPart
     depth: DepthPart
     confidence: ConfidencePart | None = None
     intrinsics: WireIntrinsics
-    camera_to_world: Annotated[list[Number], Field(min_length=16, max_length=16)]
-    timestamp_s: Number | None = None
+    camera_to_world: Annotated[list[FiniteNumber], Field(min_length=16, max_length=16)]
+    timestamp_s: FiniteNumber | None = None
     exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] = 1.0
     tracking_state: TrackingState = "normal"

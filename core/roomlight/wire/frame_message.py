@@ -1,13 +1,13 @@
-"""One frame as bytes: magic, header length, JSON header, then colour, depth and, if there is one, confidence.
+"""One frame as bytes: magic, header length, JSON header, colour, depth and optionally confidence.
 
-    offset  bytes  what
+    offset  bytes  content
     0       4      "RLF1"
     4       4      length n of the header, unsigned, little-endian
     8       n      the header, UTF-8 JSON (`frame_header.FrameHeader`)
-    8 + n   ...    the parts in order, with no gap and nothing after them
+    8 + n   ...    the parts in order, without gaps, up to the end of the message
 
-`pack` and `parse` are pure functions, and `parse` decodes no pixel: it holds every size that the message states to the
-bytes that are there, to the images' own headers and to `FrameLimits`, before anything is allocated for them.
+`pack` and `parse` are pure functions. `parse` decodes no pixels: it checks every stated size against the bytes
+received, the headers of the images and `FrameLimits`, before any memory is allocated for them.
 """
 
 import json
@@ -24,20 +24,20 @@ from roomlight.camera import Intrinsics, check_rigid
 from roomlight.errors import ImageError, WireError
 from roomlight.frame import ASPECT_TOLERANCE, MAX_POSITION_M
 from roomlight.images import peek_size
-from roomlight.wire.frame_header import DEPTH_BYTES, MAX_INDEX, ConfidencePart, DepthPart, FrameHeader, whole
+from roomlight.wire.frame_header import DEPTH_BYTES, MAX_INDEX, ConfidencePart, DepthPart, FrameHeader, as_whole_number
 
 MAGIC: Final = b"RLF1"
 _PREFIX: Final = struct.Struct("<4sI")
 MAX_HEADER_BYTES: Final = 16_384
-"""A header is about 700 bytes."""
+"""A typical header has about 700 bytes."""
 
 
 @dataclass(frozen=True)
 class FrameLimits:
-    """Largest frame taken, in bytes and in pixels.
+    """Largest frame accepted, in bytes and in pixels.
 
-    16 MiB hold a 12-megapixel JPEG of 6 MB with room to spare; 13 megapixels take 156 MB as float32 RGB while they
-    are being decoded; depth of 2 megapixels is 40 times ARKit's.
+    16 MiB is ample for a 12-megapixel JPEG (6 MB). 13 megapixels take 156 MB as float32 RGB during decoding.
+    2 megapixels of depth are 40 times ARKit's.
     """
 
     max_body_bytes: int = 16 * 2**20
@@ -47,7 +47,7 @@ class FrameLimits:
 
 @dataclass(frozen=True)
 class FrameMessage:
-    """A parsed message: the header, and views of the parts' bytes (compressed or raw, as they came)."""
+    """A parsed message: the header, and views of the parts' bytes as received (compressed or raw)."""
 
     header: FrameHeader
     intrinsics: Intrinsics
@@ -58,9 +58,12 @@ class FrameMessage:
 
 
 def pack(header: FrameHeader, colour: bytes, depth: bytes, confidence: bytes | None = None) -> bytes:
-    """The message's bytes. The header is written in one way: keys sorted, no spaces, whole numbers without a point.
+    """Build the bytes of a message.
 
-    Raises WireError if the parts are not as long as the header says.
+    The header's text is canonical: sorted keys, no spaces, integral numbers without a decimal point.
+
+    Raises:
+        WireError: A part does not have the length that the header states.
     """
     parts = [("colour", header.colour.bytes, colour), ("depth", header.depth.bytes, depth)]
     if header.confidence is not None or confidence is not None:
@@ -68,13 +71,19 @@ def pack(header: FrameHeader, colour: bytes, depth: bytes, confidence: bytes | N
         parts.append(("confidence", stated, confidence or b""))
     for name, stated, part in parts:
         if stated != len(part):
-            raise _refused(f"{name}.bytes", stated, f"must be the length of the part, {len(part)}")
-    text = json.dumps(_plain(header.model_dump(exclude_none=True)), sort_keys=True, separators=(",", ":")).encode()
+            raise _error(f"{name}.bytes", stated, f"must be the length of the part, {len(part)}")
+    text = json.dumps(
+        _integral_as_int(header.model_dump(exclude_none=True)), sort_keys=True, separators=(",", ":")
+    ).encode()
     return b"".join([_PREFIX.pack(MAGIC, len(text)), text, *(part for _, _, part in parts)])
 
 
 def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
-    """The message in these bytes, with every stated size held to what is there. Raises WireError."""
+    """Parse a message and check every stated size against the bytes.
+
+    Raises:
+        WireError: The message is malformed or exceeds the limits.
+    """
     limits = limits or FrameLimits()
     if len(body) > limits.max_body_bytes:
         raise WireError("too-large", field="", value=f"{len(body)} bytes", rule=f"at most {limits.max_body_bytes}")
@@ -86,7 +95,7 @@ def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
     stated = [header.colour.bytes, header.depth.bytes, header.confidence.bytes if header.confidence else 0]
     if sum(stated) != len(body) - start:
         rule = f"colour.bytes + depth.bytes + confidence.bytes must be the {len(body) - start} bytes after the header"
-        raise _refused("", sum(stated), rule)
+        raise _error("", sum(stated), rule)
     colour = view[start : start + stated[0]]
     depth = view[start + stated[0] : start + stated[0] + stated[1]]
     confidence = view[start + stated[0] + stated[1] :] if header.confidence else None
@@ -98,9 +107,9 @@ def parse(body: bytes, limits: FrameLimits | None = None) -> FrameMessage:
 
 
 def stated_index(body: bytes) -> int | None:
-    """The index in a message's header, whatever else is wrong with the message; None where it cannot be read.
+    """Return the index in a message's header even if the message is otherwise invalid, or None if it is unreadable.
 
-    For refusals: whoever sent several frames must know which one is meant.
+    Error messages carry it, so that a client with several frames in flight knows which one was rejected.
     """
     if len(body) < _PREFIX.size:
         return None
@@ -111,32 +120,32 @@ def stated_index(body: bytes) -> int | None:
         header = json.loads(bytes(body[_PREFIX.size : _PREFIX.size + length]))
     except (ValueError, RecursionError):
         return None
-    index = whole(header.get("index")) if isinstance(header, dict) else None
+    index = as_whole_number(header.get("index")) if isinstance(header, dict) else None
     return index if type(index) is int and 0 <= index <= MAX_INDEX else None
 
 
 def column_major(camera_to_world: Float[np.ndarray, "4 4"]) -> list[float]:
-    """A pose as the header carries it: column by column."""
+    """Return a pose as the header carries it: 16 numbers, column by column."""
     return [float(value) for value in camera_to_world.T.reshape(-1)]
 
 
-def explain(error: ValidationError, *, kind: str, prefix: str = "") -> WireError:
-    """Pydantic's first complaint as a WireError: field, value, rule."""
+def to_wire_error(error: ValidationError, *, kind: str, prefix: str = "") -> WireError:
+    """Convert Pydantic's first error to a WireError with field, value and rule."""
     first = error.errors(include_url=False, include_context=False)[0]
     field = ".".join(str(part) for part in (prefix, *first["loc"]) if part != "")
     given: Any = first["input"]
     value = "nothing" if first["type"] == "missing" else _shown(given)
-    return WireError(kind, field=field, value=value, rule=rule_of(first["msg"]))
+    return WireError(kind, field=field, value=value, rule=rule_text(first["msg"]))
 
 
-def rule_of(said: str) -> str:
-    """Pydantic's words for what would have been right, as the middle of a sentence."""
-    said = said.removeprefix("Value error, ")
-    return said[:1].lower() + said[1:]
+def rule_text(message: str) -> str:
+    """Convert Pydantic's message to the middle of a sentence: no prefix, first letter in lower case."""
+    message = message.removeprefix("Value error, ")
+    return message[:1].lower() + message[1:]
 
 
 def _shown(value: object) -> str:
-    """As JSON, and never megabytes of it."""
+    """Describe a rejected value in at most about 100 characters."""
     if isinstance(value, dict):
         return f"an object with {len(value)} fields"
     if isinstance(value, list):
@@ -144,24 +153,24 @@ def _shown(value: object) -> str:
     return repr(value[:100]) if isinstance(value, str | bytes) else repr(value)[:100]
 
 
-def _refused(field: str, value: object, rule: str) -> WireError:
+def _error(field: str, value: object, rule: str) -> WireError:
     return WireError("bad-frame", field=field, value=value, rule=rule)
 
 
 def _read_header(body: bytes) -> tuple[FrameHeader, int]:
     if len(body) < _PREFIX.size:
-        raise _refused("", f"{len(body)} bytes", "a frame begins with RLF1 and the length of its header")
+        raise _error("", f"{len(body)} bytes", "must begin with RLF1 and the length of the header")
     magic, length = _PREFIX.unpack_from(body)
     if magic != MAGIC:
-        raise _refused("magic", magic.hex(), f"must be {MAGIC.hex()} (RLF1)")
+        raise _error("magic", magic.hex(), f"must be {MAGIC.hex()} (RLF1)")
     if not 2 <= length <= min(MAX_HEADER_BYTES, len(body) - _PREFIX.size):
-        rule = f"must be 2 to {MAX_HEADER_BYTES} and end inside the message of {len(body)} bytes"
-        raise _refused("header length", length, rule)
+        rule = f"must be 2 to {MAX_HEADER_BYTES}, and the header must end inside the message of {len(body)} bytes"
+        raise _error("header length", length, rule)
     start = _PREFIX.size + length
     try:
         return FrameHeader.model_validate_json(bytes(body[_PREFIX.size : start])), start
     except ValidationError as error:
-        raise explain(error, kind="bad-frame") from error
+        raise to_wire_error(error, kind="bad-frame") from error
 
 
 def _intrinsics(header: FrameHeader) -> Intrinsics:
@@ -170,7 +179,7 @@ def _intrinsics(header: FrameHeader) -> Intrinsics:
         return Intrinsics(k.fx, k.fy, k.cx, k.cy, k.width, k.height)
     except ValueError as error:
         given = f"fx {k.fx:g}, fy {k.fy:g}, cx {k.cx:g}, cy {k.cy:g} for {k.width} x {k.height}"
-        raise _refused("intrinsics", given, str(error)) from error
+        raise _error("intrinsics", given, str(error)) from error
 
 
 def _pose(header: FrameHeader) -> Float[np.ndarray, "4 4"]:
@@ -178,14 +187,14 @@ def _pose(header: FrameHeader) -> Float[np.ndarray, "4 4"]:
         pose = np.array(header.camera_to_world, np.float64).reshape(4, 4).T
         try:
             if np.abs(pose).max() > 1e9:  # beyond it the checks themselves overflow
-                raise ValueError("the pose holds numbers over 1e9")
+                raise ValueError("the pose contains numbers above 1e9")
             pose = check_rigid(pose)
         except ValueError as error:
-            columns = "x axis, y axis, z axis, position, each with its fourth number (0 0 0 1)"
-            raise _refused("camera_to_world", header.camera_to_world, f"{error}; wanted: {columns}") from error
+            columns = "x axis, y axis, z axis, position, with fourth components 0 0 0 1"
+            raise _error("camera_to_world", header.camera_to_world, f"{error}; expected columns: {columns}") from error
     far_m = float(np.abs(pose[:3, 3]).max())
     if far_m > MAX_POSITION_M:
-        raise _refused("camera_to_world", f"{far_m:g} m", f"at most {MAX_POSITION_M:g} m from the origin")
+        raise _error("camera_to_world", f"{far_m:g} m", f"at most {MAX_POSITION_M:g} m from the origin")
     return pose
 
 
@@ -198,64 +207,64 @@ def _check_sizes(header: FrameHeader, limits: FrameLimits) -> None:
         if width * height > most:
             raise WireError("too-large", field=field, value=f"{width} x {height}", rule=f"at most {most} pixels")
         if min(width, height) < 2:
-            raise _refused(field, f"{width} x {height}", "at least 2 x 2 pixels")
+            raise _error(field, f"{width} x {height}", "at least 2 x 2 pixels")
     if abs(depth.width / depth.height - k.width / k.height) > ASPECT_TOLERANCE * k.width / k.height:
         rule = f"must have the aspect of the image, {k.width} x {k.height}"
-        raise _refused("depth", f"{depth.width} x {depth.height}", rule)
+        raise _error("depth", f"{depth.width} x {depth.height}", rule)
     if confidence is not None and (confidence.width, confidence.height) != (depth.width, depth.height):
         rule = f"must have the depth's size, {depth.width} x {depth.height}"
-        raise _refused("confidence", f"{confidence.width} x {confidence.height}", rule)
+        raise _error("confidence", f"{confidence.width} x {confidence.height}", rule)
     if depth.encoding == "png" and depth.format != "uint16_mm":
-        raise _refused("depth.encoding", f"png with {depth.format}", "png carries uint16_mm alone; use raw or zstd")
+        raise _error("depth.encoding", f"png with {depth.format}", "png encodes uint16_mm only; use raw or zstd")
 
 
 def _check_colour(header: FrameHeader, colour: memoryview) -> None:
     k, encoding = header.intrinsics, header.colour.encoding
     raw = {"rgb8": 3, "linear_f32": 13}.get(encoding)
     if raw is not None and len(colour) != raw * k.width * k.height:
-        rule = f"{encoding} of {k.width} x {k.height} takes {raw * k.width * k.height} bytes"
-        raise _refused("colour.bytes", len(colour), rule)
+        rule = f"{encoding} of {k.width} x {k.height} must have {raw * k.width * k.height} bytes"
+        raise _error("colour.bytes", len(colour), rule)
     if encoding in ("jpeg", "png"):
         _check_image(colour, encoding, (k.width, k.height), "colour")
     if encoding == "heic" and bytes(colour[4:8]) != b"ftyp":
-        raise _refused("colour", bytes(colour[:8]).hex(), "a HEIC file has `ftyp` at its fifth byte")
+        raise _error("colour", bytes(colour[:8]).hex(), "a HEIC file must have `ftyp` at byte 4")
 
 
 def _check_plane(part: DepthPart | ConfidencePart, data: memoryview, item: int, field: str) -> None:
-    """A depth or confidence part: its bytes, as far as they can be judged without decoding."""
+    """Check the bytes of a depth or confidence part without decoding them."""
     raw = part.width * part.height * item
     if part.encoding == "raw" and len(data) != raw:
-        raise _refused(f"{field}.bytes", len(data), f"{part.format} of {part.width} x {part.height} takes {raw}")
+        raise _error(f"{field}.bytes", len(data), f"{part.format} of {part.width} x {part.height} must have {raw}")
     if part.encoding == "png":
         _check_image(data, "png", (part.width, part.height), field)
     if part.encoding == "zstd":
         try:
             content = zstandard.get_frame_parameters(data).content_size
         except zstandard.ZstdError as error:
-            raise _refused(field, bytes(data[:4]).hex(), f"must be a zstd frame ({error})") from error
+            raise _error(field, bytes(data[:4]).hex(), f"must be a zstd frame ({error})") from error
         if content not in (raw, zstandard.CONTENTSIZE_UNKNOWN):
-            raise _refused(field, f"{content} bytes decompressed", f"{part.width} x {part.height} takes {raw}")
+            raise _error(field, f"{content} bytes decompressed", f"{part.width} x {part.height} must have {raw}")
 
 
 def _check_image(data: memoryview, encoding: str, size: tuple[int, int], field: str) -> None:
     magic = {"jpeg": b"\xff\xd8\xff", "png": b"\x89PNG\r\n\x1a\n"}[encoding]
     if bytes(data[: len(magic)]) != magic:
-        raise _refused(field, bytes(data[: len(magic)]).hex(), f"a {encoding} begins with {magic.hex()}")
+        raise _error(field, bytes(data[: len(magic)]).hex(), f"a {encoding} file must begin with {magic.hex()}")
     try:
         found = peek_size(bytes(data), field)
     except ImageError as error:
-        raise _refused(field, f"{len(data)} bytes", str(error)) from error
+        raise _error(field, f"{len(data)} bytes", str(error)) from error
     if found != size:
-        rule = f"the image must have the size that the header states, {size[0]} x {size[1]}"
-        raise _refused(field, f"{found[0]} x {found[1]}", rule)
+        rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
+        raise _error(field, f"{found[0]} x {found[1]}", rule)
 
 
-def _plain(value: Any) -> Any:
-    """Whole floats as integers, as JavaScript and Swift write them, so that all clients write the same bytes."""
+def _integral_as_int(value: Any) -> Any:
+    """Convert integral floats to integers, as JavaScript and Swift write them; all clients then write equal bytes."""
     if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
+        return {key: _integral_as_int(item) for key, item in value.items()}
     if isinstance(value, list):
-        return [_plain(item) for item in value]
+        return [_integral_as_int(item) for item in value]
     if isinstance(value, float) and value.is_integer() and abs(value) < 2**53:
         return int(value)
     return value

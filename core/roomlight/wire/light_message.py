@@ -1,9 +1,9 @@
 """Light as bytes: the JSON of a `LightResponse`, then the data of its forms, without base64.
 
-offset  bytes  what
+offset  bytes  content
 0       4      "RLL1"
 4       4      length n of the JSON, unsigned, little-endian
-8       n      the JSON: each form without `values` has `bytes`, the length of its part
+8       n      the JSON; each form without `values` has `bytes`, the length of its part
 8 + n   ...    the parts, in the order of `results` and of their `forms`
 """
 
@@ -22,15 +22,18 @@ _Response = TypeVar("_Response", bound=LightResponse)
 
 
 def pack_light(response: LightResponse, parts: Sequence[bytes]) -> bytes:
-    """The message's bytes; `parts` are the data of the forms that state `bytes`."""
+    """Build the bytes of a message. `parts` are the data of the forms that state `bytes`, in order."""
     text = response.model_dump_json(exclude_none=True).encode()
     return b"".join([_PREFIX.pack(MAGIC, len(text)), text, *parts])
 
 
 def parse_light(body: bytes, model: type[_Response]) -> tuple[_Response, list[list[bytes | None]]]:
-    """The response and, for each result, each form's data (None for forms of values). Raises WireError.
+    """Parse a message into the response and, for each result, the data of each form (None for forms with values).
 
-    `model` is LightResponse for HTTP, LightAnswer or LightingUpdate for what a WebSocket sends.
+    `model` is LightResponse for HTTP, LightAnswer or LightingUpdate for messages of a WebSocket.
+
+    Raises:
+        WireError: The message is malformed.
     """
     if len(body) < _PREFIX.size or body[:4] != MAGIC:
         raise WireError("bad-light", field="magic", value=body[:4].hex(), rule=f"must be {MAGIC.hex()} (RLL1)")
@@ -38,7 +41,7 @@ def parse_light(body: bytes, model: type[_Response]) -> tuple[_Response, list[li
     at = _PREFIX.size + length
     try:
         if at > len(body):
-            raise ValueError("the JSON is cut off")
+            raise ValueError("the JSON is truncated")
         response = model.model_validate_json(body[_PREFIX.size : at])
         parts: list[list[bytes | None]] = []
         for result in response.results:
@@ -48,13 +51,13 @@ def parse_light(body: bytes, model: type[_Response]) -> tuple[_Response, list[li
                 parts[-1].append(None if form.bytes is None else body[at:stop])
                 at = stop
         if at != len(body):
-            raise ValueError(f"the parts should end at byte {at}, the message has {len(body)}")
+            raise ValueError(f"the parts must end at byte {at}, but the message has {len(body)} bytes")
     except ValueError as error:
         raise WireError("bad-light", field="", value=f"{len(body)} bytes", rule=str(error)) from error
     return response, parts
 
 
 def with_data(form: EncodedLight, data: bytes) -> EncodedLight:
-    """The form as JSON carries it: its data in base64."""
+    """Return the form as plain JSON carries it: with its data in base64 instead of its length."""
     replaced: dict[str, Any] = {"bytes": None, "data": base64.b64encode(data).decode()}
     return form.model_copy(update=replaced)

@@ -1,7 +1,10 @@
-"""The JSON messages: bodies of the HTTP interface and texts of the WebSocket, which are the same models.
+"""The JSON messages: bodies of the HTTP interface and text messages of the WebSocket, which share these models.
 
 Units: world metres (y up), seconds, milliseconds where a name says so. Directions point from the probe toward the
-light. Light is linear RGB; 1.0 is what the session's reference exposure shows as white.
+light. Light is linear RGB; 1.0 is the radiance that the session's reference exposure shows as white.
+
+`LightFormat` is the name of an output encoding, `LightForm` a format with its parameters as a client requests it, and
+`EncodedLight` the light of one probe in one form.
 """
 
 import re
@@ -10,14 +13,15 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, StringConstraints, ValidationError, model_validator
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
-from roomlight.wire.frame_header import WHOLE, Number, WireModel
+from roomlight.wire.frame_header import WHOLE_NUMBER, FiniteNumber, WireModel
 
 ID_PATTERN: Final = r"^[A-Za-z0-9_-]{1,64}\Z"
-"""Of session ids and probe names: nothing a path, a log line or a metric could stumble over."""
+"""Pattern of session ids and probe names: safe in a path, a log line and a metric."""
 MAX_PROBES: Final = 64
-MAX_FORMS: Final = 8
+MAX_FORMS: Final = 16
+"""Forms per request. There are 15 without their sizes: 9 formats, and sh in 2 kinds and 3 bases."""
 NO_FRAME: Final = -1
-"""The frame of a light that no frame is in: the prior."""
+"""Frame index of the default light, which is returned before the first frame."""
 
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_length=64)]
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
@@ -33,86 +37,91 @@ FrameStatus = Literal["processed", "queued", "superseded", "skipped"]
 
 
 def is_id(text: str) -> bool:
-    """Whether this may name a session or a probe."""
+    """Return whether the text is a valid session id or probe name."""
     return re.match(ID_PATTERN, text) is not None
 
 
 class SessionRequest(WireModel):
-    """What a session is to be; sent again with the same values it changes nothing.
+    """Options of a session.
 
-    height:              of the panoramas in pixels; their width is twice that.
-    reference_exposure:  the exposure that shows radiance 1.0 as white, in the frames' unit; null: the first frame's.
-    use_limited_tracking: take frames whose tracking is `limited` too. Their poses can be wrong, and what they
-                         smear over the room stays: hence not by default.
-    min_confidence:      depth pixels below this confidence (0, 1, 2) are unknown.
+    mode:                which model estimates the light; `auto` is the server's default.
+    height:              height of the panoramas in pixels; the width is twice the height.
+    reference_exposure:  the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
+                         exposure of the first frame.
+    use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can be
+                         wrong and errors in the room's light persist.
+    min_confidence:      depth pixels below this confidence (0, 1 or 2) are unknown.
+    unknown_depth:       pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
+                         far boundary of the volume (`far`), or are not used (`drop`).
     """
 
     mode: ModelName = "auto"
-    height: Annotated[int, Field(ge=16, le=512), WHOLE] = 120
+    height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
     reference_exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] | None = None
     use_limited_tracking: bool = False
-    min_confidence: Annotated[int, Field(ge=0, le=2), WHOLE] = 1
+    min_confidence: Annotated[int, Field(ge=0, le=2), WHOLE_NUMBER] = 1
     unknown_depth: Literal["rim", "far", "drop"] = "rim"
 
 
 class ProbeBody(WireModel):
-    """Where a named probe is, in world metres."""
+    """Position of a named probe, in world metres."""
 
     position: WirePosition
 
 
 class LightForm(WireModel):
-    """One form in which light is wanted.
+    """An output encoding of light: a format and its parameters.
 
-    size:         height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); side of a face of cube,
-                  ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+    size:         panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of
+                  cube, ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
     kind:         for sh: total, or ambient (without the main light).
-    basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; WebXR's too), arkit (27 planar, that phase),
-                  threejs (27 interleaved, signs all positive).
+    basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
+                  phase), threejs (27 interleaved, all signs positive).
     exposure_ev:  for png: radiance 2^-exposure_ev is white.
     """
 
     format: LightFormat
-    size: Annotated[int, Field(ge=8, le=512), WHOLE] | None = None
+    size: Annotated[int, Field(ge=8, le=512), WHOLE_NUMBER] | None = None
     kind: HarmonicsKind = "total"
     basis: HarmonicsBasis = "arcore"
     exposure_ev: Annotated[float, Field(ge=-16, le=16, allow_inf_nan=False)] = 0.0
 
     @model_validator(mode="after")
-    def _face_sizes(self) -> "LightForm":
+    def _check_face_size(self) -> "LightForm":
         if self.format in CUBE_FORMATS and self.size not in (None, *FACE_SIZES):
-            said = {"format": self.format, "sizes": ", ".join(map(str, FACE_SIZES))}
-            rule = PydanticCustomError("face_size", "faces of {format} are {sizes} pixels wide", said)
-            at = InitErrorDetails(type=rule, loc=("size",), input=self.size)  # the field that is wrong, not the whole
-            raise ValidationError.from_exception_data("LightForm", [at])
+            values = {"format": self.format, "sizes": ", ".join(map(str, FACE_SIZES))}
+            rule = PydanticCustomError("face_size", "a face of {format} must be one of {sizes} pixels wide", values)
+            details = InitErrorDetails(type=rule, loc=("size",), input=self.size)  # names the field, not the model
+            raise ValidationError.from_exception_data("LightForm", [details])
         return self
 
 
 class ProbeQuery(WireModel):
-    """A point: a position in world metres, or the name of a tracked probe."""
+    """A point: either a position in world metres or the name of a tracked probe."""
 
     position: WirePosition | None = None
     name: Id | None = None
 
     @model_validator(mode="after")
-    def _one_of_two(self) -> "ProbeQuery":
+    def _check_position_or_name(self) -> "ProbeQuery":
         if (self.position is None) == (self.name is None):
-            raise ValueError("a probe has either a position or a name")
+            raise ValueError("a probe must have either a position or a name")
         return self
 
 
 class LightRequest(WireModel):
-    """Light at several points, each in every one of the forms, all at one moment of the session."""
+    """Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms."""
 
     probes: Annotated[list[ProbeQuery], Field(min_length=1, max_length=MAX_PROBES)]
     forms: Annotated[list[LightForm], Field(min_length=1, max_length=MAX_FORMS)]
 
 
 class EncodedLight(WireModel):
-    """One form of one probe's light.
+    """The light of one probe in one form.
 
-    values: for sh and main_light, the numbers themselves.
-    data:   for the others in JSON, base64; in a binary light message `bytes` is their length instead.
+    values: the numbers of sh and main_light.
+    data:   the bytes of the other formats in base64, in plain JSON.
+    bytes:  the number of bytes of the other formats, in a binary light message.
     """
 
     format: LightFormat
@@ -123,22 +132,24 @@ class EncodedLight(WireModel):
 
 
 class ProbeLight(WireModel):
-    """The light at one point. `coverage`: share of the sphere that was observed, by solid angle, 0 to 1.
+    """The light at one point.
 
-    etag: the same as long as the light at this point is.
+    coverage: fraction of the sphere that was observed, by solid angle, 0 to 1.
+    etag:     identifies the light: equal etags mean equal light.
     """
 
     position: WirePosition
     name: Id | None = None
-    coverage: Number
+    coverage: FiniteNumber
     etag: str
     forms: list[EncodedLight]
 
 
 class LightResponse(WireModel):
-    """Light after `frame` (the index of the last processed frame), in the order it was asked for.
+    """Light at several points, in the order of the request.
 
-    frame: -1 before the first: the light is then the prior, grey and brighter from above, with coverage 0.
+    frame: index of the last processed frame; -1 before the first frame: the light is then the default light, grey,
+           brighter from above, with zero coverage.
     """
 
     frame: int
@@ -146,12 +157,14 @@ class LightResponse(WireModel):
 
 
 class FrameResult(WireModel):
-    """What became of a frame.
+    """Outcome of a frame.
 
-    status:   processed: the light has it. superseded: a newer frame came before this one's turn. queued: accepted, its
-              turn is to come (only with `Prefer: respond-async`). skipped: its tracking state rules it out.
-    replay:   the same index and bytes had been sent before: nothing was done again.
-    coverage: of each named probe, after the last processed frame.
+    status:   processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted and
+              waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
+    replay:   the same index and bytes were sent before; the frame was not processed again.
+    keyframe: whether the frame was kept for probes that are requested later.
+    stage_ms: processing time of each stage.
+    coverage: coverage of each named probe after the last processed frame.
     """
 
     index: int
@@ -163,9 +176,9 @@ class FrameResult(WireModel):
 
 
 class FrameCounts(WireModel):
-    """Frames of a session so far. accepted = processed + superseded + skipped + queued.
+    """Counts of a session's frames. accepted = processed + superseded + skipped + queued.
 
-    gaps: indices between the first and the last accepted that never came.
+    gaps: indices that are missing between the first and the last accepted frame.
     """
 
     accepted: int
@@ -180,22 +193,22 @@ class FrameCounts(WireModel):
 
 
 class Memory(WireModel):
-    """Bytes that the session holds now, and the most it can come to with these options."""
+    """Memory of a session: bytes now, and the upper bound with its options."""
 
     bytes: int
     bound_bytes: int
 
 
 class Volume(WireModel):
-    """The lighting volume, in the world: a box of `shape` (z, y, x) voxels of `voxel_m`."""
+    """The lighting volume: a box of `shape` (z, y, x) voxels with edges of `voxel_m` metres."""
 
     shape: list[int]
-    voxel_m: Number
-    depth_max_m: Number
+    voxel_m: FiniteNumber
+    depth_max_m: FiniteNumber
 
 
 class SessionState(WireModel):
-    """A session. `status`: open; failed, after an engine error (delete it and open it anew)."""
+    """State of a session. After an engine error its status is `failed`: delete it and open a new one."""
 
     id: Id
     status: Literal["open", "failed"]
@@ -207,11 +220,11 @@ class SessionState(WireModel):
     keyframes: int
     memory: Memory
     volume: Volume | None
-    idle_expiry_s: Number
+    idle_expiry_s: FiniteNumber
 
 
 class Problem(WireModel):
-    """RFC 9457: why a request was refused. `field`, `value`, `rule`: where, what stood there, what would be right."""
+    """Problem details (RFC 9457) of a rejected request: the field, the value received and the rule that it breaks."""
 
     type: str
     title: str
@@ -223,21 +236,24 @@ class Problem(WireModel):
 
 
 class LightCall(LightRequest):
-    """WebSocket, to the server: light now. The answer carries the same `request`."""
+    """WebSocket, to the server: request light now. The answer carries the same `request`."""
 
     type: Literal["light"]
     request: Annotated[str, StringConstraints(max_length=64)] = ""
 
 
 class Subscribe(WireModel):
-    """WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop."""
+    """WebSocket, to the server: send the light of all named probes in these forms now and after each frame.
+
+    An empty list ends the subscription.
+    """
 
     type: Literal["subscribe"]
     forms: Annotated[list[LightForm], Field(max_length=MAX_FORMS)]
 
 
 class Track(WireModel):
-    """WebSocket, to the server: follow this point from now on; a name that is taken moves."""
+    """WebSocket, to the server: track a named probe; an existing name moves to the new position."""
 
     type: Literal["track"]
     name: Id
@@ -245,18 +261,18 @@ class Track(WireModel):
 
 
 class Untrack(WireModel):
-    """WebSocket, to the server: no longer follow it."""
+    """WebSocket, to the server: stop tracking a named probe."""
 
     type: Literal["untrack"]
     name: Id
 
 
 ClientMessage = Annotated[LightCall | Subscribe | Track | Untrack, Field(discriminator="type")]
-"""What a client sends as text; frames are binary messages (`frame_message`)."""
+"""Text messages of a client. Frames are binary messages (`frame_message`)."""
 
 
 class FrameEvent(FrameResult):
-    """WebSocket, to the client: what became of a frame."""
+    """WebSocket, to the client: the outcome of a frame."""
 
     type: Literal["frame"] = "frame"
 
@@ -269,7 +285,7 @@ class LightAnswer(LightResponse):
 
 
 class LightingUpdate(LightResponse):
-    """WebSocket, to the client: the named probes' light after a frame, if any is subscribed to."""
+    """WebSocket, to the client: the light of the named probes after a frame, for a subscription."""
 
     type: Literal["lighting"] = "lighting"
 
@@ -282,9 +298,10 @@ class ProbesEvent(WireModel):
 
 
 class ProblemEvent(WireModel):
-    """WebSocket, to the client: a message was refused; the connection goes on.
+    """WebSocket, to the client: a message was rejected or failed; the connection stays open.
 
-    index:   of the frame it was about, if its header could be read.  request: of the `light` message.
+    index:   index of the frame concerned, if its header could be read.
+    request: `request` of the `light` message concerned.
     """
 
     type: Literal["problem"] = "problem"
