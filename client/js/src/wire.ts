@@ -8,7 +8,7 @@ export const LIGHT_MEDIA_TYPE = "application/vnd.roomlight.light";
 export const VERSION = 1;
 export const MAX_HEADER_BYTES = 16384;
 export const MAX_PROBES = 64;
-export const MAX_FORMS = 8;
+export const MAX_FORMS = 16;
 /** Bytes of one depth value, little-endian. */
 export const DEPTH_BYTES = { uint16_mm: 2, float16_m: 2, float32_m: 4 } as const;
 
@@ -24,9 +24,9 @@ export type ModelName = "auto" | "classical" | "single" | "video";
 
 export type LightFormat = "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
 
-export type Kind = "total" | "ambient";
+export type HarmonicsKind = "total" | "ambient";
 
-export type Basis = "arcore" | "arkit" | "threejs";
+export type HarmonicsBasis = "arcore" | "arkit" | "threejs";
 
 export type FrameStatus = "processed" | "queued" | "superseded" | "skipped";
 
@@ -34,17 +34,18 @@ export type FrameStatus = "processed" | "queued" | "superseded" | "skipped";
 export type Position = readonly [number, number, number];
 
 /**
- * The first part. Its size in pixels is the intrinsics'; pixels stand as the sensor gave them, with no EXIF turn.
+ * The first part: the colour image, in sensor orientation (no EXIF rotation), of the size of the intrinsics.
  *
- * jpeg, png, heic: 8-bit sRGB. rgb8: 8-bit sRGB, row by row, 3 bytes a pixel. linear_f32: float32 linear RGB
- * [h, w, 3], then uint8 [h, w], 1 where the sensor clipped: for replays that must not lose a bit.
+ * jpeg, png, heic: an 8-bit sRGB file.
+ * rgb8:            8-bit sRGB, row by row, 3 bytes per pixel.
+ * linear_f32:      float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor clipped; lossless, for replays.
  */
 export interface ColourPart {
   encoding: ColourEncoding;
   bytes: number; // 1 to 2,147,483,648
 }
 
-/** The optional third part: one byte a depth pixel, 0 low, 1 medium, 2 high, of the depth's size. */
+/** The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map. */
 export interface ConfidencePart {
   format?: "uint8";
   encoding?: PlaneEncoding; // default "raw"
@@ -54,9 +55,9 @@ export interface ConfidencePart {
 }
 
 /**
- * The second part: z-depth, row by row, little-endian, the same view as the colour.
+ * The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
  *
- * 0 (or, for floats, anything that is not finite and positive) is unknown, and so is 65535 mm.
+ * Unknown depth is 0 or 65535 in millimetres; in metres, any value that is not finite and positive.
  */
 export interface DepthPart {
   format: DepthFormat;
@@ -67,27 +68,24 @@ export interface DepthPart {
 }
 
 /**
- * One form in which light is wanted.
+ * The light of one probe in one form.
  *
- * size:         height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); side of a face of cube,
- *               ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
- * kind:         for sh: total, or ambient (without the main light).
- * basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; WebXR's too), arkit (27 planar, that phase),
- *               threejs (27 interleaved, signs all positive).
- * exposure_ev:  for png: radiance 2^-exposure_ev is white.
+ * values: the numbers of sh and main_light.
+ * data:   the bytes of the other formats in base64, in plain JSON.
+ * bytes:  the number of bytes of the other formats, in a binary light message.
  */
-export interface LightForm {
+export interface EncodedLight {
   format: LightFormat;
-  size?: number | null; // 8 to 512
-  kind?: Kind; // default "total"
-  basis?: Basis; // default "arcore"
-  exposure_ev?: number; // -16 to 16; default 0.0
+  media_type: string;
+  values?: { readonly [name: string]: unknown } | null;
+  data?: string | null;
+  bytes?: number | null;
 }
 
 /**
- * Frames of a session so far. accepted = processed + superseded + skipped + queued.
+ * Counts of a session's frames. accepted = processed + superseded + skipped + queued.
  *
- * gaps: indices between the first and the last accepted that never came.
+ * gaps: indices that are missing between the first and the last accepted frame.
  */
 export interface FrameCounts {
   accepted: number;
@@ -101,7 +99,7 @@ export interface FrameCounts {
   last_index: number | null;
 }
 
-/** WebSocket, to the client: what became of a frame. */
+/** WebSocket, to the client: the outcome of a frame. */
 export interface FrameEvent {
   index: number;
   status: FrameStatus;
@@ -113,14 +111,13 @@ export interface FrameEvent {
 }
 
 /**
- * Everything about a frame but its pixels.
+ * Everything about a frame except its pixels.
  *
- * index:            needed on a WebSocket; over HTTP the address has it, and if given here it must be the same.
- * camera_to_world:  16 numbers, column by column, as a `simd_float4x4` stands in memory: x axis, y axis, z axis,
- *                   position.
- * exposure:         how much light the image took, in units of the session's reference exposure (for instance shutter
- *                   seconds x ISO): linear radiance is divided by exposure / reference.
- * tracking_state:   ARKit's; frames that are not `normal` are not used unless the session asks for it.
+ * index:            required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+ * camera_to_world:  16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+ * exposure:         exposure of the image in the unit of the session's reference exposure (for example shutter
+ *                   seconds x ISO); linear radiance is divided by exposure / reference exposure.
+ * tracking_state:   ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
  */
 export interface FrameHeader {
   version?: 1;
@@ -136,12 +133,14 @@ export interface FrameHeader {
 }
 
 /**
- * What became of a frame.
+ * Outcome of a frame.
  *
- * status:   processed: the light has it. superseded: a newer frame came before this one's turn. queued: accepted, its
- *           turn is to come (only with `Prefer: respond-async`). skipped: its tracking state rules it out.
- * replay:   the same index and bytes had been sent before: nothing was done again.
- * coverage: of each named probe, after the last processed frame.
+ * status:   processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted and
+ *           waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
+ * replay:   the same index and bytes were sent before; the frame was not processed again.
+ * keyframe: whether the frame was kept for probes that are requested later.
+ * stage_ms: processing time of each stage.
+ * coverage: coverage of each named probe after the last processed frame.
  */
 export interface FrameResult {
   index: number;
@@ -160,66 +159,72 @@ export interface LightAnswer {
   request: string;
 }
 
-/** WebSocket, to the server: light now. The answer carries the same `request`. */
+/** WebSocket, to the server: request light now. The answer carries the same `request`. */
 export interface LightCall {
   probes: readonly ProbeQuery[]; // 1 to 64 of them
-  forms: readonly LightForm[]; // 1 to 8 of them
+  forms: readonly LightForm[]; // 1 to 16 of them
   type: "light";
   request?: string; // default ""
 }
 
 /**
- * One form of one probe's light.
+ * An output encoding of light: a format and its parameters.
  *
- * values: for sh and main_light, the numbers themselves.
- * data:   for the others in JSON, base64; in a binary light message `bytes` is their length instead.
+ * size:         panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of
+ *               cube, ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+ * kind:         for sh: total, or ambient (without the main light).
+ * basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
+ *               phase), threejs (27 interleaved, all signs positive).
+ * exposure_ev:  for png: radiance 2^-exposure_ev is white.
  */
-export interface EncodedLight {
+export interface LightForm {
   format: LightFormat;
-  media_type: string;
-  values?: { readonly [name: string]: unknown } | null;
-  data?: string | null;
-  bytes?: number | null;
+  size?: number | null; // 8 to 512
+  kind?: HarmonicsKind; // default "total"
+  basis?: HarmonicsBasis; // default "arcore"
+  exposure_ev?: number; // -16 to 16; default 0.0
 }
 
-/** Light at several points, each in every one of the forms, all at one moment of the session. */
+/** Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms. */
 export interface LightRequest {
   probes: readonly ProbeQuery[]; // 1 to 64 of them
-  forms: readonly LightForm[]; // 1 to 8 of them
+  forms: readonly LightForm[]; // 1 to 16 of them
 }
 
 /**
- * Light after `frame` (the index of the last processed frame), in the order it was asked for.
+ * Light at several points, in the order of the request.
  *
- * frame: -1 before the first: the light is then the prior, grey and brighter from above, with coverage 0.
+ * frame: index of the last processed frame; -1 before the first frame: the light is then the default light, grey,
+ *        brighter from above, with zero coverage.
  */
 export interface LightResponse {
   frame: number;
   results: readonly ProbeLight[];
 }
 
-/** WebSocket, to the client: the named probes' light after a frame, if any is subscribed to. */
+/** WebSocket, to the client: the light of the named probes after a frame, for a subscription. */
 export interface LightingUpdate {
   frame: number;
   results: readonly ProbeLight[];
   type: "lighting";
 }
 
-/** Bytes that the session holds now, and the most it can come to with these options. */
+/** Memory of a session: bytes now, and the upper bound with its options. */
 export interface Memory {
   bytes: number;
   bound_bytes: number;
 }
 
-/** Where a named probe is, in world metres. */
+/** Position of a named probe, in world metres. */
 export interface ProbeBody {
   position: Position;
 }
 
 /**
- * The light at one point. `coverage`: share of the sphere that was observed, by solid angle, 0 to 1.
+ * The light at one point.
  *
- * etag: the same as long as the light at this point is.
+ * coverage: fraction of the sphere that was observed, by solid angle, 0 to 1.
+ * etag:     identifies the light: equal etags mean equal light.
  */
 export interface ProbeLight {
   position: Position;
@@ -229,7 +234,7 @@ export interface ProbeLight {
   forms: readonly EncodedLight[];
 }
 
-/** A point: a position in world metres, or the name of a tracked probe. */
+/** A point: either a position in world metres or the name of a tracked probe. */
 export interface ProbeQuery {
   position?: Position | null;
   name?: string | null; // ^[A-Za-z0-9_-]{1,64}$
@@ -241,7 +246,7 @@ export interface ProbesEvent {
   probes: { readonly [name: string]: Position };
 }
 
-/** RFC 9457: why a request was refused. `field`, `value`, `rule`: where, what stood there, what would be right. */
+/** Problem details (RFC 9457) of a rejected request: the field, the value received and the rule that it breaks. */
 export interface Problem {
   type: string;
   title: string;
@@ -253,9 +258,10 @@ export interface Problem {
 }
 
 /**
- * WebSocket, to the client: a message was refused; the connection goes on.
+ * WebSocket, to the client: a message was rejected or failed; the connection stays open.
  *
- * index:   of the frame it was about, if its header could be read.  request: of the `light` message.
+ * index:   index of the frame concerned, if its header could be read.
+ * request: `request` of the `light` message concerned.
  */
 export interface ProblemEvent {
   type: "problem";
@@ -265,13 +271,17 @@ export interface ProblemEvent {
 }
 
 /**
- * What a session is to be; sent again with the same values it changes nothing.
+ * Options of a session.
  *
- * height:              of the panoramas in pixels; their width is twice that.
- * reference_exposure:  the exposure that shows radiance 1.0 as white, in the frames' unit; null: the first frame's.
- * use_limited_tracking: take frames whose tracking is `limited` too. Their poses can be wrong, and what they
- *                      smear over the room stays: hence not by default.
- * min_confidence:      depth pixels below this confidence (0, 1, 2) are unknown.
+ * mode:                which model estimates the light; `auto` is the server's default.
+ * height:              height of the panoramas in pixels; the width is twice the height.
+ * reference_exposure:  the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
+ *                      exposure of the first frame.
+ * use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can be
+ *                      wrong and errors in the room's light persist.
+ * min_confidence:      depth pixels below this confidence (0, 1 or 2) are unknown.
+ * unknown_depth:       pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
+ *                      far boundary of the volume (`far`), or are not used (`drop`).
  */
 export interface SessionRequest {
   mode?: ModelName; // default "auto"
@@ -282,7 +292,7 @@ export interface SessionRequest {
   unknown_depth?: "rim" | "far" | "drop"; // default "rim"
 }
 
-/** A session. `status`: open; failed, after an engine error (delete it and open it anew). */
+/** State of a session. After an engine error its status is `failed`: delete it and open a new one. */
 export interface SessionState {
   id: string;
   status: "open" | "failed";
@@ -297,33 +307,37 @@ export interface SessionState {
   idle_expiry_s: number;
 }
 
-/** WebSocket, to the server: send every named probe's light in these forms, now and after each frame; none: stop. */
+/**
+ * WebSocket, to the server: send the light of all named probes in these forms now and after each frame.
+ *
+ * An empty list ends the subscription.
+ */
 export interface Subscribe {
   type: "subscribe";
-  forms: readonly LightForm[]; // 0 to 8 of them
+  forms: readonly LightForm[]; // 0 to 16 of them
 }
 
-/** WebSocket, to the server: follow this point from now on; a name that is taken moves. */
+/** WebSocket, to the server: track a named probe; an existing name moves to the new position. */
 export interface Track {
   type: "track";
   name: string; // ^[A-Za-z0-9_-]{1,64}$
   position: Position;
 }
 
-/** WebSocket, to the server: no longer follow it. */
+/** WebSocket, to the server: stop tracking a named probe. */
 export interface Untrack {
   type: "untrack";
   name: string; // ^[A-Za-z0-9_-]{1,64}$
 }
 
-/** The lighting volume, in the world: a box of `shape` (z, y, x) voxels of `voxel_m`. */
+/** The lighting volume: a box of `shape` (z, y, x) voxels with edges of `voxel_m` metres. */
 export interface Volume {
   shape: readonly number[];
   voxel_m: number;
   depth_max_m: number;
 }
 
-/** A pinhole camera in pixels of the colour image; pixel centres at half integers. */
+/** A pinhole camera in pixels of the colour image. Pixel centres are at half integers. */
 export interface WireIntrinsics {
   fx: number;
   fy: number;
