@@ -1,47 +1,59 @@
-"""What a server may be told: by `ROOMLIGHT_*` in the environment, and by flags, which go before it."""
+"""Settings of a server: environment variables `ROOMLIGHT_*`, overridden by command-line options."""
 
-from collections.abc import Mapping
+import difflib
+import os
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
+from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from roomlight.engine.keyframes import DEFAULT_KEYFRAMES
 from roomlight.engine.providers import Provider
 from roomlight.engine.session import ModelName
 from roomlight.errors import ServerError
-from roomlight.wire.frame_message import FrameLimits
+from roomlight.wire.frame_message import FrameLimits, rule_text
 
 PREFIX: Final = "ROOMLIGHT_"
+OTHER_VARIABLES: Final = ("ROOMLIGHT_THREADS", "ROOMLIGHT_FURNITURE", "ROOMLIGHT_TOKEN", "ROOMLIGHT_SERVER")
+"""Variables with the same prefix that belong to the engine, the generator and clients."""
 _LISTS: Final = ("tokens", "allow_origins")
 
+WordList = Annotated[tuple[str, ...], NoDecode]
+"""Words separated by spaces or commas in the environment, instead of JSON."""
 
-class ServerSettings(BaseModel):
-    """Everything about a server; the field `max_sessions` is `ROOMLIGHT_MAX_SESSIONS` and `--max-sessions`.
 
-    tokens:          bearer tokens; sessions belong to the token that made them. None: loopback only.
-    token_file:      more tokens, one a line; `#` begins a comment.
-    allow_origins:   web origins whose pages may use the server (CORS and WebSocket), or `*`.
-    model, weights, provider, allow_untrained: what `mode: auto` means, and where weights come from.
-    max_sessions:    each holds up to 130 MB of keyframes and 20 MB of volume with the default options.
-    max_session_bytes: sessions whose options could come to more are refused.
-    max_probes:      named probes of one session: each takes its share of every frame.
-    frames_in_flight: of one session, being uploaded, decoded or awaited, before 429.
-    idle_expiry_s:   a session without a request for so long is deleted.
-    body_timeout_s:  a request's body must have arrived by then.
-    engine_threads:  sessions whose frames are worked on at once; each already spreads its work over
-                     `ROOMLIGHT_THREADS`, so more than 1 trades a frame's latency for less waiting.
-    decode_threads:  images decoded, and light encoded, at once.
+class ServerSettings(BaseSettings):
+    """Settings of a server. The field `max_sessions` is the variable `ROOMLIGHT_MAX_SESSIONS`.
+
+    Attributes:
+        tokens: Bearer tokens. A session belongs to the token that opened it. Without tokens: loopback only.
+        token_file: File with more tokens, one per line; `#` starts a comment.
+        allow_origins: Web origins whose pages may use the server (CORS and WebSocket), or `*`.
+        model: Meaning of `mode: auto`.
+        weights: Folder or file of trained weights; see `roomlight.engine`.
+        provider: Where networks run.
+        allow_untrained: Whether untrained weights are accepted.
+        keyframes: Frames kept per session for probes that are requested later.
+        max_sessions: Each holds up to 130 MB of keyframes and 20 MB of volume with the default options.
+        max_session_bytes: Sessions whose options could exceed this are rejected.
+        max_probes: Named probes per session. Each adds to the time of every frame.
+        frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
+        idle_expiry_s: A session without requests for this time is deleted.
+        body_timeout_s: Time limit for receiving the body of a request.
+        engine_threads: Sessions whose frames are processed at once. Each already uses `ROOMLIGHT_THREADS` threads, so
+            more than 1 trades latency per frame for less waiting.
+        decode_threads: Images decoded, and light encoded, at once.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid")
+    model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=PREFIX)
 
     host: str = "127.0.0.1"
     port: Annotated[int, Field(ge=0, le=65535)] = 8090
-    tokens: tuple[str, ...] = ()
+    tokens: WordList = ()
     token_file: Path | None = None
-    allow_origins: tuple[str, ...] = ()
+    allow_origins: WordList = ()
     model: ModelName = "auto"
     weights: Path | None = None
     provider: Provider = "auto"
@@ -61,16 +73,30 @@ class ServerSettings(BaseModel):
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     access_log: bool = False
 
-    @model_validator(mode="after")
-    def _tokens_are_tokens(self) -> "ServerSettings":
-        for token in self.tokens:
+    @model_validator(mode="before")
+    @classmethod
+    def _prepare(cls, values: dict[str, Any]) -> dict[str, Any]:
+        """Strip spaces, drop blank values (they count as unset), split lists, add the tokens of the token file."""
+        stripped = {name: value.strip() if isinstance(value, str) else value for name, value in values.items()}
+        prepared = {name: value for name, value in stripped.items() if value != ""}
+        for name in _LISTS:
+            if isinstance(prepared.get(name), str):
+                prepared[name] = tuple(prepared[name].replace(",", " ").split())
+        if "token_file" in prepared:
+            prepared["tokens"] = (*prepared.get("tokens", ()), *_read_tokens(Path(prepared["token_file"])))
+        return prepared
+
+    @field_validator("tokens")
+    @classmethod
+    def _check_tokens(cls, tokens: tuple[str, ...]) -> tuple[str, ...]:
+        for token in tokens:
             if not 16 <= len(token) <= 512 or not token.isascii() or not token.isprintable() or " " in token:
-                raise ValueError("a token is 16 to 512 printable ASCII characters without spaces")
-        return self
+                raise ValueError("a token must be 16 to 512 printable ASCII characters without spaces")
+        return tokens
 
     @property
     def frame_limits(self) -> FrameLimits:
-        """What a frame may be at most."""
+        """Largest frame accepted."""
         return FrameLimits(self.max_body_bytes, self.max_colour_pixels, self.max_depth_pixels)
 
     @property
@@ -82,40 +108,51 @@ class ServerSettings(BaseModel):
             return self.host == "localhost"
 
 
-def load_settings(environment: Mapping[str, str], **flags: Any) -> ServerSettings:
-    """Settings from `ROOMLIGHT_*` and flags (None: not given), with the tokens of the token file.
+def load_settings(**options: Any) -> ServerSettings:
+    """Load settings from options (None or empty: not given), the environment and the token file, in this order.
 
-    Raises ServerError: for a value that is none, a token file that cannot be read, and for an address beyond
-    loopback without a token.
+    Raises:
+        ServerError: A value is invalid, an environment variable `ROOMLIGHT_*` is unknown, the token file cannot be
+            read, or the address is not loopback and there is no token.
     """
-    given: dict[str, Any] = {}
-    for name in ServerSettings.model_fields:
-        text = environment.get(PREFIX + name.upper(), "").strip()
-        if text:
-            given[name] = tuple(text.replace(",", " ").split()) if name in _LISTS else text
-    given |= {name: value for name, value in flags.items() if value not in (None, ())}
-    if "token_file" in given:
-        given["tokens"] = (*given.get("tokens", ()), *_tokens_in(Path(given["token_file"])))
+    _check_variables()
+    given = {name: value for name, value in options.items() if value not in (None, ())}
     try:
         settings = ServerSettings(**given)
     except ValidationError as error:
-        first = error.errors(include_url=False, include_context=False)[0]
-        name = str(first["loc"][0]) if first["loc"] else "tokens"
-        raise ServerError(f"{name} ({PREFIX}{name.upper()} or --{name.replace('_', '-')}): {first['msg']}") from None
+        raise ServerError(_describe(error, given)) from None
     if not settings.tokens and not settings.is_loopback:
         raise ServerError(
-            f"--host {settings.host} can be reached from other machines, and there is no token: anyone could use the "
-            f"server and see the room. Give {PREFIX}TOKENS or --token-file, or stay on --host 127.0.0.1"
+            f"host {settings.host} can be reached from other machines, but there is no token: anyone could use the "
+            f"server and see the room; set {PREFIX}TOKENS or --token-file, or use the host 127.0.0.1"
         )
     return settings
 
 
-def _tokens_in(path: Path) -> list[str]:
+def _check_variables() -> None:
+    known = {PREFIX + name.upper() for name in ServerSettings.model_fields}
+    for name in sorted(os.environ):
+        if name.startswith(PREFIX) and name not in known | set(OTHER_VARIABLES):
+            nearest = difflib.get_close_matches(name, sorted(known), n=1, cutoff=0.0)[0]
+            raise ServerError(f"{name}: unknown environment variable; the nearest known one is {nearest}")
+
+
+def _describe(error: ValidationError, given: dict[str, Any]) -> str:
+    """Return one line that names the option or variable, the value and the rule; values of tokens are left out."""
+    first = error.errors(include_url=False, include_context=False)[0]
+    name = str(first["loc"][0])
+    source = f"--{name.replace('_', '-')}" if name in given else PREFIX + name.upper()
+    if name == "tokens":  # secret: the value stays out of the message
+        return f"{PREFIX}TOKENS or the token file: {rule_text(first['msg'])}"
+    return f"{source}: {ascii(first['input'])[:100]}: {rule_text(first['msg'])}"
+
+
+def _read_tokens(path: Path) -> list[str]:
     try:
         lines = path.read_text().splitlines()
     except (OSError, UnicodeDecodeError) as error:
-        raise ServerError(f"{path}: the token file cannot be read ({error})") from error
+        raise ServerError(f"{path}: cannot read the token file ({error})") from error
     tokens = [line.partition("#")[0].strip() for line in lines]
     if not any(tokens):
-        raise ServerError(f"{path}: the token file holds no token; one a line, 16 characters or more")
+        raise ServerError(f"{path}: the token file contains no token; write one per line, 16 characters or more")
     return [token for token in tokens if token]

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import sys
 
 import pytest
@@ -14,59 +15,87 @@ from roomlight_server.settings import ServerSettings, load_settings
 TOKEN = "a-token-of-sixteen-or-more"
 
 
-def test_defaults_are_loopback_without_a_token():
-    settings = load_settings({})
+@pytest.fixture(autouse=True)
+def no_variables(monkeypatch):
+    for name in os.environ:
+        if name.startswith("ROOMLIGHT_"):
+            monkeypatch.delenv(name)
+
+
+def test_the_defaults_are_loopback_without_a_token():
+    settings = load_settings()
     assert (settings.host, settings.port, settings.tokens) == ("127.0.0.1", 8090, ())
     assert settings.is_loopback
     assert not settings.access_log
 
 
-def test_flags_go_before_the_environment():
-    environment = {"ROOMLIGHT_PORT": "9000", "ROOMLIGHT_MAX_SESSIONS": "3", "ROOMLIGHT_THREADS": "2", "OTHER": "x"}
-    settings = load_settings(environment, port=9001, max_sessions=None)
-    assert (settings.port, settings.max_sessions) == (9001, 3)
+def test_options_override_the_environment(monkeypatch):
+    for name, value in (("PORT", "9000"), ("MAX_SESSIONS", " 3 "), ("MAX_PROBES", " "), ("THREADS", "2")):
+        monkeypatch.setenv(f"ROOMLIGHT_{name}", value)
+    settings = load_settings(port=9001, max_sessions=None)
+    assert (settings.port, settings.max_sessions, settings.max_probes) == (9001, 3, 16)
 
 
-def test_tokens_come_from_environment_and_file(tmp_path):
+def test_lists_are_split_at_spaces_and_commas(monkeypatch):
+    monkeypatch.setenv("ROOMLIGHT_ALLOW_ORIGINS", "https://a.example, https://b.example  https://c.example")
+    assert load_settings().allow_origins == ("https://a.example", "https://b.example", "https://c.example")
+
+
+def test_tokens_come_from_the_environment_and_a_file(monkeypatch, tmp_path):
     path = tmp_path / "tokens"
-    path.write_text(f"# ours\n{TOKEN}-file  # the phone's\n\n")
-    settings = load_settings({"ROOMLIGHT_TOKENS": f"{TOKEN}-one, {TOKEN}-two"}, token_file=path, host="0.0.0.0")
-    assert settings.tokens == (f"{TOKEN}-one", f"{TOKEN}-two", f"{TOKEN}-file")
+    path.write_text(f"# ours\n{TOKEN}-file  # the phone\n\n")
+    monkeypatch.setenv("ROOMLIGHT_TOKENS", f"{TOKEN}-one, {TOKEN}-two")
+    expected = (f"{TOKEN}-one", f"{TOKEN}-two", f"{TOKEN}-file")
+    assert load_settings(token_file=path, host="0.0.0.0").tokens == expected
+    monkeypatch.setenv("ROOMLIGHT_TOKEN_FILE", f" {path} ")
+    assert load_settings().tokens == expected
 
 
 @pytest.mark.parametrize("host", ["0.0.0.0", "::", "192.168.1.5", "example.org"])
-def test_other_addresses_need_a_token(host):
+def test_an_address_beyond_loopback_needs_a_token(monkeypatch, host):
     with pytest.raises(ServerError, match="there is no token"):
-        load_settings({}, host=host)
-    assert load_settings({"ROOMLIGHT_TOKENS": TOKEN}, host=host).host == host
+        load_settings(host=host)
+    monkeypatch.setenv("ROOMLIGHT_TOKENS", TOKEN)
+    assert load_settings(host=host).host == host
 
 
 @pytest.mark.parametrize("host", ["127.0.0.1", "127.1.2.3", "::1", "[::1]", "localhost"])
-def test_loopback_does_not(host):
-    assert load_settings({}, host=host).is_loopback
+def test_a_loopback_address_needs_no_token(host):
+    assert load_settings(host=host).is_loopback
 
 
 @pytest.mark.parametrize(
-    ("environment", "named"),
+    ("name", "value", "message"),
     [
-        ({"ROOMLIGHT_PORT": "many"}, "ROOMLIGHT_PORT"),
-        ({"ROOMLIGHT_MAX_SESSIONS": "0"}, "--max-sessions"),
-        ({"ROOMLIGHT_MODEL": "magic"}, "ROOMLIGHT_MODEL"),
-        ({"ROOMLIGHT_TOKENS": "short"}, "ROOMLIGHT_TOKENS"),
-        ({"ROOMLIGHT_TOKEN_FILE": "/nowhere/tokens"}, "/nowhere/tokens"),
-        ({"ROOMLIGHT_IDLE_EXPIRY_S": "-1"}, "idle_expiry_s"),
+        ("PORT", "many", "ROOMLIGHT_PORT: 'many': input should be a valid integer"),
+        ("MAX_SESSIONS", "0", "ROOMLIGHT_MAX_SESSIONS: '0': input should be greater than or equal to 1"),
+        ("MODEL", "magic", "ROOMLIGHT_MODEL: 'magic': input should be 'auto', 'classical', 'single' or 'video'"),
+        ("TOKENS", "short", "ROOMLIGHT_TOKENS or the token file: a token must be 16 to 512 printable"),
+        ("TOKEN_FILE", "/nowhere/tokens", "/nowhere/tokens: cannot read the token file"),
+        ("IDLE_EXPIRY_S", "-1", "ROOMLIGHT_IDLE_EXPIRY_S: '-1': input should be greater than 0"),
+        ("ACCESS_LOG", "maybe", "ROOMLIGHT_ACCESS_LOG: 'maybe': input should be a valid boolean"),
+        ("MAX_SESSION", "4", "ROOMLIGHT_MAX_SESSION: unknown environment variable.*ROOMLIGHT_MAX_SESSIONS"),
+        ("FRAMES_INFLIGHT", "4", "ROOMLIGHT_FRAMES_INFLIGHT: unknown.*ROOMLIGHT_FRAMES_IN_FLIGHT"),
     ],
 )
-def test_a_wrong_setting_is_named(environment, named):
-    with pytest.raises(ServerError, match=named):
-        load_settings(environment)
+def test_an_invalid_variable_is_named_with_its_rule(monkeypatch, name, value, message):
+    monkeypatch.setenv(f"ROOMLIGHT_{name}", value)
+    with pytest.raises(ServerError, match=message) as caught:
+        load_settings()
+    assert "\n" not in str(caught.value)
+    assert "short" not in str(caught.value)  # a token stays secret
 
 
-def test_an_empty_token_file_is_no_permission(tmp_path):
+def test_an_invalid_option_is_named_with_its_rule():
+    with pytest.raises(ServerError, match="--max-sessions: 0: input should be greater than or equal to 1"):
+        load_settings(max_sessions=0)
+
+
+def test_an_empty_token_file_is_an_error(tmp_path):
     path = tmp_path / "tokens"
     path.write_text("# none yet\n")
-    with pytest.raises(ServerError, match="holds no token"):
-        load_settings({}, token_file=path)
+    with pytest.raises(ServerError, match="contains no token"):
+        load_settings(token_file=path)
 
 
 def test_missing_weights_are_an_error_before_a_socket_is_opened():
