@@ -15,7 +15,7 @@ from roomlight.conventions import Position
 from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import AsyncClient, AsyncSession, BusyError, ConflictError
 from roomlight_client.calls import FRAME_MEDIA_TYPE, Call, Reply
-from roomlight_client.retry import NEVER, Timeouts
+from roomlight_client.retry import NO_RETRY, Timeouts
 
 IN_FLIGHT: Final = 2
 """As `roomlight stream`: one frame is uploaded while the other is worked on."""
@@ -24,7 +24,7 @@ FORMS: Final = ("sh", "main_light")
 """What an app shades with; 1 kB."""
 LOST: Final = frozenset({"frame-conflict", "session-full"})
 """A frame that one sent after it overtook on another connection, or that found the session's hands full."""
-TIMEOUTS: Final = Timeouts(answer_s=300.0)
+TIMEOUTS: Final = Timeouts(read_s=300.0)
 """64 sessions on two cores: a frame may well wait for ten seconds, which is to be measured, not to be an error."""
 
 
@@ -81,7 +81,7 @@ class Phones:
         load = self._load
         for number in range(load.sessions):
             client = await self._stack.enter_async_context(AsyncClient(self._url, timeouts=TIMEOUTS))
-            session = await client.open(mode=load.mode, height=load.height, reference_exposure=1.0)
+            session = await client.open(model=load.mode, height=load.height, reference_exposure=1.0)
             await session.track(PROBE, load.probe)
             phone = _Phone(client, session, load, number)
             await phone.begin()
@@ -136,7 +136,7 @@ class _Phone:
     async def _send(self, call: Call[FrameResult], end_s: float, outcome: Outcome, tasks: asyncio.TaskGroup) -> None:
         began_s = time.perf_counter()
         try:
-            result = await self._client.run(call, retry=NEVER)
+            result = await self._client.run(call, retry=NO_RETRY)
         except (BusyError, ConflictError) as error:
             if error.kind not in LOST:
                 raise

@@ -39,7 +39,7 @@ class RemoteSession:
     def __init__(self, client: Client, options: SessionOptions) -> None:
         """Open it: model, height and unknown depth as the options say, the rest as the server is set up."""
         self._session = client.open(
-            mode=options.model,
+            model=options.model,
             height=options.height,
             reference_exposure=1.0,  # frames come in its units
             unknown_depth=options.unknown_depth,

@@ -26,8 +26,8 @@ from roomlight_client import (
     AsyncClient,
     AsyncSession,
     BusyError,
-    Colour,
     ConflictError,
+    FrameEncoding,
     InvalidError,
     Light,
     UnreachableError,
@@ -58,7 +58,7 @@ class StreamOptions:
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
     fps: float | None = None
-    colour: Colour = "jpeg"
+    colour: FrameEncoding = "jpeg"
     in_flight: int = 2
     probe: Position | None = None
     session_id: str | None = None
@@ -161,7 +161,7 @@ async def stream(
     tally = tally or Tally()
     async with AsyncExitStack() as stack:
         session = await client.open(
-            options.session_id, mode=options.mode, height=options.height, reference_exposure=1.0
+            options.session_id, model=options.mode, height=options.height, reference_exposure=1.0
         )
         if not options.keep:
             await stack.enter_async_context(session)

@@ -1,4 +1,4 @@
-"""The client for asyncio: `AsyncClient` and `AsyncSession`, the same names as `client` with `await`."""
+"""The asyncio client: `AsyncClient` and `AsyncSession`, with the names of `client` and `await`."""
 
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
@@ -12,15 +12,15 @@ from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
-from roomlight_client.calls import FORMS, Attempt, Call, Result, SessionCalls, T, Where
+from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.errors import RemoteError
-from roomlight_client.frames import CameraFrame, Colour
+from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
-from roomlight_client.retry import NEVER, Retry, Timeouts
+from roomlight_client.retry import NO_RETRY, Retry, Timeouts
 
 
 class AsyncClient:
-    """`Client` with `await`; calls of several tasks go side by side."""
+    """`Client` for asyncio, with the same arguments and errors. Calls of several tasks run concurrently."""
 
     def __init__(
         self,
@@ -32,59 +32,56 @@ class AsyncClient:
         transport: httpx.AsyncBaseTransport | None = None,
         sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
-        """As `Client`."""
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
         self._retry, self._sleep, self._url = retry or Retry(), sleep, url
 
     async def __aenter__(self) -> "AsyncClient":
-        """Itself."""
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the connections; sessions stay."""
         await self.close()
 
     async def close(self) -> None:
-        """Close the connections."""
+        """Close the connections; see `Client.close`."""
         await self._http.aclose()
 
     async def ready(self) -> bool:
-        """As `Client.ready`."""
+        """Return whether the server accepts sessions; see `Client.ready`."""
         return await self.run(calls.ready())
 
     async def open(
         self,
         session_id: str | None = None,
         *,
-        mode: ModelName = "auto",
+        model: ModelName = "auto",
         height: int = 120,
         reference_exposure: float | None = None,
         use_limited_tracking: bool = False,
         min_confidence: int = 1,
         unknown_depth: UnknownDepth = "rim",
     ) -> "AsyncSession":
-        """As `Client.open`."""
-        asked = SessionCalls(session_id)
+        """Open a session, or continue an existing one with the same id and options; see `Client.open`."""
+        session_calls = SessionCalls(session_id)
         request = calls.session_request(
-            mode=mode,
+            model=model,
             height=height,
             reference_exposure=reference_exposure,
             use_limited_tracking=use_limited_tracking,
             min_confidence=min_confidence,
             unknown_depth=unknown_depth,
         )
-        return AsyncSession(self, asked, await self.run(asked.open(request)))
+        return AsyncSession(self, session_calls, await self.run(session_calls.open(request)))
 
     async def join(self, session_id: str) -> "AsyncSession":
-        """As `Client.join`."""
-        asked = SessionCalls(session_id)
-        return AsyncSession(self, asked, await self.run(asked.state()))
+        """Continue an existing session, whatever its options; see `Client.join`."""
+        session_calls = SessionCalls(session_id)
+        return AsyncSession(self, session_calls, await self.run(session_calls.state()))
 
     async def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
-        """As `Client.run`."""
+        """Send a call and return its result; see `Client.run`."""
         attempt = Attempt(call, retry or self._retry, self._url)
         while True:
             try:
@@ -99,31 +96,28 @@ class AsyncClient:
 
 
 class AsyncSession:
-    """`Session` with `await`."""
+    """`Session` for asyncio, with the same attributes and errors."""
 
-    def __init__(self, client: AsyncClient, asked: SessionCalls, state: SessionState) -> None:
-        """Made by `AsyncClient.open` and `AsyncClient.join`."""
-        self._client, self._calls = client, asked
+    def __init__(self, client: AsyncClient, session_calls: SessionCalls, state: SessionState) -> None:
+        self._client, self._calls = client, session_calls
         self.id, self.model = state.id, state.model
-        asked.begin(state)
+        session_calls.resume(state)
 
     async def __aenter__(self) -> "AsyncSession":
-        """Itself."""
         return self
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """As `Session.__exit__`."""
         if error is None:
             await self.close()
             return
-        with suppress(RemoteError):
-            await self._client.run(self._calls.close(), retry=NEVER)
+        with suppress(RemoteError):  # the error of the block is the one to show
+            await self._client.run(self._calls.close(), retry=NO_RETRY)
 
     @property
     def next_index(self) -> int:
-        """The index that the next `CameraFrame` gets: one above all that were sent."""
+        """The index of the next `CameraFrame`: one above all indices sent."""
         return self._calls.next_index
 
     async def push(
@@ -131,41 +125,46 @@ class AsyncSession:
         frame: Frame | CameraFrame,
         index: int | None = None,
         *,
-        colour: Colour = "exact",
+        colour: FrameEncoding = "exact",
         wait: bool = True,
         retry: bool = True,
     ) -> FrameResult:
-        """As `Session.push`. Pushes of several tasks may overtake each other; the server then refuses the older."""
+        """Send a frame and return its result; see `Session.push`.
+
+        Frames of several tasks may overtake each other; the server then refuses the older one.
+        """
         index = self._calls.reserve(frame, index)
         call = await asyncio.to_thread(self._calls.push, frame, index, colour=colour, wait=wait)
-        return await self._client.run(call, retry=None if retry else NEVER)
+        return await self._client.run(call, retry=None if retry else NO_RETRY)
 
-    async def light_at(self, place: Where, forms: Sequence[LightFormat | LightForm] = FORMS) -> Light:
-        """As `Session.light_at`."""
-        return (await self.lights_at([place], forms))[0]
+    async def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+        """Return the light at a point or a tracked probe; see `Session.light_at`."""
+        return (await self.lights_at([probe], forms))[0]
 
-    async def lights_at(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm] = FORMS) -> list[Light]:
-        """As `Session.lights_at`."""
-        return await self._client.run(self._calls.lights(places, forms))
+    async def lights_at(
+        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
+    ) -> list[Light]:
+        """Return the light at up to 64 probes in one call; see `Session.lights_at`."""
+        return await self._client.run(self._calls.lights(probes, forms))
 
     async def file(
-        self, place: Where, form: LightFormat | LightForm = "exr", *, unless: str | None = None
+        self, probe: PositionOrName, form: LightFormat | LightForm = "exr", *, if_none_match: str | None = None
     ) -> LightFile | None:
-        """As `Session.file`."""
-        return await self._client.run(self._calls.file(place, calls.as_form(form), unless=unless))
+        """Return one form of the light as a file; see `Session.file`."""
+        return await self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
 
     async def track(self, name: str, position: Position) -> None:
-        """As `Session.track`."""
+        """Track a point; see `Session.track`."""
         await self._client.run(self._calls.track(name, position))
 
     async def untrack(self, name: str) -> None:
-        """As `Session.untrack`."""
+        """Stop tracking a point; see `Session.untrack`."""
         await self._client.run(self._calls.untrack(name))
 
     async def state(self) -> SessionState:
-        """As `Session.state`."""
+        """Return the session's state; see `Session.state`."""
         return await self._client.run(self._calls.state())
 
     async def close(self) -> None:
-        """As `Session.close`."""
+        """Delete the session; see `Session.close`."""
         await self._client.run(self._calls.close())

@@ -1,7 +1,7 @@
-"""What is asked of a server and how its answers are read: everything about a call but the I/O.
+"""The calls of the interface without their I/O: requests, how responses are parsed, and when to retry.
 
-A `Call` is a request and the function that makes its result of the answer; `Attempt` takes one through its retries.
-`client` and `async_client` do nothing but send, wait and hand back.
+A `Call` is a request and the parser of its response; `Attempt` counts the attempts of one call. `client` and
+`async_client` only send, wait and return.
 """
 
 import random
@@ -17,9 +17,9 @@ import httpx
 from pydantic import BaseModel, ValidationError
 
 from roomlight.conventions import Position
-from roomlight.errors import RoomLightError, WireError
+from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
-from roomlight.wire.frame_message import explain
+from roomlight.wire.frame_message import to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
     ID_PATTERN,
@@ -33,28 +33,28 @@ from roomlight.wire.messages import (
     SessionState,
 )
 from roomlight_client.errors import RETRIED, BadReplyError, UnreachableError, refusal
-from roomlight_client.frames import CameraFrame, Colour, pack_camera_frame, pack_frame
+from roomlight_client.frames import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
 from roomlight_client.light import Light, LightFile, parse_lights
 from roomlight_client.retry import Retry, Timeouts, parse_retry_after
 
 T = TypeVar("T")
 _Model = TypeVar("_Model", bound=BaseModel)
 
-Where = Position | str
-"""A point in world metres, or the name of a tracked probe."""
+PositionOrName = Position | str
+"""A point in world metres (y up), or the name of a tracked probe."""
 
-FORMS: Final[tuple[LightFormat, ...]] = ("npy", "sh", "main_light")
-"""What `light_at` asks for when it is not told: the panorama as the engine has it, harmonics, the main light."""
+DEFAULT_FORMS: Final[tuple[LightFormat, ...]] = ("npy", "sh", "main_light")
+"""Forms of `light_at` by default: the panorama exactly as the engine has it, harmonics, the main light."""
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
 
 SESSION_HEADER: Final = "X-Session-Id"
-"""Says in a header what the path says too: proxies in front of several servers route by it."""
+"""Repeats the session id of the path in a header, for proxies that route by it."""
 
 
 @dataclass(frozen=True)
 class Reply:
-    """An answer, read to its end. Header names are lower case."""
+    """A complete response. Header names are lower case."""
 
     status: int
     headers: Mapping[str, str]
@@ -63,7 +63,7 @@ class Reply:
 
 @dataclass(frozen=True)
 class Call(Generic[T]):
-    """A request, and what its answer means. `expected`: statuses that `read` understands, besides 200 to 299."""
+    """A request, and the parser of its response. `expected`: statuses that `read` accepts besides 200 to 299."""
 
     method: str
     path: str
@@ -76,40 +76,47 @@ class Call(Generic[T]):
 
 @dataclass(frozen=True)
 class Result(Generic[T]):
-    """What a call came to."""
+    """The parsed response of a call."""
 
     value: T
 
 
 class Attempt(Generic[T]):
-    """One call through its attempts."""
+    """The attempts of one call."""
 
     def __init__(self, call: Call[T], retry: Retry, base: str) -> None:
-        """None made yet."""
         self._call, self._retry, self._base = call, retry, base
         self._made = 0
 
     def answered(self, response: httpx.Response) -> Result[T] | float:
-        """The result, or how many seconds to wait for the next attempt. Raises RemoteError."""
+        """Return the result, or the seconds until the next attempt.
+
+        Raises:
+            RemoteError: If the server refused the call and no attempt is left, or the response is malformed.
+        """
         self._made += 1
         headers = {name.lower(): value for name, value in response.headers.items()}
         reply = Reply(response.status_code, headers, response.content)
         if reply.status in self._call.expected or 200 <= reply.status < 300:
             return Result(self._call.read(reply))
-        after_s = parse_retry_after(headers.get("retry-after"))
+        retry_after_s = parse_retry_after(headers.get("retry-after"))
         if reply.status in RETRIED:
-            wait_s = self._retry.delay_s(self._made, retry_after_s=after_s, luck=random.random())
-            if wait_s is not None:
-                return wait_s
-        raise refusal(reply.status, reply.body, retry_after_s=after_s)
+            delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=random.random())
+            if delay_s is not None:
+                return delay_s
+        raise refusal(reply.status, reply.body, retry_after_s=retry_after_s)
 
     def failed(self, error: httpx.HTTPError) -> float:
-        """How many seconds to wait for the next attempt; UnreachableError when there is none."""
+        """Return the seconds until the next attempt, after one without a response.
+
+        Raises:
+            UnreachableError: If no attempt is left.
+        """
         self._made += 1
-        hopeless = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError | httpx.DecodingError)
-        wait_s = None if hopeless else self._retry.delay_s(self._made, luck=random.random())
-        if wait_s is not None:
-            return wait_s
+        permanent = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError | httpx.DecodingError)
+        delay_s = None if permanent else self._retry.delay_s(self._made, jitter=random.random())
+        if delay_s is not None:
+            return delay_s
         attempts = f"{self._made} attempts" if self._made > 1 else "one attempt"
         reason = str(error) or type(error).__name__
         raise UnreachableError(
@@ -119,28 +126,32 @@ class Attempt(Generic[T]):
 
 
 def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict[str, Any]:
-    """What httpx's client is made with. Raises RoomLightError for an address that is none."""
+    """Return the arguments of httpx's client.
+
+    Raises:
+        OptionError: If the address or the token is invalid.
+    """
     try:
         parts = urlsplit(url)
         host = parts.hostname if parts.port != 0 else None
     except ValueError:
         parts, host = None, None
     if parts is None or parts.scheme not in ("http", "https") or not host:
-        raise RoomLightError(f"{url!r} is no server's address; it looks like http://localhost:8090")
+        raise OptionError(f"url must be a server's address like http://localhost:8090, got {url!r}")
     if parts.username is not None or parts.password is not None:
-        raise RoomLightError("the address holds a user or a password; servers take a token instead: token=...")
+        raise OptionError("url must not contain a user or a password; servers take a token instead: token=...")
     headers = {"User-Agent": "roomlight-python"}
     if token is not None:
         if not token or not token.isascii() or not token.isprintable():
-            raise RoomLightError("the token must be printable ASCII, as the server's administrator gave it")
+            raise OptionError("token must be printable ASCII, exactly as configured on the server")
         headers["Authorization"] = f"Bearer {token}"
-    limits = httpx.Timeout(timeouts.answer_s, connect=timeouts.connect_s, write=timeouts.send_s)
-    # A proxy of the environment is for the world outside, not for this machine.
+    limits = httpx.Timeout(timeouts.read_s, connect=timeouts.connect_s, write=timeouts.write_s)
+    # Proxies set in the environment do not apply to this machine itself.
     return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "trust_env": not _is_loopback(host)}
 
 
 def request_arguments(call: Call[Any]) -> dict[str, Any]:
-    """What httpx sends for a call."""
+    """Return the arguments of httpx's `request` for a call."""
     return {
         "method": call.method,
         "url": call.path,
@@ -151,33 +162,36 @@ def request_arguments(call: Call[Any]) -> dict[str, Any]:
 
 
 def ready() -> Call[bool]:
-    """Whether the server takes sessions."""
+    """Ask whether the server accepts sessions."""
     return Call("GET", "/readyz", lambda reply: reply.status == 200, expected=frozenset({503}))
 
 
 def new_session_id() -> str:
-    """128 random bits: nobody else's, and nobody guesses it."""
+    """Return an id of 128 random bits, which is unique and cannot be guessed."""
     return secrets.token_hex(16)
 
 
 class SessionCalls:
-    """The calls of one session, and the index that its next frame gets."""
+    """The calls of one session, and the index of its next frame.
+
+    Raises:
+        OptionError: If the session id is invalid; it becomes part of an address.
+    """
 
     def __init__(self, session_id: str | None = None) -> None:
-        """Of this id, or a new one. RoomLightError for an id that no server takes, before it stands in an address."""
         self.session_id = new_session_id() if session_id is None else session_id
-        _check_id(self.session_id, "a session's id")
+        _check_id(self.session_id, "session_id")
         self.next_index = 0
 
-    def begin(self, state: SessionState) -> None:
-        """The session is there: go on after the frames it has."""
+    def resume(self, state: SessionState) -> None:
+        """Continue the frame index after the frames that the session has."""
         last = state.frames.last_index
         self.next_index = 0 if last is None else last + 1
 
     def reserve(self, frame: Frame | CameraFrame, index: int | None) -> int:
-        """The index to send a frame under: as stated, a `Frame`'s own, or the next.
+        """Return the index to send a frame under: the argument, a `Frame`'s own, or the next one.
 
-        It counts as used however the call ends: a frame whose answer is lost may have arrived.
+        The index counts as used even if the call fails: a frame whose response is lost may have arrived.
         """
         if index is None:
             index = frame.index if isinstance(frame, Frame) else self.next_index
@@ -185,48 +199,60 @@ class SessionCalls:
         return index
 
     def open(self, request: SessionRequest) -> Call[SessionState]:
-        """Make it; where it is there with the same options, this changes nothing."""
-        return self._call("PUT", "", _reader(SessionState), json=request)
+        """Create the session. If it exists with the same options, this changes nothing."""
+        return self._call("PUT", "", _parser(SessionState), json=request)
 
     def state(self) -> Call[SessionState]:
-        """Its state."""
-        return self._call("GET", "", _reader(SessionState))
+        """Get the session's state."""
+        return self._call("GET", "", _parser(SessionState))
 
     def close(self) -> Call[None]:
-        """Delete it. One that is gone already is what was wanted: an earlier attempt's answer may be lost."""
-        return self._call("DELETE", "", _nothing, expected=frozenset({404, 410}))
+        """Delete the session. A missing one counts as success: the response to an earlier attempt may be lost."""
+        return self._call("DELETE", "", _ignore_body, expected=frozenset({404, 410}))
 
-    def push(self, frame: Frame | CameraFrame, index: int, *, colour: Colour, wait: bool) -> Call[FrameResult]:
-        """Send a frame. Raises WireError for one that no server would take."""
+    def push(self, frame: Frame | CameraFrame, index: int, *, colour: FrameEncoding, wait: bool) -> Call[FrameResult]:
+        """Send a frame.
+
+        Raises:
+            WireError: If the frame is invalid: no server would accept it.
+        """
         body = pack_camera_frame(frame) if isinstance(frame, CameraFrame) else pack_frame(frame, colour=colour)
         headers = {"Content-Type": FRAME_MEDIA_TYPE} | ({} if wait else {"Prefer": "respond-async"})
-        return self._call("PUT", f"/frames/{index}", _reader(FrameResult), content=body, headers=headers)
+        return self._call("PUT", f"/frames/{index}", _parser(FrameResult), content=body, headers=headers)
 
-    def lights(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm]) -> Call[list[Light]]:
-        """Light at several points at one moment. Raises WireError for positions, names or forms that are none."""
+    def lights(self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm]) -> Call[list[Light]]:
+        """Get the light at several probes after one and the same frame.
+
+        Raises:
+            WireError: If a position, a name or a form is invalid.
+        """
         try:
             request = LightRequest(
-                probes=[_query(place) for place in places],
+                probes=[_probe_query(probe) for probe in probes],
                 forms=[as_form(form) for form in forms],
             )
         except ValidationError as error:
-            raise explain(error, kind="invalid") from error
+            raise to_wire_error(error, kind="invalid") from error
 
         def read(reply: Reply) -> list[Light]:
             lights = parse_lights(reply.body, reply.headers.get("content-type", ""))
-            if len(lights) != len(places):
-                raise BadReplyError(f"asked for light at {len(places)} points, the answer has {len(lights)}")
+            if len(lights) != len(probes):
+                raise BadReplyError(f"requested light at {len(probes)} probes, the answer has {len(lights)}")
             return lights
 
         return self._call("POST", "/probes", read, json=request, headers={"Accept": MEDIA_TYPE})
 
-    def file(self, place: Where, form: LightForm, *, unless: str | None) -> Call[LightFile | None]:
-        """One form as a file; None if the light's etag still is `unless`."""
-        query = _query(place)
-        asked = form.model_dump(exclude_defaults=True, exclude_none=True) | {"format": form.format}
-        params = {name: str(value) for name, value in asked.items()}
+    def file(self, probe: PositionOrName, form: LightForm, *, if_none_match: str | None) -> Call[LightFile | None]:
+        """Get one form of the light as a file; None if the light's ETag still equals `if_none_match`.
+
+        Raises:
+            WireError: If the position or the name is invalid.
+        """
+        query = _probe_query(probe)
+        fields = form.model_dump(exclude_defaults=True, exclude_none=True) | {"format": form.format}
+        params = {name: str(value) for name, value in fields.items()}
         params |= {axis: repr(value) for axis, value in zip("xyz", query.position or (), strict=False)}
-        headers = {} if unless is None else {"If-None-Match": _quoted(unless)}
+        headers = {} if if_none_match is None else {"If-None-Match": _quoted(if_none_match)}
 
         def read(reply: Reply) -> LightFile | None:
             if reply.status == 304:
@@ -238,15 +264,24 @@ class SessionCalls:
         return self._call("GET", path, read, params=params, headers=headers, expected=frozenset({304}))
 
     def track(self, name: str, position: Position) -> Call[None]:
-        """Follow a point from now on."""
-        _check_id(name, "a probe's name")
-        _query(position)
-        return self._call("PUT", f"/probes/{name}", _nothing, json=ProbeBody(position=_floats(position)))
+        """Track a point under a name.
+
+        Raises:
+            OptionError: If the name is invalid.
+            WireError: If the position is invalid.
+        """
+        _check_id(name, "name")
+        _probe_query(position)
+        return self._call("PUT", f"/probes/{name}", _ignore_body, json=ProbeBody(position=_floats(position)))
 
     def untrack(self, name: str) -> Call[None]:
-        """No longer follow it."""
-        _check_id(name, "a probe's name")
-        return self._call("DELETE", f"/probes/{name}", _nothing, expected=frozenset({404}))
+        """Stop tracking a point.
+
+        Raises:
+            OptionError: If the name is invalid.
+        """
+        _check_id(name, "name")
+        return self._call("DELETE", f"/probes/{name}", _ignore_body, expected=frozenset({404}))
 
     def _call(
         self,
@@ -260,51 +295,62 @@ class SessionCalls:
         params: Mapping[str, str] | None = None,
         expected: frozenset[int] = frozenset(),
     ) -> Call[T]:
-        sent = {SESSION_HEADER: self.session_id, "Accept": "application/json", **(headers or {})}
+        all_headers = {SESSION_HEADER: self.session_id, "Accept": "application/json", **(headers or {})}
         if json is not None:
-            content, sent["Content-Type"] = json.model_dump_json().encode(), "application/json"
+            content, all_headers["Content-Type"] = json.model_dump_json().encode(), "application/json"
         address = f"/v1/sessions/{self.session_id}{path}"
-        return Call(method, address, read, sent, content, params or {}, expected)
+        return Call(method, address, read, all_headers, content, params or {}, expected)
 
 
 def as_form(form: LightFormat | LightForm) -> LightForm:
-    """A form by its name, or as it is. Raises WireError for a name that is none."""
+    """Return the form of a format's name, or the form itself.
+
+    Raises:
+        WireError: If there is no such format.
+    """
     try:
         return form if isinstance(form, LightForm) else LightForm(format=form)
     except ValidationError as error:
-        raise explain(error, kind="invalid") from error
+        raise to_wire_error(error, kind="invalid") from error
 
 
-def session_request(**options: Any) -> SessionRequest:
-    """The options of a session. Raises WireError for one that is none, with field, value and rule."""
+def session_request(*, model: str, **options: Any) -> SessionRequest:
+    """Return the request that opens a session. The wire's name of the option `model` is `mode`.
+
+    Raises:
+        WireError: If an option is invalid; with field, value and rule.
+    """
     try:
-        return SessionRequest(**options)
+        return SessionRequest.model_validate({"mode": model, **options})
     except ValidationError as error:
-        raise explain(error, kind="invalid") from error
+        explained = to_wire_error(error, kind="invalid")
+        field = "model" if explained.field == "mode" else explained.field
+        raise WireError(explained.kind, field=field, value=explained.value, rule=explained.rule) from error
 
 
-def _reader(model: type[_Model]) -> Callable[[Reply], _Model]:
+def _parser(model: type[_Model]) -> Callable[[Reply], _Model]:
     def read(reply: Reply) -> _Model:
         try:
             return model.model_validate_json(reply.body)
         except ValidationError as error:
-            raise BadReplyError(f"the answer is no {model.__name__}: {explain(error, kind='bad-reply')}") from error
+            explained = to_wire_error(error, kind="bad-reply")
+            raise BadReplyError(f"the answer is not a valid {model.__name__}: {explained}") from error
 
     return read
 
 
-def _nothing(_: Reply) -> None:
+def _ignore_body(_: Reply) -> None:
     return None
 
 
-def _query(place: Where) -> ProbeQuery:
+def _probe_query(probe: PositionOrName) -> ProbeQuery:
     try:
-        return ProbeQuery(name=place) if isinstance(place, str) else ProbeQuery(position=_floats(place))
+        return ProbeQuery(name=probe) if isinstance(probe, str) else ProbeQuery(position=_floats(probe))
     except (ValidationError, ValueError, TypeError) as error:
         if isinstance(error, ValidationError):
-            raise explain(error, kind="invalid") from error
+            raise to_wire_error(error, kind="invalid") from error
         rule = "must be a name, or three numbers in world metres"
-        raise WireError("invalid", field="position", value=place, rule=rule) from error
+        raise WireError("invalid", field="position", value=probe, rule=rule) from error
 
 
 def _floats(position: Position) -> list[float]:
@@ -315,9 +361,9 @@ def _quoted(etag: str) -> str:
     return f'"{etag.strip(chr(34))}"'
 
 
-def _check_id(text: str, what: str) -> None:
+def _check_id(text: str, option: str) -> None:
     if re.match(ID_PATTERN, text) is None:
-        raise RoomLightError(f"{what} is 1 to 64 of the characters A-Z a-z 0-9 _ -, got {text[:80]!r}")
+        raise OptionError(f"{option} must be 1 to 64 of the characters A-Z a-z 0-9 _ -, got {text[:80]!r}")
 
 
 def _is_loopback(host: str) -> bool:

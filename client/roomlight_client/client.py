@@ -1,4 +1,4 @@
-"""The client that waits: `Client` and `Session`. One thread at a time uses a session; a client serves several."""
+"""The blocking client: `Client` and `Session`. A session belongs to one thread at a time; a client may be shared."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -12,15 +12,27 @@ from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
-from roomlight_client.calls import FORMS, Attempt, Call, Result, SessionCalls, T, Where
+from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.errors import RemoteError
-from roomlight_client.frames import CameraFrame, Colour
+from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
-from roomlight_client.retry import NEVER, Retry, Timeouts
+from roomlight_client.retry import NO_RETRY, Retry, Timeouts
 
 
 class Client:
-    """A connection to a server; use it in a `with` statement, or close it."""
+    """A connection to a server. Use it in a `with` statement, or call `close`.
+
+    Args:
+        url: The server's address, e.g. http://localhost:8090. The constructor does not connect.
+        token: Sent as a bearer token. A session belongs to the token that opened it.
+        timeouts: Timeouts of each attempt.
+        retry: Number of attempts and their delays.
+        transport: Replaces the network.
+        sleep: Replaces `time.sleep`, which waits between attempts.
+
+    Raises:
+        OptionError: If `url` or `token` is invalid.
+    """
 
     def __init__(
         self,
@@ -32,65 +44,86 @@ class Client:
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], object] = time.sleep,
     ) -> None:
-        """Nothing is sent yet. `transport` and `sleep` replace the network and time.
-
-        Raises RoomLightError for a `url` or a `token` that is none.
-        """
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.Client(transport=transport, **arguments)
         self._retry, self._sleep, self._url = retry or Retry(), sleep, url
 
     def __enter__(self) -> "Client":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the connection. Sessions stay: each ends with its own `close`, or when it has idled for long."""
         self.close()
 
     def close(self) -> None:
-        """Close the connection."""
+        """Close the connection. Sessions stay on the server until their own `close`, or until they expire."""
         self._http.close()
 
     def ready(self) -> bool:
-        """Whether the server takes sessions."""
+        """Return whether the server accepts sessions.
+
+        Raises:
+            RemoteError: If the server does not respond.
+        """
         return self.run(calls.ready())
 
     def open(
         self,
         session_id: str | None = None,
         *,
-        mode: ModelName = "auto",
+        model: ModelName = "auto",
         height: int = 120,
         reference_exposure: float | None = None,
         use_limited_tracking: bool = False,
         min_confidence: int = 1,
         unknown_depth: UnknownDepth = "rim",
     ) -> "Session":
-        """Begin a session, or go on with the one of this id and these options (`wire.messages.SessionRequest`).
+        """Open a session, or continue an existing one with the same id and options.
 
-        Without an id the client makes one. Raises RemoteError; WireError for options that are none.
+        Args:
+            session_id: 1 to 64 of the characters A-Z a-z 0-9 _ -; by default a random one.
+            model: `auto` is the server's default model.
+            height: Of the panoramas, in pixels; they are twice as wide.
+            reference_exposure: Exposure that shows radiance 1.0 as white; by default the first frame's.
+            use_limited_tracking: Use frames whose tracking state is `limited`, too.
+            min_confidence: Depth pixels with a lower confidence (0 to 2) are unknown.
+            unknown_depth: Where the engine puts pixels of unknown depth.
+
+        Raises:
+            ConflictError: If the session exists with other options; `field` and `value` show which.
+            RemoteError: If the server refuses or does not respond.
+            WireError: If an option is out of range.
+            OptionError: If the id is invalid.
         """
-        asked = SessionCalls(session_id)
+        session_calls = SessionCalls(session_id)
         request = calls.session_request(
-            mode=mode,
+            model=model,
             height=height,
             reference_exposure=reference_exposure,
             use_limited_tracking=use_limited_tracking,
             min_confidence=min_confidence,
             unknown_depth=unknown_depth,
         )
-        return Session(self, asked, self.run(asked.open(request)))
+        return Session(self, session_calls, self.run(session_calls.open(request)))
 
     def join(self, session_id: str) -> "Session":
-        """A session that is there, whatever its options: GoneError if it is not."""
-        asked = SessionCalls(session_id)
-        return Session(self, asked, self.run(asked.state()))
+        """Continue an existing session, whatever its options.
+
+        Raises:
+            GoneError: If there is no such session.
+            RemoteError: If the server refuses or does not respond.
+            OptionError: If the id is invalid.
+        """
+        session_calls = SessionCalls(session_id)
+        return Session(self, session_calls, self.run(session_calls.state()))
 
     def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
-        """Send a call, and again as `retry` has it. Raises RemoteError."""
+        """Send a call and return its result. `retry` replaces the client's policy.
+
+        Raises:
+            RemoteError: If no attempt succeeds.
+        """
         attempt = Attempt(call, retry or self._retry, self._url)
         while True:
             try:
@@ -105,31 +138,36 @@ class Client:
 
 
 class Session:
-    """One room on a server. In a `with` statement it is deleted at the end."""
+    """One room on a server, made by `Client.open` or `Client.join`. A `with` statement deletes it at its end.
 
-    def __init__(self, client: Client, asked: SessionCalls, state: SessionState) -> None:
-        """Made by `Client.open` and `Client.join`."""
-        self._client, self._calls = client, asked
+    Every method raises a `RemoteError` if the server refuses the call or does not respond; `GoneError` is the one for
+    a session that was deleted or has expired.
+
+    Attributes:
+        id: The session's id.
+        model: The model that estimates the light: classical, single or video.
+    """
+
+    def __init__(self, client: Client, session_calls: SessionCalls, state: SessionState) -> None:
+        self._client, self._calls = client, session_calls
         self.id, self.model = state.id, state.model
-        asked.begin(state)
+        session_calls.resume(state)
 
     def __enter__(self) -> "Session":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Delete the session; after an error as well as it goes, so that the error is what is seen."""
         if error is None:
             self.close()
             return
-        with suppress(RemoteError):
-            self._client.run(self._calls.close(), retry=NEVER)
+        with suppress(RemoteError):  # the error of the block is the one to show
+            self._client.run(self._calls.close(), retry=NO_RETRY)
 
     @property
     def next_index(self) -> int:
-        """The index that the next `CameraFrame` gets: one above all that were sent."""
+        """The index of the next `CameraFrame`: one above all indices sent."""
         return self._calls.next_index
 
     def push(
@@ -137,50 +175,88 @@ class Session:
         frame: Frame | CameraFrame,
         index: int | None = None,
         *,
-        colour: Colour = "exact",
+        colour: FrameEncoding = "exact",
         wait: bool = True,
         retry: bool = True,
     ) -> FrameResult:
-        """Send a frame and hear what became of it.
+        """Send a frame and return its result.
 
-        index:   above all that were sent; default: a `Frame`'s own, else the next.
-        colour:  how a `Frame` travels.
-        wait:    for the frame to be processed; else the answer is `queued` as soon as it has arrived.
-        retry:   False for live streams, in which a late frame is worth nothing.
+        Args:
+            frame: The frame.
+            index: Above all indices sent; by default a `Frame`'s own, else the next one.
+            colour: Encoding of a `Frame`.
+            wait: Wait until the frame is processed; else return `queued` as soon as it has arrived.
+            retry: False for live streams, where a late frame is useless.
 
-        Raises WireError for a frame that no server would take, InvalidError where this one does not, ConflictError for
-        an index that is spent.
+        Raises:
+            WireError: If the frame is invalid: no server would accept it.
+            InvalidError: If this server does not accept it.
+            ConflictError: If the index was used before.
+            RemoteError: If the server refuses for another reason, or does not respond.
         """
         index = self._calls.reserve(frame, index)
         call = self._calls.push(frame, index, colour=colour, wait=wait)
-        return self._client.run(call, retry=None if retry else NEVER)
+        return self._client.run(call, retry=None if retry else NO_RETRY)
 
-    def light_at(self, place: Where, forms: Sequence[LightFormat | LightForm] = FORMS) -> Light:
-        """The light at a point or a tracked probe; a prior before the first frame was processed (`Light.is_prior`)."""
-        return self.lights_at([place], forms)[0]
+    def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+        """Return the light at a point or a tracked probe; the prior before the first frame (`Light.is_prior`).
 
-    def lights_at(self, places: Sequence[Where], forms: Sequence[LightFormat | LightForm] = FORMS) -> list[Light]:
-        """The light at up to 64 points, all after the same frame, in one call."""
-        return self._client.run(self._calls.lights(places, forms))
+        Raises:
+            WireError: If the position, the name or a form is invalid.
+            GoneError: If there is no such probe.
+        """
+        return self.lights_at([probe], forms)[0]
+
+    def lights_at(
+        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
+    ) -> list[Light]:
+        """Return the light at up to 64 probes after one and the same frame, in one call.
+
+        Raises:
+            WireError: If a position, a name or a form is invalid.
+            GoneError: If there is no such probe.
+        """
+        return self._client.run(self._calls.lights(probes, forms))
 
     def file(
-        self, place: Where, form: LightFormat | LightForm = "exr", *, unless: str | None = None
+        self, probe: PositionOrName, form: LightFormat | LightForm = "exr", *, if_none_match: str | None = None
     ) -> LightFile | None:
-        """One form as a file; None if its etag still is `unless`, so that nothing is sent again."""
-        return self._client.run(self._calls.file(place, calls.as_form(form), unless=unless))
+        """Return one form of the light as a file.
+
+        Args:
+            probe: A point, or the name of a tracked probe.
+            form: The form of the file.
+            if_none_match: The ETag of an earlier file. If the light is still the same, the result is None and the
+                server sends no file.
+
+        Raises:
+            WireError: If the position, the name or the form is invalid.
+            GoneError: If there is no such probe.
+        """
+        return self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
 
     def track(self, name: str, position: Position) -> None:
-        """Follow a point from now on: its light then costs nothing to ask for. A name that is taken moves."""
+        """Track a point: the engine then updates its light with each frame. An existing name moves to the position.
+
+        Raises:
+            OptionError: If the name is invalid.
+            WireError: If the position is invalid.
+            ConflictError: If the session tracks as many probes as the server allows.
+        """
         self._client.run(self._calls.track(name, position))
 
     def untrack(self, name: str) -> None:
-        """No longer follow it."""
+        """Stop tracking a point. An unknown name is no error.
+
+        Raises:
+            OptionError: If the name is invalid.
+        """
         self._client.run(self._calls.untrack(name))
 
     def state(self) -> SessionState:
-        """Frames so far, tracked probes, coverage, memory, the lighting volume."""
+        """Return counts of frames, tracked probes with their coverage, memory and the lighting volume."""
         return self._client.run(self._calls.state())
 
     def close(self) -> None:
-        """Delete the session, its frames and its light on the server."""
+        """Delete the session with its frames and its light on the server. A missing session is no error."""
         self._client.run(self._calls.close())

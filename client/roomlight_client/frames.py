@@ -1,4 +1,4 @@
-"""Frames as the bytes of a message (`roomlight.wire.frame_message`).
+"""Frames to bytes: the binary messages of `roomlight.wire.frame_message`.
 
 Poses are camera-to-world (camera x right, y up, z backward; world metres, y up); depth is along the optical axis.
 """
@@ -26,32 +26,39 @@ from roomlight.wire.frame_header import (
     TrackingState,
     WireIntrinsics,
 )
-from roomlight.wire.frame_message import FrameLimits, column_major, explain, pack, parse
+from roomlight.wire.frame_message import FrameLimits, column_major, pack, parse, to_wire_error
 
-Colour = Literal["exact", "jpeg", "png"]
-"""How a `Frame` travels. exact: as linear floats at the engine's own working size, so that the light is bit for bit
-the engine's; 1.2 MB. jpeg, png: as 8-bit sRGB in at most 640 x 480, what a phone sends; 60 kB, 400 kB."""
+FrameEncoding = Literal["exact", "jpeg", "png"]
+"""Encoding of a `Frame`.
+
+exact: linear float32 at the engine's working size, 1.2 MB. The light equals the local engine's, bit for bit.
+jpeg, png: 8-bit sRGB of at most 640 x 480, as a phone sends it: 60 kB, 400 kB.
+"""
 
 EXACT_SIZE: Final = (320, 240)
-"""The engine's working size: it would bring a larger frame to this itself, by the same function."""
+"""The engine's working size (width, height). The engine resizes a larger frame to it by the same function."""
 PHONE_SIZE: Final = (640, 480)
-"""Twice the working size: averaging over 2 x 2 pixels takes JPEG's noise down with it."""
+"""Twice the working size (width, height): the average over 2 x 2 pixels removes most of JPEG's noise."""
 JPEG_QUALITY: Final = 92
-_FAST: Final = 1  # zstd's level: a depth map of 320 x 240 floats in 1 ms; level 3 saves 2 % more
+_ZSTD_LEVEL: Final = 1  # compresses a depth map of 320 x 240 floats in 1 ms; level 3 is 2 % smaller
 
-_ANY_SIZE: Final = FrameLimits(2**40, 2**40, 2**40)  # how much is too much is the server's to say
+_NO_LIMITS: Final = FrameLimits(2**40, 2**40, 2**40)  # the size limits are the server's
 
 
 @dataclass(frozen=True)
 class CameraFrame:
-    """What a camera gave, as it gave it: for apps that hold JPEG bytes and a depth map.
+    """A frame as a camera delivers it: for apps that hold JPEG bytes and a depth map.
 
-    colour:           the bytes of a JPEG, PNG or HEIC file, or sRGB uint8 [h, w, 3]; the intrinsics' size.
-    depth:            [dh, dw], of the image's view and aspect: uint16 = millimetres, float16 or float32 = metres;
-                      0 = unknown.
-    confidence:       optional uint8 [dh, dw]: 0 low, 1 medium, 2 high.
-    exposure:         light taken, relative to the session's reference exposure (e.g. shutter seconds x ISO / 100).
-    tracking_state:   normal, limited or not_available; frames that are not normal are counted and skipped.
+    Attributes:
+        colour: The bytes of a JPEG, PNG or HEIC file, or sRGB uint8 [h, w, 3]; of the intrinsics' size.
+        depth: [dh, dw], of the image's view and aspect: uint16 in millimetres, float16 or float32 in metres;
+            0 = unknown.
+        intrinsics: Pinhole camera in pixels of the colour image.
+        camera_to_world: [4, 4], metres, world y up.
+        confidence: Optional uint8 [dh, dw]: 0 low, 1 medium, 2 high.
+        timestamp_s: Seconds from any origin.
+        exposure: Light taken, relative to the session's reference exposure (e.g. shutter seconds x ISO / 100).
+        tracking_state: The server counts and skips frames whose state is not `normal`.
     """
 
     colour: bytes | UInt8[np.ndarray, "h w 3"]
@@ -65,13 +72,21 @@ class CameraFrame:
 
 
 def pack_camera_frame(frame: CameraFrame) -> bytes:
-    """The message of a camera's frame; the image goes as it is. Raises WireError for what no server would take."""
+    """Encode a camera's frame as a message; an image file is sent unchanged.
+
+    Raises:
+        WireError: If the frame is invalid: no server would accept it.
+    """
     encoding, colour = _camera_colour(frame)
     return _message(frame, encoding, colour)
 
 
-def pack_frame(frame: Frame, *, colour: Colour = "exact") -> bytes:
-    """The message of a RoomLight frame, whose linear radiance becomes what `colour` says. Raises WireError."""
+def pack_frame(frame: Frame, *, colour: FrameEncoding = "exact") -> bytes:
+    """Encode a RoomLight frame of linear radiance as a message.
+
+    Raises:
+        WireError: If the frame is invalid: no server would accept it.
+    """
     if colour == "exact":
         return _pack_exact(frame)
     small = frame.resized(*PHONE_SIZE)
@@ -94,17 +109,17 @@ def pack_frame(frame: Frame, *, colour: Colour = "exact") -> bytes:
 
 
 def _pack_exact(frame: Frame) -> bytes:
-    """float32 colour and depth: what the server makes of it is this frame at the working size, to the bit."""
+    """Encode colour and depth as float32: the server decodes this frame at the working size, bit for bit."""
     small = frame.resized(*EXACT_SIZE)
     colour = small.image.astype("<f4").tobytes() + small.clipped.astype(np.uint8).tobytes()
-    # Servers refuse depth of which nothing is known. Where the working size left the known pixels out, all are sent.
+    # Servers refuse depth without a known pixel. If resizing dropped all known pixels, send the full-size depth.
     depth_m = small.depth_m if small.depth_m.any() else frame.depth_m
     camera = CameraFrame(b"", depth_m, small.intrinsics, small.camera_to_world, timestamp_s=small.timestamp_s)
     return _message(camera, "linear_f32", colour)
 
 
 def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> bytes:
-    """Header and parts, held to each other by the parser that servers use: nothing malformed is sent."""
+    """Join header and parts, and check them with the server's own parser before anything is sent."""
     depth_format, depth = _depth(frame.depth)
     width, height = _size(frame.depth, "depth")
     confidence = None if frame.confidence is None else _compressed(frame.confidence)
@@ -123,9 +138,9 @@ def _message(frame: CameraFrame, encoding: ColourEncoding, colour: bytes) -> byt
             tracking_state=frame.tracking_state,
         )
     except ValidationError as error:
-        raise explain(error, kind="bad-frame") from error
+        raise to_wire_error(error, kind="bad-frame") from error
     body = pack(header, colour, depth, confidence)
-    parse(body, _ANY_SIZE)
+    parse(body, _NO_LIMITS)
     return body
 
 
@@ -176,19 +191,20 @@ def _depth(depth: Shaped[np.ndarray, "..."]) -> tuple[DepthFormat, bytes]:
 
 
 def _compressed(plane: Shaped[np.ndarray, "..."]) -> bytes:
-    return zstandard.ZstdCompressor(level=_FAST).compress(plane.tobytes())
+    return zstandard.ZstdCompressor(level=_ZSTD_LEVEL).compress(plane.tobytes())
 
 
 def _millimetres(depth_m: Float[np.ndarray, "h w"]) -> Shaped[np.ndarray, "h w"]:
-    known = (depth_m > 0) & (depth_m < 65.5345)  # beyond it 16 bits end, and so do rooms
+    known = (depth_m > 0) & (depth_m < 65.5345)  # the limit of 16 bits; rooms are smaller
     return np.rint(np.where(known, depth_m, 0) * 1000).astype(np.uint16)
 
 
 def _exposure(frame: Frame) -> float:
-    """The exposure that an 8-bit image of this radiance is written with: 1, or less where a sensor clipped above 1.
+    """Return the exposure for an 8-bit image of this radiance: 1, or less if the sensor clipped above 1.
 
-    A frame that was exposed less than the reference clips above 1.0; 8 bits must then reach as far. Radiance that
-    nothing clipped (an HDR recording) clips at 1.0, as it would for a phone with the reference exposure.
+    A frame with less exposure than the reference clips above 1.0, and the 8-bit image must keep that range. In
+    radiance without clipped pixels (an HDR recording) values above 1.0 are cut off, as a phone with the reference
+    exposure would do.
     """
     if not frame.clipped.any() or float(frame.image.max()) <= 1.0:
         return 1.0

@@ -8,7 +8,7 @@ from pathlib import Path
 import httpx
 import pytest
 import typer
-from test_sdk_calls import STATE, problem
+from sdk_scripts import STATE, problem
 from typer.testing import CliRunner
 
 import roomlight_client as sdk

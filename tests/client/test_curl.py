@@ -1,6 +1,4 @@
-"""The README's last resort: curl, a process of its own, sends a capture's files as they lie on disk over a real socket,
-and gets the very light that an offline replay of that capture writes.
-"""
+"""curl sends the files of a capture to a server and gets the same light as an offline replay of that capture."""
 
 import json
 import subprocess
@@ -22,7 +20,7 @@ EVERY, FRAMES, HEIGHT = 5, 4, 32
 
 
 def curl(*arguments):
-    """What the server answered, as bytes."""
+    """Run curl and return the body of the response."""
     command = ["curl", "--silent", "--show-error", "--fail-with-body", "--max-time", "60", *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, check=False, timeout=90)
     assert done.returncode == 0, done.stdout.decode(errors="replace")[-2000:] + done.stderr.decode()
@@ -30,7 +28,7 @@ def curl(*arguments):
 
 
 def send(address, number):
-    """A frame of the sample: the header says what the files are; how long they are nobody needs to say."""
+    """Send a frame of the sample; the header needs no lengths."""
     entry = INDEX["frames"][number]
     header = {
         "colour": {"encoding": "jpeg"},

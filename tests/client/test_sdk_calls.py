@@ -1,4 +1,4 @@
-"""Retries, waits, refusals and requests of both clients, against prepared answers: no socket, no sleeping."""
+"""Retries, delays, refusals and requests of both clients, against scripted responses: no socket, no sleeping."""
 
 import asyncio
 import base64
@@ -12,39 +12,23 @@ from datetime import UTC, datetime
 import httpx
 import numpy as np
 import pytest
-from either_client import Script
 from hypothesis import given
 from hypothesis import strategies as st
+from sdk_scripts import OPENED, STATE, Script, problem
 
 import roomlight_client as sdk
-from roomlight.errors import RoomLightError, WireError
+from roomlight.errors import OptionError, RoomLightError, WireError
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight_client import AsyncClient, AsyncSession, Client, Retry, Session, Timeouts
 from roomlight_client.errors import refusal
 from roomlight_client.retry import parse_retry_after
 
 BOTH = pytest.mark.parametrize("kind", ["sync", "async"])
-STATE = {
-    "id": "room", "status": "open", "model": "classical",
-    "options": {}, "probes": {}, "coverage": {}, "keyframes": 0, "volume": None, "idle_expiry_s": 600.0,
-    "frames": {
-        "accepted": 0, "processed": 0, "superseded": 0, "skipped": 0, "queued": 0, "gaps": 0, "replayed": 0,
-        "refused": 0, "last_index": None,
-    },
-    "memory": {"bytes": 0, "bound_bytes": 1},
-}  # fmt: skip
 ORIGIN = (0.0, 0.0, 0.0)
-OPENED = httpx.Response(201, json=STATE)
-
-
-def problem(status, kind, *, retry_after=None, **more):
-    body = {"type": f"urn:roomlight:problem:{kind}", "title": "No", "status": status, "detail": "because"} | more
-    headers = {} if retry_after is None else {"Retry-After": retry_after}
-    return httpx.Response(status, json=body, headers={"Content-Type": "application/problem+json"} | headers)
 
 
 def run(script, kind, work, **options):
-    """The result of `work(session)` after a session was opened."""
+    """Open a session and return the result of `work(session)`."""
 
     async def main():
         async with script.client(kind, **options) as client:
@@ -67,7 +51,7 @@ def refused(script, kind, work, **options):
     "first",
     [httpx.ConnectError("no route"), httpx.ReadTimeout("slow"), problem(429, "session-full"), problem(503, "x")],
 )
-def test_what_may_pass_is_tried_again_with_the_same_bytes(kind, first):
+def test_temporary_failures_are_retried_with_the_same_bytes(kind, first):
     script = Script(OPENED, first, problem(502, "x"), httpx.Response(200, json=STATE))
     state = run(script, kind, lambda session: session.state())
     assert state.id == "room"
@@ -80,7 +64,7 @@ def test_what_may_pass_is_tried_again_with_the_same_bytes(kind, first):
 
 
 @BOTH
-def test_the_server_is_waited_for_as_long_as_it_asks(kind):
+def test_retry_after_is_waited_for(kind):
     script = Script(OPENED, problem(429, "session-full", retry_after="7"), httpx.Response(200, json=STATE))
     run(script, kind, lambda session: session.state())
     assert len(script.waits_s) == 1
@@ -88,16 +72,16 @@ def test_the_server_is_waited_for_as_long_as_it_asks(kind):
 
 
 @BOTH
-def test_but_not_longer_than_our_patience(kind):
+def test_a_longer_retry_after_than_allowed_fails_at_once(kind):
     script = Script(OPENED, problem(503, "server-full", retry_after="60"))
-    error = refused(script, kind, lambda session: session.state(), retry=Retry(patience_s=30.0))
+    error = refused(script, kind, lambda session: session.state(), retry=Retry(max_retry_after_s=30.0))
     assert isinstance(error, sdk.BusyError)
     assert (error.kind, error.retry_after_s) == ("server-full", 60.0)
     assert script.waits_s == []
 
 
 @BOTH
-def test_attempts_end(kind):
+def test_the_number_of_attempts_is_limited(kind):
     script = Script(OPENED, httpx.ConnectError("connection refused"))
     error = refused(script, kind, lambda session: session.state(), retry=Retry(attempts=3))
     assert isinstance(error, sdk.UnreachableError)
@@ -112,14 +96,14 @@ def test_attempts_end(kind):
 
 @BOTH
 @pytest.mark.parametrize("status", [400, 401, 403, 404, 409, 410, 413, 422, 500])
-def test_what_would_come_out_the_same_is_not_tried_again(kind, status):
+def test_permanent_refusals_are_not_retried(kind, status):
     script = Script(OPENED, problem(status, "no"))
     refused(script, kind, lambda session: session.state())
     assert len(script.requests) == 2
 
 
 @BOTH
-def test_an_error_inside_a_session_is_not_hidden_by_its_end(kind):
+def test_an_error_in_a_session_block_is_not_hidden(kind):
     script = Script(OPENED, httpx.ConnectError("gone"))
 
     async def main():
@@ -134,29 +118,29 @@ def test_an_error_inside_a_session_is_not_hidden_by_its_end(kind):
 
 @BOTH
 @pytest.mark.parametrize("answer", [httpx.Response(204), problem(404, "session-not-found"), problem(410, "closed")])
-def test_a_session_that_is_gone_is_closed(kind, answer):
+def test_closing_a_missing_session_succeeds(kind, answer):
     run(Script(OPENED, httpx.ReadError("cut"), answer), kind, lambda session: session.close())
 
 
 @given(
     failed=st.integers(1, 200),
-    luck=st.floats(0, 1),
+    jitter=st.floats(0, 1),
     retry_after_s=st.none() | st.floats(0, 1e4),
     retry=st.builds(
         Retry,
         attempts=st.integers(1, 300),
         first_delay_s=st.floats(0, 10),
-        longest_delay_s=st.floats(0, 100),
-        patience_s=st.floats(0, 1e3),
+        max_delay_s=st.floats(0, 100),
+        max_retry_after_s=st.floats(0, 1e3),
     ),
 )
-def test_waits_are_bounded_and_never_shorter_than_asked_for(failed, luck, retry_after_s, retry):
-    wait_s = retry.delay_s(failed, retry_after_s=retry_after_s, luck=luck)
+def test_delays_are_bounded_and_respect_retry_after(failed, jitter, retry_after_s, retry):
+    wait_s = retry.delay_s(failed, retry_after_s=retry_after_s, jitter=jitter)
     if wait_s is None:
-        assert failed >= retry.attempts or (retry_after_s or 0) > retry.patience_s
+        assert failed >= retry.attempts or (retry_after_s or 0) > retry.max_retry_after_s
     else:
         assert wait_s >= (retry_after_s or 0)
-        assert wait_s <= max(retry.longest_delay_s, 1.1 * (retry_after_s or 0))
+        assert wait_s <= max(retry.max_delay_s, 1.1 * (retry_after_s or 0))
 
 
 @pytest.mark.parametrize(
@@ -192,7 +176,7 @@ def test_retry_after_is_seconds_or_a_date(text, seconds):
         (599, "odd", sdk.ServerFailedError),
     ],
 )
-def test_a_problem_becomes_its_error(status, kind, expected):
+def test_each_problem_becomes_its_error_class(status, kind, expected):
     answer = problem(status, kind, field="depth.width", value="9", rule="at most 8", extension="ignored")
     error = refusal(status, answer.content)
     assert type(error) is expected
@@ -203,19 +187,19 @@ def test_a_problem_becomes_its_error(status, kind, expected):
 
 
 @pytest.mark.parametrize("body", [b"<html>Bad Gateway</html>", b"", b"[1]", b'"text"', b"\xff\xfe", b'{"status": []}'])
-def test_a_refusal_without_a_problem_is_told_by_its_status(body):
+def test_a_refusal_without_problem_details_shows_its_status(body):
     error = refusal(502, body)
     assert isinstance(error, sdk.BusyError)
     assert "502" in str(error)
 
 
-def test_an_answer_that_no_server_of_ours_gives():
+def test_an_unexpected_status_is_a_bad_reply():
     assert isinstance(refusal(302, b""), sdk.BadReplyError)
 
 
 @BOTH
 @pytest.mark.parametrize("body", [b"<html>", b"{}", b"[]", b""])
-def test_another_service_at_the_address_is_noticed(kind, body):
+def test_another_service_at_the_address_is_a_bad_reply(kind, body):
     script = Script(OPENED, httpx.Response(200, content=body))
     assert isinstance(refused(script, kind, lambda session: session.state()), sdk.BadReplyError)
     assert isinstance(refused(script, kind, lambda session: session.light_at(ORIGIN)), sdk.BadReplyError)
@@ -231,18 +215,18 @@ def test_another_service_at_the_address_is_noticed(kind, body):
         ("http://room.test", "a\nb"), ("http://room.test", "tökén"),
     ],
 )  # fmt: skip
-def test_addresses_and_tokens_that_are_none(url, token):
-    with pytest.raises(RoomLightError) as caught:
+def test_invalid_addresses_and_tokens_are_rejected(url, token):
+    with pytest.raises(OptionError) as caught:
         Client(url, token=token)
     assert "secret" not in str(caught.value)
 
 
-def test_times_and_attempts_that_are_none():
-    for wrong in ({"attempts": 0}, {"first_delay_s": -1.0}, {"patience_s": -1.0}):
-        with pytest.raises(ValueError, match=r"attempt|wait"):
+def test_invalid_timeouts_and_retries_are_rejected():
+    for wrong in ({"attempts": 0}, {"first_delay_s": -1.0}, {"max_retry_after_s": -1.0}):
+        with pytest.raises(OptionError, match=r"attempts|delays"):
             Retry(**wrong)
-    with pytest.raises(ValueError, match="answer_s"):
-        Timeouts(answer_s=0.0)
+    with pytest.raises(OptionError, match="read_s"):
+        Timeouts(read_s=0.0)
 
 
 # --- requests ---------------------------------------------------------------------------------------------------
@@ -286,7 +270,7 @@ def test_requests_carry_token_session_and_options(kind):
         lambda session: session.untrack("x/y"),
     ],
 )
-def test_what_cannot_be_asked_is_not_sent(kind, work):
+def test_invalid_requests_are_not_sent(kind, work):
     script = Script(OPENED)
     error = refused(script, kind, work)
     assert not isinstance(error, sdk.RemoteError)
@@ -295,19 +279,20 @@ def test_what_cannot_be_asked_is_not_sent(kind, work):
 
 @BOTH
 @pytest.mark.parametrize("session_id", ["", "a/b", "..", "x" * 65, "a\n"])
-def test_session_ids_stand_in_addresses(kind, session_id):
+def test_invalid_session_ids_are_rejected(kind, session_id):
     async def main():
         async with Script(OPENED).client(kind) as client:
             await client.open(session_id)
 
-    with pytest.raises(RoomLightError, match="session's id"):
+    with pytest.raises(OptionError, match="session_id"):
         asyncio.run(main())
 
 
-def test_options_that_are_none():
-    with pytest.raises(WireError, match="height") as caught:
-        asyncio.run(_open_with(height=5))
-    assert caught.value.field == "height"
+def test_invalid_options_name_the_field():
+    for options in ({"height": 5}, {"model": "magic"}):
+        with pytest.raises(WireError) as caught:
+            asyncio.run(_open_with(**options))
+        assert [caught.value.field] == list(options)
 
 
 async def _open_with(**options):
@@ -318,7 +303,7 @@ async def _open_with(**options):
 @BOTH
 def test_an_unchanged_file_is_none(kind):
     script = Script(OPENED, httpx.Response(304, headers={"ETag": '"abc-exr"'}))
-    assert run(script, kind, lambda session: session.file((1.0, 2.0, -0.5), "exr", unless="abc-exr")) is None
+    assert run(script, kind, lambda session: session.file((1.0, 2.0, -0.5), "exr", if_none_match="abc-exr")) is None
     request = script.requests[-1]
     assert request.headers["if-none-match"] == '"abc-exr"'
     assert dict(request.url.params) == {"format": "exr", "x": "1.0", "y": "2.0", "z": "-0.5"}
@@ -338,14 +323,23 @@ def npy(array):
     return {"format": "npy", "media_type": "x", "data": base64.b64encode(stream.getvalue()).decode()}
 
 
+def access(light, name):
+    value = getattr(light, name)
+    return value() if callable(value) else value
+
+
 @BOTH
-def test_light_in_json_is_read_too(kind):
+def test_light_as_json_is_parsed(kind):
     panorama = np.arange(48, dtype=np.float32).reshape(2, 4, 6)[:, :, :3]
     script = Script(OPENED, light_json(npy(panorama)))
     light = run(script, kind, lambda session: session.light_at((0.0, 1.0, 2.0), ("npy",)))
     assert script.requests[-1].headers["accept"] == MEDIA_TYPE
     assert (light.panorama == panorama).all()
     assert (light.position, light.frame, light.coverage, light.etag) == ((0.0, 1.0, 2.0), 3, 0.5, "e")
+
+
+def read_form(light, name):
+    return light.cube() if name == "cube" else getattr(light, name)
 
 
 @BOTH
@@ -365,18 +359,18 @@ def test_light_in_json_is_read_too(kind):
         ({"format": "main_light", "media_type": "x", "values": {"direction": 1, "intensity": "x"}}, "main_light"),
     ],
 )
-def test_a_form_that_cannot_be_read_is_an_error_when_it_is_looked_at(kind, form, read):
+def test_a_malformed_form_raises_when_it_is_accessed(kind, form, read):
     light = run(Script(OPENED, light_json(form)), kind, lambda session: session.light_at((0.0, 1.0, 2.0)))
     with pytest.raises(sdk.BadReplyError, match=form["format"]):
-        getattr(light, read)
+        access(light, read)
 
 
 @pytest.mark.parametrize("name", ["panorama", "observed", "harmonics", "ambient", "main_light", "cube"])
-def test_a_form_that_was_not_asked_for_says_how(name):
+def test_a_missing_form_says_how_to_request_it(name):
     form = {"format": "png", "media_type": "image/png", "data": ""}
     light = run(Script(OPENED, light_json(form)), "sync", lambda session: session.light_at((0.0, 1.0, 2.0), ("png",)))
-    with pytest.raises(RoomLightError, match="asked for png; ask with forms="):
-        getattr(light, name)
+    with pytest.raises(RoomLightError, match="requested was png; request it with forms="):
+        access(light, name)
 
 
 @BOTH
@@ -389,7 +383,7 @@ def test_a_form_that_was_not_asked_for_says_how(name):
         httpx.Response(200, content=b"{}", headers={"Content-Type": MEDIA_TYPE}),
     ],
 )
-def test_answers_that_do_not_fit_the_question(kind, answer):
+def test_answers_that_do_not_match_the_request(kind, answer):
     error = refused(Script(OPENED, answer), kind, lambda session: session.light_at((0.0, 1.0, 2.0)))
     assert isinstance(error, sdk.BadReplyError)
 
@@ -409,7 +403,7 @@ def test_both_clients_have_the_same_names_and_arguments(one, other):
         assert inspect.iscoroutinefunction(inspect.unwrap(getattr(other, name)))
 
 
-def test_the_sdk_needs_no_engine():
+def test_the_client_imports_no_engine():
     code = "import sys, roomlight_client; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     loaded = set(done.stdout.split())

@@ -1,4 +1,4 @@
-"""Frames as messages: bit for bit where that is promised, and nothing malformed leaves."""
+"""Frames as messages: bit-exact where promised, and malformed frames are never sent."""
 
 from dataclasses import replace
 
@@ -40,7 +40,7 @@ def decoded(body: bytes, **options) -> Frame:
     return decode_frame(parse(body), 0, **options)
 
 
-def test_an_exact_frame_is_what_the_engine_would_make_of_it(frame):
+def test_an_exact_frame_equals_the_engines_resized_frame(frame):
     assert EXACT_SIZE == WORKING_SIZE
     arrived = decoded(pack_frame(frame))
     assert same(arrived.resized(*WORKING_SIZE), frame.resized(*WORKING_SIZE))
@@ -48,7 +48,7 @@ def test_an_exact_frame_is_what_the_engine_would_make_of_it(frame):
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(8, 700), st.integers(8, 700), st.integers(1, 3), st.integers(0, 2**32 - 1))
-def test_exact_for_every_size_turn_and_depth(width, height, divisor, seed):
+def test_exact_frames_of_any_size_and_depth_arrive_unchanged(width, height, divisor, seed):
     random = np.random.default_rng(seed)
     room = BoxRoom().frame(POSE, width=16, height=12)
     image = random.gamma(0.5, 2.0, (height, width, 3)).astype(np.float32)
@@ -59,24 +59,24 @@ def test_exact_for_every_size_turn_and_depth(width, height, divisor, seed):
     assume(frame.depth_m.any())
     try:
         expected = frame.resized(*WORKING_SIZE)
-    except FrameError:  # a strip of few pixels, whose aspect rounding changes: the engine refuses it as well
+    except FrameError:  # a strip of a few pixels, whose aspect changes by rounding: the engine refuses it, too
         with pytest.raises(FrameError):
             pack_frame(frame)
         return
     assert same(decoded(pack_frame(frame)).resized(*WORKING_SIZE), expected)
 
 
-def test_depth_that_the_working_size_leaves_out_is_sent_whole(frame):
+def test_depth_lost_by_resizing_is_sent_at_full_size(frame):
     sparse = replace(frame, depth_m=np.where(np.arange(640) == 0, frame.depth_m, 0).astype(np.float32))
     assert not sparse.resized(*WORKING_SIZE).depth_m.any()
     assert same(decoded(pack_frame(sparse)).resized(*WORKING_SIZE), sparse.resized(*WORKING_SIZE))
 
 
-@pytest.mark.parametrize(("colour", "bytes_at_most"), [("jpeg", 120_000), ("png", 1_000_000)])
-def test_eight_bit_frames_are_near_and_small(frame, colour, bytes_at_most):
+@pytest.mark.parametrize(("colour", "max_bytes"), [("jpeg", 120_000), ("png", 1_000_000)])
+def test_eight_bit_frames_are_small_and_close(frame, colour, max_bytes):
     shown = replace(frame, image=np.clip(frame.image, 0, 1))
     body = pack_frame(shown, colour=colour)
-    assert len(body) < bytes_at_most
+    assert len(body) < max_bytes
     arrived = decoded(body)
     # half a step of 8-bit sRGB is 0.0046 at white; JPEG at quality 92 adds a few
     assert np.abs(arrived.image - shown.image).mean() < (0.002 if colour == "png" else 0.006)
@@ -101,7 +101,7 @@ def camera_frame(**changes) -> CameraFrame:
     return replace(CameraFrame(jpeg, depth, shot.intrinsics, shot.camera_to_world), **changes)
 
 
-def test_a_camera_frame_goes_as_it_is():
+def test_a_camera_frame_is_sent_unchanged():
     frame = camera_frame(
         timestamp_s=2.0,
         exposure=0.5,
@@ -119,14 +119,14 @@ def test_a_camera_frame_goes_as_it_is():
     ("dtype", "depth_format"),
     [("float16", "float16_m"), ("float32", "float32_m"), ("float64", "float32_m"), (">f4", "float32_m")],
 )
-def test_depth_of_every_kind(dtype, depth_format):
+def test_every_depth_type_is_sent_in_its_format(dtype, depth_format):
     depth_m = BoxRoom().frame(POSE, width=64, height=48).depth_m
     message = parse(pack_camera_frame(camera_frame(depth=depth_m.astype(dtype))))
     assert message.header.depth.format == depth_format
     assert decode_frame(message, 0).depth_m == pytest.approx(depth_m, rel=1e-3)
 
 
-def test_pixels_and_files_are_told_apart():
+def test_the_colour_encoding_is_detected():
     srgb8 = np.zeros((48, 64, 3), np.uint8)
     png = cv2.imencode(".png", srgb8)[1].tobytes()
     for colour, encoding in ((srgb8, "rgb8"), (png, "png"), (b"\0\0\0\x18ftypheic", "heic")):
@@ -147,7 +147,7 @@ def test_pixels_and_files_are_told_apart():
         ({"timestamp_s": float("inf")}, "timestamp_s"),
     ],
 )
-def test_what_no_server_would_take_is_refused_here_with_its_field(changes, field):
+def test_invalid_frames_are_refused_with_the_field(changes, field):
     with pytest.raises(WireError) as refused:
         pack_camera_frame(camera_frame(**changes))
     assert refused.value.field.startswith(field)
