@@ -1,18 +1,22 @@
 """Image files: round trips, and every way a file can be broken ends in one error that names it."""
 
+import io
 import struct
 
 import cv2
 import numpy as np
 import OpenEXR
 import pytest
+from PIL import ExifTags, Image
 
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
 from roomlight.images import (
     MAX_PIXELS,
+    ExifCamera,
     decode_colour,
     decode_depth,
+    exif_camera,
     peek_size,
     read_bytes,
     read_colour,
@@ -212,6 +216,59 @@ def test_the_size_is_read_from_the_header_alone():
     assert peek_size(_encoded("png"), "x") == (16, 12)
     assert peek_size(_encoded("jpg"), "x") == (16, 12)
     assert peek_size(_encoded("hdr", LINEAR), "x") == (24, 12)
+
+
+def _photo(orientation=None, focal_35mm=None, kind="JPEG"):
+    exif = Image.Exif()
+    exif[ExifTags.Base.Make] = "Test"
+    if orientation is not None:
+        exif[ExifTags.Base.Orientation] = orientation
+    if focal_35mm is not None:
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal_35mm
+    stream = io.BytesIO()
+    Image.fromarray(SRGB).save(stream, kind, exif=exif)
+    return stream.getvalue()
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_exif_states_focal_length_and_orientation(kind):
+    assert exif_camera(_photo(6, 26, kind), "x") == ExifCamera(focal_35mm=26.0, orientation=6)
+    assert exif_camera(_photo(None, 50, kind), "x") == ExifCamera(focal_35mm=50.0)
+    assert exif_camera(_photo(3, None, kind), "x") == ExifCamera(orientation=3)
+
+
+def test_field_of_view_follows_the_film_equivalent():
+    camera = ExifCamera(focal_35mm=50.0)
+    assert camera.fov_deg(3600, 2400) == pytest.approx(39.6, abs=0.05)  # the textbook value of a 50 mm lens
+    assert camera.fov_deg(2400, 3600) == pytest.approx(27.0, abs=0.05)
+    assert ExifCamera(focal_35mm=26.0).fov_deg(4032, 3024) == pytest.approx(67.3, abs=0.1)
+    assert ExifCamera().fov_deg(3600, 2400) is None
+
+
+def test_missing_exif_gives_the_defaults(tmp_path):
+    write_exr(tmp_path / "p.exr", LINEAR)
+    for data in (_encoded("jpg"), _encoded("png"), _encoded("hdr", LINEAR), (tmp_path / "p.exr").read_bytes()):
+        assert exif_camera(data, "x") == ExifCamera()
+    assert exif_camera(_photo(orientation=9, focal_35mm=0), "x") == ExifCamera()
+
+
+def test_damaged_exif_never_raises():
+    whole = _photo(6, 26)
+    start, stop = whole.index(b"Exif"), whole.index(b"\xff\xdb")
+    rng = np.random.default_rng(0)
+    for _ in range(300):
+        data = bytearray(whole)
+        for at in rng.integers(start, stop, 4):
+            data[at] = rng.integers(256)
+        camera = exif_camera(bytes(data), "x")
+        assert 1 <= camera.orientation <= 8
+        assert camera.focal_35mm is None or camera.focal_35mm > 0
+
+
+def test_exif_of_a_bomb_is_refused_as_the_pixels_are(tmp_path):
+    for kind in ("png", "jpg"):
+        with pytest.raises(ImageError, match=rf"^bomb: .*{MAX_PIXELS}"):
+            exif_camera(_bomb(kind, 60_000, 60_000, tmp_path), "bomb")
 
 
 def _write(kind, path):

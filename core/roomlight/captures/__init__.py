@@ -1,7 +1,7 @@
 """Recorded captures: readers that stream RGB-D frames with poses, and writers.
 
-`open_capture` finds the format by its files; every reader hands out `roomlight.frame.Frame` in RoomLight's
-conventions (world y up, camera x right, y up, z backward, camera-to-world, metres), converted once, here.
+`open_capture` detects the format by the files in the folder. Every reader yields `roomlight.frame.Frame` in
+RoomLight's conventions: world y up, camera x right, y up, z backward, camera-to-world, metres.
 """
 
 from roomlight.captures.capture import Capture, ProbeTruth, SkippedFrame

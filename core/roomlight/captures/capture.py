@@ -1,8 +1,8 @@
-"""A capture opened for reading: frames one at a time in RoomLight's conventions, bad ones skipped and
-counted.
+"""A capture opened for reading: an iterator over frames in RoomLight's conventions.
 
-The formats' readers hand out `RawFrame`s in their own conventions; the one conversion of pose, the confidence
-threshold and the checks of depth and sizes are here.
+Frames are decoded one at a time; bad frames are skipped and recorded. The readers of the formats return `RawFrame`s
+in the format's own conventions; this module converts the pose, applies the confidence threshold and checks depth
+and sizes.
 """
 
 from collections.abc import Callable, Iterator
@@ -22,14 +22,12 @@ from roomlight.frame import Frame
 from roomlight.images import read_panorama
 
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
-"""The median of known depth must lie in here; rooms do, and a wrong unit (factor 1000) leaves it on either
-side.
-"""
+"""Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
 
 
 @dataclass(frozen=True)
 class SkippedFrame:
-    """A record that gave no frame: its index in the capture, the file to look at and why."""
+    """A record that could not be used: its index in the capture, the file at fault and the reason."""
 
     index: int
     file: str
@@ -38,18 +36,20 @@ class SkippedFrame:
 
 @dataclass(frozen=True)
 class ProbeTruth:
-    """A measured panorama that comes with a capture: where it was taken (our world, metres) and its file.
+    """A measured panorama that comes with a capture: its position (y-up world, metres) and its file.
 
-    The panorama is in `conventions`' mapping in a world whose up is +Y. For a z-up capture that is Blender's
-    panorama as it stands: the turn that brings z up to y up is the one between the two mappings.
+    The panorama uses the mapping of `roomlight.conventions` in a y-up world. For a z-up capture this is Blender's
+    panorama unchanged: the rotation from z up to y up equals the rotation between the two mappings.
     """
 
     position: tuple[float, float, float]
     panorama_path: Path | None = None
 
     def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Read the panorama, linear RGB float32 [h, 2h, 3]; ImageError when there is none or it does not
-        decode.
+        """Read the panorama: linear RGB float32 [h, 2h, 3].
+
+        Raises:
+            ImageError: The probe has no panorama file, or the file does not decode.
         """
         if self.panorama_path is None:
             raise ImageError(f"the probe at {self.position} has a position but no panorama file")
@@ -57,8 +57,8 @@ class ProbeTruth:
 
 
 @dataclass(frozen=True)
-class Conventions:
-    """What a format says of its poses when the user says nothing."""
+class PoseConventions:
+    """A format's default pose conventions, used unless `CaptureOptions` overrides them."""
 
     camera: CameraConvention
     pose: PoseDirection
@@ -67,7 +67,7 @@ class Conventions:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """One record as stored: image decoded to linear RGB, depth in metres, pose as in the file."""
+    """One record as stored: image decoded to linear RGB, depth in metres, pose in the file's conventions."""
 
     name: str
     image: Float[np.ndarray, "h w 3"]
@@ -81,48 +81,55 @@ class RawFrame:
 
 
 ReadRecord = Callable[[int], RawFrame]
-
+"""Reads the record of a given index."""
 
 RawProbe = tuple[Float[np.ndarray, "3"], Path | None]
 """A probe as stored: position in the stored world, and its panorama's file."""
 
 
-@runtime_checkable  # so that a checker of annotations can look at it in the test run
+@runtime_checkable  # the test run checks annotations with isinstance
 class Reader(Protocol):
-    """What a format provides. `records` gives a function from record index to `RawFrame`, for one pass in
-    order.
-    """
+    """The interface of a format's reader. A pass reads records in order, by index."""
 
     format: str
-    conventions: Conventions
+    conventions: PoseConventions
     count: int
     probes: list[RawProbe]
 
     def name_of(self, index: int) -> str:
-        """The file to name when record `index` fails."""
+        """Return the file to name when record `index` fails."""
         ...
 
     def timestamps_s(self) -> list[float]:
-        """Times of all records, for the frame rate; empty when the format has none."""
+        """Return the times of all records, for the frame rate; empty when the format stores none."""
         ...
 
     def records(self) -> AbstractContextManager[ReadRecord]:
-        """Open what a pass needs; the function given raises RoomLightError or ValueError for a bad record."""
+        """Open the files of one pass and return a function from record index to `RawFrame`.
+
+        The function raises RoomLightError or ValueError for a bad record.
+        """
         ...
 
 
 class Capture:
-    """Frames of a recording. Iterating decodes them one by one; nothing is decoded before.
+    """Frames of a recording. Iterating decodes them one by one; opening decodes nothing.
 
-    path, format:       where, and which reader.
-    frame_count:        records selected by `every` and `max_frames`, good or bad.
-    frames_per_second:  of the selected records, from their timestamps; None when there are none.
-    probes:             ground truth that came along.
-    skipped:            what the latest iteration left out so far, each with its file and reason.
+    Attributes:
+        path: The capture's folder or file.
+        format: The name of its format, one of `FORMATS`.
+        frame_count: The number of records selected by `every` and `max_frames`, good or bad.
+        frames_per_second: The rate of the selected records by their timestamps; None without timestamps.
+        probes: Ground-truth panoramas that come with the capture.
+        skipped: Records that the latest iteration has skipped so far, each with its file and reason.
     """
 
     def __init__(self, path: Path, reader: Reader, options: CaptureOptions) -> None:
-        """Made by `open_capture`; CaptureError if the reader found no record."""
+        """Wrap a reader; use `open_capture` instead.
+
+        Raises:
+            CaptureError: The reader found no record.
+        """
         self.path = path
         self.format = reader.format
         self.skipped: list[SkippedFrame] = []
@@ -135,7 +142,7 @@ class Capture:
         self._to_y_up = rotation_to_y_up(np.array(up, np.float64))
         self._min_confidence = 1 if options.min_confidence is None else options.min_confidence
         if reader.count == 0:
-            raise CaptureError(f"{path}: holds no frame at all")
+            raise CaptureError(f"{path}: has no frames")
         selected = range(0, reader.count, options.every)
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
         self.probes = tuple(
@@ -145,22 +152,24 @@ class Capture:
 
     @property
     def frame_count(self) -> int:
-        """How many records are selected; iterating gives that many frames less the skipped ones."""
+        """Number of selected records; iterating yields this many frames minus the skipped ones."""
         return len(self._indices)
 
     @property
     def frames_per_second(self) -> float | None:
-        """Rate of the selected records by the median step between timestamps, or None."""
+        """Rate of the selected records by the median step between timestamps; None without timestamps."""
         times = np.array(self._reader.timestamps_s(), np.float64)
         steps = np.diff(times[np.isfinite(times)])
         step = float(np.median(steps)) if steps.size else 0.0
         return 1.0 / (step * self._options.every) if step > 1e-6 else None
 
     def __iter__(self) -> Iterator[Frame]:
-        """Frames in order; `Frame.index` counts the capture's records, so that every = 10 gives 0, 10, 20,
-        ...
+        """Yield frames in order. `Frame.index` is the record's index: every = 10 yields 0, 10, 20, ...
 
-        A bad record is put on `skipped` and passed over. CaptureError at the end if not one was good.
+        A bad record is added to `skipped`.
+
+        Raises:
+            CaptureError: After the last record, if no frame was usable.
         """
         self.skipped = skipped = list[SkippedFrame]()
         good = 0
@@ -177,13 +186,14 @@ class Capture:
             first = skipped[0]
             raise CaptureError(
                 f"{self.path}: none of its {self.frame_count} frames can be used; "
-                f"the first, {first.file}: {first.reason}"
+                f"the first is {first.file}: {first.reason}"
             )
 
     def frame_at(self, index: int) -> Frame:
-        """The frame of one record, by its `Frame.index`; FrameError if it is bad or there is none.
+        """Read one frame by its `Frame.index`. A video is decoded up to it; other formats read this frame only.
 
-        A video has to be decoded up to there; every other format reads just this frame.
+        Raises:
+            FrameError: The record is bad, or there is no record of this index.
         """
         if not 0 <= index < self._reader.count:
             raise FrameError(f"{self.path}: there is no frame {index}; frames are 0 to {self._reader.count - 1}")
@@ -200,7 +210,7 @@ class Capture:
                 clipped=raw.clipped,
                 depth_m=self._checked_depth(raw),
                 intrinsics=raw.intrinsics,
-                camera_to_world=self._converted(raw.pose),
+                camera_to_world=self._to_conventions(raw.pose),
                 timestamp_s=raw.timestamp_s,
                 source=raw.name,
             )
@@ -211,8 +221,8 @@ class Capture:
         except (ValueError, OverflowError) as error:
             raise FrameError(f"{name}: {error}") from error
 
-    def _converted(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """The stored pose as camera-to-world with OpenGL camera axes in a y-up world."""
+    def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
+        """Convert a stored pose to camera-to-world with OpenGL camera axes in a y-up world."""
         rigid = check_rigid(pose)
         if self._pose_direction == "world-to-camera":
             rigid = rigid_inverse(rigid)
@@ -221,7 +231,7 @@ class Capture:
         return self._to_y_up @ rigid
 
     def _checked_depth(self, raw: RawFrame) -> Float[np.ndarray, "dh dw"]:
-        """Depth without what confidence rejects; FrameError when nothing is left or its unit looks wrong."""
+        """Remove depth of low confidence. Raises FrameError when none is left or the unit looks wrong."""
         depth_m = raw.depth_m
         known = depth_m > 0
         if not known.any():
@@ -231,8 +241,7 @@ class Capture:
         if not low <= median_m <= high:
             raise FrameError(
                 f"{raw.depth_name}: the median depth would be {median_m:.4g} m: the depth unit looks wrong; "
-                "state it (depth_unit_m, on the command line --depth-unit: metres for one stored unit, "
-                "0.001 for millimetres)"
+                "set depth_unit_m, the metres for one stored unit (0.001 for millimetres)"
             )
         if raw.confidence is None:
             return depth_m
@@ -244,8 +253,8 @@ class Capture:
         trusted = np.where(raw.confidence >= self._min_confidence, depth_m, np.float32(0))
         if not trusted.any():
             raise FrameError(
-                f"{raw.depth_name}: no pixel with depth has a confidence of {self._min_confidence} or more "
-                "(min_confidence, on the command line --min-confidence, sets the threshold)"
+                f"{raw.depth_name}: no pixel with depth has a confidence of {self._min_confidence} or more; "
+                "min_confidence sets the threshold"
             )
         return trusted
 

@@ -16,15 +16,17 @@ from roomlight.images import MAX_PIXELS, decode_colour, decode_depth, decode_gre
 def read_rgbd(
     source: FolderSource, colour_name: str, depth_name: str, *, unit_m: float
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Float[np.ndarray, "dh dw"]]:
-    """One record's linear image, its clipped pixels and its depth in metres (0 = unknown), each from its own file."""
+    """Read one record's linear image, its mask of clipped pixels and its depth in metres (0 = unknown)."""
     image, clipped = decode_colour(source.read(colour_name), source.label(colour_name))
     depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m)
     return image, clipped, depth_m
 
 
 def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndarray, "h w"]:
-    """Depth in metres, 0 = unknown, from 16-bit PNG or .npy in units of `unit_m`, or from float EXR in
-    metres.
+    """Decode depth in metres (0 = unknown) from 16-bit PNG or .npy in units of `unit_m`, or float EXR in metres.
+
+    Raises:
+        ImageError: The data is damaged, too large or no depth map; the message begins with `label`.
     """
     if data[:6] != b"\x93NUMPY":
         return decode_depth(data, label, unit_m=unit_m)
@@ -44,16 +46,23 @@ def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndar
 
 
 def decode_confidence(data: bytes, label: str) -> UInt8[np.ndarray, "h w"]:
-    """Confidence levels from an 8-bit grey PNG."""
+    """Decode confidence levels from an 8-bit grey PNG. Raises ImageError."""
     return decode_grey8(data, label)
 
 
 def intrinsics_without_size(
     matrix: Float[np.ndarray, "3 3"], *, width: int, height: int, shift: float = 0.0
 ) -> Intrinsics:
-    """Intrinsics from a K that comes without an image size, held to the size of the image that goes with it.
+    """Build intrinsics from a K that is stored without an image size, for an image of this size.
 
-    `shift` is added to the principal point: 0.5 for a K whose pixel centres are at whole numbers (OpenCV).
+    Args:
+        matrix: K, in pixels.
+        width: The image's width in pixels.
+        height: The image's height in pixels.
+        shift: Added to the principal point: 0.5 for a K with pixel centres at whole numbers (OpenCV).
+
+    Raises:
+        ValueError: The principal point is far from the image's centre, so K is for another size.
     """
     cx, cy = float(matrix[0, 2]) + shift, float(matrix[1, 2]) + shift
     if not (0.2 * width <= cx <= 0.8 * width and 0.2 * height <= cy <= 0.8 * height):
@@ -69,8 +78,8 @@ def undistorted(
 ) -> tuple[list[np.ndarray], Intrinsics]:
     """Remove lens distortion from images of one view, each given with its OpenCV interpolation.
 
-    The new camera shows only what the old one saw everywhere (cropped, never padded with black, which would
-    be darkness that nobody measured). Images may differ in size; each uses K scaled to its own.
+    The new camera is cropped to pixels that the old one saw: black padding would count as measured darkness.
+    Images may differ in size; each uses K scaled to its own size.
     """
     size = (intrinsics.width, intrinsics.height)
     distortion = np.array(coefficients, np.float64)
@@ -91,5 +100,5 @@ def undistorted(
 
 
 def _opencv_matrix(camera: Intrinsics) -> Float[np.ndarray, "3 3"]:
-    """K with pixel centres at whole numbers, as OpenCV's maps want it."""
+    """Return K with pixel centres at whole numbers, as OpenCV expects."""
     return np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]], np.float64)

@@ -1,6 +1,8 @@
-"""Values out of files that may hold anything: each helper returns what its name says or raises ValueError.
+"""Checked values from untrusted index files: each helper returns the value it is named for or raises ValueError.
 
-The message says which field and which value; `naming` puts the file in front and chooses the error's class.
+The message names the field and the value; `naming` adds the file and chooses the error's class. Pydantic is no
+shorter here: a bad frame must not refuse the capture, so that every entry is checked by itself when it is read, and
+the same checks serve CSV and text files.
 """
 
 import json
@@ -17,7 +19,7 @@ from roomlight.errors import CaptureError, FrameError, RoomLightError
 
 @contextmanager
 def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generator[None]:
-    """Turn a ValueError inside the block into `error`, with the file's name in front."""
+    """Convert a ValueError raised inside the block to `error`, with the file's name in front."""
     try:
         yield
     except RoomLightError:
@@ -27,7 +29,7 @@ def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generato
 
 
 def parse_json(data: bytes, label: str) -> dict[str, Any]:
-    """The JSON object in these bytes; anything else is a CaptureError that says where it breaks."""
+    """Parse a JSON object. Raises CaptureError, which says where the JSON breaks."""
     try:
         value: Any = json.loads(data)
     except RecursionError as error:
@@ -40,7 +42,7 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
 
 
 def parse_text(data: bytes, label: str) -> list[str]:
-    """The lines of a text file."""
+    """Split a UTF-8 text file into lines. Raises CaptureError for bytes that are not text."""
     try:
         return data.decode("utf-8").splitlines()
     except UnicodeDecodeError as error:
@@ -48,7 +50,7 @@ def parse_text(data: bytes, label: str) -> list[str]:
 
 
 def number(value: object, what: str) -> float:
-    """A finite number (not a string, not a truth value)."""
+    """Check for a finite number; strings and booleans are refused."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise ValueError(f"{what} is {_short(value)}, not a number")
     try:
@@ -61,7 +63,7 @@ def number(value: object, what: str) -> float:
 
 
 def positive(value: object, what: str) -> float:
-    """A finite number above zero."""
+    """Check for a finite number above zero."""
     result = number(value, what)
     if result <= 0:
         raise ValueError(f"{what} is {result}; it must be positive")
@@ -69,7 +71,7 @@ def positive(value: object, what: str) -> float:
 
 
 def pixels(value: object, what: str) -> int:
-    """A count of pixels: a whole number from 1 to 65535, possibly written as 640.0."""
+    """Check for a number of pixels: a whole number from 1 to 65535; 640.0 counts as whole."""
     result = number(value, what)
     if result != int(result) or not 1 <= result <= 65535:
         raise ValueError(f"{what} is {result:g}, not a number of pixels from 1 to 65535")
@@ -77,14 +79,14 @@ def pixels(value: object, what: str) -> int:
 
 
 def text(value: object, what: str) -> str:
-    """A non-empty string."""
+    """Check for a non-empty string."""
     if not isinstance(value, str) or not value:
         raise ValueError(f"{what} is {_short(value)}, not a file name")
     return value
 
 
 def vector(value: object, length: int, what: str) -> Float[np.ndarray, " {length}"]:
-    """So many numbers, float64; NaN and infinity pass, for a lost pose is judged as a pose."""
+    """Check for a list of `length` numbers, float64. NaN and infinity pass: the pose check reports lost tracking."""
     if not isinstance(value, list | tuple) or len(value) != length:
         raise ValueError(f"{what} is {_short(value)}, not {length} numbers")
     for item in value:
@@ -94,7 +96,9 @@ def vector(value: object, length: int, what: str) -> Float[np.ndarray, " {length
 
 
 def coordinates(values: list[Any] | tuple[Any, ...], what: str) -> Float[np.ndarray, " n"]:
-    """Numbers of a pose or a lens, float64: NaN and infinity pass, but nothing whose square would overflow."""
+    """Convert numbers of a pose or a lens to float64. NaN and infinity pass; values above 1e12 do not, so that
+    products of them cannot overflow.
+    """
     try:
         array = np.array(values, np.float64)
     except OverflowError as error:
@@ -105,7 +109,7 @@ def coordinates(values: list[Any] | tuple[Any, ...], what: str) -> Float[np.ndar
 
 
 def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
-    """A 4 x 4 (or 3 x 4) matrix from nested lists."""
+    """Convert nested lists to a 4 x 4 matrix; a 3 x 4 matrix gets the last row 0 0 0 1."""
     if not isinstance(value, list) or len(value) not in (3, 4):
         raise ValueError(f"{what} is {_short(value)}, not a 4 x 4 matrix")
     rows = [vector(row, 4, f"row {index} of {what}") for index, row in enumerate(value)]
@@ -115,22 +119,22 @@ def matrix4(value: object, what: str) -> Float[np.ndarray, "4 4"]:
 
 
 def objects(value: object, what: str) -> list[dict[str, Any]]:
-    """A list of JSON objects; an entry that is none becomes an empty one, which fails by itself."""
+    """Check for a list of JSON objects. Other entries become empty objects, which fail when they are read."""
     if not isinstance(value, list):
         raise ValueError(f"{what} is {_short(value)}, not a list")
     return [item if isinstance(item, dict) else {} for item in value]
 
 
 def unit(value: object, what: str) -> float:
-    """Metres for one stored unit: from a nanometre to a kilometre."""
+    """Check for a length unit in metres: from a nanometre to a kilometre."""
     result = positive(value, what)
     if not 1e-9 <= result <= 1e3:
-        raise ValueError(f"{what} is {result:g} m; nothing is stored in such a unit")
+        raise ValueError(f"{what} is {result:g} m; a unit lies between 1e-9 and 1000 m")
     return result
 
 
 def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) -> Any:
-    """The first of these keys that the entry has, else that the shared defaults have, else None."""
+    """Return the entry's value for the first key it has, else the shared defaults', else None."""
     for place in (entry, shared):
         for key in keys:
             if place.get(key) is not None:
@@ -139,18 +143,18 @@ def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) ->
 
 
 def numbers_of_line(line: str, count: int, what: str) -> list[float]:
-    """So many numbers from a line of text, apart by blanks or commas; NaN and infinity pass."""
+    """Parse the first `count` numbers of a line, separated by blanks or commas; NaN and infinity pass."""
     parts = line.replace(",", " ").split()
     if len(parts) < count:
         raise ValueError(f"{what} has {len(parts)} values where {count} are needed: {_short(line)}")
     try:
         return [float(part) for part in parts[:count]]
     except ValueError as error:
-        raise ValueError(f"{what} holds something that is no number: {_short(line)}") from error
+        raise ValueError(f"{what} holds a word that is not a number: {_short(line)}") from error
 
 
 def matrix_of_text(data: bytes, size: int, label: str) -> Float[np.ndarray, "{size} {size}"]:
-    """A size x size matrix from a text file of at least as many rows; ValueError when it is none."""
+    """Parse a size x size matrix from the first rows of a text file."""
     lines = [line for line in parse_text(data, label) if line.strip()]
     if len(lines) < size:
         raise ValueError(f"has {len(lines)} rows of numbers where {size} are needed")

@@ -1,4 +1,4 @@
-"""RoomLight's own capture layout, reader and writer.
+"""RoomLight's own capture format, reader and writer.
 
     capture.json             the index, written last
     colour/000000.jpg        sRGB 8 bit (or linear EXR)
@@ -15,7 +15,7 @@
                  "camera_to_world": [[4 numbers] x 4], "timestamp_s": 0.0, "exposure": 1.0}],
      "probes": [{"position": [x, y, z], "panorama": "probes/00.exr"}]}
 
-All is in RoomLight's conventions (`roomlight.conventions`): world y up, camera x right, y up, z backward,
+All values are in RoomLight's conventions (`roomlight.conventions`): world y up, camera x right, y up, z backward,
 camera-to-world, pixel centres at half integers. `confidence`, `timestamp_s` and `exposure` are optional;
 `exposure` is relative to the reference exposure, and the linear radiance is divided by it.
 """
@@ -33,7 +33,7 @@ from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_confidence, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
@@ -52,10 +52,14 @@ class NativeReader:
     """Reads a folder with a `capture.json`."""
 
     format = "roomlight"
-    conventions = Conventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+    conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m or 0.001
         self._label = self._source.label(INDEX)
@@ -72,17 +76,17 @@ class NativeReader:
             raise CaptureError(f"{self._label}: lists {self.count} frames; up to {MAX_FRAMES} are read")
 
     def name_of(self, index: int) -> str:
-        """The colour file as the index names it."""
+        """Return the colour file as the index names it."""
         name = self._frames[index].get("colour")
         return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
 
     def timestamps_s(self) -> list[float]:
-        """The frames' times, those without left out."""
+        """Return the times of the frames that have one."""
         return [time for frame in self._frames if (time := _time(frame)) is not None]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Every record is a file of its own; nothing is held open."""
+        """Return the function that reads a record; no file is held open."""
         yield self._read
 
     def _read(self, index: int) -> RawFrame:
@@ -94,7 +98,7 @@ class NativeReader:
             pose = fields.matrix4(entry.get("camera_to_world"), "camera_to_world")
             exposure = fields.positive(entry.get("exposure", 1.0), "exposure")
             if not 1e-6 <= exposure <= 1e6:
-                raise ValueError(f"exposure {exposure:g} is no camera's; it is relative to the reference exposure")
+                raise ValueError(f"exposure {exposure:g} is out of range; relative to the reference it is 1e-6 to 1e6")
             lens: Any = entry.get("intrinsics")
             if not isinstance(lens, dict):
                 raise ValueError("has no intrinsics")
@@ -133,14 +137,18 @@ class NativeReader:
 
 
 class CaptureWriter:
-    """Writes a capture in the native layout, frame by frame; use it in a `with` statement.
+    """Writes a capture in RoomLight's own format, frame by frame; use it in a `with` statement.
 
-    Everything goes to a folder `.NAME.part` beside the target; `close` writes the index and renames it. Left
-    by an exception, the partial folder is removed: there is a whole capture or none.
+    Files are written to a folder `.NAME.part` beside the target; `close` writes the index and renames the folder.
+    An exception removes the partial folder, so that the capture is either complete or absent.
     """
 
     def __init__(self, path: Path, *, name: str = "") -> None:
-        """Start writing; OutputError if `path` holds anything already or cannot be made."""
+        """Create the partial folder.
+
+        Raises:
+            OutputError: `path` exists and is not an empty folder, or the folder cannot be created.
+        """
         self.path = path
         self._name = name or path.name
         self._partial = path.with_name(f".{path.name}.part")
@@ -156,13 +164,11 @@ class CaptureWriter:
             raise OutputError(f"{self._partial}: cannot be created ({error.strerror or error})") from error
 
     def __enter__(self) -> "CaptureWriter":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close, or remove the partial folder after an exception."""
         if kind is None:
             self.close()
         else:
@@ -180,10 +186,12 @@ class CaptureWriter:
         exposure: float | None = None,
         jpeg_quality: int = 92,
     ) -> None:
-        """Add a frame: sRGB 8-bit colour and z-depth in metres (0 or non-finite = unknown). OutputError if
-        it does not fit.
+        """Add a frame: sRGB 8-bit colour and z-depth in metres (0 or non-finite = unknown).
 
-        Quality 92 keeps a linear radiance error of about 1 % at 320 x 240 in 30 kB.
+        JPEG quality 92 keeps the linear radiance error at about 1 % in 30 kB for 320 x 240.
+
+        Raises:
+            OutputError: Image and intrinsics differ in size, the pose is not rigid, or a file cannot be written.
         """
         index = len(self._frames)
         stem, name = f"{index:06d}", f"{self.path}: frame {index}"
@@ -216,7 +224,11 @@ class CaptureWriter:
         self._frames.append(entry)
 
     def add_probe(self, position: tuple[float, float, float], panorama: Float[np.ndarray, "h w 3"]) -> None:
-        """Add a ground-truth panorama (linear RGB, W = 2H, world-aligned) taken at a position in metres."""
+        """Add a ground-truth panorama (linear RGB, W = 2H, world-aligned) taken at a position in metres.
+
+        Raises:
+            OutputError: The panorama is not twice as wide as high, or cannot be written.
+        """
         if panorama.shape[1] != 2 * panorama.shape[0]:
             raise OutputError(f"{self.path}: a panorama is twice as wide as high, this is {panorama.shape}")
         name = f"probes/{len(self._probes):02d}.exr"
@@ -224,7 +236,11 @@ class CaptureWriter:
         self._probes.append({"position": [float(value) for value in position], "panorama": name})
 
     def close(self) -> None:
-        """Write the index and give the folder its name; OutputError without a frame or where that fails."""
+        """Write the index and rename the partial folder. Closing twice has no effect.
+
+        Raises:
+            OutputError: No frame was added, or the folder cannot be written.
+        """
         if self._closed:
             return
         if not self._frames:

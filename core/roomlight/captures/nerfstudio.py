@@ -1,6 +1,6 @@
 """Captures described by a `transforms.json`: nerfstudio, instant-ngp, nerf-synthetic, NeRFCapture.
 
-Layout: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?}]`;
+Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?}]`;
 intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
@@ -29,7 +29,7 @@ import numpy as np
 
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import read_rgbd, undistorted
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
@@ -47,7 +47,11 @@ class NerfstudioReader:
     format = "nerfstudio"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source = FolderSource(folder)
         self._label = self._source.label(INDEX)
         self._shared = fields.parse_json(read_index(self._source, INDEX), self._label)
@@ -56,7 +60,7 @@ class NerfstudioReader:
             self._nerfcapture = any(key in self._shared for key in _NERFCAPTURE_SCALES) or any(
                 "depth_path" in frame for frame in self._frames
             )
-            self.conventions = Conventions("opengl", "camera-to-world", self._world_up())
+            self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
             self._unit_m = options.depth_unit_m or self._depth_unit()
             self.probes = [self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")]
         if len(self._frames) > MAX_FRAMES:
@@ -66,18 +70,18 @@ class NerfstudioReader:
         self._refuse_broken_lens()
 
     def name_of(self, index: int) -> str:
-        """The colour file as the index names it."""
+        """Return the colour file as the index names it."""
         name = self._frames[index].get("file_path")
         return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
 
     def timestamps_s(self) -> list[float]:
-        """The frames' own timestamps where all have one."""
+        """Return the frames' timestamps if all frames have one, else none."""
         times = [_time(frame) for frame in self._frames]
         return [time for time in times if time is not None] if None not in times else []
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Every record is a file of its own; nothing is held open."""
+        """Return the function that reads a record; no file is held open."""
         yield self._read
 
     def _read(self, index: int) -> RawFrame:
@@ -120,7 +124,7 @@ class NerfstudioReader:
         )
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
-        """Per-frame values before the file's own; a size that is not stated is the image's."""
+        """Build intrinsics: per-frame values override global ones; a missing size is the image's."""
         stated_w, stated_h = (fields.first_of(entry, self._shared, key) for key in ("w", "h"))
         width = image_width if stated_w is None else fields.pixels(stated_w, "w")
         height = image_height if stated_h is None else fields.pixels(stated_h, "h")
@@ -145,14 +149,14 @@ class NerfstudioReader:
         )
 
     def _distortion(self, entry: dict[str, Any]) -> tuple[list[float], bool]:
-        """Coefficients in OpenCV's order for the camera model, and whether it is the fisheye one."""
+        """Return the coefficients in OpenCV's order for the camera model, and whether it is the fisheye model."""
         values = {key: fields.first_of(entry, self._shared, key) for key in _DISTORTION}
         known = {key: 0.0 if value is None else fields.number(value, key) for key, value in values.items()}
         model = fields.first_of(entry, self._shared, "camera_model")
         if not any(known.values()):
             return [], False
         if max(abs(value) for value in known.values()) > 100:
-            raise ValueError(f"the lens distortion {known} is no lens's")
+            raise ValueError(f"the lens distortion {known} is out of range; coefficients are at most 100")
         if model == "OPENCV_FISHEYE":
             return [known["k1"], known["k2"], known["k3"], known["k4"]], True
         if model not in (None, "OPENCV", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_PINHOLE") or known["k4"]:
@@ -160,7 +164,7 @@ class NerfstudioReader:
         return [known["k1"], known["k2"], known["p1"], known["p2"], known["k3"]], False
 
     def _refuse_broken_lens(self) -> None:
-        """Global intrinsics that no frame can be read with refuse the capture whole."""
+        """Refuse the capture if its global intrinsics are invalid and some frame needs them."""
         with fields.naming(self._label, CaptureError):
             for key in ("fl_x", "fl_y"):
                 if self._shared.get(key) is not None and not all(key in frame for frame in self._frames):
@@ -193,17 +197,17 @@ class NerfstudioReader:
                     return unit_m
         return 0.001
 
-    def _choose_depth(self, asked: str | None) -> tuple[str, ...]:
-        keys = (asked,) if asked is not None else ("depth_file_path", "depth_path")
+    def _choose_depth(self, depth_key: str | None) -> tuple[str, ...]:
+        keys = (depth_key,) if depth_key is not None else ("depth_file_path", "depth_path")
         if self._frames and not any(key in frame for frame in self._frames for key in keys):
-            there = sorted({key for frame in self._frames for key in frame if "depth" in key})
-            names = ", ".join(there)
-            hint = f"its frames have {names} (choose with depth_key, --depth-key)" if there else "RGB-D is needed"
+            present = sorted({key for frame in self._frames for key in frame if "depth" in key})
+            names = ", ".join(present)
+            hint = f"its frames have {names}; set depth_key" if present else "a capture needs depth"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
 
     def _with_suffix(self, name: str) -> str:
-        """`images/0` as NeRFCapture and nerf-synthetic write it, with the suffix of the file that is there."""
+        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic)."""
         if Path(name).suffix.lower() in _SUFFIXES or self._source.has(name):
             return name
         return next((name + suffix for suffix in _SUFFIXES if self._source.has(name + suffix)), name)
@@ -244,7 +248,7 @@ def _in_order(frames: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def natural_key(name: str) -> list[tuple[int, str]]:
-    """Sorts `9.jpg` before `10.jpg`: digits by value (by length, then digit for digit), other text as it is."""
+    """Return a sort key that puts `9.jpg` before `10.jpg`: digits by length, then by digit; other text as is."""
     parts = re.findall(r"\d+|\D+", name)
     digits = [part.lstrip("0") if part[0].isdigit() else None for part in parts]
     return [(-1, part) if value is None else (len(value), value) for part, value in zip(parts, digits, strict=True)]

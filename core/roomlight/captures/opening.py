@@ -1,19 +1,21 @@
-"""Which reader takes a path: by its files, in an order that no two formats share, or as the user says."""
+"""Choose the reader of a capture: by the files in its folder, or by `CaptureOptions.format`."""
 
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
-from roomlight.captures import native, nerfstudio, stray_scanner
+from roomlight.captures import native, nerfstudio, record3d, stray_scanner
 from roomlight.captures.capture import Capture, Reader
 from roomlight.captures.native import NativeReader
 from roomlight.captures.nerfstudio import NerfstudioReader
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.record3d import Record3DReader
 from roomlight.captures.seven_scenes import SevenScenesReader
+from roomlight.captures.source import ZipSource
 from roomlight.captures.stray_scanner import StrayScannerReader
 from roomlight.captures.tum import TumReader
-from roomlight.errors import CaptureError, UnknownFormatError
+from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
     "roomlight": NativeReader,
@@ -34,16 +36,20 @@ _SIGNS: Final = (
 )
 
 
-def open_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
+def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Capture:
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
     `path` is the capture's folder, its `.r3d` file, or its index (`transforms.json`, `capture.json`).
-    CaptureError when the capture is refused whole, UnknownFormatError when no reader knows it.
+
+    Raises:
+        OptionError: `options.format` is not one of `FORMATS`.
+        UnknownFormatError: No reader recognises the files.
+        CaptureError: The index is missing or damaged, so that no frame can be read.
     """
     chosen = CaptureOptions() if options is None else options
     path = Path(path)
     if chosen.format is not None and chosen.format not in _READERS:
-        raise UnknownFormatError(f"capture format {chosen.format!r} is none of {', '.join(FORMATS)}")
+        raise OptionError(f"format is {chosen.format!r}; it must be one of {', '.join(FORMATS)}")
     try:
         if not path.exists():
             raise CaptureError(f"{path}: there is no such file or folder")
@@ -58,14 +64,16 @@ def open_capture(path: Path, options: CaptureOptions | None = None) -> Capture:
 
 
 def _detect(path: Path) -> str:
-    """The format's name by the files that are there; UnknownFormatError says what is looked for."""
+    """Return the format's name by the files in the folder or the archive. Raises UnknownFormatError."""
 
     def has(*names: str) -> bool:
         return any((path / name).exists() or (path / name).is_symlink() for name in names)
 
     if path.is_file():
-        if path.suffix.lower() in (".r3d", ".zip"):
+        if path.suffix.lower() == ".r3d":
             return "record3d"
+        if zipfile.is_zipfile(path):
+            return _detect_zip(path)
     elif has(native.INDEX):
         return "roomlight"
     elif has(nerfstudio.INDEX):
@@ -78,4 +86,18 @@ def _detect(path: Path) -> str:
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"
-    raise UnknownFormatError(f"{path}: no reader knows it; looked for {_SIGNS}. Force one with format (--format)")
+    raise UnknownFormatError(f"{path}: no capture format recognised; looked for {_SIGNS}. Set format to force one")
+
+
+def _detect_zip(path: Path) -> str:
+    """Return "record3d" if the archive's listing is Record3D's. Raises UnknownFormatError with what it holds."""
+    members = list(ZipSource(path).names())
+    for index, folder in record3d.LAYOUTS:
+        if index in members and any(name.startswith(f"{folder}/") for name in members):
+            return "record3d"
+    top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
+    found = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
+    raise UnknownFormatError(
+        f"{path}: this zip archive is no Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
+        f"it holds {found or 'nothing'}. Unpack a capture of another format first"
+    )

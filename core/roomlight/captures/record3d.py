@@ -8,9 +8,11 @@
 | confidence | `rgbd/N.conf`: LZFSE, uint8 0, 1, 2 (optional)    | none                 |
 
 N is also the row of `poses` ([qx qy qz qw px py pz]) and of `frameTimestamps`: an export may hold any subset
-of the files. Conventions: camera-to-world, OpenGL camera, world y-up (ARKit's). `K` is column-major at the
-size `w` x `h` (portrait or landscape as recorded); `perFrameIntrinsicCoeffs` ([fx, fy, cx, cy] a frame) goes
-before it. cx and cy are ARKit's, taken as they stand: pixel centres at half integers.
+of the files.
+
+Conventions: camera-to-world, OpenGL camera, world y-up (ARKit's). `K` is column-major at the
+size `w` x `h` (portrait or landscape as recorded); `perFrameIntrinsicCoeffs` ([fx, fy, cx, cy] a frame)
+overrides it. cx and cy are ARKit's and used unchanged: pixel centres at half integers.
 """
 
 import re
@@ -26,13 +28,16 @@ from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, Source, ZipSource, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
 from roomlight.images import decode_colour
+
+LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
+"""Index and folder of colour images, of a `.r3d` and of an export."""
 
 _COLOUR: Final = re.compile(r"(?:rgbd|rgb)/(\d{1,9})\.(?:jpg|jpeg|png)")
 
@@ -41,18 +46,21 @@ class Record3DReader:
     """Reads a `.r3d` archive, its unpacked folder, or an EXR+JPG export."""
 
     format = "record3d"
-    conventions = Conventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
+    conventions = PoseConventions("opengl", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, path: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source: Source = FolderSource(path) if path.is_dir() else ZipSource(path)
         self._unit_m = options.depth_unit_m or 1.0
         self.probes: list[RawProbe] = []
         self._packed = self._source.has("metadata")
-        index_name = "metadata" if self._packed else "metadata.json"
+        index_name, folder = LAYOUTS[0 if self._packed else 1]
         self._label = self._source.label(index_name)
         self._metadata = fields.parse_json(read_index(self._source, index_name), self._label)
-        folder = "rgbd" if self._packed else "rgb"
         colour = {int(match[1]): match[0] for match in map(_COLOUR.fullmatch, self._source.names(folder)) if match}
         self._numbers = sorted(colour)
         self._colour = [colour[number] for number in self._numbers]
@@ -75,17 +83,17 @@ class Record3DReader:
             self._depth_size = self._stated_depth_size()
 
     def name_of(self, index: int) -> str:
-        """The colour file."""
+        """Return the colour file."""
         return self._source.label(self._colour[index])
 
     def timestamps_s(self) -> list[float]:
-        """Times of the records, if the metadata has one for each."""
+        """Return the times of the records if the metadata has one for each, else none."""
         times = [self._time_of(number) for number in self._numbers]
         return [time for time in times if time is not None] if None not in times else []
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Holds the archive open for one pass."""
+        """Hold the archive open for one pass."""
         with self._source.opened():
             yield self._read
 
@@ -94,7 +102,7 @@ class Record3DReader:
         where = f"{self._label}: frame {number} ({self.name_of(index)})"
         with fields.naming(where, FrameError):
             if number >= len(self._poses):
-                raise ValueError(f"there is no pose for it; the metadata has {len(self._poses)}")
+                raise ValueError(f"has no pose; the metadata has {len(self._poses)} poses")
             values = fields.vector(self._poses[number], 7, "the pose")
             if not np.isfinite(values).all():
                 raise ValueError("the pose holds NaN or infinity (lost tracking)")
@@ -138,7 +146,7 @@ class Record3DReader:
         return Intrinsics(lens[0], lens[1], lens[2], lens[3], self._width, self._height)
 
     def _stated_depth_size(self) -> tuple[int, int]:
-        """(rows, columns); ARKit's 256 x 192 in the image's orientation where the metadata does not say."""
+        """Return (rows, columns); the default is ARKit's 256 x 192 in the image's orientation."""
         portrait = self._height > self._width
         height: Any = self._metadata.get("dh", 256 if portrait else 192)
         width: Any = self._metadata.get("dw", 192 if portrait else 256)
@@ -158,14 +166,12 @@ def _list(metadata: dict[str, Any], key: str, *, needed: bool = True) -> list[An
     if value is None and not needed:
         return []
     if not isinstance(value, list):
-        raise ValueError(f"{key} is missing or no list; this is no Record3D metadata with poses")
+        raise ValueError(f"{key} is missing or not a list; Record3D's metadata with poses is needed")
     return value
 
 
 def _unpacked(data: bytes, label: str, size: int) -> bytes:
-    """LZFSE-compressed bytes that must unpack to `size`; what their blocks declare is checked before
-    unpacking.
-    """
+    """Decompress LZFSE data to exactly `size` bytes; the declared size is checked first. Raises FrameError."""
     declared = _declared_size(data)
     if declared != size:
         raise FrameError(f"{label}: unpacks to {declared} bytes where the metadata's size needs {size}")
@@ -179,7 +185,10 @@ def _unpacked(data: bytes, label: str, size: int) -> bytes:
 
 
 def _declared_size(data: bytes) -> int:
-    """Bytes that the blocks of an LZFSE stream say they unpack to; 0 when a block is damaged or cut off."""
+    """Return the decompressed size that an LZFSE stream declares; 0 when a block is damaged or truncated.
+
+    The library declares no sizes, so that the block headers are read here.
+    """
     offset = total = 0
     try:
         while (magic := data[offset : offset + 4]) != b"bvx$":

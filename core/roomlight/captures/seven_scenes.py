@@ -1,10 +1,10 @@
 """7-Scenes: `frame-XXXXXX.color.png|jpg`, `.depth.png`, `.pose.txt`, optionally `camera-intrinsics.txt`.
 
-Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or some other fit's:
-`gravity-direction.txt` (three numbers) gives up as its opposite; without it the world is taken as an upright
-OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used as it stands with pixel
-centres at half integers, which is what the data set's default of 585, 585, 320, 240 for 640 x 480 means (the
-centre of the image); it comes without a size, so that it has to suit the image's.
+Conventions: 4 x 4 camera-to-world, OpenCV camera. The world is the first camera's or another fit's. Up is
+the opposite of `gravity-direction.txt` (three numbers); without that file the world is assumed to be an upright
+OpenCV camera's, up = -y. Depth is uint16 millimetres, 0 and 65535 unknown. K is used unchanged, with pixel centres at
+half integers: the data set's default of 585, 585, 320, 240 for 640 x 480 puts the principal point at the centre of the
+image. K is stored without a size and must fit the image.
 """
 
 import re
@@ -17,7 +17,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
@@ -35,7 +35,11 @@ class SevenScenesReader:
     format = "seven-scenes"
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m or 0.001
         self.probes: list[RawProbe] = []
@@ -50,20 +54,20 @@ class SevenScenesReader:
         self._matrix = _DEFAULT_K
         if self._source.has(INTRINSICS):
             self._matrix = read_matrix(self._source)
-        self.conventions = Conventions("opencv", "camera-to-world", self._up())
+        self.conventions = PoseConventions("opencv", "camera-to-world", self._up())
 
     def name_of(self, index: int) -> str:
-        """The colour file (or where it should be)."""
+        """Return the colour file, or its expected name if it is missing."""
         stem = self._stems[index]
         return self._source.label(self._colour.get(stem, f"{stem}.color.png"))
 
     def timestamps_s(self) -> list[float]:
-        """None are stored."""
+        """Return no times: the format stores none."""
         return []
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Every record is a file of its own; nothing is held open."""
+        """Return the function that reads a record; no file is held open."""
         yield self._read
 
     def _read(self, index: int) -> RawFrame:
@@ -99,12 +103,12 @@ class SevenScenesReader:
             values = fields.coordinates(fields.numbers_of_line(" ".join(lines), 3, "gravity"), "gravity")
             x, y, z = (-fields.number(value, "gravity") for value in values.tolist())
             if x * x + y * y + z * z < 1e-12:
-                raise ValueError("gravity is zero; delete the file or state world_up")
+                raise ValueError("gravity is zero; delete the file or set world_up")
         return x, y, z
 
 
 def read_matrix(source: FolderSource) -> Float[np.ndarray, "3 3"]:
-    """K from `camera-intrinsics.txt`; a CaptureError if it is no camera's."""
+    """Read K from `camera-intrinsics.txt`. Raises CaptureError for values that are not positive numbers."""
     label = source.label(INTRINSICS)
     data = read_index(source, INTRINSICS)
     with fields.naming(label, CaptureError):

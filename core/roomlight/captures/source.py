@@ -1,7 +1,7 @@
-"""Where a capture's bytes come from: a folder or a zip archive, neither of which is trusted.
+"""Untrusted sources of a capture's files: a folder or a zip archive.
 
-A name that leads out of the folder, a file that is none (a directory, a pipe), a size that is absurd: each
-is an error that names the file, raised before its bytes are read.
+A path out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused before any byte
+is read, with an error that names the file.
 """
 
 import stat
@@ -15,34 +15,36 @@ from typing import Final
 from roomlight.errors import CaptureError, FrameError
 
 MAX_FILE_BYTES: Final = 512 * 1024 * 1024
-"""Largest image, depth map or archive member read: a 48-megapixel float EXR is 576 MB raw, half that packed.
-"""
+"""Largest image, depth map or archive member: a 48-megapixel float EXR is 576 MB raw, half of that compressed."""
 
 MAX_INDEX_BYTES: Final = 64 * 1024 * 1024
-"""Largest JSON, CSV or text index read: about 100,000 frames of a transforms.json."""
+"""Largest JSON, CSV or text index: about 100,000 frames of a transforms.json."""
 
 MAX_FRAMES: Final = 200_000
-"""Longest capture: an hour at 55 frames a second; beyond it an index is damaged or hostile."""
+"""Longest capture: an hour at 55 frames a second; a longer index is damaged or hostile."""
 
 
 class FolderSource:
-    """A folder; names are relative to it, with forward slashes, and may not lead out of it."""
+    """A folder. Names are relative to it, with forward slashes, and may not lead out of it."""
 
     def __init__(self, root: Path) -> None:
-        """Nothing is read yet."""
         self.root = root
         self._resolved = root.resolve()
 
     def opened(self) -> AbstractContextManager[object]:
-        """A folder needs no holding open."""
+        """Return an empty context: a folder is not held open."""
         return nullcontext()
 
     def label(self, name: str) -> str:
-        """The name as messages show it."""
+        """Return the name as messages show it."""
         return f"{self.root}/{name}"  # not joined: an absolute name would replace the capture's
 
     def path(self, name: str, *, max_bytes: int | None = MAX_FILE_BYTES) -> Path:
-        """The regular file of this name inside the folder, symbolic links resolved; else a FrameError."""
+        """Return the regular file of this name with symbolic links resolved.
+
+        Raises:
+            FrameError: There is no such file, it is outside the folder, not a regular file, or over `max_bytes`.
+        """
         shown = self.label(name[:300].replace("\0", "\\0"))
         relative = Path(name.replace("\\", "/"))
         if not name or "\0" in name or relative.is_absolute():
@@ -55,11 +57,7 @@ class FolderSource:
                     "copy what it points to into the capture, or open the folder that holds both"
                 )
             status = full.stat()
-        except (
-            OSError,
-            RuntimeError,
-            ValueError,
-        ) as error:  # RuntimeError: a loop of links before Python 3.13
+        except (OSError, RuntimeError, ValueError) as error:  # RuntimeError: a loop of links before Python 3.13
             reason = getattr(error, "strerror", None) or error
             raise FrameError(f"{shown}: cannot be read ({reason})") from error
         if not stat.S_ISREG(status.st_mode):
@@ -69,9 +67,7 @@ class FolderSource:
         return full
 
     def has(self, name: str) -> bool:
-        """Whether there is anything of this name (a broken link counts: it should be complained about, not
-        missed).
-        """
+        """Whether the folder has an entry of this name. A broken link counts, so that reading it reports an error."""
         try:
             path = self.root / name
             return path.exists() or path.is_symlink()
@@ -79,7 +75,7 @@ class FolderSource:
             return False
 
     def names(self, folder: str = "") -> Iterator[str]:
-        """Names of the entries of a folder, as `folder/entry`; nothing where there is no such folder."""
+        """Yield the names of a folder's entries, as `folder/entry`; none if the folder does not exist."""
         try:
             entries = sorted(entry.name for entry in (self.root / folder).iterdir())
         except OSError:
@@ -88,7 +84,7 @@ class FolderSource:
             yield f"{folder}/{entry}" if folder else entry
 
     def read(self, name: str, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
-        """The file's bytes; missing, empty, too large or outside the folder is a FrameError with its name."""
+        """Read a file. Raises FrameError if it is missing, empty, too large or outside the folder."""
         path = self.path(name, max_bytes=max_bytes)
         try:
             data = path.read_bytes()
@@ -100,10 +96,10 @@ class FolderSource:
 
 
 class ZipSource:
-    """A zip archive read in place: nothing is extracted, so that member names cannot lead anywhere."""
+    """A zip archive read in place: nothing is extracted, so that member names cannot write anywhere."""
 
     def __init__(self, path: Path) -> None:
-        """Read the directory of members; CaptureError if this is no zip archive."""
+        """Read the list of members. Raises CaptureError if the file is not a zip archive."""
         self.root = path
         self._archive: zipfile.ZipFile | None = None
         with self.opened() as archive:
@@ -111,7 +107,7 @@ class ZipSource:
 
     @contextmanager
     def opened(self) -> Generator[zipfile.ZipFile]:
-        """Hold the archive open for a pass: its directory of 10,000 members takes longer to read than a member."""
+        """Hold the archive open for a pass: reading a list of 10,000 members takes longer than reading one."""
         try:
             archive = zipfile.ZipFile(self.root)
         except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError) as error:
@@ -124,7 +120,7 @@ class ZipSource:
                 self._archive = None
 
     def label(self, name: str) -> str:
-        """The name as messages show it."""
+        """Return the name as messages show it."""
         return f"{self.root}:{name}"
 
     def has(self, name: str) -> bool:
@@ -132,12 +128,12 @@ class ZipSource:
         return name in self._members
 
     def names(self, folder: str = "") -> Iterator[str]:
-        """Names of the members of a folder."""
+        """Yield the names of a folder's members, or of all members."""
         prefix = f"{folder}/" if folder else ""
         yield from sorted(name for name in self._members if name.startswith(prefix))
 
     def read(self, name: str, *, max_bytes: int = MAX_FILE_BYTES) -> bytes:
-        """The member's bytes; the declared size is checked first and the true size is held to it."""
+        """Read a member. Raises FrameError if it is missing, empty, over `max_bytes`, or not of its declared size."""
         info = self._members.get(name)
         if info is None:
             raise FrameError(f"{self.label(name)}: is not in the archive")
@@ -150,15 +146,7 @@ class ZipSource:
             else:
                 with zipfile.ZipFile(self.root) as archive, archive.open(info) as member:
                     data = member.read(info.file_size + 1)
-        except (
-            zipfile.BadZipFile,
-            zlib.error,
-            OSError,
-            EOFError,
-            ValueError,
-            RuntimeError,
-            KeyError,
-        ) as error:
+        except (zipfile.BadZipFile, zlib.error, OSError, EOFError, ValueError, RuntimeError, KeyError) as error:
             raise FrameError(f"{self.label(name)}: does not unpack ({error})") from error
         if len(data) != info.file_size:
             raise FrameError(f"{self.label(name)}: unpacks to another size than the {info.file_size} bytes it declares")
@@ -171,7 +159,7 @@ Source = FolderSource | ZipSource
 
 
 def read_index(source: Source, name: str) -> bytes:
-    """`source.read` of a file without which there is no capture: a failure refuses the capture whole."""
+    """Read a file that the whole capture depends on. Raises CaptureError instead of FrameError."""
     try:
         return source.read(name, max_bytes=MAX_INDEX_BYTES)
     except FrameError as error:

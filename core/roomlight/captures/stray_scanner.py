@@ -2,12 +2,12 @@
 
 A record is a row of the odometry: `timestamp, frame, x, y, z, qx, qy, qz, qw` (newer versions add `fx, fy,
 cx, cy`), columns found by the header. `frame` numbers the video's frames and the depth files; rows, video
-frames and files may differ in number, and what lacks a partner is a bad frame.
+frames and files may differ in number; a row without its video frame or files is a bad frame.
 
 Conventions: camera-to-world, OpenCV camera, world y-up (ARKit's). Depth is uint16 millimetres (.npy in old
-exports), confidence 0, 1, 2. K is for 1920 x 1440 and is scaled to the video's size; a K whose principal
-point is nearer to the centre of the video's own size is taken as being for that. cx and cy are ARKit's,
-taken as they stand: pixel centres at half integers.
+exports), confidence 0, 1, 2. K is for 1920 x 1440 and is scaled to the video's size; if its principal
+point is nearer to the centre of the video's own size, K is assumed to be for that size. cx and cy are ARKit's
+and used unchanged: pixel centres at half integers.
 """
 
 from collections.abc import Generator
@@ -20,7 +20,7 @@ from jaxtyping import UInt8
 
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import decode_confidence, decode_depth_map
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
@@ -37,17 +37,21 @@ MATRIX_SIZE: Final = (1920, 1440)
 """The image size (width, height) that `camera_matrix.csv` is for, whatever size the video was written at."""
 
 MAX_VIDEO_BYTES: Final = 1 << 36
-"""64 GiB: a video is streamed, never held, so that only a nonsensical size is refused."""
+"""64 GiB: a video is streamed, never held in memory, so that the limit only catches damaged sizes."""
 
 
 class StrayScannerReader:
     """Reads a folder that Stray Scanner exported."""
 
     format = "stray-scanner"
-    conventions = Conventions("opencv", "camera-to-world", (0.0, 1.0, 0.0))
+    conventions = PoseConventions("opencv", "camera-to-world", (0.0, 1.0, 0.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m or 0.001
         self.probes: list[RawProbe] = []
@@ -78,11 +82,11 @@ class StrayScannerReader:
         self._has_confidence = self._source.has("confidence")
 
     def name_of(self, index: int) -> str:
-        """The odometry and its line (the header is line 1)."""
+        """Return the odometry file and the line (the header is line 1)."""
         return f"{self._label}: line {index + 2}"
 
     def timestamps_s(self) -> list[float]:
-        """The odometry's times, rows that have none left out."""
+        """Return the times of the odometry's rows; rows without a time are left out."""
         times: list[float] = []
         for row in self._rows:
             try:
@@ -93,7 +97,7 @@ class StrayScannerReader:
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Holds the video open for one pass; asking for records in order decodes it once."""
+        """Hold the video open for one pass; reading records in order decodes it once."""
         label = self._source.label(VIDEO)
         try:
             video = VideoFrames(self._video, label)
@@ -107,7 +111,7 @@ class StrayScannerReader:
         with fields.naming(self.name_of(index), FrameError):
             number = self._value(row, "frame")
             if number != int(number) or not 0 <= number <= MAX_FRAMES:
-                raise ValueError(f"frame {number:g} is no frame number")
+                raise ValueError(f"frame {number:g} is not a frame number")
             number = int(number)
             values = fields.coordinates([self._value(row, column) for column in COLUMNS[2:]], "the pose")
             pose = pose_from_quaternion(values[3:], values[:3])
@@ -144,7 +148,7 @@ class StrayScannerReader:
     def _value(self, row: list[str], column: str) -> float:
         at = self._at[column]
         if at >= len(row):
-            raise ValueError(f"has {len(row)} values, so that {column} is missing")
+            raise ValueError(f"has {len(row)} values; {column} is missing")
         try:
             return fields.number(float(row[at]), column)
         except ValueError as error:
@@ -152,7 +156,7 @@ class StrayScannerReader:
 
 
 def _scaled(lens: list[float], *, width: int, height: int) -> Intrinsics:
-    """K at the video's size; ValueError when the video's aspect is not that of the size K is for."""
+    """Scale K to the video's size. Raises ValueError when the aspect ratios differ."""
 
     def off_centre(size: tuple[int, int]) -> float:
         return abs(lens[2] / size[0] - 0.5) + abs(lens[3] / size[1] - 0.5)
@@ -161,7 +165,7 @@ def _scaled(lens: list[float], *, width: int, height: int) -> Intrinsics:
     if abs(size[0] / size[1] - width / height) > 0.03 * width / height:
         raise ValueError(
             f"the video is {width} x {height} but {MATRIX} is for {size[0]} x {size[1]}: "
-            "another aspect, so that the intrinsics do not fit"
+            "another aspect ratio, so the intrinsics do not fit"
         )
     return _intrinsics(lens, size).resized(width, height)
 

@@ -1,4 +1,4 @@
-"""Writes captures as Stray Scanner exports them: for tests, and for tools that read that format."""
+"""Write captures in Stray Scanner's format: for tests, and for tools that read that format."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -27,9 +27,7 @@ _LIMITED_RANGE: Final = 1
 
 @dataclass(frozen=True)
 class RecordedFrame:
-    """One frame to write: sRGB 8-bit colour, metric z-depth (0 unknown), camera-to-world in RoomLight's
-    conventions.
-    """
+    """One frame to write: sRGB 8-bit colour, z-depth in metres (0 unknown), pose in RoomLight's conventions."""
 
     srgb8: UInt8[np.ndarray, "h w 3"]
     depth_m: Float[np.ndarray, "dh dw"]
@@ -40,14 +38,14 @@ class RecordedFrame:
 
 
 def depth_to_png(depth_m: Float[np.ndarray, "h w"], *, name: str) -> bytes:
-    """16-bit PNG in millimetres; unknown and what 16 bits do not hold (65.535 m and more) becomes 0."""
+    """Encode depth as a 16-bit PNG in millimetres; unknown depth and depth of 65.535 m and more become 0."""
     known = np.isfinite(depth_m) & (depth_m > 0) & (depth_m < 65.5345)
     millimetres = np.rint(np.where(known, depth_m, 0) * 1000).astype(np.uint16)
     return encoded(".png", millimetres, name=name)
 
 
 def encoded(suffix: str, pixels: np.ndarray, *, name: str, quality: int | None = None) -> bytes:
-    """Pixels as the bytes of a PNG or JPEG."""
+    """Encode pixels (BGR or grey) as a PNG or JPEG. Raises OutputError."""
     parameters = [] if quality is None else [cv2.IMWRITE_JPEG_QUALITY, quality]
     ok, data = cv2.imencode(suffix, pixels, parameters)
     if not ok:
@@ -56,11 +54,13 @@ def encoded(suffix: str, pixels: np.ndarray, *, name: str, quality: int | None =
 
 
 def write_stray_scanner(path: Path, frames: Iterable[RecordedFrame], *, frames_per_second: int = 30) -> None:
-    """Write a Stray Scanner folder; `odometry.csv`, without which nothing reads it, comes last.
+    """Write a Stray Scanner folder. `odometry.csv`, which every reader needs, is written last.
 
-    Images must be 4:3 with even sides (K is stored for 1920 x 1440) and share one camera. HEVC where the
-    FFmpeg at hand encodes it, else H.264. OutputError where something does not fit the format or cannot be
-    written.
+    Images must be 4:3 with even sides (K is stored for 1920 x 1440) and share one camera. The video is HEVC if this
+    build of FFmpeg encodes it, else H.264.
+
+    Raises:
+        OutputError: A frame does not fit the format, there is no frame, or a file cannot be written.
     """
     if (path / ODOMETRY).exists():
         raise OutputError(f"{path}: holds a capture already; choose another folder")
@@ -110,7 +110,7 @@ def _add_stream(container: OutputContainer, camera: Intrinsics, frames_per_secon
     codec = next(name for name in _CODECS if name in av.codecs_available)
     stream = container.add_stream(codec, rate=frames_per_second)
     if not isinstance(stream, VideoStream):
-        raise OutputError(f"{codec} is no video encoder in this build of FFmpeg")
+        raise OutputError(f"{codec} is not a video encoder in this build of FFmpeg")
     stream.width, stream.height, stream.pix_fmt = camera.width, camera.height, "yuv420p"
     stream.options = {"crf": "12", "x265-params": "log-level=none"}
     stream.codec_context.colorspace = _BT709
@@ -126,9 +126,10 @@ def _odometry_row(number: int, frame: RecordedFrame, frames_per_second: int) -> 
 
 
 def quaternion_from_rotation(rotation: Float[np.ndarray, "3 3"]) -> list[float]:
-    """Unit quaternion (x, y, z, w), w >= 0; the inverse of `camera.pose_from_quaternion`.
+    """Return the unit quaternion (x, y, z, w), w >= 0: the inverse of `camera.pose_from_quaternion`.
 
-    The eigenvector of the largest eigenvalue of a symmetric 4 x 4 (Bar-Itzhack 2000): no case is singular.
+    It is the eigenvector of the largest eigenvalue of a symmetric 4 x 4 matrix (Bar-Itzhack 2000), which has no
+    singular case.
     """
     r = rotation
     k = np.array(

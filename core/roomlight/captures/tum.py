@@ -1,11 +1,11 @@
-"""TUM RGB-D: `rgb.txt`, `depth.txt` (lines of `time file`) and `groundtruth.txt` (`time tx ty tz qx qy qz
-qw`).
+"""TUM RGB-D: `rgb.txt`, `depth.txt` (lines of `time file`) and `groundtruth.txt` (`time tx ty tz qx qy qz qw`).
 
-The three streams have their own clocks: each colour image takes the depth and the pose nearest in time, at
-most 0.02 s away (the data set's own tool does the same); without one it is a bad frame. Conventions:
-camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
-`camera-intrinsics.txt` (3 x 3) if there is one, else the data set's default of 525, 525, 319.5, 239.5 for
-640 x 480. It counts pixel centres at whole numbers, so that half a pixel is added here.
+The three streams have clocks of their own: each colour image takes the depth and the pose nearest in time, at
+most 0.02 s away (the data set's own tool does the same); without them it is a bad frame.
+
+Conventions: camera-to-world, OpenCV camera, world z-up (motion capture). Depth is uint16 in 1/5000 m. K is
+`camera-intrinsics.txt` (3 x 3) if it exists, else the data set's default of 525, 525, 319.5, 239.5 for
+640 x 480. K has pixel centres at whole numbers, so that half a pixel is added here.
 """
 
 import bisect
@@ -18,7 +18,7 @@ import numpy as np
 
 from roomlight.camera import pose_from_quaternion
 from roomlight.captures import fields
-from roomlight.captures.capture import Conventions, RawFrame, RawProbe, ReadRecord
+from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.seven_scenes import INTRINSICS, read_matrix
@@ -35,10 +35,14 @@ class TumReader:
     """Reads a sequence folder of the TUM RGB-D benchmark."""
 
     format = "tum"
-    conventions = Conventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
+    conventions = PoseConventions("opencv", "camera-to-world", (0.0, 0.0, 1.0))
 
     def __init__(self, folder: Path, options: CaptureOptions) -> None:
-        """Read and check the index; CaptureError when the capture is to be refused whole."""
+        """Read and check the index.
+
+        Raises:
+            CaptureError: The index is missing or damaged, so that no frame can be read.
+        """
         self._source = FolderSource(folder)
         self._unit_m = options.depth_unit_m or 1 / 5000
         self.probes: list[RawProbe] = []
@@ -56,16 +60,16 @@ class TumReader:
         self._matrix = read_matrix(self._source) if self._source.has(INTRINSICS) else _DEFAULT_K
 
     def name_of(self, index: int) -> str:
-        """The colour file."""
+        """Return the colour file."""
         return self._source.label(self._colour[index][1])
 
     def timestamps_s(self) -> list[float]:
-        """The colour images' times."""
+        """Return the colour images' times."""
         return [time for time, _ in self._colour]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
-        """Every record is a file of its own; nothing is held open."""
+        """Return the function that reads a record; no file is held open."""
         yield self._read
 
     def _read(self, index: int) -> RawFrame:
@@ -91,7 +95,7 @@ class TumReader:
         )
 
     def _stream(self, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:
-        """(time, rest of the line) of each line that is no comment, in order of time."""
+        """Return (time, rest of the line) for each line that is not a comment, in order of time."""
         label = self._source.label(name)
         entries: list[tuple[float, str]] = []
         for row, line in enumerate(fields.parse_text(read_index(self._source, name), label), start=1):
@@ -114,5 +118,5 @@ def _nearest(entries: list[tuple[float, str]], time_s: float, what: str) -> str:
     near = min(entries[max(0, at - 1) : at + 1], key=lambda entry: abs(entry[0] - time_s))
     gap_s = abs(near[0] - time_s)
     if gap_s > MAX_GAP_S:
-        raise FrameError(f"{what}: the nearest in time is {gap_s:.3f} s away; at most {MAX_GAP_S} s is taken")
+        raise FrameError(f"{what}: the nearest in time is {gap_s:.3f} s away; at most {MAX_GAP_S} s is allowed")
     return near[1]

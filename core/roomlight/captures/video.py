@@ -1,6 +1,4 @@
-"""Frames of a video by their number, decoded one after another and one in memory at a time (PyAV, FFmpeg
-inside).
-"""
+"""Frames of a video by number, decoded in order with one in memory at a time (PyAV, which contains FFmpeg)."""
 
 from pathlib import Path
 from types import TracebackType
@@ -16,18 +14,18 @@ from roomlight.errors import FrameError
 from roomlight.images import MAX_PIXELS
 
 _UNSPECIFIED: Final = 2
-"""FFmpeg's AVCOL_SPC_UNSPECIFIED; phones write BT.709, and so it is taken."""
+"""FFmpeg's AVCOL_SPC_UNSPECIFIED; read as BT.709, which phones write."""
 
 
 class VideoFrames:
     """The frames of an MP4's first video stream, numbered in order of presentation.
 
-    Packets are numbered by their presentation times before anything is decoded, so that a packet that does
-    not decode costs its own frame and does not shift the numbers of those after it.
+    Packets are numbered by presentation time before decoding, so that a packet that does not decode loses only its
+    own frame and does not shift the numbers of later frames.
     """
 
     def __init__(self, path: Path, label: str) -> None:
-        """Number the packets and open the decoder; FrameError if this is no readable video."""
+        """Index the packets and open the decoder. Raises FrameError if the file is not a readable MP4 video."""
         self._label = label
         self._path = path
         try:
@@ -53,22 +51,20 @@ class VideoFrames:
         self._at = -1
 
     def __enter__(self) -> "VideoFrames":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the file."""
         self._container.close()
 
     @property
     def count(self) -> int:
-        """Frames that the container lists."""
+        """Number of frames that the container lists."""
         return len(self._number_of)
 
     def frame(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
-        """sRGB 8-bit pixels of a frame; FrameError if the video does not have it or it does not decode."""
+        """Decode a frame to sRGB 8-bit pixels. Raises FrameError if it does not exist or does not decode."""
         if number >= self.count:
             raise FrameError(f"{self._label}: has {self.count} frames, so there is no frame {number}")
         if number <= self._at:
@@ -79,7 +75,7 @@ class VideoFrames:
             self._at = max(self._at, found)
             if found == number:
                 return self._rgb(frame, number)
-            if found > number:  # the one asked for did not decode; keep this one for its own turn
+            if found > number:  # the wanted frame did not decode; keep this one for a later call
                 self._decoded.insert(0, frame)
                 self._at = number
                 break
@@ -89,7 +85,7 @@ class VideoFrames:
         while not self._decoded and not self._ended:
             try:
                 packet = next(self._packets, None)
-            except (FFmpegError, OSError, ValueError):  # reading goes wrong: no more packets
+            except (FFmpegError, OSError, ValueError):  # the file cannot be read further
                 packet = None
             if packet is None:
                 self._ended = True
