@@ -1,29 +1,31 @@
-"""Light as it comes back: typed views of the forms that were asked for."""
+"""Lights of a server's response: `roomlight.light.light.Light`, whose forms are read from the bytes when needed."""
 
 import base64
 import binascii
 import io
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Float16, Float32
+from jaxtyping import Float, Float32
 
 from roomlight.conventions import Position
 from roomlight.errors import ImageError, RoomLightError, WireError
 from roomlight.images import decode_colour, decode_grey8
+from roomlight.light.cube import CubeMap
+from roomlight.light.light import FileFormat, Light
 from roomlight.light.main_light import MainLight
 from roomlight.light.spherical_harmonics import Kind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import NO_FRAME, EncodedLight, LightFormat, LightResponse
+from roomlight.wire.messages import EncodedLight, LightFormat, LightResponse
 from roomlight_client.errors import BadReplyError
 
 
 @dataclass(frozen=True)
 class LightFile:
-    """One form as a file: its bytes, what they are, and the light's identity (the same as long as the light is)."""
+    """One form as a file: its bytes, their media type, and the light's etag (equal as long as the light is the same)."""
 
     data: bytes
     media_type: str
@@ -31,104 +33,84 @@ class LightFile:
 
 
 @dataclass(frozen=True)
-class Light:
-    """The light at one point, in the forms that were asked for; asking for another is a RoomLightError that says so.
+class ReceivedForms:
+    """The forms of one light in a response, in its order; implements `roomlight.light.light.FormReader`.
 
-    position:   world metres.
-    frame:      index of the last frame that is in it; -1: none is (`is_prior`).
-    coverage:   share of the sphere that was observed, 0 to 1, by solid angle.
-    etag:       the same as long as the light at this point is.
-    name:       of a tracked probe.
+    Every method returns None for a form that was not sent, and raises BadReplyError for one that cannot be read.
     """
 
-    position: Position
-    frame: int
-    coverage: float
-    etag: str
-    name: str | None = None
-    _forms: tuple[tuple[EncodedLight, bytes], ...] = field(default=(), repr=False)
+    forms: tuple[tuple[EncodedLight, bytes], ...]
 
-    @property
-    def is_prior(self) -> bool:
-        """Whether no frame is in it yet: grey light, brighter from above, that fits most rooms and shows none."""
-        return self.frame == NO_FRAME
+    def panorama(self) -> Float32[np.ndarray, "h w 3"] | None:
+        """Read `npy` (exact), else `exr` (half floats): linear RGB [H, 2H, 3]."""
+        for form, data in self._of("npy"):
+            with _reading(form):
+                panorama = np.load(io.BytesIO(data), allow_pickle=False)
+                if panorama.dtype != np.float32 or panorama.ndim != 3 or panorama.shape[2] != 3:
+                    raise ValueError(f"an array of {panorama.dtype} {panorama.shape}")
+                return panorama
+        for form, data in self._of("exr"):
+            with _reading(form):
+                return decode_colour(data, "the panorama")[0]
+        return None
 
-    @property
-    def panorama(self) -> Float32[np.ndarray, "h w 3"]:
-        """Equirectangular linear RGB [H, 2H, 3] (form `npy`, exact; else `exr`, half floats)."""
-        form = self._find("npy", "exr")
-        with _reading(form):
-            if form.format == "exr":
-                return decode_colour(self.file("exr"), "the panorama")[0]
-            panorama = np.load(io.BytesIO(self.file("npy")), allow_pickle=False)
-            if panorama.dtype != np.float32 or panorama.ndim != 3 or panorama.shape[2] != 3:
-                raise ValueError(f"an array of {panorama.dtype} {panorama.shape}")
-            return panorama
+    def observed(self) -> Float32[np.ndarray, "h w"] | None:
+        """Read `confidence`: how far each direction was observed, 0 to 1 in steps of 1/255."""
+        for form, data in self._of("confidence"):
+            with _reading(form):
+                return decode_grey8(data, "the confidence panorama") / np.float32(255)
+        return None
 
-    @property
-    def observed(self) -> Float32[np.ndarray, "h w"]:
-        """How far each direction was observed, 0 to 1 in steps of 1/255, equirectangular (form `confidence`)."""
-        with _reading(self._find("confidence")):
-            return decode_grey8(self.file("confidence"), "the confidence panorama") / np.float32(255)
+    def main_light(self) -> MainLight | None:
+        """Read `main_light`."""
+        for form, _ in self._of("main_light"):
+            with _reading(form):
+                values = form.values or {}
+                return MainLight(_numbers(values["direction"], 3), _numbers(values["intensity"], 3))
+        return None
 
-    @property
-    def harmonics(self) -> SphericalHarmonics:
-        """L2 harmonics of all light (form `sh`)."""
-        return self._harmonics("total")
-
-    @property
-    def ambient(self) -> SphericalHarmonics:
-        """L2 harmonics of what the main light leaves (form `sh` of kind `ambient`)."""
-        return self._harmonics("ambient")
-
-    @property
-    def main_light(self) -> MainLight:
-        """Direction toward the main light and its RGB intensity (form `main_light`)."""
-        form = self._find("main_light")
-        with _reading(form):
+    def harmonics(self, kind: Kind) -> SphericalHarmonics | None:
+        """Read `sh` of this kind."""
+        for form, _ in self._of("sh"):
             values = form.values or {}
-            direction, intensity = _numbers(values["direction"], 3), _numbers(values["intensity"], 3)
-            return MainLight(direction, intensity)
-
-    @property
-    def cube(self) -> Float16[np.ndarray, "6 n n 4"]:
-        """Faces +X -X +Y -Y +Z -Z in GL orientation, linear RGB and how far it was observed (form `cube`)."""
-        with _reading(self._find("cube")):
-            texels = np.frombuffer(self.file("cube"), "<f2")
-            side = round((len(texels) / 24) ** 0.5)
-            return texels.reshape(6, side, side, 4).astype(np.float16)
-
-    def file(self, form: LightFormat) -> bytes:
-        """A form's bytes as a file has them: exr, hdr, png, npy, ktx2, specular, confidence, cube."""
-        found = self._find(form)
-        return next(data for candidate, data in self._forms if candidate is found)
-
-    def _harmonics(self, kind: Kind) -> SphericalHarmonics:
-        for form, _ in self._forms:
-            values = form.values or {}
-            if form.format != "sh" or values.get("kind", "total") != kind:
+            if values.get("kind", "total") != kind:
                 continue
             with _reading(form):
                 flat = _numbers(values["coefficients"], 27)
                 return SphericalHarmonics.from_flat(
                     flat, layout=values["layout"], phase=values["phase"], quantity=values["quantity"], kind=kind
                 )
-        raise self._not_asked(f"sh of kind {kind}", f"LightForm(format='sh', kind='{kind}')")
+        return None
 
-    def _find(self, *formats: LightFormat) -> EncodedLight:
-        for wanted in formats:
-            for form, _ in self._forms:
-                if form.format == wanted:
-                    return form
-        raise self._not_asked(formats[0], f"'{formats[0]}'")
+    def cube(self, size: int | None) -> CubeMap | None:
+        """Read the first `cube` whose faces are `size` pixels wide (None: any); `observed` in its alpha is left out."""
+        for form, data in self._of("cube"):
+            with _reading(form):
+                texels = np.frombuffer(data, "<f2")
+                side = round((len(texels) / 24) ** 0.5)
+                if size in (None, side):
+                    return CubeMap(texels.reshape(6, side, side, 4)[..., :3].astype(np.float32))
+        return None
 
-    def _not_asked(self, what: str, form: str) -> RoomLightError:
-        held = ", ".join(form.format for form, _ in self._forms) or "nothing"
-        return RoomLightError(f"this light has no {what}: it was asked for {held}; ask with forms=({form}, ..)")
+    def file(self, file_format: FileFormat) -> bytes | None:
+        """Return the bytes of the first form of this format."""
+        return next((data for _, data in self._of(file_format)), None)
+
+    def missing(self, form: str, request: str) -> RoomLightError:
+        """Return the error for a form that can neither be read nor computed, with what to request."""
+        sent = ", ".join(form.format for form, _ in self.forms) or "nothing"
+        return RoomLightError(f"this light has no {form}: requested was {sent}; request it with forms=({request}, ...)")
+
+    def _of(self, light_format: LightFormat) -> list[tuple[EncodedLight, bytes]]:
+        return [(form, data) for form, data in self.forms if form.format == light_format]
 
 
 def parse_lights(body: bytes, media_type: str) -> list[Light]:
-    """The lights of an answer, binary or JSON. Raises BadReplyError."""
+    """Parse the lights of a response, binary or JSON.
+
+    Raises:
+        BadReplyError: the response is malformed.
+    """
     try:
         if media_type.partition(";")[0].strip() == MEDIA_TYPE:
             response, parts = parse_light(body, LightResponse)
@@ -139,12 +121,12 @@ def parse_lights(body: bytes, media_type: str) -> list[Light]:
         raise BadReplyError(f"the light cannot be read: {str(error)[:300]}") from error
     return [
         Light(
-            position=_position(result.position),
-            frame=response.frame,
+            _position(result.position),
             coverage=result.coverage,
-            etag=result.etag,
+            frame=response.frame,
             name=result.name,
-            _forms=tuple((form, data or b"") for form, data in zip(result.forms, datas, strict=True)),
+            etag=result.etag,
+            forms=ReceivedForms(tuple((form, data or b"") for form, data in zip(result.forms, datas, strict=True))),
         )
         for result, datas in zip(response.results, parts, strict=True)
     ]
@@ -152,7 +134,7 @@ def parse_lights(body: bytes, media_type: str) -> list[Light]:
 
 @contextmanager
 def _reading(form: EncodedLight) -> Generator[None]:
-    """What a form's bytes or values raise while they are read becomes a BadReplyError that names the form."""
+    """Turn errors of reading a form's bytes or values into a BadReplyError that names the form."""
     try:
         yield
     except (ValueError, KeyError, TypeError, ImageError, EOFError, OSError) as error:
@@ -169,7 +151,7 @@ def _base64(form: EncodedLight) -> bytes | None:
 def _numbers(values: Any, count: int) -> Float[np.ndarray, " n"]:
     numbers = np.array(values, np.float64)
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
-        raise ValueError(f"{count} finite numbers, got {str(values)[:80]}")
+        raise ValueError(f"expected {count} finite numbers, got {str(values)[:80]}")
     return numbers
 
 

@@ -1,3 +1,117 @@
-"""RoomLight: HDR indoor light at any point of a room, from RGB, depth and poses. Torch-free domain code."""
+"""RoomLight: HDR indoor light at any point of a room, from RGB, depth and poses.
+
+    import roomlight as rl
+
+    session = rl.Session()
+    for frame in rl.open_capture("my-capture"):
+        session.push(frame)
+    light = session.light_at((0.2, -0.1, -1.5))  # world metres, y up
+    light.panorama, light.observed, light.coverage, light.main_light, light.harmonics
+    light.cube(size=64)
+    light.save("light.exr")  # or .hdr, .png, .ktx2, .json
+
+Conventions (axes, units, colour): `roomlight.conventions`. Packages, from the lowest layer to the highest:
+
+light     forms of light: panoramas, harmonics, main light, cube maps, files
+captures  recorded captures: readers of seven formats, writers
+dataset   training sequences in folders and shards
+wire      messages of the session server
+engine    frames in, light out: the lighting volume, the models, the session
+
+Importing `roomlight` loads none of them; the names below are loaded on first use.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from roomlight.camera import Intrinsics
+    from roomlight.captures import CaptureOptions, open_capture
+    from roomlight.conventions import Position
+    from roomlight.engine.session import FrameReport, Session, SessionOptions
+    from roomlight.errors import (
+        CaptureError,
+        DatasetError,
+        FrameError,
+        FurnitureError,
+        ImageError,
+        ModelError,
+        OptionError,
+        OutputError,
+        ProbeError,
+        RoomLightError,
+        ServerError,
+        UnknownFormatError,
+        WireError,
+    )
+    from roomlight.frame import Frame
+    from roomlight.light.cube import CubeMap
+    from roomlight.light.light import Light
+    from roomlight.light.main_light import MainLight
+    from roomlight.light.spherical_harmonics import SphericalHarmonics
+    from roomlight.placement import point_in_view
+    from roomlight.sample import sample_capture
 
 __version__ = "0.1.0"
+
+__all__ = [
+    "CaptureError",
+    "CaptureOptions",
+    "CubeMap",
+    "DatasetError",
+    "Frame",
+    "FrameError",
+    "FrameReport",
+    "FurnitureError",
+    "ImageError",
+    "Intrinsics",
+    "Light",
+    "MainLight",
+    "ModelError",
+    "OptionError",
+    "OutputError",
+    "Position",
+    "ProbeError",
+    "RoomLightError",
+    "ServerError",
+    "Session",
+    "SessionOptions",
+    "SphericalHarmonics",
+    "UnknownFormatError",
+    "WireError",
+    "__version__",
+    "open_capture",
+    "point_in_view",
+    "sample_capture",
+]
+
+_MODULES: Final = {
+    "CaptureOptions": "roomlight.captures",
+    "CubeMap": "roomlight.light.cube",
+    "Frame": "roomlight.frame",
+    "FrameReport": "roomlight.engine.session",
+    "Intrinsics": "roomlight.camera",
+    "Light": "roomlight.light.light",
+    "MainLight": "roomlight.light.main_light",
+    "Position": "roomlight.conventions",
+    "Session": "roomlight.engine.session",
+    "SessionOptions": "roomlight.engine.session",
+    "SphericalHarmonics": "roomlight.light.spherical_harmonics",
+    "open_capture": "roomlight.captures",
+    "point_in_view": "roomlight.placement",
+    "sample_capture": "roomlight.sample",
+}
+"""Where each name is defined; errors are all in `roomlight.errors`."""
+
+
+def __getattr__(name: str) -> object:
+    """Import a public name on first use (PEP 562)."""
+    if name not in __all__:
+        raise AttributeError(f"module 'roomlight' has no attribute {name!r}")
+    value = getattr(import_module(_MODULES.get(name, "roomlight.errors")), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -22,6 +22,8 @@ from jaxtyping import Float, UInt8
 
 Position = tuple[float, float, float]
 """A point (x, y, z) in world metres, y up."""
+NO_FRAME: Final = -1
+"""Frame index of a light to which no frame contributed."""
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 """Rec. 709's weights of linear RGB; their sum is 1."""
 OPENCV_TO_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])

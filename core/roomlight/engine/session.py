@@ -20,7 +20,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
-from roomlight.conventions import Position
+from roomlight.conventions import NO_FRAME, Position
 from roomlight.depth import UnknownDepth, complete_depth
 from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m
@@ -35,6 +35,7 @@ from roomlight.engine.sglv import Sglv, check_position, render_panorama
 from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
 from roomlight.errors import ModelError, ProbeError
 from roomlight.frame import Frame
+from roomlight.light.light import Light
 
 ModelName = Literal["auto", "classical", "single", "video"]
 
@@ -69,16 +70,6 @@ class SessionOptions:
             raise ValueError(f"panorama height must be 16 to 2048 pixels, got {self.height}")
         if self.keyframes < 1:
             raise ValueError(f"at least 1 keyframe is kept for probes asked late, got {self.keyframes}")
-
-
-@dataclass(frozen=True)
-class Light:
-    """The light at one point: panorama [H, 2H, 3], and `observed` [H, 2H]: 1 = seen, 0 = inferred."""
-
-    position: Position
-    panorama: Float[np.ndarray, "h w 3"]
-    observed: Float[np.ndarray, "h w"]
-    coverage: float
 
 
 @dataclass(frozen=True)
@@ -157,6 +148,7 @@ class Session:
         self._waiting: dict[int, Position] = {}
         self._next_handle = 0
         self.frames = 0
+        self._last_index = NO_FRAME
 
     @property
     def model(self) -> str:
@@ -225,6 +217,7 @@ class Session:
                 rendered = self._render(probe)
             self._observe(probe, self._latest, rendered, clock)
         self.frames += 1
+        self._last_index = frame.index
         coverage = tuple(probe.state.coverage() for probe in self._probes.values())
         return FrameReport(frame.index, clock.stage_ms, self._latest_is_keyframe, coverage)
 
@@ -312,7 +305,8 @@ class Session:
 
     def _light_of(self, probe: _Probe) -> Light:
         state = probe.state
-        return Light(probe.position, state.radiance.copy(), state.seen.copy(), state.coverage())
+        radiance, observed = state.radiance.copy(), state.seen.copy()
+        return Light(probe.position, radiance, observed, state.coverage(), frame=self._last_index)
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float16
 
+from roomlight.errors import OptionError
 from roomlight.light.checks import check_observed, check_panorama
 from roomlight.light.cube_geometry import FACES, cube_solid_angles
 from roomlight.light.ktx2 import encode_ktx2
@@ -14,7 +15,9 @@ from roomlight.light.resample import MOST_ROWS, SparseMap, cube_to_panorama, pan
 from roomlight.spheres import resize_panorama
 
 SIZES: Final = (16, 32, 64, 128, 256)
-"""Widths of a face that are handed out, in pixels; 16 is what ARCore gives."""
+"""Pixels across a face that can be made; ARCore gives 16."""
+DEFAULT_SIZE: Final = 32
+"""A face of 16 shows next to nothing in a mirror; 32 (3 degrees a texel) is the resolution of 120 panorama rows."""
 _LARGEST_HALF: Final = 65504.0
 
 
@@ -32,7 +35,7 @@ class CubeMap:
             raise ValueError(f"a cube map holds finite numbers only, got {self.faces[face, row, column]} in {where}")
 
     @classmethod
-    def from_panorama(cls, panorama: Float[np.ndarray, "h w 3"], *, size: int = 32) -> "CubeMap":
+    def from_panorama(cls, panorama: Float[np.ndarray, "h w 3"], *, size: int = DEFAULT_SIZE) -> "CubeMap":
         """The mean of the panorama's light over each texel; size 16, 32, 64, 128 or 256.
 
         0.5 ms for 120 x 240 to 32 on one core, 8 ms to 256; the first of a size takes 0.2 to 2 s more.
@@ -50,7 +53,7 @@ class CubeMap:
     def to_panorama(self, height: int) -> Float[np.ndarray, "{height} 2*{height} 3"]:
         """The mean of the cube's light over each pixel of a panorama of 4 to 512 rows."""
         if not 4 <= height <= MOST_ROWS:
-            raise ValueError(f"a cube map becomes a panorama of 4 to {MOST_ROWS} rows, got {height}")
+            raise OptionError(f"a cube map becomes a panorama of 4 to {MOST_ROWS} rows, got {height}")
         if self.size > SIZES[-1]:
             raise ValueError(f"a cube map of up to {SIZES[-1]} pixels becomes a panorama, this has {self.size}")
         pixels = cube_to_panorama(height, self.size)(self.faces.reshape(-1, 3))
@@ -86,7 +89,9 @@ class CubeMap:
         return encode_ktx2([level.rgba16f(seen) for level, seen in zip(levels, alphas, strict=True)])
 
 
-def observed_cube(observed: Float[np.ndarray, "h w"], *, size: int = 32) -> Float[np.ndarray, "6 {size} {size}"]:
+def observed_cube(
+    observed: Float[np.ndarray, "h w"], *, size: int = DEFAULT_SIZE
+) -> Float[np.ndarray, "6 {size} {size}"]:
     """How far each texel was observed, 0 .. 1: the alpha channel of a cube map that tells seen from inferred."""
     observed = check_observed(observed)
     resample = _to_cube(len(observed), size)
@@ -106,7 +111,7 @@ def halved(faces: Float[np.ndarray, "6 s s c"]) -> Float[np.ndarray, "6 t t c"]:
 
 def _to_cube(height: int, size: int) -> SparseMap:
     if size not in SIZES:
-        raise ValueError(f"a cube map's face is {', '.join(map(str, SIZES))} pixels wide, got {size}")
+        raise OptionError(f"size of a cube map's face must be {', '.join(map(str, SIZES))} pixels, got {size}")
     return panorama_to_cube(_rows_read(height, size), size)
 
 

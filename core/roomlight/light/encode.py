@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight.errors import OutputError
+from roomlight.errors import OptionError, OutputError
 from roomlight.images import encode_exr, encode_png
 from roomlight.light.checks import check_panorama
 
@@ -36,6 +36,6 @@ def to_hdr(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
 def to_png(panorama: Float[np.ndarray, "h w 3"], *, exposure_ev: float = 0.0) -> bytes:
     """8-bit sRGB; radiance 2^-exposure_ev is white, and what is brighter clips. -16 to 16 EV."""
     if not math.isfinite(exposure_ev) or abs(exposure_ev) > MOST_EXPOSURE_EV:
-        raise ValueError(f"exposure is {-MOST_EXPOSURE_EV:g} to {MOST_EXPOSURE_EV:g} EV, got {exposure_ev}")
+        raise OptionError(f"exposure_ev must be {-MOST_EXPOSURE_EV:g} to {MOST_EXPOSURE_EV:g} EV, got {exposure_ev}")
     white = np.float32(2.0**-exposure_ev)
     return encode_png(linear_to_srgb8(np.minimum(check_panorama(panorama), white) / white))

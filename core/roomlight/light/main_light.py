@@ -13,7 +13,7 @@ ambient harmonics are total minus exactly those.
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -39,6 +39,10 @@ class MainLight:
 
     direction: Float[np.ndarray, "3"]
     intensity: Float[np.ndarray, "3"]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values: `direction` and `intensity`."""
+        return {"direction": self.direction.tolist(), "intensity": self.intensity.tolist()}
 
 
 def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:

@@ -18,9 +18,9 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float16, Int
 
+from roomlight.errors import OptionError
 from roomlight.light.cube import CubeMap, halved
 from roomlight.light.cube_geometry import cube_directions, padded_indices
-from roomlight.light.kernels.gather import gather_lobes
 from roomlight.light.ktx2 import encode_ktx2
 from roomlight.threads import shard
 
@@ -62,8 +62,11 @@ def prefilter(cube: CubeMap) -> SpecularMips:
     first rough level of 32 pixels, 0.9 % in the others. 10 ms for 32 pixels on one core, 50 ms for
     64, 1 s for 256.
     """
+    from roomlight.light.kernels.gather import gather_lobes  # numba: 0.5 s that clients without cube maps save
+
     if cube.size < 2 * SMALLEST or cube.size & (cube.size - 1):
-        raise ValueError(f"specular mips are made of a power of two of {2 * SMALLEST} pixels or more, got {cube.size}")
+        rule = f"a power of two of {2 * SMALLEST} pixels or more"
+        raise OptionError(f"specular mips need a cube map whose size is {rule}; got {cube.size}")
     firsts, sizes, pyramid = _pyramid(cube)
     count = (cube.size // SMALLEST).bit_length()
     levels = [cube]

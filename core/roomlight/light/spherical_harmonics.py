@@ -24,7 +24,7 @@ y, z, x). Each basis function has unit norm over the sphere.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Final, Literal
+from typing import Any, Final, Literal
 
 import numpy as np
 from jaxtyping import Float
@@ -79,6 +79,16 @@ class SphericalHarmonics:
         """The 27 numbers, float32."""
         ordered = self.coefficients if layout == "interleaved" else self.coefficients.T
         return np.ascontiguousarray(ordered, np.float32).reshape(27)
+
+    def to_json(self, layout: Layout = "interleaved") -> dict[str, Any]:
+        """Return plain JSON values: the 27 coefficients, and the statement of what they mean."""
+        return {
+            "coefficients": self.flat(layout).tolist(),
+            "layout": layout,
+            "phase": self.phase,
+            "quantity": self.quantity,
+            "kind": self.kind,
+        }
 
     def with_phase(self, phase: Phase) -> "SphericalHarmonics":
         """The same light in the other signs."""

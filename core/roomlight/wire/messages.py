@@ -20,8 +20,6 @@ ID_PATTERN: Final = r"^[A-Za-z0-9_-]{1,64}\Z"
 MAX_PROBES: Final = 64
 MAX_FORMS: Final = 16
 """Forms per request. There are 15 without their sizes: 9 formats, and sh in 2 kinds and 3 bases."""
-NO_FRAME: Final = -1
-"""Frame index of the default light, which is returned before the first frame."""
 
 Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_length=64)]
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]

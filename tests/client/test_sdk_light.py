@@ -1,0 +1,146 @@
+"""One `Light` class: the same light from the engine, and from a response of a server through the client."""
+
+import json
+
+import numpy as np
+import pytest
+from light_rooms import room
+
+import roomlight as rl
+import roomlight_client as sdk
+from roomlight.light.light import FormReader
+from roomlight.light.spherical_harmonics import SphericalHarmonics
+from roomlight.wire.light_message import MEDIA_TYPE, pack_light
+from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight
+from roomlight_client.light import ReceivedForms, parse_lights
+
+ROOM = room(24)
+OBSERVED = np.tile(np.float32([0, 1]), (24, 24))
+ENGINE = rl.Light((1.0, 0.5, -2.0), ROOM, OBSERVED, frame=7, name="table")
+FILES = ("exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular")
+
+
+def received(*forms):
+    """`ENGINE` as a server sends it in these forms: names of files, or (name, values)."""
+    encoded, parts = [], []
+    for form in forms:
+        if isinstance(form, str):
+            parts.append(ENGINE.file(form))
+            encoded.append(EncodedLight(format=form, media_type="x", bytes=len(parts[-1])))
+        else:
+            encoded.append(EncodedLight(format=form[0], media_type="application/json", values=form[1]))
+    result = ProbeLight(position=[1.0, 0.5, -2.0], name="table", coverage=ENGINE.coverage, etag="e", forms=encoded)
+    (light,) = parse_lights(pack_light(LightResponse(frame=7, results=[result]), parts), MEDIA_TYPE)
+    return light
+
+
+def test_engine_and_client_have_one_class():
+    assert sdk.Light is rl.Light
+    assert isinstance(ReceivedForms(()), FormReader)
+
+
+@pytest.mark.parametrize(
+    "forms",
+    [
+        ("npy", "confidence"),
+        ("npy", "confidence", *((kind, values) for kind, values in (
+            ("sh", ENGINE.harmonics.to_json()),
+            ("sh", ENGINE.ambient.to_json("planar")),
+            ("main_light", ENGINE.main_light.to_json()),
+        ))),
+    ],
+    ids=["computed", "sent"],
+)  # fmt: skip
+def test_the_same_light_comes_through_the_client(forms):
+    light = received(*forms)
+    assert (light.panorama == ENGINE.panorama).all()
+    assert (light.observed == ENGINE.observed).all()
+    assert (light.position, light.frame, light.name, light.etag) == ((1.0, 0.5, -2.0), 7, "table", "e")
+    assert light.coverage == ENGINE.coverage
+    assert (light.main_light.direction == ENGINE.main_light.direction).all()
+    assert (light.main_light.intensity == ENGINE.main_light.intensity).all()
+    for ours, theirs in ((light.harmonics, ENGINE.harmonics), (light.ambient, ENGINE.ambient)):
+        assert isinstance(ours, SphericalHarmonics)
+        assert ours.coefficients == pytest.approx(theirs.coefficients, rel=1e-6, abs=1e-7)  # sent as float32
+        assert (ours.kind, ours.phase) == (theirs.kind, theirs.phase)
+    assert (light.cube(size=64).faces == ENGINE.cube(size=64).faces).all()
+    assert light.specular(size=16).to_bytes() == ENGINE.specular(size=16).to_bytes()
+    assert repr(light) == repr(ENGINE)
+    assert light._repr_png_() == ENGINE._repr_png_()
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_files_are_computed_if_the_panorama_was_sent(name):
+    assert received("npy", "confidence").file(name) == ENGINE.file(name)
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_file_that_was_sent_comes_as_it_is(name):
+    assert received(name).file(name) == ENGINE.file(name)
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".hdr", ".png", ".ktx2", ".json"])
+def test_both_save_the_same_file(suffix, tmp_path):
+    ENGINE.save(tmp_path / f"engine{suffix}")
+    received("npy", "confidence").save(tmp_path / f"client{suffix}")
+    assert (tmp_path / f"client{suffix}").read_bytes() == (tmp_path / f"engine{suffix}").read_bytes()
+
+
+@pytest.mark.parametrize("form", ["exr", "hdr", "png", "ktx2"])
+def test_a_sent_file_is_saved_without_the_panorama(form, tmp_path):
+    received(form).save(tmp_path / f"light.{form}")
+    assert (tmp_path / f"light.{form}").read_bytes() == ENGINE.file(form)
+
+
+def test_json_is_saved_from_harmonics_and_main_light(tmp_path):
+    light = received(
+        ("sh", ENGINE.harmonics.to_json()),
+        ("sh", ENGINE.ambient.to_json()),
+        ("main_light", ENGINE.main_light.to_json()),
+    )
+    light.save(tmp_path / "light.json")
+    assert json.loads((tmp_path / "light.json").read_text()) == json.loads(json.dumps(ENGINE.to_json()))
+
+
+def test_half_floats_serve_where_nothing_finer_was_sent():
+    assert (received("exr").panorama == ROOM.astype(np.float16)).all()
+    assert (received("exr", "npy").panorama == ROOM).all()
+
+
+def test_the_cube_that_was_sent_is_returned_if_its_size_fits():
+    light = received("cube", "npy")
+    sent = np.frombuffer(ENGINE.file("cube"), "<f2").reshape(6, 32, 32, 4)
+    assert (light.cube().faces == sent[..., :3]).all()
+    assert (light.cube(size=16).faces == ENGINE.cube(size=16).faces).all()
+    with pytest.raises(rl.RoomLightError, match=r"requested was cube; .*LightForm\(format='cube', size=16\)"):
+        received("cube").cube(size=16)
+
+
+def test_without_confidence_the_alpha_is_one():
+    texels = np.frombuffer(received("npy").file("cube"), "<f2").reshape(6, 32, 32, 4)
+    assert (texels[..., 3] == 1).all()
+
+
+@pytest.mark.parametrize(
+    ("access", "request_it"),
+    [
+        (lambda light: light.panorama, "'npy'"),
+        (lambda light: light.observed, "'confidence'"),
+        (lambda light: light.main_light, "'main_light'"),
+        (lambda light: light.harmonics, "LightForm(format='sh', kind='total')"),
+        (lambda light: light.ambient, "LightForm(format='sh', kind='ambient')"),
+        (lambda light: light.cube(), "LightForm(format='cube', size=32)"),
+        (lambda light: light.file("hdr"), "'hdr'"),
+        (lambda light: light.to_json(), "'main_light'"),
+    ],
+)
+def test_a_form_that_is_missing_names_the_request(access, request_it):
+    with pytest.raises(rl.RoomLightError) as caught:
+        access(received("png"))
+    assert f"requested was png; request it with forms=({request_it}, ...)" in str(caught.value)
+
+
+def test_without_a_panorama_a_notebook_shows_text():
+    light = received(("main_light", ENGINE.main_light.to_json()))
+    assert light._repr_png_() is None
+    assert "coverage=0.5" in repr(light)

@@ -1,0 +1,77 @@
+"""`import roomlight as rl`: its public names, what the import loads, and the example of the package's docstring."""
+
+import ast
+import re
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import roomlight as rl
+from roomlight import errors
+from roomlight.images import decode_colour
+
+PUBLIC = set(rl.__all__) - {"__version__"}
+
+
+@pytest.mark.parametrize("name", sorted(PUBLIC))
+def test_every_public_name_is_there(name):
+    assert getattr(rl, name) is getattr(rl, name)
+    assert name in dir(rl)
+
+
+def test_type_checkers_see_every_public_name():
+    """The imports under TYPE_CHECKING are the lazy names, and each comes from the module that the import names."""
+    block = next(node for node in ast.parse(Path(rl.__file__).read_text()).body if isinstance(node, ast.If))
+    imported = {name.name: node.module for node in ast.walk(block) if isinstance(node, ast.ImportFrom)
+                for name in node.names}  # fmt: skip
+    assert imported.keys() == PUBLIC
+    for name, module in imported.items():
+        assert getattr(sys.modules[module], name) is getattr(rl, name)
+
+
+def test_every_error_is_public():
+    classes = {name for name, value in vars(errors).items() if isinstance(value, type)}
+    assert classes <= PUBLIC
+
+
+def test_an_unknown_name_is_an_attribute_error():
+    with pytest.raises(AttributeError, match="no attribute 'Lamp'"):
+        rl.Lamp  # noqa: B018  (the access is what is tested)
+    assert not hasattr(rl, "Lamp")
+
+
+def test_import_loads_no_heavy_library():
+    code = "import sys, roomlight; print(*sorted({name.partition('.')[0] for name in sys.modules}))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    loaded = set(done.stdout.split())
+    assert "roomlight" in loaded
+    assert not loaded & {"onnxruntime", "av", "cv2", "numba", "numpy", "OpenEXR", "embreex", "torch", "pydantic"}
+
+
+def test_the_version_is_stated_once():
+    assert re.fullmatch(r"\d+\.\d+\.\d+", rl.__version__)
+    root = Path(rl.__file__).parents[2]
+    assert f'"{rl.__version__}"' not in (root / "pyproject.toml").read_text()
+
+
+def test_the_example_runs(tmp_path, monkeypatch):
+    assert rl.__doc__ is not None
+    block = rl.__doc__[rl.__doc__.index("    import") : rl.__doc__.index("Conventions (")]
+    (tmp_path / "my-capture").symlink_to(rl.sample_capture())
+    monkeypatch.chdir(tmp_path)
+    example = textwrap.dedent(block).replace("rl.open_capture(", "first_frames(")
+
+    def first_frames(path):
+        return rl.open_capture(path, rl.CaptureOptions(max_frames=2))
+
+    names = {"first_frames": first_frames}
+    exec(compile(example, "example", "exec"), names)
+    light = names["light"]
+    assert isinstance(light, rl.Light)
+    assert light.frame == 1
+    saved, _ = decode_colour((tmp_path / "light.exr").read_bytes(), "light.exr")
+    np.testing.assert_allclose(saved, light.panorama, rtol=2**-10, atol=1e-6)

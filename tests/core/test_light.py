@@ -1,0 +1,149 @@
+"""`Light` as the engine makes it: its forms, files, errors and notebook picture."""
+
+import io
+import json
+
+import cv2
+import numpy as np
+import pytest
+from light_rooms import room
+
+from roomlight.conventions import NO_FRAME
+from roomlight.errors import OptionError, OutputError
+from roomlight.images import decode_colour, decode_grey8
+from roomlight.light.coverage import coverage
+from roomlight.light.cube import CubeMap, observed_cube
+from roomlight.light.light import SAVED_AS, Light
+from roomlight.light.main_light import main_light
+from roomlight.light.prefilter import prefilter
+from roomlight.light.spherical_harmonics import SphericalHarmonics, project
+
+ROOM = room(24)
+OBSERVED = np.zeros((24, 48), np.float32)
+OBSERVED[:, :24] = 1
+
+
+@pytest.fixture
+def light():
+    return Light((1.0, 0.5, -2.0), ROOM, OBSERVED, frame=7, name="table")
+
+
+def test_forms_are_those_of_the_panorama(light):
+    assert light.panorama is ROOM
+    assert light.observed is OBSERVED
+    assert light.coverage == coverage(OBSERVED)
+    assert (light.main_light.direction == main_light(ROOM).direction).all()
+    assert (light.harmonics.coefficients == project(ROOM).coefficients).all()
+    assert (light.ambient.coefficients == project(ROOM, kind="ambient").coefficients).all()
+    assert (light.harmonics.kind, light.ambient.kind) == ("total", "ambient")
+    assert (light.cube().faces == CubeMap.from_panorama(ROOM, size=32).faces).all()
+    assert light.cube(size=64).size == 64
+    specular, expected = light.specular(size=16), prefilter(CubeMap.from_panorama(ROOM, size=16))
+    assert specular.to_bytes() == expected.to_bytes()
+
+
+def test_small_forms_are_computed_once(light):
+    assert light.harmonics is light.harmonics
+    assert light.ambient is light.ambient
+    assert light.main_light is light.main_light
+
+
+def test_a_panorama_alone_counts_as_observed():
+    light = Light((0.0, 0.0, 0.0), ROOM)
+    assert light.coverage == pytest.approx(1, abs=1e-6)
+    assert light.observed.all()
+    assert light.etag is None
+
+
+def test_a_light_needs_a_panorama_or_forms():
+    with pytest.raises(ValueError, match="got neither"):
+        Light((0.0, 0.0, 0.0))
+
+
+def test_prior_is_a_light_without_a_frame(light):
+    assert not light.is_prior
+    assert Light((0.0, 0.0, 0.0), ROOM, OBSERVED, 0.0, frame=NO_FRAME).is_prior
+
+
+def test_cube_file_has_observed_as_alpha(light):
+    cube, alpha = light.cube(size=16), observed_cube(OBSERVED, size=16)
+    assert light.file("cube", size=16) == cube.to_bytes(alpha)
+    assert light.file("ktx2", size=16) == cube.to_ktx2(alpha)
+
+
+def test_files_of_other_sizes(light):
+    assert decode_colour(light.file("exr", size=12), "exr")[0].shape == (12, 24, 3)
+    assert np.load(io.BytesIO(light.file("npy", size=48))).shape == (48, 96, 3)
+    assert decode_grey8(light.file("confidence", size=8), "confidence").shape == (8, 16)
+    assert light.file("png", exposure_ev=1.0) != light.file("png")
+
+
+def test_save_writes_what_the_suffix_says(light, tmp_path):
+    for suffix in SAVED_AS:
+        light.save(tmp_path / f"light{suffix}")
+    exr, _ = decode_colour((tmp_path / "light.exr").read_bytes(), "exr")
+    np.testing.assert_allclose(exr, ROOM, rtol=2**-11)
+    assert f"{light.coverage:.4f}".encode() in (tmp_path / "light.exr").read_bytes()
+    hdr, _ = decode_colour((tmp_path / "light.hdr").read_bytes(), "hdr")
+    np.testing.assert_allclose(hdr, ROOM, atol=float(ROOM.max()) / 128)
+    assert (tmp_path / "light.png").read_bytes() == light.file("png")
+    assert (tmp_path / "light.ktx2").read_bytes() == light.file("ktx2", size=32)
+    assert {path.suffix for path in tmp_path.iterdir()} == set(SAVED_AS)  # no temporary file is left
+
+
+def test_save_takes_text_and_capitals(light, tmp_path):
+    light.save(str(tmp_path / "new folder" / "LIGHT.EXR"))
+    assert (tmp_path / "new folder" / "LIGHT.EXR").read_bytes() == light.file("exr")
+
+
+def test_json_reads_back_as_the_same_light(light, tmp_path):
+    light.save(tmp_path / "light.json")
+    read = json.loads((tmp_path / "light.json").read_text())
+    assert (read["position"], read["frame"], read["name"]) == ([1.0, 0.5, -2.0], 7, "table")
+    assert read["coverage"] == light.coverage
+    assert read["main_light"]["direction"] == light.main_light.direction.tolist()
+    assert read["main_light"]["intensity"] == light.main_light.intensity.tolist()
+    for name, expected in (("harmonics", light.harmonics), ("ambient", light.ambient)):
+        stated = {key: read[name][key] for key in ("layout", "phase", "quantity", "kind")}
+        harmonics = SphericalHarmonics.from_flat(np.array(read[name]["coefficients"]), **stated)
+        assert harmonics.coefficients == pytest.approx(expected.coefficients, rel=1e-6)
+        assert (harmonics.phase, harmonics.kind) == (expected.phase, expected.kind)
+    assert "y up" in read["conventions"]["position"]
+
+
+@pytest.mark.parametrize("name", ["light.tiff", "light", ".exr"])
+def test_other_suffixes_name_those_that_work(light, tmp_path, name):
+    with pytest.raises(OptionError, match=r"\.exr, \.hdr, \.png, \.ktx2, \.json"):
+        light.save(tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_file_that_cannot_be_written_is_an_output_error(light, tmp_path):
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OutputError, match="cannot be written"):
+        light.save(tmp_path / "file" / "light.png")
+
+
+@pytest.mark.parametrize("size", [0, 20, 512])
+def test_a_wrong_face_size_is_an_option_error(light, size):
+    with pytest.raises(OptionError, match="16, 32, 64, 128, 256"):
+        light.cube(size=size)
+    with pytest.raises(OptionError, match="16, 32, 64, 128, 256"):
+        light.file("ktx2", size=size)
+
+
+def test_a_wrong_exposure_is_an_option_error(light):
+    with pytest.raises(OptionError, match="-16 to 16 EV"):
+        light.file("png", exposure_ev=17.0)
+
+
+def test_a_notebook_shows_the_tone_mapped_panorama(light):
+    picture = cv2.imdecode(np.frombuffer(light._repr_png_(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture.shape == (24, 48, 3)
+    assert picture.max() == 255  # the window is brighter than white
+    assert light._repr_png_() == light.file("png")
+
+
+def test_repr_is_one_short_line(light):
+    assert repr(light) == "Light(position=(1, 0.5, -2), frame=7, coverage=0.500, name='table')"
+    assert "name" not in repr(Light((0.0, 0.0, 0.0), ROOM))
