@@ -17,11 +17,12 @@ from roomlight.captures.decoding import decode_depth_map
 from roomlight.conventions import Position
 from roomlight.drawing import Canvas
 from roomlight.engine.graphs import LightingGraphs
-from roomlight.engine.session import Light, Session, SessionOptions
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError
 from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import read_bytes, read_colour, write_exr, write_png
+from roomlight.light.light import Light
 from roomlight.light.main_light import MainLight, main_light
 from roomlight.spheres import SphereRenderer, view_toward
 

@@ -3,24 +3,18 @@
 The forms themselves are `roomlight.light`; this is their only user here.
 """
 
-import io
 from dataclasses import dataclass
 from typing import Any, Final, get_args
 
 import numpy as np
 
-from roomlight.engine.session import Light
-from roomlight.light.coverage import confidence_png
-from roomlight.light.cube import CubeMap, observed_cube
-from roomlight.light.encode import to_exr, to_hdr, to_png
-from roomlight.light.main_light import main_light
-from roomlight.light.prefilter import prefilter
+from roomlight.conventions import NO_FRAME
+from roomlight.light.cube import DEFAULT_SIZE
+from roomlight.light.light import Light
 from roomlight.light.prior import prior_panorama
-from roomlight.light.spherical_harmonics import Layout, Phase, project
-from roomlight.spheres import resize_panorama
+from roomlight.light.spherical_harmonics import Layout, Phase
 from roomlight.wire.messages import (
     CUBE_FORMATS,
-    NO_FRAME,
     EncodedLight,
     HarmonicsBasis,
     LightForm,
@@ -42,8 +36,6 @@ MEDIA_TYPES: Final[dict[str, str]] = {
     "main_light": "application/json",
     "confidence": "image/png",
 }
-FACE_SIZE: Final = 32
-"""Default side of a face: ARCore's 16 shows a mirror nothing, and 32 is what 120 rows hold (3 degrees) in the mean."""
 _USUAL: Final = (16, 32, 64)
 """Widths of a face that are asked for: ARCore's, the default, and what a reflection wants."""
 _BASES: Final[dict[HarmonicsBasis, tuple[Layout, Phase]]] = {
@@ -80,39 +72,21 @@ def most_bytes(form: LightForm) -> int:
     if form.format in ("sh", "main_light"):
         return 1024
     if form.format in CUBE_FORMATS:
-        side = form.size or FACE_SIZE
+        side = form.size or DEFAULT_SIZE
         return 6 * side * side * 8 * (2 if form.format == "specular" else 1) + 1024
     return (2 * form.size**2 * 12 if form.size else 2**20) + 1024
 
 
 def encode(point: PointLight, form: LightForm) -> Encoded:
     """The light in this form; 1 to 30 ms, specular mips of 256 pixels up to a second."""
-    panorama, observed = point.light.panorama, point.light.observed
+    light = point.light
     if form.format == "sh":
-        return Encoded(form, values=_harmonics(point, form))
+        layout, phase = _BASES[form.basis]
+        harmonics = light.harmonics if form.kind == "total" else light.ambient
+        return Encoded(form, values=harmonics.with_phase(phase).to_json(layout))
     if form.format == "main_light":
-        light = main_light(panorama)
-        return Encoded(form, values={"direction": light.direction.tolist(), "intensity": light.intensity.tolist()})
-    if form.format in CUBE_FORMATS:
-        size = form.size or FACE_SIZE
-        cube = CubeMap.from_panorama(panorama, size=size)
-        if form.format == "specular":
-            return Encoded(form, data=prefilter(cube).to_ktx2())
-        alpha = observed_cube(observed, size=size)
-        return Encoded(form, data=cube.to_bytes(alpha) if form.format == "cube" else cube.to_ktx2(alpha))
-    height = form.size or len(panorama)
-    if form.format == "confidence":
-        seen = np.repeat(observed[..., None], 3, axis=-1)
-        return Encoded(form, data=confidence_png(np.clip(resize_panorama(seen, height)[..., 0], 0, 1)))
-    panorama = resize_panorama(panorama, height)
-    if form.format == "npy":
-        stream = io.BytesIO()
-        np.save(stream, np.ascontiguousarray(panorama, np.float32))
-        return Encoded(form, data=stream.getvalue())
-    if form.format == "png":
-        return Encoded(form, data=to_png(panorama, exposure_ev=form.exposure_ev))
-    metadata = {"roomlight:coverage": f"{point.light.coverage:.4f}"}  # as `roomlight replay` writes it
-    return Encoded(form, data=to_exr(panorama, metadata=metadata) if form.format == "exr" else to_hdr(panorama))
+        return Encoded(form, values=light.main_light.to_json())
+    return Encoded(form, data=light.file(form.format, size=form.size, exposure_ev=form.exposure_ev))
 
 
 def warm_up() -> None:
@@ -141,15 +115,3 @@ def encode_all(point: PointLight, forms: list[LightForm]) -> tuple[ProbeLight, l
         forms=[one.described() for one in encoded],
     )
     return described, [one.data for one in encoded if one.data is not None]
-
-
-def _harmonics(point: PointLight, form: LightForm) -> dict[str, Any]:
-    layout, phase = _BASES[form.basis]
-    harmonics = project(point.light.panorama, kind=form.kind, phase=phase)
-    return {
-        "coefficients": harmonics.flat(layout).tolist(),
-        "layout": layout,
-        "phase": phase,
-        "quantity": "radiance",
-        "kind": form.kind,
-    }

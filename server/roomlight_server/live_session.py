@@ -22,14 +22,15 @@ from typing import Final, Literal, TypeVar, cast
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import Position
+from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.memory import Footprint
-from roomlight.engine.session import FrameReport, Light, Session
+from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import FrameError, ProbeError, WireError
 from roomlight.frame import Frame
+from roomlight.light.light import Light
 from roomlight.light.prior import prior_panorama
 from roomlight.wire.frame_message import FrameLimits, FrameMessage
-from roomlight.wire.messages import NO_FRAME, FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
+from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
 from roomlight_server.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.intake import decode_to_size, index_of, parse_frame
 from roomlight_server.metrics import Metrics

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
-from roomlight.engine.session import Light
+from roomlight.light.light import Light
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
