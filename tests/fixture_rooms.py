@@ -21,7 +21,7 @@ SEED = 21
 
 def lit_room(room_index, *, seed=SEED, split="train"):
     """A room with its light solved, without a library."""
-    models = Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+    models = Catalogue().with_procedural([*procedural_models("train"), *procedural_models("test")])
     return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
 
 
@@ -34,7 +34,7 @@ def render_room(room_index, *, seed, split, furniture, count, frames):
 
 def main():
     shutil.rmtree(FOLDER, ignore_errors=True)
-    catalogue.INSTALLED = FOLDER  # what is installed here has no part in it
+    catalogue.INSTALLED_FOLDER = FOLDER  # what is installed here has no part in it
     for split, rooms in ROOMS.items():
         options = GenerateOptions(
             rooms,

@@ -25,7 +25,7 @@ def generate_sample(out: Path, *, seed: int = SEED, room: int = ROOM, walk: int 
 
     OutputError where `out` holds something already or cannot be written; ValueError where the room has no walk.
     """
-    catalogue = Catalogue().joined(procedural_models("train"))
+    catalogue = Catalogue().with_procedural(procedural_models("train"))
     stage = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
     rng = room_generator(room, seed=seed, split="train", purpose=1 + walk)
     recording = render_sequence(stage, plan_camera_path(stage, rng), rng, name="sample room")

@@ -6,7 +6,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-CATALOGUE = "PluginFurnitureCatalog.properties"
+CATALOGUE_FILE = "PluginFurnitureCatalog.properties"
 
 BOX_FACES = ((3, 4, 2, 1), (6, 8, 7, 5), (2, 6, 5, 1), (7, 8, 4, 3), (5, 7, 3, 1), (4, 8, 6, 2))
 
@@ -71,7 +71,7 @@ def write_library(path: Path, catalogue: str | None, files: dict[str, str | byte
     head = "id=Test#Library\nname=Test\nversion=1.0\nlicense=CC-BY 3.0\n"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         if catalogue is not None:
-            archive.writestr(CATALOGUE, head + catalogue)
+            archive.writestr(CATALOGUE_FILE, head + catalogue)
         for name, data in files.items():
             archive.writestr(name, data)
     return path

@@ -103,7 +103,7 @@ def model(role: str, size: tuple[float, float, float], split: Split = "train", t
 
 
 @dataclass
-class Boxes:
+class BoxCatalogue:
     """A catalogue of boxes; without the roles named in `lacking`."""
 
     lacking: frozenset[str] = frozenset()

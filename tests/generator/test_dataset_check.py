@@ -8,7 +8,7 @@ import pytest
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun
-from roomlight_generator.rooms.shapes import box, clad, rectangle
+from roomlight_generator.rooms.shapes import box, rectangle, with_material
 from roomlight_generator.sequences.surface_kinds import surface_kinds, without_glass
 from roomlight_generator.transport import Tracer
 from roomlight_generator.verification.check import CheckReport, check_view
@@ -31,14 +31,16 @@ def box_room() -> list[Mesh]:
     """4 x 2.6 x 4 m about the y axis; its floor is coated, its far wall holds a mirror."""
     coated = Material("floor", (0.4, 0.3, 0.2), roughness=0.2)
     return [
-        clad(rectangle((-2, 0, 2), (4, 0, 0), (0, 0, -4), step=5), coated),
-        clad(rectangle((-2, 2.6, -2), (4, 0, 0), (0, 0, 4), step=5), WHITE),
-        clad(rectangle((-2, 0, -2), (4, 0, 0), (0, 2.6, 0), step=5), WHITE),
-        clad(rectangle((2, 0, 2), (-4, 0, 0), (0, 2.6, 0), step=5), WHITE),
-        clad(rectangle((-2, 0, 2), (0, 0, -4), (0, 2.6, 0), step=5), WHITE),
-        clad(rectangle((2, 0, -2), (0, 0, 4), (0, 2.6, 0), step=5), WHITE),
-        clad(rectangle((0.6, 0.9, -1.99), (0.6, 0, 0), (0, 0.8, 0), step=5), Material("mirror", mirror=0.9)),
-        clad(box(0.8, 0.03, 0.8), Material("panel", (0.8, 0.8, 0.8), emission=(5.0, 4.0, 3.0))).placed(0.0, 2.5, 0.2),
+        with_material(rectangle((-2, 0, 2), (4, 0, 0), (0, 0, -4), step=5), coated),
+        with_material(rectangle((-2, 2.6, -2), (4, 0, 0), (0, 0, 4), step=5), WHITE),
+        with_material(rectangle((-2, 0, -2), (4, 0, 0), (0, 2.6, 0), step=5), WHITE),
+        with_material(rectangle((2, 0, 2), (-4, 0, 0), (0, 2.6, 0), step=5), WHITE),
+        with_material(rectangle((-2, 0, 2), (0, 0, -4), (0, 2.6, 0), step=5), WHITE),
+        with_material(rectangle((2, 0, -2), (0, 0, 4), (0, 2.6, 0), step=5), WHITE),
+        with_material(rectangle((0.6, 0.9, -1.99), (0.6, 0, 0), (0, 0.8, 0), step=5), Material("mirror", mirror=0.9)),
+        with_material(box(0.8, 0.03, 0.8), Material("panel", (0.8, 0.8, 0.8), emission=(5.0, 4.0, 3.0))).placed(
+            0.0, 2.5, 0.2
+        ),
     ]
 
 
@@ -123,7 +125,9 @@ def test_pixels_are_told_apart_by_what_they_show() -> None:
 
 
 def test_lights_and_the_open_are_no_surfaces() -> None:
-    panel = clad(rectangle((-3, -3, -2), (6, 0, 0), (0, 6, 0), step=7), Material("panel", emission=(1.0, 1.0, 1.0)))
+    panel = with_material(
+        rectangle((-3, -3, -2), (6, 0, 0), (0, 6, 0), step=7), Material("panel", emission=(1.0, 1.0, 1.0))
+    )
     kinds = surface_kinds(Tracer(scene([panel])), CAMERA, pose(0, 0, 0))
     assert not (kinds.diffuse | kinds.coated).any()
     away = pose(0, 0, -3)
@@ -131,8 +135,8 @@ def test_lights_and_the_open_are_no_surfaces() -> None:
 
 
 def test_panes_are_taken_out_also_where_they_share_a_mesh() -> None:
-    pane = clad(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), step=2), Material("pane", glass=True))
-    frame = clad(rectangle((1, 0, 0), (1, 0, 0), (0, 1, 0), step=2), WHITE)
+    pane = with_material(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), step=2), Material("pane", glass=True))
+    frame = with_material(rectangle((1, 0, 0), (1, 0, 0), (0, 1, 0), step=2), WHITE)
     whole = scene([frame, pane, Mesh.joined([frame, pane])])
     left = without_glass(whole)
     assert [len(item.mesh.faces) for item in left.items] == [2, 2]

@@ -11,7 +11,7 @@ import pytest
 
 from roomlight.conventions import uv_to_direction
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun, Texture
-from roomlight_generator.rooms.shapes import clad, rectangle, sphere
+from roomlight_generator.rooms.shapes import rectangle, sphere, with_material
 from roomlight_generator.transport.coat import coat_table
 from roomlight_generator.transport.kernels.common import in_row, in_table
 from roomlight_generator.verification import reference
@@ -36,7 +36,7 @@ def look(traced: Scene, origin, target, *, samples: int = 64, seed: int = 0) -> 
 @pytest.mark.parametrize("albedo", [0.2, 0.7])
 def test_white_furnace(albedo: float) -> None:
     """Inside a sphere that emits 1 and reflects rho the radiance is 1 / (1 - rho); its sheets lose nothing."""
-    wall = clad(sphere(2, rings=40, segments=80), Material("wall", (albedo,) * 3, emission=(1.0, 1.0, 1.0)))
+    wall = with_material(sphere(2, rings=40, segments=80), Material("wall", (albedo,) * 3, emission=(1.0, 1.0, 1.0)))
     directions = np.random.default_rng(0).normal(size=(150, 3))
     seen = Reference(scene(wall)).radiance(np.zeros((150, 3)), directions, samples=32, seed=1)
     # Of 4,800 paths, whose lengths differ: the standard error is 0.3 % at 0.7.
@@ -46,8 +46,10 @@ def test_white_furnace(albedo: float) -> None:
 def test_a_bulb_lights_the_floor_as_its_triangles_do() -> None:
     """The sum over a small bulb's triangles, in a corner of the world where float32 is coarse."""
     at = np.array([6.0, 0.5, -7.0])
-    bulb = clad(sphere(0.012, rings=6, segments=12), Material("bulb", (0.0, 0.0, 0.0), emission=(100.0, 50.0, 25.0)))
-    floor = clad(rectangle((5.03, 0, -6.03), (2, 0, 0), (0, 0, -2)), Material("floor", (1.0, 1.0, 1.0)))
+    bulb = with_material(
+        sphere(0.012, rings=6, segments=12), Material("bulb", (0.0, 0.0, 0.0), emission=(100.0, 50.0, 25.0))
+    )
+    floor = with_material(rectangle((5.03, 0, -6.03), (2, 0, 0), (0, 0, -2)), Material("floor", (1.0, 1.0, 1.0)))
     corners = bulb.vertices[bulb.faces].astype(np.float64)
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) / 2
     toward = corners.mean(1) + np.array([0, at[1], 0])  # from the floor below it
@@ -60,7 +62,7 @@ def test_a_bulb_lights_the_floor_as_its_triangles_do() -> None:
 
 
 def test_a_shining_sheet_shines_to_both_sides_and_hides_what_is_behind() -> None:
-    sheet = clad(
+    sheet = with_material(
         rectangle((-1, 0, 0), (2, 0, 0), (0, 2, 0)), Material("pane", (0.0, 0.0, 0.0), emission=(3.0, 2.0, 1.0))
     )
     for z in (-2, 2):
@@ -75,7 +77,7 @@ def test_the_sky_is_where_the_convention_says() -> None:
     panorama = panorama[:, 32:64].astype(np.float32) + 0.1
     u, v = np.meshgrid((np.arange(32) + 0.5) / 32, (np.arange(16) + 0.5) / 16)
     directions = uv_to_direction(np.stack([u, v], -1)).reshape(-1, 3)
-    speck = clad(rectangle((50, -1, 50), (0.01, 0, 0), (0, 2, 0)), Material())
+    speck = with_material(rectangle((50, -1, 50), (0.01, 0, 0), (0, 2, 0)), Material())
     traced = Reference(scene(speck, sky=Sky(panorama), openings=(ABOVE,)))
     seen = traced.radiance(np.zeros((512, 3)), directions, samples=1, seed=0).reshape(16, 32, 3)
     # Bilinear on another grid: pixels at the peaks of a random picture lose a little.
@@ -85,7 +87,7 @@ def test_the_sky_is_where_the_convention_says() -> None:
 def test_what_no_opening_shows_is_black() -> None:
     """A window in the wall at x = 1 of things at x < 1: the sky beyond it stays, the other half goes."""
     window = Opening(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]))
-    thing = clad(rectangle((-3, 0, 0), (2, 0, 0), (0, 2, 0)), Material())
+    thing = with_material(rectangle((-3, 0, 0), (2, 0, 0), (0, 2, 0)), Material())
     traced = Reference(scene(thing, sky=EVEN, openings=(window,)))
     directions = np.array([[1, 0.2, 0], [0.1, 1, 0.4], [-1, 0.2, 0], [-0.3, -1, 0.1]])
     seen = traced.radiance(np.full((4, 3), [0, 5.0, 0]), directions, samples=1, seed=0)
@@ -95,9 +97,9 @@ def test_what_no_opening_shows_is_black() -> None:
 def test_the_sun_lights_by_its_cosine_and_casts_a_soft_shadow_away_from_it() -> None:
     direction = np.array([0.48, 0.6, 0.64])
     sky = Sky(BLACK.panorama, Sun(direction, (30.0, 20.0, 10.0), angular_radius=0.02))
-    floor = clad(rectangle((-9, 0, 9), (18, 0, 0), (0, 0, -18), step=5), Material("floor", (0.5, 0.5, 0.5)))
+    floor = with_material(rectangle((-9, 0, 9), (18, 0, 0), (0, 0, -18), step=5), Material("floor", (0.5, 0.5, 0.5)))
     # A wide board whose lower edge is the x axis' parallel at height 3.
-    board = clad(rectangle((-40, 3, 0), (80, 0, 0), (0, 40, 0), step=50), Material("board", (0.0, 0.0, 0.0)))
+    board = with_material(rectangle((-40, 3, 0), (80, 0, 0), (0, 40, 0), step=50), Material("board", (0.0, 0.0, 0.0)))
     traced = scene(floor, board, sky=sky, openings=(ABOVE,))
     edge = -3 * direction[2] / direction[1]
     half_width = 0.02 * 3 / direction[1] ** 2  # of the penumbra, along z at least
@@ -111,7 +113,7 @@ def test_texture_rows_run_down_and_wrap() -> None:
     image = np.zeros((2, 2, 3), np.uint8)
     image[0, 0], image[0, 1], image[1, 0], image[1, 1] = (255, 0, 0), (0, 255, 0), (0, 0, 255), (255, 255, 255)
     picture = Material("picture", (0.0, 0.0, 0.0), Texture(image), emission=(2.0, 2.0, 2.0), textured_emission=True)
-    wall = clad(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), unit_uv=True, step=2), picture)
+    wall = with_material(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), unit_uv=True, step=2), picture)
     traced = Reference(scene(wall))
     at = np.array([[0.25, 0.75, 0], [0.75, 0.75, 0], [0.25, 0.25, 0], [0.75, 0.25, 0]])
     seen = traced.radiance(at + np.array([0, 0, 1]), np.tile([[0, 0, -1.0]], (4, 1)), samples=1, seed=0)
@@ -120,14 +122,14 @@ def test_texture_rows_run_down_and_wrap() -> None:
 
 def test_a_texture_is_decoded_and_multiplied_by_the_albedo() -> None:
     grey = Texture(np.full((1, 1, 3), 188, np.uint8))  # 0.503 linear
-    plate = clad(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (0.8, 0.4, 0.2), grey))
+    plate = with_material(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (0.8, 0.4, 0.2), grey))
     found = look(scene(plate, sky=EVEN, openings=(ABOVE,)), (0.3, 2, 0.2), (0.31, 0, 0.17), samples=3000)
     np.testing.assert_allclose(found, np.array([0.8, 0.4, 0.2]) * 0.5029, rtol=0.02)
 
 
 def test_a_mirror_shows_what_is_before_it() -> None:
-    mirror = clad(rectangle((-1, 0, 0), (2, 0, 0), (0, 2, 0)), Material("mirror", mirror=0.9))
-    poster = clad(
+    mirror = with_material(rectangle((-1, 0, 0), (2, 0, 0), (0, 2, 0)), Material("mirror", mirror=0.9))
+    poster = with_material(
         rectangle((1, 0, 1), (1, 0, 0), (0, 2, 0)), Material("poster", (0.0, 0.0, 0.0), emission=(1.0, 2.0, 3.0))
     )
     # From (-1.5, 1, 1) by the mirror's point (0.03, 1.03) to (1.56, 1.06, 1).
@@ -139,7 +141,9 @@ def test_a_mirror_shows_what_is_before_it() -> None:
 @pytest.mark.parametrize("cosine", [0.95, 0.3])
 def test_the_coat_is_the_transports(alpha: float, albedo: float, cosine: float) -> None:
     """Under an even sky a coated plate reflects what the transport's tables say, and never more than arrives."""
-    plate = clad(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (albedo,) * 3, roughness=alpha))
+    plate = with_material(
+        rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (albedo,) * 3, roughness=alpha)
+    )
     offset = np.array([np.sqrt(1 - cosine**2), cosine, 0])
     target = np.array([0.03, 0, 0.04])
     found = look(scene(plate, sky=EVEN, openings=(ABOVE,)), target + offset, target, samples=3000)[0]
@@ -152,11 +156,13 @@ def test_the_coat_is_the_transports(alpha: float, albedo: float, cosine: float) 
 
 
 def test_panes_and_faces_without_area_are_left_out() -> None:
-    wall = clad(
+    wall = with_material(
         rectangle((0, 0, -1), (1, 0, 0), (0, 1, 0)), Material("wall", (0.0, 0.0, 0.0), emission=(1.0, 1.0, 1.0))
     )
-    pane = clad(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0)), Material("pane", glass=True))
-    line = clad(rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0), step=2), Material("line", emission=(5.0, 5.0, 5.0)))
+    pane = with_material(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0)), Material("pane", glass=True))
+    line = with_material(
+        rectangle((0, 0, 0.5), (1, 0, 0), (0, 1, 0), step=2), Material("line", emission=(5.0, 5.0, 5.0))
+    )
     flat = Mesh(
         line.vertices[[0, 0, 1]], line.normals[:3], line.uvs[:3], np.array([[0, 1, 2]]), np.array([0]), line.materials
     )
@@ -175,7 +181,7 @@ def test_without_llvm_the_scalar_variant_runs(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setattr(reference.subprocess, "run", lambda *_, **__: ended)
     assert usable_variant() == "scalar_rgb"
     usable_variant.cache_clear()
-    wall = clad(sphere(2), Material("wall", (0.0, 0.0, 0.0), emission=(1.0, 1.0, 1.0)))
+    wall = with_material(sphere(2), Material("wall", (0.0, 0.0, 0.0), emission=(1.0, 1.0, 1.0)))
     traced = Reference(scene(wall), variant="scalar_rgb")
     np.testing.assert_allclose(
         traced.radiance(np.zeros((2, 3)), np.array([[1, 0.2, 0.3], [0.1, -1, 0.4]]), samples=2, seed=0), 1, rtol=1e-4

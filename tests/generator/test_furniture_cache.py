@@ -8,10 +8,10 @@ import pytest
 from roomlight.errors import FurnitureError, OutputError
 from roomlight_generator.rooms.furniture.cache import Cache, CacheWriter, is_cache
 from roomlight_generator.rooms.furniture.packing import pack_mesh, unpack_mesh
-from roomlight_generator.rooms.furniture.surfaces import Surface
+from roomlight_generator.rooms.furniture.surfaces import SurfaceTexture
 from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
-from roomlight_generator.rooms.shapes import box, clad, sphere
+from roomlight_generator.rooms.shapes import box, sphere, with_material
 
 
 def picture(seed=0, side=16):
@@ -24,7 +24,7 @@ def lamp(texture):
     foot = Material(name="foot", albedo=(0.2, 0.2, 0.2), roughness=0.2)
     glass, mirror = Material(name="pane", glass=True), Material(name="mirror", mirror=0.88)
     parts = [(sphere(0.2), shade), (box(0.3, 0.05, 0.3), foot), (box(0.1, 0.3, 0.1), glass), (box(1, 1, 0.1), mirror)]
-    return Mesh.joined([clad(mesh, material) for mesh, material in parts])
+    return Mesh.joined([with_material(mesh, material) for mesh, material in parts])
 
 
 def model(identity="l", mesh=None, **more):
@@ -68,7 +68,7 @@ def test_a_mesh_too_large_for_its_indices_is_refused():
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "head", "body"])
 def test_a_damaged_packing_is_named(damage):
-    data = bytearray(pack_mesh(clad(sphere(0.2), Material()), lambda _: 0))
+    data = bytearray(pack_mesh(with_material(sphere(0.2), Material()), lambda _: 0))
     if damage == "cut":
         data = data[:-40]
     elif damage == "empty":
@@ -89,7 +89,7 @@ def written(path, count=3):
         lights = (LightSource(np.array([0.1, 0.5, k], np.float32), 0.06, (1.0, 0.5, 0.25)),)
         one = model(f"m{k}", mesh, lights=lights, elevation_m=0.5, top_m=0.7 if k else None, attribution="Ann, CC0")
         writer.add(one, mesh, (f"geometry {k}", "picture"))
-    writer.add_surface(Surface("oak", "floor", Texture(picture(2).image, (0.4, 0.3)), "Oak: Bob"))
+    writer.add_surface(SurfaceTexture("oak", "floor", Texture(picture(2).image, (0.4, 0.3)), "Oak: Bob"))
     writer.write(path)
     return path
 
@@ -169,7 +169,7 @@ def test_a_flipped_byte_in_a_piece_is_found_when_it_is_read(tmp_path):
     for place in range(len(data) - 3000, len(data), 7):
         data[place] ^= 1
     path.write_bytes(data)
-    with pytest.raises(FurnitureError, match=r"f\.rlf: piece \d+ of the furniture cache is damaged"):
+    with pytest.raises(FurnitureError, match=r"f\.rlf: blob \d+ of the furniture cache is damaged"):
         [one.model.load() for one in cache.models()] + cache.surfaces()
     path.unlink()
     with pytest.raises(FurnitureError, match="cannot be read"):

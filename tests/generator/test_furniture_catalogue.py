@@ -22,7 +22,7 @@ def home(tmp_path, monkeypatch):
     """No user's files: an empty cache folder, nothing installed."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("ROOMLIGHT_FURNITURE", raising=False)
-    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED", tmp_path / "nowhere")
+    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED_FOLDER", tmp_path / "nowhere")
     return tmp_path
 
 
@@ -91,17 +91,17 @@ def test_choices_keep_to_role_split_size_and_what_fits():
 
 def test_procedural_models_fill_gaps_and_are_mixed_in():
     rng = np.random.default_rng(2)
-    catalogue = Catalogue((made("a"),)).joined([made("p"), made("q", role="oven")])
+    catalogue = Catalogue((made("a"),)).with_procedural([made("p"), made("q", role="oven")])
     drawn = Counter(catalogue.choose("sofa", "train", rng).id for _ in range(600))
     assert 70 < drawn["p"] < 180  # a fifth of 600, within six standard deviations
     assert catalogue.choose("oven", "train", rng).id == "q"
     assert catalogue.choose("sofa", "train", rng, fits=lambda model: model.id == "p").id == "p"
-    assert {catalogue.choose("sofa", "train", rng, procedural=0.0).id for _ in range(30)} == {"a"}
+    assert {catalogue.choose("sofa", "train", rng, procedural_share=0.0).id for _ in range(30)} == {"a"}
 
 
 def test_whatever_fits_the_same_random_numbers_are_drawn():
     states = []
-    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue().joined([made("p")])):
+    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue().with_procedural([made("p")])):
         rng = np.random.default_rng(3)
         catalogue.choose("sofa", "train", rng)
         states.append(rng.random())
@@ -207,7 +207,7 @@ def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch
     (installed / "sweethome3d.jar").touch()
     assert [path.name for path in installed_libraries(installed)] == ["a.sh3f", "sweethome3d.jar"]
     (installed / "sweethome3d.jar").unlink()
-    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED", installed)
+    monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED_FOLDER", installed)
     assert len(load_catalogue(warn=refuse).library) == 2
     monkeypatch.setenv("ROOMLIGHT_FURNITURE", str(simple_library(tmp_path / "mine.sh3f", ("x", "y", "z"))))
     assert len(load_catalogue(warn=refuse).library) == 3

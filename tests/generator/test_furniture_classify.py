@@ -6,14 +6,14 @@ import pytest
 from roomlight_generator.rooms.furniture.classify import elevation_m, has_surface, role_of
 from roomlight_generator.rooms.furniture.exceptions import EXCLUDED, KIND_OF, ROLE_OF
 from roomlight_generator.rooms.furniture.materials import make_material
-from roomlight_generator.rooms.furniture.obj import Finish
-from roomlight_generator.rooms.furniture.sh3f import Entry
+from roomlight_generator.rooms.furniture.obj import MtlMaterial
+from roomlight_generator.rooms.furniture.sh3f import LibraryEntry
 from roomlight_generator.rooms.roles import ROLES
 from roomlight_generator.rooms.scene import Texture
 
 
 def entry(name, size=(0.6, 0.6, 0.8), *, tags=(), category="Living room", identity="x#y", **more):
-    return Entry(identity, name, tuple(tags), category, "a.obj", *map(float, size), **more)
+    return LibraryEntry(identity, name, tuple(tags), category, "a.obj", *map(float, size), **more)
 
 
 @pytest.mark.parametrize(
@@ -73,8 +73,8 @@ def test_nothing_is_put_on_seats_and_sinks():
     assert not has_surface("kitchen_unit", entry("Sink cabinet"))
 
 
-def material(name, *, role="chair", texture=None, kind=None, **finish):
-    return make_material(Finish(name, **finish), texture, role=role, identity="x#y", kind=kind)
+def material(name, *, role="chair", texture=None, kind=None, **mtl):
+    return make_material(MtlMaterial(name, **mtl), texture, role=role, identity="x#y", kind=kind)
 
 
 PICTURE = Texture(np.full((2, 2, 3), 90, np.uint8))
@@ -123,8 +123,8 @@ def test_what_is_soft_is_matte_and_what_is_hard_may_shine():
 
 
 def test_the_choice_of_gloss_is_the_models_own():
-    finish = Finish("wood")
-    values = {make_material(finish, None, role="desk", identity=f"m{k}").roughness for k in range(40)}
+    mtl = MtlMaterial("wood")
+    values = {make_material(mtl, None, role="desk", identity=f"m{k}").roughness for k in range(40)}
     assert None in values
     assert len(values) > 10
     assert material("wood").roughness == material("wood").roughness

@@ -5,12 +5,12 @@ import zipfile
 
 import numpy as np
 import pytest
-from furniture_files import CATALOGUE, MTL, box_obj, entry, png, simple_library, write_library
+from furniture_files import CATALOGUE_FILE, MTL, box_obj, entry, png, simple_library, write_library
 
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.archive import Archive
 from roomlight_generator.rooms.furniture.assemble import build_mesh
-from roomlight_generator.rooms.furniture.exceptions import TURNED_DEGREES
+from roomlight_generator.rooms.furniture.exceptions import FRONT_ROTATION_DEGREES
 from roomlight_generator.rooms.furniture.sh3f import read_entries
 from roomlight_generator.rooms.furniture.surfaces import read_surfaces
 
@@ -51,7 +51,7 @@ def test_the_rotation_is_applied_before_the_size(tmp_path):
 
 
 def test_a_listed_turn_brings_the_front_round(tmp_path, monkeypatch):
-    monkeypatch.setitem(TURNED_DEGREES, "a", 90.0)
+    monkeypatch.setitem(FRONT_ROTATION_DEGREES, "a", 90.0)
     _, mesh = load(library(tmp_path, two_part_obj()))
     # +z goes to +x: the back at low z goes to low x, and width and depth change places.
     np.testing.assert_allclose(mesh.bounds(), [[-0.3, 0, -0.25], [0.3, 0.9, 0.25]], atol=1e-6)
@@ -196,7 +196,7 @@ def test_what_is_no_library_is_refused(tmp_path):
     with pytest.raises(FurnitureError, match="no such file"):
         Archive(tmp_path / "gone.sh3f")
     bare = write_library(tmp_path / "bare.sh3f", None, {"x": "y"})
-    with Archive(bare) as archive, pytest.raises(FurnitureError, match=f"bare.sh3f: has no {CATALOGUE}"):
+    with Archive(bare) as archive, pytest.raises(FurnitureError, match=f"bare.sh3f: has no {CATALOGUE_FILE}"):
         read_entries(archive, lambda _: None)
 
 

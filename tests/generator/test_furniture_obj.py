@@ -7,8 +7,8 @@ from furniture_files import box_obj, png
 
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.obj import parse_mtl, parse_obj
-from roomlight_generator.rooms.furniture.properties import numbered, parse_properties
-from roomlight_generator.rooms.furniture.textures import decode_picture
+from roomlight_generator.rooms.furniture.properties import numbered_entries, parse_properties
+from roomlight_generator.rooms.furniture.textures import decode_image
 
 
 def areas(obj):
@@ -92,7 +92,7 @@ def test_java_properties():
     data = "# c\n! c\nname#2=Caf\\u00e9 \\\n   table\nid = x\\:y\nname#10 : z\nempty#2=\nwidth#2\t60\n".encode(
         "latin-1"
     )
-    general, entries = numbered(parse_properties(data))
+    general, entries = numbered_entries(parse_properties(data))
     assert general == {"id": "x:y"}
     assert list(entries) == [2, 10]
     assert entries[2] == {"name": "Café table", "empty": "", "width": "60"}
@@ -103,21 +103,21 @@ def test_colours_under_holes_are_those_of_the_rest():
     image = np.zeros((8, 8, 4), np.uint8)
     image[:, :4] = (40, 160, 20, 255)
     image[:, 4:] = (255, 255, 255, 0)
-    picture = decode_picture(png(image), "leaf")
+    picture = decode_image(png(image), "leaf")
     assert picture.coverage is not None
     assert picture.coverage[0].tolist() == [1, 1, 1, 1, 0, 0, 0, 0]
     assert (picture.image == (40, 160, 20)).all()
 
 
 def test_pictures_are_made_small_and_keep_their_shape():
-    picture = decode_picture(png(np.full((100, 400, 3), 90, np.uint8)), "wide", side=64)
+    picture = decode_image(png(np.full((100, 400, 3), 90, np.uint8)), "wide", side=64)
     assert picture.image.shape == (16, 64, 3)
     assert picture.coverage is None
 
 
 def test_sixteen_bit_and_grey_pictures_are_read():
     data = cv2.imencode(".png", np.full((4, 4), 0x8000, np.uint16))[1].tobytes()
-    assert (decode_picture(data, "grey").image == 128).all()
+    assert (decode_image(data, "grey").image == 128).all()
 
 
 @pytest.mark.parametrize("damage", ["text", "cut", "body", "huge"])
@@ -132,4 +132,4 @@ def test_bad_pictures_are_refused_by_name(damage):
     else:
         data[16:24] = (60_000).to_bytes(4, "big") * 2
     with pytest.raises(FurnitureError, match=r"wood\.png"):
-        decode_picture(bytes(data), "wood.png")
+        decode_image(bytes(data), "wood.png")

@@ -5,15 +5,21 @@ import pytest
 from furniture_files import BOX_FACES, sphere_obj
 
 from roomlight_generator.rooms.furniture.obj import parse_obj
-from roomlight_generator.rooms.furniture.simplify import Soup, cleaned, parts_of, shaded, simplified
-from roomlight_generator.rooms.furniture.tops import top_m
+from roomlight_generator.rooms.furniture.simplify import (
+    TriangleSoup,
+    connected_parts,
+    corner_normals,
+    simplified,
+    welded,
+)
+from roomlight_generator.rooms.furniture.support_height import measure_top_m
 from roomlight_generator.rooms.scene import Mesh
 from roomlight_generator.rooms.shapes import box, lathe
 
 
 def soup_of(points, faces, *, uvs=None, uv_faces=None, materials=None):
     faces = np.asarray(faces, np.int64).reshape(-1, 3)
-    return Soup(
+    return TriangleSoup(
         np.asarray(points, np.float64),
         np.zeros((1, 2)) if uvs is None else np.asarray(uvs, np.float64),
         faces,
@@ -42,7 +48,7 @@ def areas(soup):
 
 def ball(rings=60, segments=90):
     obj = parse_obj(sphere_obj(rings, segments).encode(), "ball")
-    return cleaned(soup_of(obj.positions, obj.faces))
+    return welded(soup_of(obj.positions, obj.faces))
 
 
 def test_doubles_are_dropped_and_the_outer_one_stays():
@@ -51,7 +57,7 @@ def test_doubles_are_dropped_and_the_outer_one_stays():
     outward = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
     points = np.concatenate([corners, corners + 1e-8])  # the same places with other numbers
     both = np.concatenate([outward[:, ::-1] + 8, outward, [[0, 0, 1], [2, 2, 2]]])
-    clean = cleaned(soup_of(points, both))
+    clean = welded(soup_of(points, both))
     assert len(clean.points) == 8
     assert len(clean.faces) == 12
     facing = np.cross(*(clean.points[clean.faces[:, k]] - clean.points[clean.faces[:, 0]] for k in (1, 2)))
@@ -66,7 +72,7 @@ def test_a_ball_keeps_its_shape_with_a_tenth_of_its_triangles():
     # Vertices are a subset; a chord of a ball with 1,000 triangles sags by less than 2 %.
     np.testing.assert_allclose(np.linalg.norm(fewer.points[np.unique(fewer.faces)], axis=1), 1, atol=1e-5)
     assert areas(fewer).sum() == pytest.approx(areas(soup).sum(), rel=0.02)
-    normals, flat = shaded(fewer)
+    normals, flat = corner_normals(fewer)
     assert (fewer.points[fewer.faces] * normals).sum(2).min() > 0.95
     assert (fewer.points[fewer.faces].mean(1) * flat).sum(1).min() > 0.9
 
@@ -109,7 +115,7 @@ def test_foliage_is_thinned_and_covers_as_much():
 
 
 def test_parts_are_what_hangs_together():
-    label = parts_of(np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]]), 9)
+    label = connected_parts(np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]]), 9)
     assert label.tolist() == [0, 0, 0, 0, 0, 5, 5, 5, 8]
 
 
@@ -118,21 +124,21 @@ def test_creases_are_sharp_and_curves_smooth():
         rise = np.tan(np.radians(degrees))
         return soup_of([[0, 0, 0], [0, 0, 1], [1, 0, 0], [-1, rise, 0]], [[0, 1, 2], [0, 3, 1]])
 
-    smooth, _ = shaded(bent(30))
-    sharp, flat = shaded(bent(50))
+    smooth, _ = corner_normals(bent(30))
+    sharp, flat = corner_normals(bent(50))
     np.testing.assert_allclose(smooth[0, 0], smooth[1, 0], atol=1e-9)
     np.testing.assert_allclose(sharp[:, 0], flat, atol=1e-9)
 
 
 def test_the_top_of_a_table_is_found_and_that_of_a_cone_is_not():
-    assert top_m(box(1, 0.75, 0.6), listed_m=None) == pytest.approx(0.75, abs=0.001)
-    assert top_m(lathe([[(0.3, 0.0), (0.001, 1.0)]]), listed_m=1.0) is None
+    assert measure_top_m(box(1, 0.75, 0.6), listed_m=None) == pytest.approx(0.75, abs=0.001)
+    assert measure_top_m(lathe([[(0.3, 0.0), (0.001, 1.0)]]), listed_m=1.0) is None
 
 
 def test_a_listed_height_counts_where_the_thing_has_a_surface_there():
     low, ridge = box(1, 0.5, 1), box(1, 0.9, 0.04).placed(0.0, 0.0, -0.48)
     mesh = Mesh.joined([low, ridge])
-    assert top_m(mesh, listed_m=0.5) == pytest.approx(0.5)
-    assert top_m(mesh, listed_m=0.3) == pytest.approx(0.5, abs=0.01)
+    assert measure_top_m(mesh, listed_m=0.5) == pytest.approx(0.5)
+    assert measure_top_m(mesh, listed_m=0.3) == pytest.approx(0.5, abs=0.01)
     hutch = Mesh.joined([low, box(1, 0.9, 0.4).placed(0.0, 0.0, -0.3)])
-    assert top_m(hutch, listed_m=0.5) is None
+    assert measure_top_m(hutch, listed_m=0.5) is None

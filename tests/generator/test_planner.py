@@ -8,13 +8,13 @@ from itertools import combinations
 
 import numpy as np
 import pytest
-from planner_rooms import Boxes, random_shell, shell
+from planner_rooms import BoxCatalogue, random_shell, shell
 
 from roomlight_generator.rooms.plan import Gap, Placement, Shell
 from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, free_floor, furnish
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
-from roomlight_generator.rooms.planner.tables import TUCKED_M
+from roomlight_generator.rooms.planner.tables import MAX_TUCK_M
 from roomlight_generator.rooms.roles import CEILING_ROLES, ROLES, TOP_ROLES, WALL_ROLES
 from roomlight_generator.rooms.scene import Item
 from roomlight_generator.rooms.shapes import box
@@ -24,12 +24,12 @@ TABLES = {"dining_table", "desk", "side_table"}
 NAMES = sorted(ROOM_TYPES)
 
 
-def make(name: str, seed: int, catalogue: Boxes | None = None) -> tuple[Shell, tuple[Placement, ...]]:
+def make(name: str, seed: int, catalogue: BoxCatalogue | None = None) -> tuple[Shell, tuple[Placement, ...]]:
     room_type = ROOM_TYPES[name]
     rng = np.random.default_rng([seed, NAMES.index(name)])
     kind = "attic" if room_type.p_attic > 0.9 else ("l" if rng.random() < 0.3 else "rectangle")
     empty = random_shell(rng, float(rng.uniform(*room_type.area_m2)), float(rng.uniform(*room_type.aspect)), kind=kind)
-    return empty, furnish(empty, room_type, catalogue or Boxes(), rng, split=room_type.split)
+    return empty, furnish(empty, room_type, catalogue or BoxCatalogue(), rng, split=room_type.split)
 
 
 @cache
@@ -92,7 +92,7 @@ def test_nothing_meets_anything(name: str) -> None:
             if stands_on(one, other) or stands_on(other, one):
                 continue
             roles = {one.model.role, other.model.role}
-            allowed = TUCKED_M + 1e-6 if roles & SEATS and roles & TABLES else 0.0011
+            allowed = MAX_TUCK_M + 1e-6 if roles & SEATS and roles & TABLES else 0.0011
             assert depth_of_overlap(one, other) <= allowed, (one, other)
         for one, other in combinations([one for one in placements if one.model.role == "rug"], 2):
             assert depth_of_overlap(one, other) <= 0.0011
@@ -154,7 +154,7 @@ def test_things_on_top_stand_inside_what_carries_them(name: str) -> None:
             inside = False
             for support in placements:
                 if stands_on(thing, support):
-                    local = [Body.placed(support).into(float(x), float(z)) for x, z in corners(thing)]
+                    local = [Body.placed(support).to_local(float(x), float(z)) for x, z in corners(thing)]
                     inside |= all(
                         abs(x) <= support.model.width_m / 2 - 0.005 and abs(z) <= support.model.depth_m / 2 - 0.005
                         for x, z in local
@@ -208,7 +208,7 @@ def test_chairs_face_the_tables_they_stand_at() -> None:
             reach = one.model.depth_m / 2 + 0.42
             x, z = one.x + reach * math.sin(turn), one.z + reach * math.cos(turn)
             tables = [Body.placed(table) for table in placements if table.model.role in TABLES]
-            local = [(table, table.into(x, z)) for table in tables]
+            local = [(table, table.to_local(x, z)) for table in tables]
             at_table = any(abs(a) < t.half_width and abs(b) < t.half_depth for t, (a, b) in local)
             chairs += 1
             assert at_table or not tables or one.model.role == "chair", one
@@ -258,7 +258,7 @@ def test_lamps_hang_from_the_ceiling() -> None:
                 lamps += 1
                 lowest = min(empty.ceiling_at(float(x), float(z)) for x, z in corners(one))
                 assert 0 <= lowest - one.y - one.model.height_m < 0.02
-                over = [Body.placed(table).into(one.x, one.z) for table in placements if table.model.role in TABLES]
+                over = [Body.placed(table).to_local(one.x, one.z) for table in placements if table.model.role in TABLES]
                 assert one.y >= 1.9 or any(abs(x) < 1.2 and abs(z) < 0.7 for x, z in over), one
     assert lamps > 50
 
@@ -275,10 +275,10 @@ def test_the_same_generator_gives_the_same_room() -> None:
 def test_split_is_passed_on_and_reserved_types_are_kept() -> None:
     rng = np.random.default_rng(0)
     empty = random_shell(rng, 20.0, 1.3)
-    placements = furnish(empty, ROOM_TYPES["living_room"], Boxes(), rng, split="test")
+    placements = furnish(empty, ROOM_TYPES["living_room"], BoxCatalogue(), rng, split="test")
     assert {one.model.split for one in placements} == {"test"}
     with pytest.raises(ValueError, match="library are kept for the test split"):
-        furnish(empty, ROOM_TYPES["library"], Boxes(), rng, split="train")
+        furnish(empty, ROOM_TYPES["library"], BoxCatalogue(), rng, split="train")
 
 
 def test_roles_that_the_catalogue_lacks_are_left_out() -> None:
@@ -289,7 +289,7 @@ def test_roles_that_the_catalogue_lacks_are_left_out() -> None:
         {"kitchen_unit"},
         set(ROLES),
     ):
-        catalogue = Boxes(lacking=frozenset(lacking))
+        catalogue = BoxCatalogue(lacking=frozenset(lacking))
         for name in ("living_room", "kitchen", "home_office", "bathroom", "library"):
             _, placements = make(name, 1, catalogue)
             assert not lacking & {one.model.role for one in placements}
@@ -302,7 +302,7 @@ def test_clutter_goes_from_sparse_to_crowded() -> None:
         total = 0
         for seed in range(5):
             rng = np.random.default_rng(seed)
-            placements = furnish(random_shell(rng, 24.0, 1.3), room_type, Boxes(), rng, split="train")
+            placements = furnish(random_shell(rng, 24.0, 1.3), room_type, BoxCatalogue(), rng, split="train")
             total += sum(one.model.role in TOP_ROLES for one in placements)
         counts[clutter] = total / 5
     assert counts[1.0] > counts[0.0] + 5
@@ -316,7 +316,7 @@ def test_radiators_stand_below_sills() -> None:
     room_type = RoomType("bare", (), radiators=1.0)
     found = 0
     for seed in range(6):
-        placements = furnish(empty, room_type, Boxes(), np.random.default_rng(seed), split="train")
+        placements = furnish(empty, room_type, BoxCatalogue(), np.random.default_rng(seed), split="train")
         for one in placements:
             if one.model.role == "radiator":
                 found += 1
@@ -330,7 +330,7 @@ def test_pieces_stand_on_the_spots_of_the_second_room() -> None:
     empty = shell([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)], {}, spots=((-1.5, 2.0, 0.5), (-1.5, 3.2, 0.3)))
     outside = 0
     for seed in range(6):
-        placements = furnish(empty, ROOM_TYPES["bedroom"], Boxes(), np.random.default_rng(seed), split="train")
+        placements = furnish(empty, ROOM_TYPES["bedroom"], BoxCatalogue(), np.random.default_rng(seed), split="train")
         for one in placements:
             if in_second_room(empty, one):
                 outside += 1
@@ -357,7 +357,9 @@ def test_curtains_beams_and_open_doors_are_in_nobodys_box() -> None:
     assert max(body.half_width * body.half_depth for body in bodies) < 0.25
     lamps = 0
     for seed in range(5):
-        placements = furnish(empty, ROOM_TYPES["living_room"], Boxes(), np.random.default_rng(seed), split="train")
+        placements = furnish(
+            empty, ROOM_TYPES["living_room"], BoxCatalogue(), np.random.default_rng(seed), split="train"
+        )
         for one in placements:
             assert not any(Body.placed(one).overlaps(body) for body in bodies), one
             lamps += one.model.role in CEILING_ROLES

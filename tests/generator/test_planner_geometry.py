@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from planner_rooms import Boxes, model, shell
+from planner_rooms import BoxCatalogue, model, shell
 
 from roomlight_generator.rooms.plan import Gap, Placement
 from roomlight_generator.rooms.planner import free_floor
-from roomlight_generator.rooms.planner.arrangement import Layout
+from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.wall_space import across, stretches
+from roomlight_generator.rooms.planner.wall_space import depth_at_wall, free_wall_spans
 
 SQUARE = [(0.0, 0.0), (4.0, 0.0), (4.0, 3.0), (0.0, 3.0)]
 place = st.floats(-2, 2)
@@ -31,7 +31,7 @@ def test_overlap_is_what_sampling_finds(
     hit = False
     for a in grid:
         for b in grid:
-            right, front = other.into(*one.out(float(a) * one.half_width, float(b) * one.half_depth))
+            right, front = other.to_local(*one.to_plan(float(a) * one.half_width, float(b) * one.half_depth))
             hit |= abs(right) < other.half_width and abs(front) < other.half_depth
     assert one.overlaps(other) == other.overlaps(one)
     if hit and not one.overlaps(other):
@@ -43,9 +43,9 @@ def test_overlap_is_what_sampling_finds(
 
 def test_a_body_turned_by_90_has_its_front_toward_x() -> None:
     body = Body.of(1.0, 2.0, 90.0, width=0.5, depth=1.0, high=1.0)
-    assert body.out(0.0, 1.0) == pytest.approx((2.0, 2.0))
-    assert body.into(2.0, 2.0) == pytest.approx((0.0, 1.0))
-    assert body.out(1.0, 0.0) == pytest.approx((1.0, 1.0))
+    assert body.to_plan(0.0, 1.0) == pytest.approx((2.0, 2.0))
+    assert body.to_local(2.0, 2.0) == pytest.approx((0.0, 1.0))
+    assert body.to_plan(1.0, 0.0) == pytest.approx((1.0, 1.0))
 
 
 def test_boxes_above_each_other_do_not_meet() -> None:
@@ -81,12 +81,14 @@ def test_cells_keep_their_distance_from_what_stands_there() -> None:
     free = free_floor(empty, (piece,), radius_m=0.3, cell_m=0.05)
     body = Body.placed(piece)
     for x, z in free.points():
-        right, front = body.into(float(x), float(z))
+        right, front = body.to_local(float(x), float(z))
         assert math.hypot(max(abs(right) - 0.5, 0), max(abs(front) - 0.3, 0)) >= 0.3 - 1e-9
     assert free.area_m2() < free_floor(empty, (), radius_m=0.3, cell_m=0.05).area_m2() - 1.0
 
 
-@pytest.mark.parametrize(("role", "y", "blocks"), [("rug", 0.0, False), ("picture", 2.0, False), ("sofa", 0.0, True)])
+@pytest.mark.parametrize(
+    ("role", "y", "blocks"), [("rug", 0.0, False), ("picture", 2.0, False), ("sofa", 0.0, True)]
+)
 def test_only_what_is_at_a_persons_height_is_in_the_way(role: str, y: float, blocks: bool) -> None:
     height = 0.02 if role == "rug" else 0.6
     piece = Placement(model(role, (1.0, height, 1.0)), 2.0, y, 1.5, 0.0)
@@ -110,38 +112,40 @@ def test_low_slopes_are_no_place_to_walk() -> None:
 
 def test_free_stretches_leave_out_gaps_and_furniture() -> None:
     gaps = {0: (Gap("window", 1.0, 2.0, 0.9, 2.0),)}
-    layout = Layout(shell(SQUARE, gaps), Boxes(), np.random.default_rng(0), "train")
-    assert [(one.start_m, one.end_m) for one in stretches(layout, 0.4, low=0.0, high=0.8, walls=(0,))] == [(0.0, 4.0)]
-    tall = stretches(layout, 0.4, low=0.0, high=1.8, walls=(0,))
+    arrangement = Arrangement(shell(SQUARE, gaps), BoxCatalogue(), np.random.default_rng(0), "train")
+    assert [(one.start_m, one.end_m) for one in free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))] == [
+        (0.0, 4.0)
+    ]
+    tall = free_wall_spans(arrangement, 0.4, low=0.0, high=1.8, walls=(0,))
     assert [(one.start_m, one.end_m) for one in tall] == [(0.0, 1.0), (2.0, 4.0)]
-    layout.put(model("dresser", (0.5, 0.8, 0.4)), 3.0, 0.22, 0.0)
-    low = stretches(layout, 0.4, low=0.0, high=0.8, walls=(0,))
+    arrangement.place(model("dresser", (0.5, 0.8, 0.4)), 3.0, 0.22, 0.0)
+    low = free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))
     assert [(one.start_m, one.end_m) for one in low] == [(0.0, pytest.approx(2.75)), (pytest.approx(3.25), 4.0)]
 
 
 def test_across_measures_the_room_and_knows_a_parallel_wall() -> None:
-    layout = Layout(shell(SQUARE, {}), Boxes(), np.random.default_rng(0), "train")
-    depth, parallel = across(layout, layout.shell.walls[0], 1.0)
+    arrangement = Arrangement(shell(SQUARE, {}), BoxCatalogue(), np.random.default_rng(0), "train")
+    depth, parallel = depth_at_wall(arrangement, arrangement.shell.walls[0], 1.0)
     assert depth == pytest.approx(3.0)
     assert parallel
 
 
 def test_a_piece_that_would_shut_a_door_off_is_refused() -> None:
     gaps = {3: (Gap("door", 1.0, 1.9, 0.0, 2.0, keep_clear_m=0.6),)}
-    layout = Layout(shell(SQUARE, gaps), Boxes(), np.random.default_rng(0), "train")
-    before = len(layout.pieces)
-    assert layout.put(model("wardrobe", (0.3, 2.0, 2.9)), 1.0, 1.5, 0.0) is None
-    assert len(layout.pieces) == before
-    assert layout.walkable()
-    assert layout.put(model("wardrobe", (0.5, 2.0, 1.0)), 2.0, 1.5, 0.0) is not None
+    arrangement = Arrangement(shell(SQUARE, gaps), BoxCatalogue(), np.random.default_rng(0), "train")
+    before = len(arrangement.pieces)
+    assert arrangement.place(model("wardrobe", (0.3, 2.0, 2.9)), 1.0, 1.5, 0.0) is None
+    assert len(arrangement.pieces) == before
+    assert arrangement.walkable()
+    assert arrangement.place(model("wardrobe", (0.5, 2.0, 1.0)), 2.0, 1.5, 0.0) is not None
 
 
 def test_going_back_takes_away_pieces_and_their_shadow() -> None:
-    layout = Layout(shell(SQUARE, {}), Boxes(), np.random.default_rng(0), "train")
-    free = layout.free().copy()
-    mark = layout.mark()
-    assert layout.put(model("sofa", (1.0, 0.8, 0.6)), 2.0, 1.5, 10.0) is not None
-    assert (layout.free() != free).any()
-    layout.back_to(mark)
-    assert (layout.free() == free).all()
-    assert not layout.pieces
+    arrangement = Arrangement(shell(SQUARE, {}), BoxCatalogue(), np.random.default_rng(0), "train")
+    free = arrangement.free_cells().copy()
+    snapshot = arrangement.snapshot()
+    assert arrangement.place(model("sofa", (1.0, 0.8, 0.6)), 2.0, 1.5, 10.0) is not None
+    assert (arrangement.free_cells() != free).any()
+    arrangement.restore(snapshot)
+    assert (arrangement.free_cells() == free).all()
+    assert not arrangement.pieces

@@ -15,7 +15,7 @@ from roomlight_generator.rooms.props.draft import fitted
 from roomlight_generator.rooms.props.procedural import KINDS, build_draft
 from roomlight_generator.rooms.roles import CEILING_ROLES, OPENING_ROLES, ROLES, WALL_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import block, faces_look_along_normals
+from roomlight_generator.rooms.shapes import block, faces_match_normals
 
 LAMPS = ("floor_lamp", "table_lamp", "wall_lamp", "ceiling_lamp")
 MOST_TRIANGLES = 3000
@@ -85,7 +85,7 @@ def test_meshes_are_sound() -> None:
         assert mesh.faces.min() >= 0, model.id
         assert mesh.faces.max() < len(mesh.vertices), model.id
         assert set(np.unique(mesh.face_materials)) == set(range(len(mesh.materials))), model.id
-        assert faces_look_along_normals(mesh).all(), model.id
+        assert faces_match_normals(mesh).all(), model.id
 
 
 @pytest.mark.parametrize("number", [0, 3])
@@ -261,5 +261,5 @@ def test_meshes_are_made_only_when_asked_for() -> None:
 def test_fitting_stretches_and_centres() -> None:
     mesh = fitted(block(1.0, 1.0, 1.0).placed(3.0, 1.0, -2.0), (0.5, 2.0, 0.25))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.125], [0.25, 2, 0.125]], atol=1e-5)
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
     assert volume_m3(mesh) == pytest.approx(0.25, rel=1e-4)

@@ -14,12 +14,12 @@ from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.planner import ROOM_TYPES
 from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import box, clad, lathe
+from roomlight_generator.rooms.shapes import box, lathe, with_material
 
 
 @cache
 def catalogue():
-    return Catalogue().joined([*procedural_models("train"), *procedural_models("test")])
+    return Catalogue().with_procedural([*procedural_models("train"), *procedural_models("test")])
 
 
 @cache
@@ -97,7 +97,7 @@ def test_every_time_of_day_comes_up_and_lamps_are_switched():
 
 
 def test_a_shade_that_hides_its_bulb_sheds_all_of_the_light():
-    shade = clad(box(0.3, 0.3, 0.3), Material(name="shade"))
+    shade = with_material(box(0.3, 0.3, 0.3), Material(name="shade"))
     placement = lamp(shade, (LightSource(np.array([0.0, 0.15, 0.0]), 0.05),))
     lit = switch_on(placement.item(), placement, flux_klm=0.8, colour=(1.0, 1.0, 1.0))
     assert flux_klm(lit.mesh) == pytest.approx(0.8, rel=1e-3)
@@ -105,7 +105,7 @@ def test_a_shade_that_hides_its_bulb_sheds_all_of_the_light():
 
 
 def test_an_open_shade_shares_with_its_bulb():
-    tube = clad(lathe([[(0.15, 0.0), (0.15, 0.3)]]), Material(name="shade cloth"))
+    tube = with_material(lathe([[(0.15, 0.0), (0.15, 0.3)]]), Material(name="shade cloth"))
     placement = lamp(tube, (LightSource(np.array([0.0, 0.15, 0.0]), 0.06),))
     lit = switch_on(placement.item(), placement, flux_klm=0.8, colour=(1.2, 0.95, 0.8))
     total = flux_klm(lit.mesh)
@@ -121,14 +121,14 @@ def test_an_open_shade_shares_with_its_bulb():
 
 
 def test_a_bulb_shut_in_by_nameless_parts_makes_them_glow():
-    globe = clad(box(0.2, 0.2, 0.2), Material(name="milk glass"))
+    globe = with_material(box(0.2, 0.2, 0.2), Material(name="milk glass"))
     placement = lamp(globe, (LightSource(np.array([0.0, 0.1, 0.0]), 0.05),))
     lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
     assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=1e-3)
 
 
 def test_a_lamp_that_nothing_is_known_of_gets_a_bulb_below_it():
-    plain = clad(box(0.2, 0.1, 0.2), Material(name="metal"))
+    plain = with_material(box(0.2, 0.1, 0.2), Material(name="metal"))
     placement = lamp(plain)
     lit = switch_on(placement.item(), placement, flux_klm=0.5, colour=(1.0, 1.0, 1.0))
     assert flux_klm(lit.mesh) == pytest.approx(0.5, rel=0.06)

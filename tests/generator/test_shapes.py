@@ -13,19 +13,19 @@ from roomlight_generator.rooms.shapes import (
     block,
     blocks,
     box,
-    clad,
     cushion,
-    faces_look_along_normals,
+    double_sided_sheet,
+    faces_match_normals,
     lathe,
     loft,
     prism,
     rectangle,
     rod,
-    sheet,
+    rotated,
     smooth_normals,
     sphere,
     tube,
-    turned,
+    with_material,
 )
 
 L_OUTLINE: Final = np.array([[-1.0, -1.0], [0.6, -1.0], [0.6, 0.1], [0.1, 0.1], [0.1, 0.7], [-1.0, 0.7]])
@@ -65,7 +65,7 @@ def area_m2(mesh: Mesh) -> float:
 @pytest.mark.parametrize("name", SOLIDS)
 def test_solids_are_wound_outward(name: str) -> None:
     mesh = SOLIDS[name]()
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
     assert volume_m3(mesh) > 0
     np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-4)
     assert np.isfinite(mesh.uvs).all()
@@ -126,7 +126,7 @@ def test_a_box_has_its_size_and_stands_on_the_ground(
     np.testing.assert_allclose(
         mesh.bounds(), [[-size[0] / 2, 0, -size[2] / 2], [size[0] / 2, size[1], size[2] / 2]], atol=1e-5
     )
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
 
 
 def test_steps_bound_the_edges_of_a_box() -> None:
@@ -157,21 +157,21 @@ def test_a_hole_takes_its_area_and_nothing_else() -> None:
     wall = rectangle((0, 0, 0), (3, 0, 0), (0, 2, 0), step=0.17, hole=(0.55, 1.3, 0.4, 1.6))
     assert area_m2(wall) == pytest.approx(6 - 0.75 * 1.2, rel=1e-5)
     np.testing.assert_allclose(wall.normals, [[0, 0, 1]] * len(wall.normals), atol=1e-6)
-    assert faces_look_along_normals(wall).all()
+    assert faces_match_normals(wall).all()
 
 
 def test_turning_keeps_shape_and_follows_the_right_hand() -> None:
     mesh = box(0.6, 0.4, 0.3)
-    assert volume_m3(turned(mesh, 90).placed(1.0, 0.0, 0.0)) == pytest.approx(volume_m3(mesh), rel=1e-4)
+    assert volume_m3(rotated(mesh, 90).placed(1.0, 0.0, 0.0)) == pytest.approx(volume_m3(mesh), rel=1e-4)
     ball = sphere(0.1).placed(0.0, 0.0, 1.0)
-    np.testing.assert_allclose(turned(ball, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
-    np.testing.assert_allclose(turned(ball, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
+    np.testing.assert_allclose(rotated(ball, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
+    np.testing.assert_allclose(rotated(ball, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
 
 
 def test_a_sheet_has_two_sides() -> None:
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 2, 4), [0.0], indexing="xy"), -1)[:, :, 0]
-    leaf = sheet(grid.astype(np.float32), thickness=0.01)
-    assert faces_look_along_normals(leaf).all()
+    leaf = double_sided_sheet(grid.astype(np.float32), thickness=0.01)
+    assert faces_match_normals(leaf).all()
     assert set(np.rint(leaf.normals[:, 2])) == {-1.0, 1.0}
     assert np.ptp(leaf.vertices[:, 2]) == pytest.approx(0.01, rel=1e-4)
 
@@ -195,6 +195,6 @@ def test_smooth_normals_agree_across_a_seam() -> None:
 def test_cladding_counts_repeats_of_the_texture() -> None:
     texture = Texture(np.zeros((4, 4, 3), np.uint8), size_m=(0.5, 0.25))
     sheet_of = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0))
-    mesh = clad(sheet_of, Material(texture=texture))
+    mesh = with_material(sheet_of, Material(texture=texture))
     np.testing.assert_allclose(mesh.uvs.max(0), [2, 4], atol=1e-5)
     assert mesh.materials[0].texture is texture

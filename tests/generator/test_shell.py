@@ -9,7 +9,7 @@ from embreex.rtcore_scene import EmbreeScene
 
 from roomlight_generator.rooms.plan import Gap, Shell
 from roomlight_generator.rooms.scene import Item, Material, Mesh
-from roomlight_generator.rooms.shapes import faces_look_along_normals
+from roomlight_generator.rooms.shapes import faces_match_normals
 from roomlight_generator.rooms.shell import STYLES, CoverKind, ShellStyle, build_shell
 from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 
@@ -104,7 +104,7 @@ def test_items_are_sound(name: str, seed: int) -> None:
         assert np.isfinite(mesh.uvs).all()
         assert mesh.faces.max() < len(mesh.vertices)
         assert np.linalg.norm(mesh.normals, axis=1) == pytest.approx(1, abs=1e-4)
-        assert faces_look_along_normals(mesh).all(), item.name
+        assert faces_match_normals(mesh).all(), item.name
     # 10k with folded curtains and blinds.
     assert sum(len(item.mesh.faces) for item in shell.items) < 12000
     assert sum(len(item.mesh.faces) for item in shell.items if item.role not in ("curtain", "blind")) < 6000

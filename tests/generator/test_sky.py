@@ -9,12 +9,12 @@ from roomlight.conventions import panorama_directions
 from roomlight_generator.rooms.colour import (
     LUMINANCE,
     blackbody_rgb,
-    decoded,
-    encoded,
+    from_srgb,
     linear_to_oklab,
     luminance,
     oklab_to_linear,
     paint,
+    to_srgb,
 )
 from roomlight_generator.rooms.scene import Sky, Sun
 from roomlight_generator.rooms.sky import HEIGHT, SKY_KINDS, horizontal_irradiance, make_sky, vertical_irradiance
@@ -90,7 +90,7 @@ def test_paints_have_their_hue_and_oklab_comes_back():
     lab = linear_to_oklab(colours)
     np.testing.assert_allclose(lab[3], (1, 0, 0), atol=1e-3)
     np.testing.assert_allclose(oklab_to_linear(lab), colours, atol=1e-9)
-    np.testing.assert_allclose(decoded(encoded(red)), red, rtol=1e-4)
+    np.testing.assert_allclose(from_srgb(to_srgb(red)), red, rtol=1e-4)
 
 
 @pytest.mark.parametrize("kind", SKY_KINDS)

@@ -7,7 +7,7 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Opening, Scene, Sky, Sun
-from roomlight_generator.rooms.shapes import box, clad, rectangle, sphere
+from roomlight_generator.rooms.shapes import box, rectangle, sphere, with_material
 from roomlight_generator.transport import RoomLight, Tracer
 
 NIGHT = Sky(np.zeros((32, 64, 3), np.float32))
@@ -39,7 +39,7 @@ def walls(material, *, without=()):
 
 
 def item(name, mesh, material):
-    return Item(name, "wall", clad(mesh, material))
+    return Item(name, "wall", with_material(mesh, material))
 
 
 def solved(items, openings=(), sky=NIGHT):
@@ -69,7 +69,9 @@ def test_a_coat_neither_makes_nor_swallows_light():
 def test_a_small_ball_lights_a_black_room_by_the_inverse_square():
     radius, glow = 0.05, 40.0
     bulb = Item(
-        "bulb", "lamp", clad(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3)).placed(0.0, 1.5, 0.0)
+        "bulb",
+        "lamp",
+        with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3)).placed(0.0, 1.5, 0.0),
     )
     light = solved([*walls(BLACK), bulb])
     points = np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.4], [1.5, 0.0, -1.0]])
@@ -83,7 +85,7 @@ def test_a_small_ball_lights_a_black_room_by_the_inverse_square():
 def test_a_small_lamps_energy_is_whole_in_a_panorama_and_where_it_belongs():
     radius, glow = 0.02, 500.0  # a third of a pixel across
     place = np.array([1.2, 1.9, -0.8])
-    shape = clad(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3))
+    shape = with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3))
     bulb = Item("bulb", "lamp", shape.placed(*(float(x) for x in place)))
     light = solved([*walls(BLACK), bulb])
     eye = np.array([-0.5, 1.0, 0.3])
@@ -257,8 +259,8 @@ def test_a_coat_throws_the_sun_on_about_the_mirrored_direction():
 def test_a_closed_lamps_inside_does_not_shine_through_a_bulb_that_sticks_out_of_it():
     """Half of a bulb's face lies in a glowing box, in a furnace of 4 / (1 - 0.8) = 20; outside, the rest of it and the
     box's bottom receive little."""
-    shade = clad(box(0.3, 0.06, 0.3), Material("shade", (0.8, 0.8, 0.8), emission=(4.0, 4.0, 4.0)))
-    bulb = clad(sphere(0.04), Material("bulb", (0.8, 0.8, 0.8), emission=(0.5, 0.5, 0.5)))
+    shade = with_material(box(0.3, 0.06, 0.3), Material("shade", (0.8, 0.8, 0.8), emission=(4.0, 4.0, 4.0)))
+    bulb = with_material(sphere(0.04), Material("bulb", (0.8, 0.8, 0.8), emission=(0.5, 0.5, 0.5)))
     lamp = Mesh.joined([shade, bulb.placed(0.0, -0.005, 0.0)]).placed(0.0, 2.0, 0.0)
     light = solved([*walls(BLACK), Item("lamp", "lamp", lamp)])
     rng = np.random.default_rng(0)

@@ -1,1 +1,1 @@
-"""Furnished, lit rooms from a seed: shells, textures, furniture, placement and lights. Needs no PyTorch."""
+"""Procedural furnished and lit rooms: shells, textures, furniture, placement and lights. Does not import PyTorch."""

@@ -1,4 +1,4 @@
-"""A whole room from a seed: type, finishes, shell, furniture, light."""
+"""Build a complete room from a seed: room type, finishes, shell, furniture, lights."""
 
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -17,16 +17,18 @@ from roomlight_generator.rooms.shell import STYLES, ShellStyle, build_shell
 _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 0x7261, "test": 0x7465}
 
 _RESERVED_SHARE: Final = 0.4
-"""How many of the test rooms are of the reserved types; the rest show known types with unknown furniture."""
+"""Share of test rooms that have a reserved room type; the others have a known type with furniture unseen in
+training."""
 
 
-_REPAINTED: Final = 0.4
-"""The share of furniture in another colour than its model's."""
+_RECOLOURED_SHARE: Final = 0.4
+"""Share of furniture items whose colour differs from their model's."""
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A room ready for its light to be solved: `facts` are what statistics report."""
+    """A furnished, lit room whose light transport is not yet solved. `facts` holds the metadata that statistics
+    report."""
 
     name: str
     scene: Scene
@@ -37,12 +39,12 @@ class Room:
 
 
 def room_generator(index: int, *, seed: int, split: Split, purpose: int = 0) -> np.random.Generator:
-    """The random numbers of one room: no two of (seed, split, index, purpose) share them."""
+    """Return the random generator of one room; its stream is unique to (seed, split, index, purpose)."""
     return np.random.default_rng(np.random.SeedSequence([seed, _SPLIT_KEYS[split], index, purpose]))
 
 
 def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> Room:
-    """The room of this number. The same arguments give the same room, to the byte."""
+    """Build the room with this index. The same arguments give a byte-identical room."""
     rng = room_generator(index, seed=seed, split=split)
     room_type = _choose_type(split, rng)
     finishes = shell_finishes(
@@ -52,9 +54,9 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
         wall_textures=catalogue.surfaces("wall", split),
         floor_textures=catalogue.surfaces("floor", split),
     )
-    shell = build_shell(_style(room_type, rng), finishes, rng)
+    shell = build_shell(_shell_style(room_type, rng), finishes, rng)
     placements = furnish(shell, room_type, catalogue, rng, split=split)
-    items = [_repainted(placement.item(), rng) for placement in placements]
+    items = [_randomly_recoloured(placement.item(), rng) for placement in placements]
     lighting = light_room(shell, placements, items, rng, split=split)
     scene = Scene(items=lighting.items, openings=shell.openings, sky=lighting.sky)
     roles: dict[str, int] = {}
@@ -76,14 +78,14 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
 
 def _choose_type(split: Split, rng: np.random.Generator) -> RoomType:
     reserved = [one for one in ROOM_TYPES.values() if one.split == "test"]
-    known = [one for one in ROOM_TYPES.values() if one.split == "train"]
-    types = reserved if split == "test" and rng.random() < _RESERVED_SHARE else known
+    unreserved = [one for one in ROOM_TYPES.values() if one.split == "train"]
+    types = reserved if split == "test" and rng.random() < _RESERVED_SHARE else unreserved
     return types[int(rng.integers(len(types)))]
 
 
-def _style(room_type: RoomType, rng: np.random.Generator) -> ShellStyle:
-    """The shell that suits a room type: the usual one of its kind, with the type's own sizes and chances."""
-    usual = STYLES[room_type.name]
+def _shell_style(room_type: RoomType, rng: np.random.Generator) -> ShellStyle:
+    """Return the shell style of a room type: the entry in `STYLES` with the type's own sizes and probabilities."""
+    default = STYLES[room_type.name]
     windows = room_type.windows
     if rng.random() < room_type.p_windowless:
         windows = (0, 0)
@@ -91,22 +93,22 @@ def _style(room_type: RoomType, rng: np.random.Generator) -> ShellStyle:
         windows = (1, max(1, windows[1]))
     behind_doors = 0.72 * room_type.p_second_room
     return replace(
-        usual,
+        default,
         area_m2=room_type.area_m2,
         aspect=room_type.aspect,
         height_m=room_type.height_m,
         windows=windows,
         doors=room_type.doors,
         slanted=room_type.p_attic,
-        skylights=usual.skylights if windows[1] else 0.0,
+        skylights=default.skylights if windows[1] else 0.0,
         l_shape=room_type.p_l_shape,
         open_door=behind_doors,
         passage=room_type.p_second_room - behind_doors,
     )
 
 
-def _repainted(item: Item, rng: np.random.Generator) -> Item:
-    """Now and then another colour, so that one sofa is many."""
-    if item.role not in RECOLOURABLE_ROLES or rng.random() > _REPAINTED:
+def _randomly_recoloured(item: Item, rng: np.random.Generator) -> Item:
+    """Recolour an item with probability `_RECOLOURED_SHARE`, so that one model gives many colours."""
+    if item.role not in RECOLOURABLE_ROLES or rng.random() > _RECOLOURED_SHARE:
         return item
     return replace(item, mesh=replace(item.mesh, materials=recoloured(item.mesh.materials, rng)))

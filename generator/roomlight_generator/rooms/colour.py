@@ -1,4 +1,4 @@
-"""Colours with a physical meaning: black bodies for what shines, paints of a given reflectance for what does not.
+"""Physically based colours: black-body light sources, and paints of a given reflectance.
 
 All colours are linear RGB (Rec. 709 primaries, D65 white) unless a name says sRGB; luminance is Rec. 709's Y.
 """
@@ -13,13 +13,13 @@ from roomlight.conventions import linear_to_srgb, srgb_to_linear
 from roomlight_generator.rooms.scene import Rgb
 
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
-"""Rec. 709's weights."""
+"""Rec. 709 luminance weights."""
 
 _XYZ_TO_RGB: Final = np.array(
     [[3.2404542, -1.5371385, -0.4985314], [-0.9692660, 1.8760108, 0.0415560], [0.0556434, -0.2040259, 1.0572252]]
 )
 
-# Ottosson's OKLab (2020): a perceptual space whose hue stays put when lightness or chroma change.
+# Ottosson's OKLab (2020): a perceptual space in which hue stays constant when lightness or chroma change.
 _RGB_TO_LMS: Final = np.array(
     [[0.4122214708, 0.5363325363, 0.0514459929], [0.2119034982, 0.6806995451, 0.1073969566],
      [0.0883024619, 0.2817188376, 0.6299787005]]
@@ -32,20 +32,23 @@ _LMS_TO_RGB: Final = np.linalg.inv(_RGB_TO_LMS)
 _LAB_TO_LMS: Final = np.linalg.inv(_LMS_TO_LAB)
 
 _DARKEST, _BRIGHTEST = 0.012, 0.93
-"""No paint reflects less or more than this in any channel."""
+"""Limits of a paint's reflectance in any channel."""
 
 
 def luminance(colour: Rgb) -> float:
-    """Rec. 709's Y."""
+    """Return the Rec. 709 luminance Y of a linear colour."""
     return float(LUMINANCE @ np.array(colour))
 
 
 @lru_cache(maxsize=512)
 def blackbody_rgb(kelvin: float | int) -> Rgb:
-    """The colour of a black body, at luminance 1; channels outside the gamut (blue below 1,900 K) are clipped to 0.
+    """Return the linear RGB colour of a black body at luminance 1.
 
     Planck's law against the CIE 1931 observer in the analytic form of Wyman, Sloan and Shirley (JCGT 2013), whose
-    chromaticities lie within 0.004 of the tables'. ValueError outside 800 to 100,000 K.
+    chromaticities lie within 0.004 of the tabulated ones. Negative channels (blue below 1,900 K) are clipped to 0.
+
+    Raises:
+        ValueError: kelvin lies outside 800 to 100,000 K.
     """
     if not 800 <= kelvin <= 100_000:
         raise ValueError(f"a colour temperature must lie between 800 and 100,000 K, got {kelvin}")
@@ -67,20 +70,20 @@ def _observer(nm: Float[np.ndarray, " n"]) -> Float[np.ndarray, "3 n"]:
 
 
 def linear_to_oklab(colour: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
-    """Lightness (0 to 1), green-red and blue-yellow."""
+    """Convert linear RGB to OKLab: lightness (0 to 1), green-red and blue-yellow."""
     return np.cbrt(colour @ _RGB_TO_LMS.T) @ _LMS_TO_LAB.T
 
 
 def oklab_to_linear(lab: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
-    """The inverse; outside the gamut channels are negative or above 1."""
+    """Convert OKLab to linear RGB; channels of colours outside the gamut are negative or above 1."""
     return (lab @ _LAB_TO_LMS.T) ** 3 @ _LMS_TO_RGB.T
 
 
 def paint(reflectance: float | int, chroma: float | int = 0.0, hue: float | int = 0.0) -> Rgb:
-    """A colour of the given luminous reflectance (0.015 to 0.92), OKLab chroma (0 to 0.2) and hue in degrees (red 25,
-    orange 55, yellow 100, green 145, teal 195, blue 255, violet 305, pink 350).
+    """Return a paint colour of the given luminous reflectance (0.015 to 0.92), OKLab chroma (0 to 0.2) and hue in
+    degrees (red 25, orange 55, yellow 100, green 145, teal 195, blue 255, violet 305, pink 350).
 
-    What no paint can be (a channel outside 0.012 to 0.93) is drawn toward the grey of that reflectance.
+    A colour with a channel outside 0.012 to 0.93 is desaturated toward the grey of the same reflectance.
     """
     grey = float(np.clip(reflectance, 0.015, 0.92))
     angle = np.radians(hue)
@@ -93,12 +96,12 @@ def paint(reflectance: float | int, chroma: float | int = 0.0, hue: float | int 
     return float(rgb[0]), float(rgb[1]), float(rgb[2])
 
 
-def encoded(colour: Rgb) -> Float[np.ndarray, "3"]:
-    """A linear colour as sRGB, 0 to 1, float32: what textures are mixed in."""
+def to_srgb(colour: Rgb) -> Float[np.ndarray, "3"]:
+    """Encode a linear colour as sRGB, 0 to 1, float32; textures are mixed in this encoding."""
     return linear_to_srgb(np.array(colour, np.float32))
 
 
-def decoded(colour: Float[np.ndarray, "3"]) -> Rgb:
-    """The inverse of `encoded`."""
+def from_srgb(colour: Float[np.ndarray, "3"]) -> Rgb:
+    """Decode an sRGB colour (0 to 1) to linear RGB."""
     linear = srgb_to_linear(np.asarray(colour, np.float32))
     return float(linear[0]), float(linear[1]), float(linear[2])

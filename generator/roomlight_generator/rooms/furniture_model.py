@@ -1,6 +1,6 @@
-"""A piece of furniture before it is put anywhere, whatever it was read from or made by.
+"""A piece of furniture in its model frame, procedural or from a furniture library.
 
-Model frame: metres, y up, x to its right, **front toward +z** (a sofa's back is at -z), origin at the middle of its
+Model frame: metres, y up, x to its right, **front toward +z** (a sofa's back is at -z), origin at the centre of its
 footprint's bounding box, bottom at y = 0.
 """
 
@@ -17,7 +17,7 @@ from roomlight_generator.rooms.scene import Mesh, Rgb
 
 @dataclass(frozen=True, eq=False)
 class LightSource:
-    """Where a lamp's bulb sits: model frame, metres; colour is relative linear RGB (brightest channel 1)."""
+    """A lamp's bulb: position in the model frame, metres; colour is relative linear RGB (brightest channel 1)."""
 
     position: Float[np.ndarray, "3"]
     diameter_m: float
@@ -26,11 +26,11 @@ class LightSource:
 
 @dataclass(frozen=True, eq=False)
 class FurnitureModel:
-    """A furniture model with what the planner needs to know about it; its mesh is made when first asked for.
+    """A furniture model with the properties that the planner needs. Its mesh is loaded on first access.
 
     width_m (x), height_m (y) and depth_m (z) are its bounding box. elevation_m is the height of its bottom over the
-    floor where it hangs on a wall. top_m is the height, over its own bottom, of the surface that things may stand on
-    (None: nothing may). split says which rooms may use it: "train" and "test" share no model.
+    floor if it hangs on a wall. top_m is the height, over its own bottom, of a surface that can support other objects
+    (None: no such surface). split says which rooms may use it: "train" and "test" share no model.
     """
 
     id: str
@@ -48,5 +48,5 @@ class FurnitureModel:
 
     @cached_property
     def mesh(self) -> Mesh:
-        """The mesh, in the model frame."""
+        """Mesh in the model frame."""
         return self.load()

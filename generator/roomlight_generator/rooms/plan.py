@@ -1,4 +1,4 @@
-"""The plan of a room's shell: what furniture may stand on, lean against and hang from.
+"""The plan of a room's shell: floor, walls and ceiling as the furniture planner sees them.
 
 World frame, metres, floor at y = 0. Plan coordinates are (x, z).
 """
@@ -15,11 +15,11 @@ from roomlight_generator.rooms.scene import Item, Opening
 
 @dataclass(frozen=True, eq=False)
 class Gap:
-    """A stretch of a wall that is no wall: from start_m to end_m along it, bottom_m to top_m above the floor.
+    """An opening in a wall: from start_m to end_m along the wall, bottom_m to top_m above the floor.
 
-    keep_clear_m is the depth of floor in front of it that nothing may stand on (a door's swing, a walkway).
-    covered says that curtains or blinds hang before it: nothing hangs or leans there. A window with a sill has
-    bottom_m > 0: low furniture may stand below it.
+    keep_clear_m is the depth of floor in front of it that must stay free (a door's swing, a walkway). covered: curtains
+    or blinds hang in front of it, so nothing may hang or lean there. A window with a sill has bottom_m > 0: low
+    furniture may stand below it.
     """
 
     kind: Literal["window", "door", "passage", "niche"]
@@ -35,8 +35,8 @@ class Gap:
 class Wall:
     """A straight inner wall, from start to end in plan; `inward` is the unit normal into the room.
 
-    Seen from inside, start is at the left hand and end at the right: (end - start) / length = (inward_z, -inward_x).
-    height_m is the least height along it (slanted ceilings make it lower than the room's).
+    Seen from inside, start is at the left and end at the right: (end - start) / length = (inward_z, -inward_x).
+    height_m is the minimum height along it (slanted ceilings make it lower than the room's).
     """
 
     start: Float[np.ndarray, "2"]
@@ -47,28 +47,28 @@ class Wall:
 
     @property
     def length_m(self) -> float:
-        """Its length."""
+        """Length of the wall."""
         return float(np.linalg.norm(self.end - self.start))
 
     def at(self, along_m: float, away_m: float = 0.0) -> Float[np.ndarray, "2"]:
-        """The plan point so far along the wall and so far away from it into the room."""
+        """Return the plan point along_m from the wall's start and away_m from the wall into the room."""
         direction = (self.end - self.start) / max(self.length_m, 1e-9)
         return self.start + along_m * direction + away_m * self.inward
 
     def facing_degrees(self) -> float:
-        """The turn (`Mesh.placed`) that makes a model stand with its back to this wall: +z goes to `inward`."""
+        """Return the rotation (`Mesh.placed`) that puts a model's back to this wall: +z maps to `inward`."""
         return float(np.degrees(np.arctan2(self.inward[0], self.inward[1])))
 
 
 @dataclass(frozen=True, eq=False)
 class Shell:
-    """A room without furniture: its items (walls, floor, ceiling, frames, doors, curtains, a glimpse of a second
-    room), its outdoor openings, and its plan.
+    """A room without furniture: its items (walls, floor, ceiling, frames, doors, curtains, part of a second room), its
+    outdoor openings, and its plan.
 
-    polygon is the floor's outline of the main room, clockwise seen from above (x to the right and z down the page);
-    walls come in the same order, one for each side. height_m is the ceiling's height in the middle, `ceiling_at` its
-    height anywhere. spots (x, z, free radius) are free plan points in a second room or corridor seen through an open
-    door, where a piece or two may stand.
+    polygon is the floor outline of the main room, clockwise seen from above (x to the right and z down the page); walls
+    come in the same order, one for each side. height_m is the height of the flat ceiling, `ceiling_at` the height at
+    any point. spots (x, z, free radius) are free plan points in a second room or corridor visible through an open door,
+    each with space for one piece of furniture.
     """
 
     items: tuple[Item, ...]
@@ -80,12 +80,13 @@ class Shell:
     spots: tuple[tuple[float, float, float], ...] = ()
 
     def ceiling_at(self, x: float, z: float) -> float:
-        """Height of the ceiling over a plan point: the least of the flat one and of each slope n . (x, y, z) = d."""
+        """Return the ceiling height over a plan point: the minimum of the flat ceiling and of each slope n . (x, y,
+        z) = d."""
         heights = [(d - n[0] * x - n[2] * z) / n[1] for n, d in self.slopes]
         return float(min([self.height_m, *heights]))
 
     def contains(self, x: float, z: float, margin_m: float = 0.0) -> bool:
-        """Whether the plan point lies inside the polygon, at least margin_m from every wall."""
+        """Return whether the plan point lies inside the polygon, at least margin_m from every wall."""
         inside = False
         previous = self.polygon[-1]
         nearest = np.inf
@@ -102,7 +103,7 @@ class Shell:
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """A model put somewhere: turned about y by degrees, its origin moved to (x, y, z)."""
+    """A placed model: rotated about y by degrees, its origin moved to (x, y, z)."""
 
     model: FurnitureModel
     x: float
@@ -111,14 +112,14 @@ class Placement:
     degrees: float
 
     def item(self) -> Item:
-        """The thing in world coordinates."""
+        """Return the item in world coordinates."""
         model = self.model
         mesh = model.mesh.placed(self.x, self.y, self.z, degrees=self.degrees)
         return Item(name=model.name, role=model.role, mesh=mesh, attribution=model.attribution)
 
     def light_positions(self) -> Float[np.ndarray, "n 3"]:
-        """Where its bulbs are, world frame."""
+        """Return the positions of its bulbs, world frame."""
         c, s = np.cos(np.radians(self.degrees)), np.sin(np.radians(self.degrees))
-        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+        rotation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
         local = np.array([light.position for light in self.model.lights], np.float64).reshape(-1, 3)
-        return local @ turn.T + np.array([self.x, self.y, self.z])
+        return local @ rotation.T + np.array([self.x, self.y, self.z])

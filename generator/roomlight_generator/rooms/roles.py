@@ -1,4 +1,4 @@
-"""The vocabulary shared by the furniture library and the room planner: what a model is for."""
+"""Furniture roles: the categories shared by the furniture library and the room planner."""
 
 from typing import Final
 
@@ -8,25 +8,26 @@ FLOOR_ROLES: Final = (
     "kitchen_unit", "oven", "fridge", "dishwasher", "washing_machine", "bathtub", "shower", "toilet", "washbasin",
     "radiator", "floor_lamp", "plant", "piano", "fireplace", "person", "pet", "floor_toy", "floor_clutter", "exercise",
 )  # fmt: skip
-"""Stand on the floor. floor_clutter: boxes, baskets, bins, bags; exercise: bikes, treadmills, game tables."""
+"""Roles that stand on the floor. floor_clutter: boxes, baskets, bins, bags; exercise: bikes, treadmills, game
+tables."""
 
 WALL_ROLES: Final = (
     "wall_unit", "hood", "wall_shelf", "wall_lamp", "picture", "mirror", "clock", "wall_television", "air_conditioner",
     "towel_rack", "whiteboard", "wall_clutter",
 )  # fmt: skip
-"""Hang on a wall at their own elevation, back against it."""
+"""Roles that hang on a wall at their own elevation, back against it."""
 
 CEILING_ROLES: Final = ("ceiling_lamp", "ceiling_fan")
-"""Hang from the ceiling: their top touches it."""
+"""Roles that hang from the ceiling: their top touches it."""
 
 TOP_ROLES: Final = (
     "television", "computer", "laptop", "table_lamp", "small_plant", "vase", "book", "tableware", "food",
     "kitchen_appliance", "electronics", "toy", "bathroom_thing", "ornament", "stationery",
 )  # fmt: skip
-"""Stand on top of something else."""
+"""Roles that stand on top of other furniture."""
 
 FLAT_ROLES: Final = ("rug",)
-"""Lie on the floor, in nobody's way."""
+"""Roles that lie flat on the floor and block nothing."""
 
 OPENING_ROLES: Final = ("door", "window", "curtain")
 

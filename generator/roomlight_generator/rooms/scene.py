@@ -1,8 +1,8 @@
-"""What a room is made of: textures, materials, meshes, items, openings and the sky; all that the transport reads.
+"""Scene description for the light transport: textures, materials, meshes, items, openings and the sky.
 
 Frames: world right-handed, y up, metres; floor level of the main room at y = 0. Radiance is linear RGB in kilocandela
 per square metre (1.0 is 1,000 cd/m2: a white wall in good daylight is about 0.1, a bulb about 30, the sun's disc
-1.6e6), so that every source has a physical size to check against.
+1.6e6), so that every source can be checked against a physical value.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ class Texture:
     """A repeating image of reflectance (or of emission), sRGB-encoded, row 0 at the top.
 
     Texture coordinates are in repeats: u to the right, v **down** the image's rows, wrapped. `size_m` is the width and
-    height of one repeat where the texture has a physical size (walls and floors), for whoever makes the coordinates.
+    height of one repeat if the texture has a physical size (walls and floors), for the code that makes the coordinates.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -29,13 +29,13 @@ class Texture:
 
 @dataclass(frozen=True, eq=False)
 class Material:
-    """How a surface reflects and shines. Every surface is two-sided and reflects alike on both sides.
+    """Reflection and emission of a surface. Every surface is two-sided and reflects alike on both sides.
 
     albedo (linear, 0 to 0.95) multiplies the texture. `roughness` (GGX alpha, 0.03 to 0.6) puts a clear dielectric coat
-    of index 1.5 over the diffuse base (Mitsuba's `roughplastic`, nonlinear = false); None is plain Lambertian.
-    `mirror` > 0 makes it a perfect mirror of that reflectance (albedo and roughness then mean nothing). `glass` is a
-    thin clear pane: rays pass straight through, shadow rays too. `emission` is radiance, the same in every direction
-    of both sides, times the texture where `textured_emission` says so.
+    of index 1.5 over the diffuse base (Mitsuba's `roughplastic`, nonlinear = false); None is plain Lambertian. `mirror`
+    > 0 makes it a perfect mirror of that reflectance (albedo and roughness are then ignored). `glass` is a thin clear
+    pane: rays pass straight through, shadow rays too. `emission` is radiance, the same in every direction on both
+    sides, multiplied by the texture if `textured_emission` is set.
     """
 
     name: str = ""
@@ -49,13 +49,14 @@ class Material:
 
     @property
     def emits(self) -> bool:
-        """Whether it is a source of light."""
+        """Whether the material is a light source."""
         return max(self.emission) > 0
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """Triangles with per-vertex shading normals (split at creases), texture coordinates and a material for each."""
+    """Triangles with per-vertex shading normals (split at creases) and texture coordinates, and a material for each
+    face."""
 
     vertices: Float[np.ndarray, "v 3"]
     normals: Float[np.ndarray, "v 3"]
@@ -66,7 +67,11 @@ class Mesh:
 
     @classmethod
     def joined(cls, parts: Sequence["Mesh"]) -> "Mesh":
-        """One mesh of all parts; materials that are the same object are kept once. ValueError without parts."""
+        """Join parts into one mesh; materials that are the same object are kept once.
+
+        Raises:
+            ValueError: `parts` is empty.
+        """
         if not parts:
             raise ValueError("nothing to join: an item needs one mesh at least")
         materials: dict[int, Material] = {}
@@ -89,13 +94,15 @@ class Mesh:
         )
 
     def placed(self, x: float, y: float, z: float, *, degrees: float = 0.0) -> "Mesh":
-        """Turned about the y axis (counter-clockwise seen from above: +z goes to +x at 90), then moved by metres."""
+        """Rotate about the y axis (counter-clockwise seen from above: +z goes to +x at 90), then translate by
+        metres."""
         c, s = float(np.cos(np.radians(degrees))), float(np.sin(np.radians(degrees)))
-        turn = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32)
-        return self.transformed(turn, np.array([x, y, z], np.float32))
+        rotation = np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]], np.float32)
+        return self.transformed(rotation, np.array([x, y, z], np.float32))
 
     def transformed(self, linear: Float[np.ndarray, "3 3"], offset: Float[np.ndarray, "3"]) -> "Mesh":
-        """vertices @ linear.T + offset; normals follow by the inverse transpose (a reflection flips the winding)."""
+        """Apply vertices @ linear.T + offset; normals use the inverse transpose (a reflection reverses the vertex
+        order)."""
         linear = np.asarray(linear, np.float32)
         normals = self.normals @ np.linalg.inv(linear).astype(np.float32)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
@@ -108,16 +115,16 @@ class Mesh:
         )
 
     def bounds(self) -> Float[np.ndarray, "2 3"]:
-        """Lowest and highest corner."""
+        """Return the corners of the bounding box: minimum, maximum."""
         return np.stack([self.vertices.min(0), self.vertices.max(0)])
 
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One thing in the room, in world coordinates: a sofa, a wall, a lamp.
+    """One object in the room, in world coordinates: a sofa, a wall, a lamp.
 
     `role` is a furniture role (`roomlight_generator.rooms.roles`) or a part of the shell (`wall`, `floor`, `ceiling`,
-    `frame`, `door_leaf`, `curtain`, ...). `attribution` names the model's creator and licence where it has one.
+    `frame`, `door_leaf`, `curtain`, ...). `attribution` names the model's creator and licence if known.
     """
 
     name: str
@@ -128,14 +135,14 @@ class Item:
 
 @dataclass(frozen=True, eq=False)
 class Opening:
-    """A hole in the shell that outdoor light comes through: a parallelogram, corner + s edge_u + t edge_v."""
+    """A hole in the shell that admits outdoor light: a parallelogram, corner + s edge_u + t edge_v."""
 
     corner: Float[np.ndarray, "3"]
     edge_u: Float[np.ndarray, "3"]
     edge_v: Float[np.ndarray, "3"]
 
     def area_m2(self) -> float:
-        """Its area."""
+        """Return the area in square metres."""
         return float(np.linalg.norm(np.cross(self.edge_u, self.edge_v)))
 
 
@@ -150,8 +157,8 @@ class Sun:
 
 @dataclass(frozen=True, eq=False)
 class Sky:
-    """What rays that leave through an opening see: a small equirectangular panorama (the project's convention), no sun
-    in it, and the sun if it shines."""
+    """Radiance seen by rays that leave through an opening: a small equirectangular panorama (the project's
+    convention) without the sun, and the sun if it shines."""
 
     panorama: Float[np.ndarray, "h w 3"]
     sun: Sun | None = None
@@ -159,16 +166,16 @@ class Sky:
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """Everything that light meets. Watertight but for its openings (and what is seen through them)."""
+    """All geometry and light sources of a room. Watertight except at its openings."""
 
     items: tuple[Item, ...]
     openings: tuple[Opening, ...]
     sky: Sky
 
     def triangle_count(self) -> int:
-        """Triangles of all items."""
+        """Return the number of triangles of all items."""
         return sum(len(item.mesh.faces) for item in self.items)
 
     def attributions(self) -> list[str]:
-        """Who made the models in it, each once."""
+        """Return the sorted, distinct attributions of the models used."""
         return sorted({item.attribution for item in self.items if item.attribution})

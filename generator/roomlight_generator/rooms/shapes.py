@@ -1,7 +1,7 @@
-"""Triangle meshes of simple things: grids, rounded boxes, cushions, lathed and swept shapes.
+"""Triangle meshes of primitive shapes: grids, rounded boxes, cushions, lathed and swept shapes.
 
-Frames: right-handed, y up, metres. Every closed shape is wound outward, so that a ray that meets a back face knows
-it started inside something. `step` is the longest edge wanted: the light cache lives on the vertices.
+Frames: right-handed, y up, metres. Faces of every closed shape point outward, so that a ray that hits a back face
+started inside an object. `step` is the maximum edge length: the irradiance cache is stored at the vertices.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from jaxtyping import Bool, Float, Int
 from roomlight_generator.rooms.scene import Material, Mesh
 
 Number = int | float
-"""A length or an angle as one writes it: 0 and 0.02. The test run's checker takes no int for a float."""
+"""A length or an angle, int or float: the runtime type checker of the test run does not accept an int for a float."""
 
 Vector = Sequence[Number] | Float[np.ndarray, "3"]
 
@@ -24,17 +24,17 @@ Vector = Sequence[Number] | Float[np.ndarray, "3"]
 _BARE: Final = Material()
 
 
-def clad(mesh: Mesh, material: Material) -> Mesh:
-    """The same shape in one material. Coordinates in metres become repeats of its texture (those of `unit_uv` are kept
-    by giving the texture the size 1 x 1)."""
+def with_material(mesh: Mesh, material: Material) -> Mesh:
+    """Return the shape in one material. Coordinates in metres become repeats of its texture (those of `unit_uv` are
+    kept if the texture has the size 1 x 1)."""
     uvs = mesh.uvs
     if material.texture is not None:
         uvs = (uvs / np.array(material.texture.size_m, np.float32)).astype(np.float32)
     return replace(mesh, uvs=uvs, materials=(material,))
 
 
-def turned(mesh: Mesh, degrees: Number, axis: str = "y") -> Mesh:
-    """Rotated about an axis through the origin, counter-clockwise seen from its tip."""
+def rotated(mesh: Mesh, degrees: Number, axis: str = "y") -> Mesh:
+    """Rotate about an axis through the origin, counter-clockwise seen from its tip."""
     return mesh.transformed(_rotation(degrees, axis), np.zeros(3, np.float32))
 
 
@@ -60,7 +60,7 @@ def _rotation(degrees: Number, axis: str) -> Float[np.ndarray, "3 3"]:
 
 
 def _grid_faces(rows: int, columns: int) -> Int[np.ndarray, "f 3"]:
-    """Triangles of a (rows + 1) x (columns + 1) vertex grid; normal is d/d(column) x d/d(row)."""
+    """Return the triangles of a (rows + 1) x (columns + 1) vertex grid; the normal is d/d(column) x d/d(row)."""
     index = np.arange((rows + 1) * (columns + 1)).reshape(rows + 1, columns + 1)
     a, b = index[:-1, :-1].ravel(), index[:-1, 1:].ravel()
     c, d = index[1:, 1:].ravel(), index[1:, :-1].ravel()
@@ -68,7 +68,7 @@ def _grid_faces(rows: int, columns: int) -> Int[np.ndarray, "f 3"]:
 
 
 def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f 3"]) -> Float[np.ndarray, "v 3"]:
-    """Area-weighted vertex normals; vertices at the same place (to 10 micrometres) share one, so seams do not show."""
+    """Return area-weighted vertex normals; vertices within 10 micrometres of each other share one, to hide seams."""
     cell = np.rint(vertices * 1e5).astype(np.int64)
     _, place = np.unique(cell @ np.array([1, 1 << 21, 1 << 42]), return_inverse=True)
     corners = vertices[faces]
@@ -79,8 +79,8 @@ def smooth_normals(vertices: Float[np.ndarray, "v 3"], faces: Int[np.ndarray, "f
     return (normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-20)).astype(np.float32)
 
 
-def spaced(length: Number, step: Number, breaks: Sequence[Number] = ()) -> Float[np.ndarray, " n"]:
-    """Coordinates from 0 to length, no further apart than step, that include the breaks."""
+def subdivided(length: Number, step: Number, breaks: Sequence[Number] = ()) -> Float[np.ndarray, " n"]:
+    """Return coordinates from 0 to length that include the breaks and are at most `step` apart."""
     stops = [0.0, *sorted(breaks), length]
     pieces = [
         np.linspace(low, high, max(1, int(np.ceil((high - low) / step))) + 1)[1:] for low, high in pairwise(stops)
@@ -97,14 +97,14 @@ def rectangle(
     hole: tuple[Number, Number, Number, Number] | None = None,
     unit_uv: bool = False,
 ) -> Mesh:
-    """A flat rectangle, normal along edge_u x edge_v; a hole is (u0, u1, v0, v1) in metres along the edges.
+    """Make a flat rectangle, normal along edge_u x edge_v; a hole is (u0, u1, v0, v1) in metres along the edges.
 
-    Texture coordinates are metres, or 0 to 1 with v downward (as images are stored) where `unit_uv` is set.
+    Texture coordinates are metres, or 0 to 1 with v downward (as images are stored) if `unit_uv` is set.
     """
     start, u, v = (np.asarray(part, np.float32) for part in (origin, edge_u, edge_v))
     length_u, length_v = float(np.linalg.norm(u)), float(np.linalg.norm(v))
-    along_u = spaced(length_u, step, hole[:2] if hole else ())
-    along_v = spaced(length_v, step, hole[2:] if hole else ())
+    along_u = subdivided(length_u, step, hole[:2] if hole else ())
+    along_v = subdivided(length_v, step, hole[2:] if hole else ())
     gu, gv = np.meshgrid(along_u, along_v)
     vertices = start + gu[..., None] * (u / length_u) + gv[..., None] * (v / length_v)
     faces = _grid_faces(len(along_v) - 1, len(along_u) - 1)
@@ -125,7 +125,7 @@ def rectangle(
 
 @dataclass(frozen=True, eq=False)
 class _BoxTemplate:
-    """A rounded box of half size 1 per axis, waiting for its size: vertex = core * inner + radius * normal."""
+    """A rounded box of half size 1 per axis, to be scaled: vertex = core * inner + radius * normal."""
 
     inner: Float[np.ndarray, "v 3"]
     normals: Float[np.ndarray, "v 3"]
@@ -135,7 +135,7 @@ class _BoxTemplate:
 
 @lru_cache(maxsize=512)
 def _box_template(pieces: tuple[int, int, int], arcs: int) -> _BoxTemplate:
-    """Six grids, each with so many pieces along its flat part and `arcs` segments to half an edge."""
+    """Build six grids, each with `pieces` segments along its flat part and `arcs` segments to half an edge."""
     arc = np.tan(np.linspace(0, np.pi / 4, arcs + 1))[1:]
     inner: list[np.ndarray] = []
     normals: list[np.ndarray] = []
@@ -173,7 +173,8 @@ def _box_template(pieces: tuple[int, int, int], arcs: int) -> _BoxTemplate:
 def _along_grain(
     points: Float[np.ndarray, "*v 3"], axis: Int[np.ndarray, " n"], half: Float[np.ndarray, "*u 3"]
 ) -> Float[np.ndarray, "*v 2"]:
-    """Texture coordinates in metres for points on faces across `axis`: u runs along the longer side of each face."""
+    """Return texture coordinates in metres for points on faces across `axis`: u runs along the longer side of each
+    face."""
     a, b = (axis + 1) % 3, (axis + 2) % 3
     swap = half[..., a] < half[..., b]
     rows = np.arange(len(axis))
@@ -184,7 +185,7 @@ def _along_grain(
 def box(
     width: Number, height: Number, depth: Number, *, radius: Number = 0.008, step: Number = 0.1, arcs: int = 2
 ) -> Mesh:
-    """A box with rounded edges, centred in x and z and standing on y = 0; half an edge has `arcs` segments."""
+    """Make a box with rounded edges, centred in x and z and standing on y = 0; half an edge has `arcs` segments."""
     half = np.array([width, height, depth], np.float64) / 2
     radius = float(min(radius, half.min() * 0.999))
     core = half - radius
@@ -197,8 +198,10 @@ def box(
 
 
 def blocks(sizes: Float[np.ndarray, "n 3"], places: Float[np.ndarray, "n 3"]) -> Mesh:
-    """Sharp-edged boxes (12 triangles each) of size (width, height, depth), each standing with the middle of its
-    bottom at its place: books, slats, drawers, all at once."""
+    """Make sharp-edged boxes (12 triangles each) of size (width, height, depth) as one mesh: books, slats, drawers.
+
+    `places` holds the bottom centre of each box.
+    """
     template = _box_template((1, 1, 1), 0)
     half = np.asarray(sizes, np.float64)[:, None] / 2
     local = half * template.inner
@@ -212,7 +215,7 @@ def blocks(sizes: Float[np.ndarray, "n 3"], places: Float[np.ndarray, "n 3"]) ->
 
 
 def block(width: Number, height: Number, depth: Number) -> Mesh:
-    """One sharp-edged box, centred in x and z and standing on y = 0."""
+    """Make one sharp-edged box, centred in x and z and standing on y = 0."""
     return blocks(np.array([[width, height, depth]], np.float64), np.zeros((1, 3)))
 
 
@@ -226,23 +229,24 @@ def cushion(
     step: Number = 0.05,
     arcs: int = 3,
 ) -> Mesh:
-    """A soft box, thickest in the middle of its largest side: `height` is its thickness, standing on y = 0.
+    """Make a soft box, thickest in the middle of its largest side: `height` is its thickness, standing on y = 0.
 
-    plump 0 is a rounded box; 1 tapers to nothing at the seams, as a scatter cushion does.
+    plump 0 is a rounded box; 1 tapers to zero thickness at the seams, like a scatter cushion.
     """
     base = box(width, height, depth, radius=min(radius, height * 0.49), step=step, arcs=arcs)
     points = base.vertices.copy()
     x, z = 2 * points[:, 0] / width, 2 * points[:, 2] / depth
     profile = 1 - plump * (1 - np.sqrt(np.clip(1 - x**4, 0, 1) * np.clip(1 - z**4, 0, 1)))
     points[:, 1] = height / 2 + (points[:, 1] - height / 2) * profile
-    # Corners of a filled cover stand out a little: its sides are drawn in between them.
+    # The corners of a filled cover stand out a little: the sides between them are drawn in.
     points[:, 0] *= 1 - 0.05 * plump * (1 - z**2)
     points[:, 2] *= 1 - 0.05 * plump * (1 - x**2)
     return replace(base, vertices=points.astype(np.float32), normals=smooth_normals(points, base.faces))
 
 
 def lathe(lines: Sequence[Sequence[tuple[Number, Number]]], *, segments: int = 32) -> Mesh:
-    """Turned about the y axis: each line of (radius, height) is smooth, corners lie between lines.
+    """Make a surface of revolution about the y axis: each line of (radius, height) is smooth, with creases between
+    lines.
 
     A line that rises on the outside and closes inward over the top faces outward.
     """
@@ -283,7 +287,7 @@ def rod(
     segments: int = 14,
     step: Number = 0.1,
 ) -> Mesh:
-    """A straight round bar between two points, closed at both ends, tapering where `end_radius` differs."""
+    """Make a straight round bar between two points, closed at both ends, tapered if `end_radius` differs."""
     low, high = np.asarray(start, np.float64), np.asarray(end, np.float64)
     length = float(np.linalg.norm(high - low))
     top = radius if end_radius is None else end_radius
@@ -298,14 +302,14 @@ def rod(
 
 
 def sphere(radius: Number, *, rings: int = 18, segments: int = 36) -> Mesh:
-    """A ball about the origin."""
+    """Make a sphere about the origin."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
     line = [(max(float(radius * np.cos(t)), 1e-5), float(radius * np.sin(t))) for t in angle]
     return lathe([line], segments=segments)
 
 
 def loft(lines: Sequence[Sequence[Sequence[Number]]], *, exponent: Number = 2.0, segments: int = 28) -> Mesh:
-    """A lathe whose rings are not round: each line is smooth, of rings (half x, half z, y[, x, z of its middle]).
+    """Make a lathe with non-circular rings (half x, half z, y[, x, z of its centre]); each line of rings is smooth.
 
     exponent 2 makes ellipses, 6 rectangles with round corners (superellipses). Lines run as those of `lathe`.
     """
@@ -342,7 +346,7 @@ def loft(lines: Sequence[Sequence[Sequence[Number]]], *, exponent: Number = 2.0,
 
 
 def tube(path: Sequence[Vector], radius: Number, *, segments: int = 8) -> Mesh:
-    """A round bar bent along a path of points, closed at both ends."""
+    """Sweep a circle along a path of points; both ends are closed."""
     points = np.array([list(point) for point in path], np.float64)
     tangent = np.gradient(points, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
@@ -371,11 +375,14 @@ def tube(path: Sequence[Vector], radius: Number, *, segments: int = 8) -> Mesh:
 
 
 def prism(outline: Float[np.ndarray, "n 2"], height: Number) -> Mesh:
-    """An upright prism standing on y = 0 over an outline (x, z) that its centroid sees whole, either way round."""
+    """Make an upright prism standing on y = 0 over an outline (x, z), given in either direction.
+
+    The outline must be star-shaped about its centroid.
+    """
     ring = np.asarray(outline, np.float64)
     after = np.roll(ring, -1, 0)
     if (ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum() > 0:
-        # Seen from above, x to the right and z down the page: the side must run clockwise there.
+        # Seen from above, x to the right and z down the page, the outline must run clockwise here.
         ring = ring[::-1]
         after = np.roll(ring, -1, 0)
     count, top = len(ring), float(height)
@@ -405,8 +412,8 @@ def prism(outline: Float[np.ndarray, "n 2"], height: Number) -> Mesh:
     return _mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(uvs), np.concatenate(faces))
 
 
-def sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness: Number = 0.004) -> Mesh:
-    """A thin bent surface seen from both sides (a leaf, a curtain): two layers, each facing out."""
+def double_sided_sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness: Number = 0.004) -> Mesh:
+    """Make a thin curved surface visible from both sides (a leaf, a curtain): two layers, each facing outward."""
     rows, columns = points.shape[:2]
     faces = _grid_faces(rows - 1, columns - 1)
     middle = points.reshape(-1, 3).astype(np.float32)
@@ -424,8 +431,8 @@ def sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness: Number = 0.
     )
 
 
-def faces_look_along_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:
-    """For each face with an area, whether its winding agrees with its vertices' normals."""
+def faces_match_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:
+    """Return, for each face with an area, whether its vertex order agrees with its vertices' normals."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     return (wound * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12

@@ -1,9 +1,9 @@
-"""What a room's shell is made of: one material for each of its surfaces, chosen elsewhere and put on by the shell.
+"""Materials of a room's shell, one for each of its surfaces; chosen by `finishes`, applied by `shell`.
 
 Texture coordinates are metres along the surface divided by the texture's `size_m` (the size of one repeat); v grows
-downward on walls and curtains, so that what a texture shows stands upright. Grain: a texture's u runs along the
-length of skirting boards, frames, beams and mouldings, up a door's leaf, and along the longer side of the floor (the
-length of its planks).
+downward on walls and curtains, so that patterns stand upright. Grain: a texture's u runs along the length of skirting
+boards, frames, beams and mouldings, up a door's leaf, and along the longer side of the floor (the length of its
+planks).
 """
 
 from dataclasses import dataclass
@@ -15,9 +15,9 @@ from roomlight_generator.rooms.scene import Material
 class RoomFinishes:
     """The large surfaces of one room.
 
-    `accent_wall`, where given, is for one wall (the shell chooses which: the longest one without a window); None: all
-    walls alike. `lower_wall`, where given, is the finish of the lower part of walls wherever the shell's style has one
-    (bathroom tiles, a kitchen's backsplash, wainscot); None: the style's lower part is left away.
+    `accent_wall`, if given, is for one wall (the shell chooses the longest one without a window); None: all walls
+    alike. `lower_wall`, if given, is the finish of the lower part of walls where the shell's style has one (bathroom
+    tiles, a kitchen's backsplash, wainscot); None: walls have no separate lower part.
     """
 
     wall: Material
@@ -30,15 +30,15 @@ class RoomFinishes:
 
 @dataclass(frozen=True, eq=False)
 class Finishes:
-    """Everything `build_shell` clads.
+    """All materials that `build_shell` applies.
 
-    `room` is the main room, `second` the room or corridor seen through an open door or a passage. `frame` is for window
-    frames, sills and mullions; `door` for leaves, `door_frame` for their linings and architraves; `handle` for door and
-    window handles and curtain rods (metal); `moulding` for crown mouldings and picture rails.
+    `room` is the main room, `second` the room or corridor visible through an open door or a passage. `frame` is for
+    window frames, sills and mullions; `door` for leaves, `door_frame` for their linings and architraves; `handle` for
+    door and window handles and curtain rods (metal); `moulding` for crown mouldings and picture rails.
 
-    `curtain` and `blind` are the opaque ones (open at the sides, or drawn). `sheer` and `translucent_blind` are for
-    what covers a window and glows by day; the shell puts them on under the names "daylit-curtain" and "daylit-blind",
-    each window with a material object of its own, so that whoever lights the room can give each an emission.
+    `curtain` and `blind` are the opaque ones (open at the sides, or drawn). `sheer` and `translucent_blind` cover a
+    window and glow by day; the shell applies them under the names "daylit-curtain" and "daylit-blind", with a separate
+    material object for each window, so that the lighting can give each its own emission.
     """
 
     room: RoomFinishes

@@ -1,7 +1,7 @@
 """The outdoors: a small panorama of sky, skyline and ground, and the sun.
 
-Panorama: the project's equirectangular convention, 64 x 128, radiance in kcd/m2 (no sun in it). The sun's irradiance
-on a surface facing it is in klx (kcd/m2 x sr). Light in it is consistent: ground and facades are lit by the sky above
+Panorama: the project's equirectangular convention, 64 x 128, radiance in kcd/m2 (without the sun). The sun's irradiance
+on a surface facing it is in klx (kcd/m2 x sr). Its light is consistent: ground and facades are lit by the sky above
 them and by the sun. Relative sky luminance follows the CIE general sky (ISO 15469:2004), absolute levels the hour.
 """
 
@@ -27,14 +27,14 @@ _Number = int | float
 _Range = tuple[_Number, _Number]
 
 Panorama = Float[np.ndarray, "64 128 3"]
-Plane = Float[np.ndarray, "64 128"]
+ScalarMap = Float[np.ndarray, "64 128"]
 
 
 @dataclass(frozen=True)
-class _Time:
-    """Ranges for one kind of sky: sun's elevation in degrees, horizontal illuminance by the sky alone and the sun's
-    on a surface facing it (klx), colour temperatures at the zenith, at the horizon and of the sun; CIE parameters
-    (gradation a, b; indicatrix c, d, e)."""
+class _SkyParameters:
+    """Parameter ranges for one kind of sky: the sun's elevation in degrees, horizontal illuminance by the sky alone
+    and the sun's on a surface facing it (klx), colour temperatures at the zenith, at the horizon and of the sun; CIE
+    parameters (gradation a, b; indicatrix c, d, e)."""
 
     elevation: _Range
     sky_klx: _Range
@@ -45,15 +45,25 @@ class _Time:
     cie: tuple[_Number, ...]
 
 
-_TIMES: Final[dict[SkyKind, _Time]] = {
-    "clear": _Time((15, 58), (8, 16), (50, 100), (14000, 26000), (6600, 8000), (4600, 5600), (-1, -0.32, 10, -3, 0.45)),
-    "partly_cloudy": _Time(
+_SKY_PARAMETERS: Final[dict[SkyKind, _SkyParameters]] = {
+    "clear": _SkyParameters(
+        (15, 58), (8, 16), (50, 100), (14000, 26000), (6600, 8000), (4600, 5600), (-1, -0.32, 10, -3, 0.45)
+    ),
+    "partly_cloudy": _SkyParameters(
         (15, 58), (14, 28), (35, 90), (13000, 24000), (6500, 7800), (4600, 5500), (0, -1, 5, -2.5, 0.3)
     ),
-    "overcast": _Time((15, 55), (5, 20), (0, 0), (6500, 7800), (6300, 7400), (5500, 5500), (4, -0.7, 0, -1, 0)),
-    "golden": _Time((8, 14), (3, 8), (20, 45), (12000, 22000), (4200, 5600), (3000, 3900), (-1, -0.32, 10, -3, 0.45)),
-    "dusk": _Time((-7, -2), (0.004, 0.4), (0, 0), (14000, 26000), (4500, 9000), (2600, 2600), (-1, -0.25, 5, -2, 0.3)),
-    "night": _Time((-40, -20), (1e-4, 1.5e-3), (0, 0), (4500, 9000), (2100, 3800), (2600, 2600), (3.5, -0.6, 0, -1, 0)),
+    "overcast": _SkyParameters(
+        (15, 55), (5, 20), (0, 0), (6500, 7800), (6300, 7400), (5500, 5500), (4, -0.7, 0, -1, 0)
+    ),
+    "golden": _SkyParameters(
+        (8, 14), (3, 8), (20, 45), (12000, 22000), (4200, 5600), (3000, 3900), (-1, -0.32, 10, -3, 0.45)
+    ),
+    "dusk": _SkyParameters(
+        (-7, -2), (0.004, 0.4), (0, 0), (14000, 26000), (4500, 9000), (2600, 2600), (-1, -0.25, 5, -2, 0.3)
+    ),
+    "night": _SkyParameters(
+        (-40, -20), (1e-4, 1.5e-3), (0, 0), (4500, 9000), (2100, 3800), (2600, 2600), (3.5, -0.6, 0, -1, 0)
+    ),
 }
 
 
@@ -64,46 +74,52 @@ def make_sky(
     toward: Float[np.ndarray, "3"] | None = None,
     spread_degrees: float | int = 40.0,
 ) -> Sky:
-    """A sky of one of `SKY_KINDS`, with what stands before it.
+    """Make a sky of one of `SKY_KINDS`, with its skyline and ground.
 
-    `toward` (world) is the azimuth, +- spread_degrees, at which the sun stands: out of a window, say; None: anywhere.
-    The sun always clears the skyline; behind a cloud (`partly_cloudy`, one in four) it is left out. ValueError for
-    another kind.
+    `toward` (world), a direction out of a window for example, is the sun's azimuth, +- spread_degrees; None: any
+    azimuth. The sun is always above the skyline; behind a cloud (`partly_cloudy`, one in four) it is left out.
+
+    Raises:
+        ValueError: `kind` is not in `SKY_KINDS`.
     """
-    if kind not in _TIMES:
+    if kind not in _SKY_PARAMETERS:
         raise ValueError(f"no sky is called {kind!r}: there are {', '.join(SKY_KINDS)}")
-    time = _TIMES[kind]
+    parameters = _SKY_PARAMETERS[kind]
     azimuth = float(rng.uniform(-np.pi, np.pi))
     if toward is not None and float(np.hypot(toward[0], toward[2])) > 1e-6:
         azimuth = float(np.arctan2(toward[2], toward[0]) + np.radians(spread_degrees) * rng.uniform(-1, 1))
-    elevation = np.radians(rng.uniform(*time.elevation))
+    elevation = np.radians(rng.uniform(*parameters.elevation))
     direction = _direction(azimuth, float(elevation))
     views = panorama_directions(HEIGHT)
-    sky = _clear_dome(time, views, direction, rng)
+    sky = _clear_dome(parameters, views, direction, rng)
     sun = None
     if kind == "partly_cloudy":
-        sky, hidden = _clouded(sky, views, direction, rng)
+        sky, hidden = _with_clouds(sky, views, direction, rng)
     else:
         hidden = False
     if kind == "overcast":
         low = fbm(rng, _SHAPE, (8, 8), octaves=3) * np.maximum(views[..., 1], 0)
         sky = (sky * (1 + rng.uniform(0.1, 0.4) * low)[..., None]).astype(np.float32)
     if kind in ("dusk", "golden"):
-        sky = _afterglow(sky, views, azimuth, rng, strength=2.5 if kind == "dusk" else 0.6)
-    level = np.exp(rng.uniform(*np.log(time.sky_klx)))
+        sky = _with_afterglow(sky, views, azimuth, rng, strength=2.5 if kind == "dusk" else 0.6)
+    level = np.exp(rng.uniform(*np.log(parameters.sky_klx)))
     sky = (sky * (level / _klx(sky, np.array([0.0, 1.0, 0.0])))).astype(np.float32)
-    if time.sun_klx[1] > 0 and not hidden:
-        # Lower suns are weaker and redder: they shine through more air.
-        height = (elevation - np.radians(time.elevation[0])) / np.radians(time.elevation[1] - time.elevation[0])
+    if parameters.sun_klx[1] > 0 and not hidden:
+        # A low sun is weaker and redder: its light passes through more air.
+        height = (elevation - np.radians(parameters.elevation[0])) / np.radians(
+            parameters.elevation[1] - parameters.elevation[0]
+        )
         share = float(np.clip(height + rng.normal(0, 0.15), 0, 1))
-        klx = time.sun_klx[0] + (time.sun_klx[1] - time.sun_klx[0]) * share
-        red, green, blue = blackbody_rgb(round(time.sun_kelvin[0] + (time.sun_kelvin[1] - time.sun_kelvin[0]) * share))
+        klx = parameters.sun_klx[0] + (parameters.sun_klx[1] - parameters.sun_klx[0]) * share
+        red, green, blue = blackbody_rgb(
+            round(parameters.sun_kelvin[0] + (parameters.sun_kelvin[1] - parameters.sun_kelvin[0]) * share)
+        )
         sun = Sun(direction.astype(np.float64), (klx * red, klx * green, klx * blue))
     return _with_ground(Sky(sky, sun), views, rng, dark=kind in ("dusk", "night"))
 
 
 def horizontal_irradiance(sky: Sky) -> Float[np.ndarray, "3"]:
-    """Linear RGB irradiance in klx of a horizontal surface under the sky, sun included."""
+    """Return the linear RGB irradiance in klx of a horizontal surface under the sky, sun included."""
     up = np.array([0.0, 1.0, 0.0])
     return _irradiance(sky.panorama, up) + _sun_irradiance(sky.sun, up)
 
@@ -111,9 +127,10 @@ def horizontal_irradiance(sky: Sky) -> Float[np.ndarray, "3"]:
 def vertical_irradiance(
     sky: Sky, outward: Float[np.ndarray, "3"], *, sun_share: float | int = 0.5
 ) -> Float[np.ndarray, "3"]:
-    """Linear RGB irradiance in klx of an upright surface that faces `outward` (world; its y is left out).
+    """Return the linear RGB irradiance in klx of a vertical surface that faces `outward` (world; its y is ignored).
 
-    Ground and skyline count; of the sun only `sun_share` does: the reveal of a window shades the rest.
+    Ground and skyline are included; the sun's part is multiplied by `sun_share`: the reveal of a window shades the
+    rest.
     """
     normal = np.array([outward[0], 0.0, outward[2]], np.float64)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)
@@ -140,31 +157,33 @@ def _klx(panorama: Panorama, normal: Float[np.ndarray, "3"]) -> float:
     return float(LUMINANCE @ _irradiance(panorama, normal))
 
 
-def _clear_dome(time: _Time, views: Panorama, sun: Float[np.ndarray, "3"], rng: np.random.Generator) -> Panorama:
-    """Relative CIE luminance times the colour from horizon to zenith; nothing below the horizon."""
+def _clear_dome(
+    parameters: _SkyParameters, views: Panorama, sun: Float[np.ndarray, "3"], rng: np.random.Generator
+) -> Panorama:
+    """Return relative CIE luminance times the colour from horizon to zenith; zero below the horizon."""
     up = np.maximum(views[..., 1], 0.012)
-    a, b, c, d, e = time.cie
+    a, b, c, d, e = parameters.cie
     gradation = 1 + a * np.exp(b / up)
     angle = np.arccos(np.clip(views @ sun, -1, 1))
-    # The peak about the sun is capped at 12 degrees: narrower is the sun's own business.
+    # The circumsolar peak is capped at 12 degrees: the sun itself models anything narrower.
     around = np.maximum(angle, np.radians(12))
     scattered = 1 + c * (np.exp(d * around) - np.exp(d * np.pi / 2)) + e * np.cos(around) ** 2
     brightness = np.maximum(gradation * scattered, 0.02)
-    zenith = np.array(blackbody_rgb(round(rng.uniform(*time.zenith_kelvin))))
-    horizon = np.array(blackbody_rgb(round(rng.uniform(*time.horizon_kelvin))))
+    zenith = np.array(blackbody_rgb(round(rng.uniform(*parameters.zenith_kelvin))))
+    horizon = np.array(blackbody_rgb(round(rng.uniform(*parameters.horizon_kelvin))))
     share = (up ** rng.uniform(0.35, 0.6))[..., None]
     colour = horizon + (zenith - horizon) * share
     if c > 0:
-        # Light scattered forward is as white as the sun.
+        # Forward-scattered light has the sun's colour.
         near = np.exp(-angle / 0.35)[..., None]
-        colour = colour + (np.array(blackbody_rgb(round(time.sun_kelvin[1]))) - colour) * 0.8 * near
+        colour = colour + (np.array(blackbody_rgb(round(parameters.sun_kelvin[1]))) - colour) * 0.8 * near
     return (colour * brightness[..., None] * (views[..., 1:2] > 0)).astype(np.float32)
 
 
-def _clouded(
+def _with_clouds(
     sky: Panorama, views: Panorama, sun: Float[np.ndarray, "3"], rng: np.random.Generator
 ) -> tuple[Panorama, bool]:
-    """White clouds, brightest about the sun, grey below; and whether one hides the sun."""
+    """Add white clouds, brightest near the sun, grey below; also return whether one hides the sun."""
     size = 128
     field = fbm(rng, (size, size), (6, 6), octaves=5, gain=0.6)
     scale = rng.uniform(6, 12)
@@ -182,10 +201,10 @@ def _clouded(
     return mixed, bool(rng.random() < 0.25)
 
 
-def _afterglow(
+def _with_afterglow(
     sky: Panorama, views: Panorama, azimuth: float, rng: np.random.Generator, *, strength: float
 ) -> Panorama:
-    """A warm band low over where the sun is or went down, rose further up."""
+    """Add a warm band at the horizon near the sun's azimuth, rose further up."""
     bearing = np.arctan2(views[..., 2], views[..., 0])
     side = np.exp(-((1 - np.cos(bearing - azimuth)) / rng.uniform(0.3, 0.9)))
     up = np.maximum(views[..., 1], 0)
@@ -196,7 +215,7 @@ def _afterglow(
 
 
 def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: bool) -> Sky:
-    """Lawn or street below, and hills, trees, hedges or facades before the sky; lit as the sky and sun light them."""
+    """Add lawn or street below, and hills, trees, hedges or facades at the horizon, lit by the sky and the sun."""
     bearing = np.arctan2(views[0, :, 2], views[0, :, 0])
     skyline, kind = _skyline(bearing, sky.sun, rng)
     elevation = np.arcsin(np.clip(views[..., 1], -1, 1))
@@ -206,7 +225,7 @@ def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: b
             blackbody_rgb(int(rng.integers(2000, 4200)))
         )
     ground = _ground_albedo(views, rng)
-    # Houses and trees around keep part of the sky from the ground.
+    # Surrounding houses and trees hide part of the sky from the ground.
     panorama = np.where((elevation < 0)[..., None], ground * (down * rng.uniform(0.6, 0.95) / np.pi), sky.panorama)
     behind = (elevation < skyline[None, :]) & (elevation > -0.06)
     sides = np.stack([_facing(sky, float(angle)) for angle in bearing[::8] + np.pi])
@@ -214,17 +233,17 @@ def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: b
         [np.interp(np.arange(len(bearing)), np.arange(0, len(bearing), 8), sides[:, k]) for k in range(3)], 1
     )
     lit = lit + 0.5 * 0.15 * down  # and what the street throws back
-    albedo = _facades(elevation, bearing, skyline, rng) if kind == "houses" else _leaves(rng, kind)
+    albedo = _facades(elevation, bearing, skyline, rng) if kind == "houses" else _foliage(rng, kind)
     panorama = np.where(behind[..., None], albedo * (lit / np.pi)[None], panorama)
     if dark:
-        panorama = _lamps(panorama, elevation, behind & (kind == "houses"), rng)
+        panorama = _add_night_lights(panorama, elevation, behind & (kind == "houses"), rng)
     return replace(sky, panorama=np.ascontiguousarray(panorama, np.float32))
 
 
 def _skyline(
     bearing: Float[np.ndarray, " w"], sun: Sun | None, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " w"], str]:
-    """The elevation, in radians, below which something stands before the sky, at each azimuth."""
+    """Return the elevation, in radians, of the skyline at each azimuth, and its kind."""
     kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.42, 0.3, 0.14, 0.14)))]
     width = len(bearing)
     if kind == "houses":
@@ -252,7 +271,7 @@ def _facing(sky: Sky, azimuth: float) -> Float[np.ndarray, "3"]:
 
 
 def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:
-    """Lawn, paving, asphalt, gravel or (seldom) snow, clouded."""
+    """Return the albedo of lawn, paving, asphalt, gravel or (seldom) snow, with noise."""
     albedos = (
         paint(rng.uniform(0.06, 0.14), 0.07, rng.uniform(115, 140)),
         paint(rng.uniform(0.15, 0.35), 0.02, rng.uniform(60, 90)),
@@ -263,14 +282,14 @@ def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:
     first = albedos[int(rng.choice(5, p=(0.42, 0.24, 0.2, 0.1, 0.04)))]
     second = albedos[int(rng.choice(4))]
     patches = np.clip(fbm(rng, _SHAPE, (8, 4), octaves=3) * 3 + 0.2, 0, 1)[..., None]
-    # Near the house (steeply below) is one thing, beyond it the other.
+    # One ground cover near the house (steeply below), another beyond it.
     near = np.clip((-views[..., 1:2] - rng.uniform(0.2, 0.7)) * 12, 0, 1)
     share = np.clip(near + 0.2 * patches, 0, 1)
     return (np.array(first) + (np.array(second) - np.array(first)) * share).astype(np.float32)
 
 
-def _leaves(rng: np.random.Generator, kind: str) -> Panorama:
-    """Foliage, in clumps; far hills are bluer."""
+def _foliage(rng: np.random.Generator, kind: str) -> Panorama:
+    """Return the albedo of foliage, in clumps; far hills are bluer."""
     if kind == "hills":
         colour = paint(rng.uniform(0.08, 0.18), 0.03, rng.uniform(150, 240))
     else:
@@ -280,9 +299,9 @@ def _leaves(rng: np.random.Generator, kind: str) -> Panorama:
 
 
 def _facades(
-    elevation: Plane, bearing: Float[np.ndarray, " w"], skyline: Float[np.ndarray, " w"], rng: np.random.Generator
+    elevation: ScalarMap, bearing: Float[np.ndarray, " w"], skyline: Float[np.ndarray, " w"], rng: np.random.Generator
 ) -> Panorama:
-    """Each house its own wall colour; windows in rows, dark by day; roofs on some."""
+    """Return the albedo of houses: one wall colour each; windows in rows, dark by day; roofs on some."""
     out = np.zeros((*_SHAPE, 3), np.float32)
     edges = np.flatnonzero(np.diff(skyline, prepend=skyline[-1]) != 0)
     house = np.searchsorted(edges, np.arange(len(bearing)), side="right") % max(len(edges), 1)
@@ -308,11 +327,11 @@ def _facades(
     return out
 
 
-def _lamps(
-    panorama: Panorama, elevation: Plane, houses: Bool[np.ndarray, "64 128"], rng: np.random.Generator
+def _add_night_lights(
+    panorama: Panorama, elevation: ScalarMap, houses: Bool[np.ndarray, "64 128"], rng: np.random.Generator
 ) -> Panorama:
-    """Lit windows across the street and a few street lamps: 5 to 150 cd/m2 over a window, 0.2 to 3 kcd/m2 a lamp's
-    pixel."""
+    """Add lit windows across the street and a few street lamps: 5 to 150 cd/m2 for a window, 0.2 to 3 kcd/m2 for a
+    lamp's pixel."""
     out = panorama.copy()
     candidates = np.argwhere(houses & (elevation > 0.0))
     if len(candidates):

@@ -180,4 +180,4 @@ def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h
 def catalogue_for(furniture: Path | None) -> Catalogue:
     """The furniture library (once a process), with the procedural models that fill its gaps."""
     catalogue = load_catalogue(furniture, warn=lambda text: warn(text, stacklevel=2))
-    return catalogue.joined([*procedural_models("train"), *procedural_models("test")])
+    return catalogue.with_procedural([*procedural_models("train"), *procedural_models("test")])

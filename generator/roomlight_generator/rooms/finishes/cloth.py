@@ -6,7 +6,7 @@ Stripes of `striped` run along u, so that they hang upright on curtains, whose u
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, mixed, shaded, speckle, texture
 from roomlight_generator.rooms.finishes.palettes import cloth_colour, companion, dyes
 from roomlight_generator.rooms.scene import Rgb, Texture
@@ -84,7 +84,7 @@ def _bands(rng: np.random.Generator, colours: list[Rgb], *, mirrored: bool) -> F
     which = np.searchsorted(edges, np.arange(_SIDE // 2 if mirrored else _SIDE) + 0.5)
     picks = np.array([0, *(int(k) for k in rng.integers(0, len(colours), count))])
     picks[1] = 1
-    line = np.stack([encoded(c) for c in colours])[picks[np.minimum(which, count)]]
+    line = np.stack([to_srgb(c) for c in colours])[picks[np.minimum(which, count)]]
     return np.concatenate([line, line[::-1]]) if mirrored else line
 
 
@@ -103,7 +103,7 @@ def printed(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
             share = np.clip(field * 20, 0, 1) if coarse % 2 == 0 else np.clip((field - 0.1) * 20, 0, 1)
         else:
             share = np.clip((field - rng.uniform(0.1, 0.3)) * 14, 0, 1)
-        dye = encoded(companion(rng, ground) if rng.random() < 0.6 else cloth_colour(rng))
+        dye = to_srgb(companion(rng, ground) if rng.random() < 0.6 else cloth_colour(rng))
         image = image + (dye - image) * share[..., None].astype(np.float32)
     side = float(rng.uniform(0.15, 0.6))
     return texture((image * _weave(rng, 64, depth=0.08)[..., None]).astype(np.float32), (side, side))
@@ -168,8 +168,8 @@ def patterned_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Tex
     flower = radius * (1 + 0.3 * np.cos(petals * turn))
     diamond = np.abs(x) + np.abs(y)
     image = flat(colour or colours[0], (_SIDE, _SIDE))
-    image = np.where((np.abs(diamond - 0.46) < 0.03)[..., None], encoded(colours[1]), image)
-    image = np.where((flower < rng.uniform(0.2, 0.32))[..., None], encoded(colours[2]), image)
-    image = np.where((flower < rng.uniform(0.06, 0.14))[..., None], encoded(colours[1]), image)
+    image = np.where((np.abs(diamond - 0.46) < 0.03)[..., None], to_srgb(colours[1]), image)
+    image = np.where((flower < rng.uniform(0.2, 0.32))[..., None], to_srgb(colours[2]), image)
+    image = np.where((flower < rng.uniform(0.06, 0.14))[..., None], to_srgb(colours[1]), image)
     side = float(rng.uniform(0.5, 1.2))
     return texture((image * (0.97 + 0.04 * pile)[..., None]).astype(np.float32), (side, side))

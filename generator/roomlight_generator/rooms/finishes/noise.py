@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from roomlight.dataset.recording import Split
-from roomlight_generator.rooms.colour import encoded
+from roomlight_generator.rooms.colour import to_srgb
 from roomlight_generator.rooms.scene import Rgb, Texture
 
 
@@ -101,17 +101,17 @@ def grid_uv(shape: tuple[int, int]) -> tuple[Float[np.ndarray, "h w"], Float[np.
 
 def flat(colour: Rgb, shape: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
     """One colour everywhere."""
-    return np.broadcast_to(encoded(colour), (*shape, 3)).astype(np.float32)
+    return np.broadcast_to(to_srgb(colour), (*shape, 3)).astype(np.float32)
 
 
 def shaded(colour: Rgb, shade: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
     """A colour times a shade around 1."""
-    return (encoded(colour) * shade[..., None]).astype(np.float32)
+    return (to_srgb(colour) * shade[..., None]).astype(np.float32)
 
 
 def mixed(a: Rgb, b: Rgb, share: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
     """From a (share 0) to b (share 1)."""
-    start, end = encoded(a), encoded(b)
+    start, end = to_srgb(a), to_srgb(b)
     return (start + (end - start) * np.clip(share, 0, 1)[..., None]).astype(np.float32)
 
 

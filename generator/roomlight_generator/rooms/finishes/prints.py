@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, texture
 from roomlight_generator.rooms.finishes.palettes import dyes, hue, white
 from roomlight_generator.rooms.scene import Rgb, Texture
@@ -20,7 +20,7 @@ def _canvas(aspect: float) -> tuple[int, int]:
 
 
 def _ink(colour: Rgb) -> list[float]:
-    return [float(c) for c in encoded(colour)]
+    return [float(c) for c in to_srgb(colour)]
 
 
 def _mounted(rng: np.random.Generator, art: Float[np.ndarray, "h w 3"], *, chance: float = 0.45) -> Texture:
@@ -51,9 +51,9 @@ def scenery(rng: np.random.Generator, shape: tuple[int, int]) -> Float[np.ndarra
     low = paint(rng.uniform(0.45, 0.8), rng.uniform(0.03, 0.12) if warm else 0.02, 60 if warm else 230)
     horizon = float(rng.uniform(0.35, 0.65))
     sky = np.clip(v / horizon, 0, 1)[..., None] ** np.float32(rng.uniform(0.7, 1.6))
-    image = encoded(top) + (encoded(low) - encoded(top)) * sky
+    image = to_srgb(top) + (to_srgb(low) - to_srgb(top)) * sky
     cloud = np.clip(fbm(rng, shape, (5, 3), octaves=5, gain=0.6) - rng.uniform(-0.1, 0.4), 0, 0.6)[..., None]
-    image = image + (encoded((0.8, 0.78, 0.76)) - image) * cloud * np.clip(1.2 - sky, 0, 1)
+    image = image + (to_srgb((0.8, 0.78, 0.76)) - image) * cloud * np.clip(1.2 - sky, 0, 1)
     if warm:
         at = rng.uniform((0.15, horizon - 0.25), (0.85, horizon))
         glow = np.exp(-((u - at[0]) ** 2 * aspect2(shape) + (v - at[1]) ** 2) / rng.uniform(0.004, 0.03))[..., None]
@@ -66,11 +66,11 @@ def scenery(rng: np.random.Generator, shape: tuple[int, int]) -> Float[np.ndarra
         line = horizon + (near - 0.75) * 0.18 - rng.uniform(0.04, 0.2) * (1.1 - near) * (1 + ridge)
         colour = paint(0.05 + 0.35 * (1 - near) ** 1.5, 0.02 + 0.05 * near, base + rng.normal(0, 15))
         share = np.clip((v - line[None, :]) * shape[0], 0, 1)[..., None]
-        image = image + (encoded(colour) - image) * share
+        image = image + (to_srgb(colour) - image) * share
     ground = paint(rng.uniform(0.05, 0.35), rng.uniform(0.03, 0.09), float(rng.choice([130, 110, 75, 240, 200])))
     streaks = fbm(rng, shape, (24, 3), octaves=4)
     below = np.clip((v - horizon - 0.03) * shape[0], 0, 1)[..., None]
-    floor = encoded(ground) * (1 + np.float32(0.3) * streaks * (0.3 + v))[..., None]
+    floor = to_srgb(ground) * (1 + np.float32(0.3) * streaks * (0.3 + v))[..., None]
     return np.clip(image + (floor - image) * below, 0, 1).astype(np.float32)
 
 
@@ -91,7 +91,7 @@ def abstract(rng: np.random.Generator, aspect: float) -> Texture:
         cuts = np.sort(rng.uniform(0.1, 0.95, int(rng.integers(1, 4))))
         for top, low in zip(cuts, [*cuts[1:], 0.96], strict=True):
             mask = np.clip(((v + wobble > top + 0.02) & (v + wobble < low) & (np.abs(u - 0.5) < 0.44)), 0, 1)
-            image = np.where(mask[..., None], encoded(colours[int(rng.integers(1, 6))]), image)
+            image = np.where(mask[..., None], to_srgb(colours[int(rng.integers(1, 6))]), image)
     elif kind == 1:
         for _ in range(int(rng.integers(12, 50))):
             start, turn = rng.uniform((0, 0), (shape[1], shape[0])), rng.uniform(0, 2 * np.pi)
@@ -112,14 +112,14 @@ def abstract(rng: np.random.Generator, aspect: float) -> Texture:
     elif kind == 3:
         field = fbm(rng, shape, (2, 2), octaves=3)
         levels = np.clip((field + 0.8) / 1.6 * 6, 0, 5).astype(np.int32)
-        image = np.stack([encoded(c) for c in colours])[levels].astype(np.float32)
+        image = np.stack([to_srgb(c) for c in colours])[levels].astype(np.float32)
     else:
         wide, high = int(rng.integers(2, 6)), int(rng.integers(2, 6))
         picks = rng.integers(0, 6, (high, wide))
         cells = picks[np.minimum((v * high).astype(int), high - 1), np.minimum((u * wide).astype(int), wide - 1)]
-        image = np.stack([encoded(c) for c in colours])[cells].astype(np.float32)
+        image = np.stack([to_srgb(c) for c in colours])[cells].astype(np.float32)
         gap = np.minimum(np.abs(u * wide - np.rint(u * wide)) / wide, np.abs(v * high - np.rint(v * high)) / high)
-        image = np.where((gap < rng.uniform(0, 0.02))[..., None], encoded(colours[0]) * 0.2, image)
+        image = np.where((gap < rng.uniform(0, 0.02))[..., None], to_srgb(colours[0]) * 0.2, image)
     strokes = fbm(rng, shape, (40, 8), octaves=3) * np.float32(rng.uniform(0, 0.08))
     return _mounted(rng, np.clip(image * (1 + strokes)[..., None], 0, 1).astype(np.float32))
 
@@ -199,7 +199,7 @@ def portrait(rng: np.random.Generator, aspect: float) -> Texture:
     )
     for distance, colour in parts:
         share = np.clip((1 - distance) * 25, 0, 1)[..., None]
-        image = image + (encoded(colour) * light - image) * share
+        image = image + (to_srgb(colour) * light - image) * share
     if rng.random() < 0.35:
         image = np.repeat(image.mean(-1, keepdims=True), 3, -1)
     return _mounted(rng, np.clip(image, 0.02, 1).astype(np.float32))
@@ -222,8 +222,8 @@ def book_spines(rng: np.random.Generator) -> Texture:
         top = 4 if left > 0 else int(rng.integers(0, 34))
         profile = 0.75 + 0.25 * np.sin(np.pi * (np.arange(width) + 0.5) / width)
         end = min(x + width, shape[1])
-        image[top:, x:end] = (encoded(colour) * profile[: end - x, None]).astype(np.float32)
-        mark = encoded(paint(rng.uniform(0.5, 0.8) if level < 0.3 else rng.uniform(0.02, 0.1), 0.04, 85))
+        image[top:, x:end] = (to_srgb(colour) * profile[: end - x, None]).astype(np.float32)
+        mark = to_srgb(paint(rng.uniform(0.5, 0.8) if level < 0.3 else rng.uniform(0.02, 0.1), 0.04, 85))
         if width > 11 and rng.random() < 0.75:
             start = top + int(rng.uniform(0.12, 0.4) * (shape[0] - top))
             stop = start + int(rng.uniform(0.2, 0.45) * (shape[0] - top))

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded
+from roomlight_generator.rooms.colour import to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, shaded, smooth, speckle, texture
 from roomlight_generator.rooms.finishes.palettes import cloth_colour, companion, dyes
 from roomlight_generator.rooms.scene import Texture
@@ -27,9 +27,9 @@ def oriental(rng: np.random.Generator) -> Texture:
     """A medallion in a field of small figures inside borders, all mirrored both ways."""
     shape, size_m = _size(rng)
     height, width = shape[0] // 2, shape[1] // 2
-    colours = [encoded(dye) for dye in dyes(rng, 6)]
+    colours = [to_srgb(dye) for dye in dyes(rng, 6)]
     if rng.random() < 0.5:
-        colours[1], colours[2] = encoded((0.13, 0.015, 0.018)), encoded((0.018, 0.025, 0.07))
+        colours[1], colours[2] = to_srgb((0.13, 0.015, 0.018)), to_srgb((0.018, 0.025, 0.07))
     y, x = np.mgrid[0:height, 0:width].astype(np.float32) + 0.5
     # A quarter: distances from the outer edges, and from the centre.
     edge = np.minimum(x, y)
@@ -74,7 +74,7 @@ def modern(rng: np.random.Generator) -> Texture:
     shape, size_m = _size(rng)
     u, v = grid_uv(shape)
     u = u * np.float32(shape[1] / shape[0])
-    colours = [encoded(dye) for dye in dyes(rng, 5)]
+    colours = [to_srgb(dye) for dye in dyes(rng, 5)]
     image = np.broadcast_to(colours[0], (*shape, 3)).astype(np.float32)
     kind = int(rng.integers(5))
     if kind == 0:

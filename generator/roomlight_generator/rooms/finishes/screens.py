@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, texture
 from roomlight_generator.rooms.finishes.palettes import dyes, hue
 from roomlight_generator.rooms.finishes.prints import scenery
@@ -19,7 +19,7 @@ Picture = Float[np.ndarray, "144 256 3"]
 
 
 def _ink(level: int | float, chroma: int | float, angle: int | float) -> list[float]:
-    return [float(c) for c in encoded(paint(level, chroma, angle))]
+    return [float(c) for c in to_srgb(paint(level, chroma, angle))]
 
 
 def _text(
@@ -45,8 +45,8 @@ def film(rng: np.random.Generator) -> Texture:
         head = np.hypot(x_scaled, v - 0.4) < size
         body = np.hypot(x_scaled / 2, v - 0.4 - 2.8 * size) < 1.6 * size
         lit = (0.8 + 1.2 * x_scaled)[..., None]
-        image = np.where(body[..., None], encoded(paint(rng.uniform(0.03, 0.4), 0.05, hue(rng))) * lit, image)
-        image = np.where(head[..., None], encoded(paint(rng.uniform(0.1, 0.5), 0.05, 55)) * lit, image)
+        image = np.where(body[..., None], to_srgb(paint(rng.uniform(0.03, 0.4), 0.05, hue(rng))) * lit, image)
+        image = np.where(head[..., None], to_srgb(paint(rng.uniform(0.1, 0.5), 0.05, 55)) * lit, image)
     if rng.random() < 0.4:
         image = np.where((np.abs(v - 0.5) > 0.39)[..., None], 0.0, image)
     return texture(np.clip(image, 0, 1).astype(np.float32), _SIZE)
@@ -73,7 +73,7 @@ def sport(rng: np.random.Generator) -> Texture:
     u, v = grid_uv(_SHAPE)
     mown = ((u + 0.15 * v) * 12).astype(np.int32) % 2
     grass = paint(rng.uniform(0.15, 0.3), 0.12, 140)
-    image = (encoded(grass) * (0.94 + 0.1 * mown)[..., None]).astype(np.float32)
+    image = (to_srgb(grass) * (0.94 + 0.1 * mown)[..., None]).astype(np.float32)
     stand = v < 0.2
     crowd = rng.uniform(0.1, 0.7, (*_SHAPE, 3)).astype(np.float32)
     image = np.where(stand[..., None], cv2.GaussianBlur(crowd, (0, 0), 1), image).astype(np.float32)
@@ -93,7 +93,7 @@ def desktop(rng: np.random.Generator) -> Texture:
     if rng.random() < 0.5:
         image = scenery(rng, _SHAPE).copy()
     else:
-        first, second = encoded(paint(rng.uniform(0.02, 0.3), 0.1, hue(rng))), encoded(paint(0.2, 0.12, hue(rng)))
+        first, second = to_srgb(paint(rng.uniform(0.02, 0.3), 0.1, hue(rng))), to_srgb(paint(0.2, 0.12, hue(rng)))
         share = np.clip(0.5 + fbm(rng, _SHAPE, (2, 2), octaves=2), 0, 1)[..., None]
         image = (first + (second - first) * share).astype(np.float32)
     dark = rng.random() < 0.45
@@ -139,6 +139,6 @@ def menu(rng: np.random.Generator) -> Texture:
     for y in (20, 62, 104):
         for x in range(14, 256, wide + 6):
             card = dyes(rng, 3)[int(rng.integers(0, 3))]
-            cv2.rectangle(image, (x, y), (min(x + wide, 255), y + 32), [float(c) for c in encoded(card)], -1)
+            cv2.rectangle(image, (x, y), (min(x + wide, 255), y + 32), [float(c) for c in to_srgb(card)], -1)
             cv2.circle(image, (x + wide // 2, y + 18), 8, _ink(rng.uniform(0.05, 0.6), 0.1, hue(rng)), -1, cv2.LINE_AA)
     return texture(image, _SIZE)

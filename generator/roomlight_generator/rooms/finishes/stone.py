@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, grid_uv, laid_rows, shaded, speckle, texture
 from roomlight_generator.rooms.finishes.palettes import stone_colour
 from roomlight_generator.rooms.scene import Rgb, Texture
@@ -28,7 +28,7 @@ def marble(rng: np.random.Generator) -> Texture:
     colour = colour or stone_colour(rng)
     blocks = laid_rows(rng, shape, rows=2, columns=2, shift=0.0)
     field = blocks.cut(rng, veined(rng, shape, strength=float(rng.uniform(0.15, 0.45))))
-    image = blocks.grout(shaded(colour, 1 + field), encoded(colour) * np.float32(0.75), 1.5)
+    image = blocks.grout(shaded(colour, 1 + field), to_srgb(colour) * np.float32(0.75), 1.5)
     side = float(rng.uniform(1.0, 2.0))
     return texture(image, (side, side))
 

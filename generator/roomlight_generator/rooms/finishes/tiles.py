@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import (
     Blocks,
     fbm,
@@ -26,9 +26,9 @@ def _grout(rng: np.random.Generator, tile: Rgb) -> Float[np.ndarray, "3"]:
     """White, grey or dark grout, now and then the tile's own colour."""
     pick = rng.random()
     if pick < 0.25:
-        return encoded(tile) * np.float32(0.8)
+        return to_srgb(tile) * np.float32(0.8)
     level = rng.uniform(0.5, 0.75) if pick < 0.55 else rng.uniform(0.18, 0.45) if pick < 0.9 else rng.uniform(0.04, 0.1)
-    return encoded(paint(level, 0.012, 80))
+    return to_srgb(paint(level, 0.012, 80))
 
 
 def _clay(rng: np.random.Generator, blocks: Blocks, colour: Rgb) -> Float[np.ndarray, "h w 3"]:
@@ -127,7 +127,7 @@ def ornament(rng: np.random.Generator) -> Texture:
     ring = np.abs(corner - rng.uniform(0.4, 0.7)) < rng.uniform(0.05, 0.14)
     blob = corner < rng.uniform(0.2, 0.35)
     for mask, dye in ((star, dyes[1]), (ring, dyes[2]), (blob, dyes[1]), (centre < rng.uniform(0.1, 0.25), dyes[2])):
-        tile[mask] = encoded(dye)
+        tile[mask] = to_srgb(dye)
     image = np.tile(smooth(tile, 0.8), (count, count, 1))
     shape = image.shape[:2]
     image *= (1 + 0.04 * fbm(rng, shape, (5, 5), octaves=4))[..., None]
@@ -149,7 +149,7 @@ def terrazzo(rng: np.random.Generator) -> Texture:
     dyes = rng.integers(0, len(chips), count)
     for place, radius, turn, dye in zip(places, np.minimum(radii, 22), turns, dyes, strict=True):
         ring = place + radius * np.stack([np.cos(np.sort(turn)), np.sin(np.sort(turn))], 1)
-        colour = [float(c) for c in encoded(chips[int(dye)])]
+        colour = [float(c) for c in to_srgb(chips[int(dye)])]
         for shift in _wrapped(place, float(radius), size):
             cv2.fillPoly(image, [np.rint((ring + shift) * 16).astype(np.int32)], colour, cv2.LINE_AA, shift=4)
     side = float(rng.uniform(0.5, 0.9))
@@ -185,7 +185,7 @@ def brick(rng: np.random.Generator) -> Texture:
     rough = blocks.cut(rng, fbm(rng, shape, (10, 10), octaves=5, gain=0.75))
     image = shaded(colour, 1 + np.float32(0.04 if painted else 0.13) * rough)
     image = image * blocks.tones(rng, 0.015 if painted else float(rng.uniform(0.08, 0.22)), 0.0 if painted else 0.03)
-    joint = encoded(colour) * np.float32(0.88) if painted else encoded(paint(rng.uniform(0.25, 0.55), 0.015, 80))
+    joint = to_srgb(colour) * np.float32(0.88) if painted else to_srgb(paint(rng.uniform(0.25, 0.55), 0.015, 80))
     wobble = Blocks(blocks.index, blocks.joint_px + np.float32(1.2) * fbm(rng, shape, (24, 24), octaves=2))
     image = wobble.grout(image, joint, float(rng.uniform(5, 8)), bevel=0.15)
     return texture(image, (columns * 0.25, rows * 0.078))

@@ -4,7 +4,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded
+from roomlight_generator.rooms.colour import to_srgb
 from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, mixed, smooth, speckle, texture
 from roomlight_generator.rooms.finishes.palettes import companion, dyes, neutral_wall, wall_colour
 from roomlight_generator.rooms.scene import Rgb, Texture
@@ -35,7 +35,7 @@ def _paper(rng: np.random.Generator, image: Float[np.ndarray, "h w 3"], size: tu
 def stripes(rng: np.random.Generator) -> Texture:
     """Upright stripes, wide and narrow."""
     ground = _ground(rng)
-    colours = np.stack([encoded(c) for c in (ground, _figure(rng, ground), _figure(rng, ground))])
+    colours = np.stack([to_srgb(c) for c in (ground, _figure(rng, ground), _figure(rng, ground))])
     count = int(rng.choice([2, 2, 4, 6]))
     weights = rng.uniform(0.2, 1.0, count)
     weights[0] += 0.8
@@ -99,8 +99,8 @@ def floral(rng: np.random.Generator) -> Texture:
         place, turn = rng.uniform(0, _SIDE, 2), rng.uniform(0, 360)
         size = scale * rng.uniform(0.5, 1.1)
         leafy = rng.random() < 0.5
-        dye = encoded(colours[int(rng.integers(1, 5))]) * (1 - softened) + encoded(ground) * softened
-        heart = encoded(colours[0])
+        dye = to_srgb(colours[int(rng.integers(1, 5))]) * (1 - softened) + to_srgb(ground) * softened
+        heart = to_srgb(colours[0])
         petals = int(rng.integers(2, 4)) if leafy else int(rng.integers(5, 8))
         step = 42.0 if leafy else 360.0 / petals
         slim = 0.24 if leafy else 0.42
@@ -160,7 +160,7 @@ def geometric(rng: np.random.Generator) -> Texture:
         share = (np.abs(np.abs(shifted) + np.abs(y - row - 0.5) - 0.4) < width) | (np.abs(shifted) < width / 3)
     ground = _ground(rng)
     image = mixed(ground, _figure(rng, ground), np.asarray(share, np.float32))
-    extra = encoded(_figure(rng, ground))
+    extra = to_srgb(_figure(rng, ground))
     image = image + (extra - image) * np.asarray(third, np.float32)[..., None]
     side = float(rng.uniform(0.12, 0.25) * count)
     return _paper(rng, smooth(image.astype(np.float32), 0.8), (side, side))

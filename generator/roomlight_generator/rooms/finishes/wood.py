@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.colour import encoded, paint
+from roomlight_generator.rooms.colour import paint, to_srgb
 from roomlight_generator.rooms.finishes.noise import (
     Blocks,
     fbm,
@@ -60,7 +60,7 @@ def _stained(rng: np.random.Generator, colour: Rgb, grain: Float[np.ndarray, "h 
     """Grain on a colour: dark lines are redder than the ground, as they are in wood."""
     contrast = np.float32(rng.uniform(0.03, 0.095))
     shade = np.clip(1 + contrast * grain, 0.55, 1.3)
-    return (encoded(colour) * (1 + (shade - 1)[..., None] * np.array([0.9, 1.08, 1.26], np.float32))).astype(np.float32)
+    return (to_srgb(colour) * (1 + (shade - 1)[..., None] * np.array([0.9, 1.08, 1.26], np.float32))).astype(np.float32)
 
 
 def board(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
@@ -82,7 +82,7 @@ def _floor(
     colour = colour or wood_colour(rng)
     grain = blocks.cut(rng, _grain(rng, blocks.index.shape, boards=boards))
     image = _stained(rng, colour, grain) * blocks.tones(rng, spread, spread / 6)
-    return blocks.grout(image, encoded(colour) * np.float32(rng.uniform(0.35, 0.7)), joint_px)
+    return blocks.grout(image, to_srgb(colour) * np.float32(rng.uniform(0.35, 0.7)), joint_px)
 
 
 def strip_floor(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
@@ -114,7 +114,7 @@ def laminate(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
     colour = colour or wood_colour(rng)
     image = _stained(rng, colour, strips.cut(rng, _grain(rng, _LAID, boards=rows)))
     image = image * strips.tones(rng, float(rng.uniform(0.02, 0.09)))
-    image = blocks.grout(image, encoded(colour) * np.float32(0.6), 1.2)
+    image = blocks.grout(image, to_srgb(colour) * np.float32(0.6), 1.2)
     return texture(image, (1.3, float(rows * 0.19)))
 
 

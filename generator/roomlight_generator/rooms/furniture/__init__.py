@@ -1,4 +1,5 @@
-"""Furniture libraries of Sweet Home 3D (.sh3f) as Models: read, classified, simplified, kept in a compact cache."""
+"""Furniture libraries of Sweet Home 3D (.sh3f) as furniture models: read, classified, simplified, kept in a compact
+cache."""
 
 from roomlight_generator.rooms.furniture.build import build_cache
 from roomlight_generator.rooms.furniture.catalogue import Catalogue, load_catalogue

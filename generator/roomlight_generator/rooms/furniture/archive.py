@@ -1,4 +1,4 @@
-"""Zip files from strangers: members are read into memory under limits, never unpacked to disk."""
+"""Untrusted zip files: members are read into memory under size limits, never unpacked to disk."""
 
 import zipfile
 import zlib
@@ -10,7 +10,7 @@ from urllib.parse import unquote
 from roomlight.errors import FurnitureError
 
 MAX_MEMBER_BYTES: Final = 192 << 20
-"""The largest model of the Debian libraries is 21 MB of text; ten times that is a bomb or a mistake."""
+"""The largest model of the Debian libraries is 21 MB of text; a member ten times as large is a zip bomb or an error."""
 
 _MAX_MEMBERS: Final = 50_000
 
@@ -19,7 +19,11 @@ class Archive:
     """A zip file with an index of names; every failure is a FurnitureError that names the file and the member."""
 
     def __init__(self, path: Path) -> None:
-        """FurnitureError when the file is missing, no zip, or has an absurd number of members."""
+        """Open the file.
+
+        Raises:
+            FurnitureError: the file is missing, is not a zip file, or has too many members.
+        """
         self.path: Final = path
         try:
             self._zip = zipfile.ZipFile(path)
@@ -32,11 +36,10 @@ class Archive:
             self._zip.close()
             raise FurnitureError(f"{path}: has {len(names)} files in it; {_MAX_MEMBERS} are the most that is read")
         self._names = set(names)
-        # Libraries made on Windows differ from their catalogue in case and slashes.
+        # Libraries made on Windows differ from their catalogue file in case and slashes.
         self._folded = {name.replace("\\", "/").lower(): name for name in names}
 
     def __enter__(self) -> "Archive":
-        """The archive itself; closed on leaving."""
         return self
 
     def __exit__(
@@ -46,9 +49,10 @@ class Archive:
         self._zip.close()
 
     def find(self, name: str, *, relative_to: str = "") -> str | None:
-        """The member of that name (from the root, or beside the member `relative_to`), or None.
+        """Return the member of that name (from the root, or beside the member `relative_to`), or None.
 
-        FurnitureError for a name that climbs out of the archive.
+        Raises:
+            FurnitureError: the name leads out of the archive.
         """
         spelled = name.replace("\\", "/")
         if relative_to and not spelled.startswith("/"):
@@ -70,7 +74,11 @@ class Archive:
         return None
 
     def read(self, member: str, *, limit: int = MAX_MEMBER_BYTES) -> bytes:
-        """The bytes of a member `find` gave; FurnitureError when damaged or longer than the limit."""
+        """Return the bytes of a member that `find` returned.
+
+        Raises:
+            FurnitureError: the member is damaged or longer than the limit.
+        """
         try:
             with self._zip.open(member) as stream:
                 data = stream.read(limit + 1)

@@ -1,4 +1,5 @@
-"""Furniture libraries made into a cache: every model read, classified, simplified, measured; the broken left out."""
+"""Build a furniture cache from libraries: every model read, classified, simplified and measured; damaged ones left
+out."""
 
 import hashlib
 from collections.abc import Callable, Sequence
@@ -13,28 +14,33 @@ from roomlight_generator.rooms.furniture.archive import Archive
 from roomlight_generator.rooms.furniture.assemble import build_mesh
 from roomlight_generator.rooms.furniture.cache import CacheWriter
 from roomlight_generator.rooms.furniture.classify import elevation_m, has_surface, role_of
-from roomlight_generator.rooms.furniture.exceptions import LIGHTS_MOVED_M
-from roomlight_generator.rooms.furniture.sh3f import CATALOGUE, Entry, Warn, read_entries
+from roomlight_generator.rooms.furniture.exceptions import LIGHT_OFFSETS_M
+from roomlight_generator.rooms.furniture.sh3f import CATALOGUE_FILE, LibraryEntry, WarningCallback, read_entries
+from roomlight_generator.rooms.furniture.support_height import measure_top_m
 from roomlight_generator.rooms.furniture.surfaces import read_surfaces
-from roomlight_generator.rooms.furniture.tops import top_m
 from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
 from roomlight_generator.rooms.scene import Mesh
 
-Progress = Callable[[int, int], None]
-"""Told how many models are done, and of how many."""
+ProgressCallback = Callable[[int, int], None]
+"""Called with the number of finished models and their total number."""
 
 SUFFIXES: Final = (".sh3f", ".sh3t", ".jar")
 """Furniture libraries, texture libraries, and Sweet Home 3D itself (for its textures)."""
 
 
-def build_cache(sources: Sequence[Path], out: Path, *, warn: Warn, progress: Progress | None = None) -> None:
+def build_cache(
+    sources: Sequence[Path], out: Path, *, warn: WarningCallback, progress: ProgressCallback | None = None
+) -> None:
     """Write the cache file `out` from libraries (about a minute for the five of Debian, on one core).
 
-    FurnitureError where a source is no library, or nothing at all is found in them; a model that cannot be read is
-    left out with a warning, and so is one whose id came before. OutputError where `out` cannot be written.
+    A model that cannot be read, or whose id was in an earlier library, is left out with a warning.
+
+    Raises:
+        FurnitureError: a source is not a library, or the sources hold neither models nor textures.
+        OutputError: `out` cannot be written.
     """
     writer = CacheWriter()
-    entries: list[tuple[Path, Entry, str]] = []
+    entries: list[tuple[Path, LibraryEntry, str]] = []
     surfaces: set[str] = set()
     known: set[str] = set()
     for source in sources:
@@ -44,9 +50,11 @@ def build_cache(sources: Sequence[Path], out: Path, *, warn: Warn, progress: Pro
                 if surface.id not in surfaces:
                     writer.add_surface(surface)
                     surfaces.add(surface.id)
-            if archive.find(CATALOGUE) is None:
+            if archive.find(CATALOGUE_FILE) is None:
                 if not found:
-                    raise FurnitureError(f"{source}: holds neither furniture ({CATALOGUE}) nor wall or floor textures")
+                    raise FurnitureError(
+                        f"{source}: holds neither furniture ({CATALOGUE_FILE}) nor wall or floor textures"
+                    )
                 continue
             for entry in read_entries(archive, warn):
                 role = role_of(entry)
@@ -74,7 +82,7 @@ def build_cache(sources: Sequence[Path], out: Path, *, warn: Warn, progress: Pro
     writer.write(out)
 
 
-def _add(writer: CacheWriter, archive: Archive, entry: Entry, role: str, warn: Warn) -> None:
+def _add(writer: CacheWriter, archive: Archive, entry: LibraryEntry, role: str, warn: WarningCallback) -> None:
     mesh = build_mesh(archive, entry, role=role, warn=warn)
     extent = mesh.bounds()[1] - mesh.bounds()[0]
     model = FurnitureModel(
@@ -87,19 +95,19 @@ def _add(writer: CacheWriter, archive: Archive, entry: Entry, role: str, warn: W
         depth_m=float(extent[2]),
         load=lambda: mesh,
         elevation_m=elevation_m(role, entry),
-        top_m=top_m(mesh, listed_m=entry.drop_top_m) if has_surface(role, entry) else None,
-        lights=_moved(entry),
+        top_m=measure_top_m(mesh, listed_m=entry.drop_top_m) if has_surface(role, entry) else None,
+        lights=_offset_lights(entry),
         attribution=entry.attribution,
     )
     writer.add(model, mesh, _digests(archive, entry, mesh))
 
 
-def _moved(entry: Entry) -> tuple[LightSource, ...]:
-    way = np.array(LIGHTS_MOVED_M.get(entry.id, (0, 0, 0)), np.float32)
+def _offset_lights(entry: LibraryEntry) -> tuple[LightSource, ...]:
+    way = np.array(LIGHT_OFFSETS_M.get(entry.id, (0, 0, 0)), np.float32)
     return tuple(replace(light, position=light.position + way) for light in entry.lights)
 
 
-def _digests(archive: Archive, entry: Entry, mesh: Mesh) -> tuple[str, ...]:
-    """What a model may share with another: its geometry to the byte, and its pictures."""
+def _digests(archive: Archive, entry: LibraryEntry, mesh: Mesh) -> tuple[str, ...]:
+    """Return digests of what a model may share with others: its geometry file and its images."""
     images = {hashlib.sha256(m.texture.image.tobytes()).hexdigest()[:12] for m in mesh.materials if m.texture}
     return (hashlib.sha256(archive.read(entry.member)).hexdigest()[:12], *sorted(images))

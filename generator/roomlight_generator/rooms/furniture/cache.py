@@ -1,8 +1,8 @@
-"""One compact file with all usable models of some libraries: read fast, copied to another machine whole.
+"""One compact file with all usable models of some libraries: fast to read, and portable between machines.
 
-Layout: 8 bytes of magic with the version, the header's length (u32) and SHA-256, the header (JSON, zlib), then the
-pieces it lists by offset, length and CRC-32: packed meshes (`packing`) and JPEG textures. Meshes are read and decoded
-one by one when first asked for; the header alone tells the planner all it needs.
+Format: 8 bytes of magic with the version, the header's length (u32) and SHA-256, the header (JSON, zlib), then the
+blobs it lists by offset, length and CRC-32: packed meshes (`packing`) and JPEG textures. Meshes are read and decoded
+one by one on first access; the planner needs only the header.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ import numpy as np
 
 from roomlight.errors import FurnitureError, OutputError
 from roomlight_generator.rooms.furniture.packing import pack_mesh, unpack_mesh
-from roomlight_generator.rooms.furniture.surfaces import Surface, SurfaceKind
+from roomlight_generator.rooms.furniture.surfaces import SurfaceKind, SurfaceTexture
 from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
 from roomlight_generator.rooms.scene import Mesh, Texture
 
@@ -32,14 +32,14 @@ _MAGIC: Final = b"RLFURN%02d" % VERSION
 _FAMILY: Final = b"RLFURN"
 _HEAD: Final = struct.Struct("<I32s")
 _QUALITY: Final = 84
-"""JPEG quality: the largest third of the file is textures, which are seen from metres away."""
+"""JPEG quality: textures are the largest third of the file, and are seen from metres away."""
 
 _MAX_FILE_BYTES: Final = 1 << 30
 
 
 @dataclass(frozen=True, eq=False)
 class StoredModel:
-    """A model of a cache: `model.split` is not decided yet (it depends on what else there is)."""
+    """A model of a cache. Its `model.split` is a placeholder: the split depends on all loaded models."""
 
     model: FurnitureModel
     shared: tuple[str, ...]
@@ -47,16 +47,16 @@ class StoredModel:
 
 @dataclass(eq=False)
 class CacheWriter:
-    """Collects models and surfaces, then writes them as one file."""
+    """Collects models and surface textures, then writes them as one file."""
 
-    _pieces: list[bytes] = field(default_factory=list[bytes])
+    _blobs: list[bytes] = field(default_factory=list[bytes])
     _textures: dict[bytes, int] = field(default_factory=dict[bytes, int])
     _numbers: dict[int, tuple[Texture, int]] = field(default_factory=dict[int, tuple[Texture, int]])
     _models: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
     _surfaces: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
 
     def add(self, model: FurnitureModel, mesh: Mesh, shared: tuple[str, ...]) -> None:
-        """A model; `shared` are digests of its geometry and textures (`splits.assign_splits`)."""
+        """Add a model; `shared` holds digests of its geometry and textures (`splits.assign_splits`)."""
         self._models.append(
             {
                 "id": model.id,
@@ -79,8 +79,8 @@ class CacheWriter:
             }
         )
 
-    def add_surface(self, surface: Surface) -> None:
-        """A wall or floor texture."""
+    def add_surface(self, surface: SurfaceTexture) -> None:
+        """Add a wall or floor texture."""
         self._surfaces.append(
             {
                 "id": surface.id,
@@ -92,31 +92,35 @@ class CacheWriter:
         )
 
     def write(self, path: Path) -> None:
-        """The file, whole or not at all (two processes may write it at once). OutputError where it cannot be."""
+        """Write the file atomically (two processes may write it at once).
+
+        Raises:
+            OutputError: the file cannot be written.
+        """
         table: list[list[int]] = []
         offset = 0
-        for piece in self._pieces:
-            table.append([offset, len(piece), zlib.crc32(piece)])
-            offset += len(piece)
+        for blob in self._blobs:
+            table.append([offset, len(blob), zlib.crc32(blob)])
+            offset += len(blob)
         header = {"pieces": table, "bytes": offset, "models": self._models, "surfaces": self._surfaces}
         text = zlib.compress(json.dumps(header, separators=(",", ":")).encode(), 9)
         head = _MAGIC + _HEAD.pack(len(text), hashlib.sha256(text).digest())
         temporary = path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            temporary.write_bytes(b"".join([head, text, *self._pieces]))
+            temporary.write_bytes(b"".join([head, text, *self._blobs]))
             temporary.replace(path)
         except OSError as error:
             with contextlib.suppress(OSError):  # it may never have been made
                 temporary.unlink()
             raise OutputError(f"{path}: the furniture cache cannot be written ({error.strerror or error})") from error
 
-    def _append(self, piece: bytes) -> int:
-        self._pieces.append(piece)
-        return len(self._pieces) - 1
+    def _append(self, blob: bytes) -> int:
+        self._blobs.append(blob)
+        return len(self._blobs) - 1
 
     def _texture_number(self, texture: Texture) -> int:
-        # The texture itself is kept too, so that its id stays its own.
+        # The texture itself is kept too, so that its id is not reused.
         known = self._numbers.get(id(texture))
         if known is None:
             bgr = np.ascontiguousarray(texture.image[..., ::-1])
@@ -133,18 +137,26 @@ class StoredMesh:
     """Reads one model's mesh from its cache when called."""
 
     cache: "Cache"
-    piece: int
+    blob: int
 
     def __call__(self) -> Mesh:
-        """The mesh. FurnitureError when the file has been damaged since it was opened."""
-        return self.cache.mesh(self.piece)
+        """Read the mesh.
+
+        Raises:
+            FurnitureError: the file was damaged after it was opened.
+        """
+        return self.cache.mesh(self.blob)
 
 
 class Cache:
-    """An open cache file; its header is in memory, its pieces are read as they are asked for."""
+    """An open cache file; its header is in memory, its blobs are read on access."""
 
     def __init__(self, path: Path) -> None:
-        """FurnitureError, naming the file, when it is missing, foreign, of another version or damaged."""
+        """Read the header.
+
+        Raises:
+            FurnitureError: the file is missing, damaged, of another version, or not a furniture cache.
+        """
         self.path: Final = path
         try:
             with path.open("rb") as file:
@@ -152,34 +164,34 @@ class Cache:
                 if not head.startswith(_MAGIC):
                     raise FurnitureError(_foreign(path, head))
                 if len(head) < len(_MAGIC) + _HEAD.size:
-                    raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to have it made anew")
+                    raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to rebuild it")
                 length, digest = _HEAD.unpack_from(head, len(_MAGIC))
                 text = file.read(min(length, _MAX_FILE_BYTES))
             size = path.stat().st_size
         except OSError as error:
             raise FurnitureError(f"{path}: cannot be read ({error.strerror or error})") from error
         if hashlib.sha256(text).digest() != digest:
-            raise FurnitureError(f"{path}: the furniture cache is damaged; delete it to have it made anew")
+            raise FurnitureError(f"{path}: the furniture cache is damaged; delete it to rebuild it")
         header = cast(dict[str, Any], json.loads(zlib.decompress(text)))
         self._start = len(head) + length
-        self._pieces = cast(list[list[int]], header["pieces"])
+        self._blobs = cast(list[list[int]], header["pieces"])
         if size != self._start + header["bytes"]:
-            raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to have it made anew")
+            raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to rebuild it")
         self._models = cast(list[dict[str, Any]], header["models"])
         self._surfaces = cast(list[dict[str, Any]], header["surfaces"])
         self._textures: WeakValueDictionary[int, Texture] = WeakValueDictionary()
 
     def models(self) -> list[StoredModel]:
-        """All models, in the order in which they were stored."""
+        """Return all models, in the order in which they were stored."""
         return [
             StoredModel(_model(record, StoredMesh(self, int(record["at"]))), tuple(record["shared"]))
             for record in self._models
         ]
 
-    def surfaces(self) -> list[Surface]:
-        """All wall and floor textures; decodes them."""
+    def surfaces(self) -> list[SurfaceTexture]:
+        """Decode and return all wall and floor textures."""
         return [
-            Surface(
+            SurfaceTexture(
                 record["id"],
                 cast(SurfaceKind, record["kind"]),
                 Texture(self.texture(record["texture"]).image, (float(record["size"][0]), float(record["size"][1]))),
@@ -188,31 +200,31 @@ class Cache:
             for record in self._surfaces
         ]
 
-    def mesh(self, piece: int) -> Mesh:
-        """A model's mesh by the number of its piece."""
-        return unpack_mesh(self._read(piece), self.texture, f"{self.path}: piece {piece}")
+    def mesh(self, blob: int) -> Mesh:
+        """Return the mesh in a blob."""
+        return unpack_mesh(self._read(blob), self.texture, f"{self.path}: blob {blob}")
 
-    def texture(self, piece: int) -> Texture:
-        """A texture by the number of its piece; the same object as long as anyone holds it."""
-        found = self._textures.get(piece)
+    def texture(self, blob: int) -> Texture:
+        """Return the texture in a blob; the same object while it is referenced elsewhere."""
+        found = self._textures.get(blob)
         if found is None:
-            pixels = cv2.imdecode(np.frombuffer(self._read(piece), np.uint8), cv2.IMREAD_COLOR)
+            pixels = cv2.imdecode(np.frombuffer(self._read(blob), np.uint8), cv2.IMREAD_COLOR)
             if pixels is None:
-                raise FurnitureError(f"{self.path}: piece {piece} is no picture; delete the cache to have it made anew")
-            found = self._textures[piece] = Texture(np.ascontiguousarray(np.asarray(pixels, np.uint8)[..., ::-1]))
+                raise FurnitureError(f"{self.path}: blob {blob} is not an image; delete the cache to rebuild it")
+            found = self._textures[blob] = Texture(np.ascontiguousarray(np.asarray(pixels, np.uint8)[..., ::-1]))
         return found
 
     def __getstate__(self) -> Mapping[str, Any]:
-        """Without its textures: they are read anew in another process."""
+        """Return the state without textures: another process reads them again."""
         return {**self.__dict__, "_textures": None}
 
     def __setstate__(self, state: Mapping[str, Any]) -> None:
-        """As it was, with no texture read yet."""
+        """Restore the state with no texture loaded."""
         self.__dict__.update(state)
         self._textures = WeakValueDictionary()
 
-    def _read(self, piece: int) -> bytes:
-        offset, length, checksum = self._pieces[piece]
+    def _read(self, blob: int) -> bytes:
+        offset, length, checksum = self._blobs[blob]
         try:
             with self.path.open("rb") as file:
                 file.seek(self._start + offset)
@@ -220,14 +232,12 @@ class Cache:
         except OSError as error:
             raise FurnitureError(f"{self.path}: cannot be read ({error.strerror or error})") from error
         if zlib.crc32(data) != checksum:
-            raise FurnitureError(
-                f"{self.path}: piece {piece} of the furniture cache is damaged; delete it to have it made anew"
-            )
+            raise FurnitureError(f"{self.path}: blob {blob} of the furniture cache is damaged; delete it to rebuild it")
         return data
 
 
 def is_cache(path: Path) -> bool:
-    """Whether the file begins as a furniture cache of any version does."""
+    """Return whether the file starts like a furniture cache of any version."""
     try:
         with path.open("rb") as file:
             return file.read(len(_FAMILY)) == _FAMILY
@@ -238,7 +248,9 @@ def is_cache(path: Path) -> bool:
 def _foreign(path: Path, head: bytes) -> str:
     if head.startswith(_FAMILY):
         version = head[len(_FAMILY) : len(_MAGIC)].decode("ascii", "replace")
-        return f"{path}: a furniture cache of version {version}, this reads version {VERSION:02d}; make it anew"
+        return (
+            f"{path}: has furniture cache version {version}, but this release reads version {VERSION:02d}; rebuild it"
+        )
     return f"{path}: is not a furniture cache (it starts with {head[:8].hex() or 'nothing'})"
 
 

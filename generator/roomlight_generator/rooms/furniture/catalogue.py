@@ -1,4 +1,4 @@
-"""The furniture that rooms are made of, by role and split, from wherever it is found."""
+"""The furniture models available to rooms, by role and split."""
 
 import hashlib
 import os
@@ -12,31 +12,31 @@ import numpy as np
 
 from roomlight.dataset.recording import Split
 from roomlight.errors import FurnitureError, OutputError
-from roomlight_generator.rooms.furniture.build import SUFFIXES, Progress, build_cache
+from roomlight_generator.rooms.furniture.build import SUFFIXES, ProgressCallback, build_cache
 from roomlight_generator.rooms.furniture.cache import VERSION, Cache, is_cache
-from roomlight_generator.rooms.furniture.sh3f import Warn
+from roomlight_generator.rooms.furniture.sh3f import WarningCallback
 from roomlight_generator.rooms.furniture.splits import assign_splits
-from roomlight_generator.rooms.furniture.surfaces import Surface, SurfaceKind
+from roomlight_generator.rooms.furniture.surfaces import SurfaceKind, SurfaceTexture
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.scene import Texture
 
-ENVIRONMENT: Final = "ROOMLIGHT_FURNITURE"
-"""Names a cache file, a library or a folder of them, used where no path is given."""
+ENVIRONMENT_VARIABLE: Final = "ROOMLIGHT_FURNITURE"
+"""Environment variable with a cache file, a library or a folder of libraries, used if no path is given."""
 
-INSTALLED: Final = Path("/usr/share/sweethome3d")
-"""Where Debian's packages sweethome3d-furniture and sweethome3d put their libraries and textures."""
+INSTALLED_FOLDER: Final = Path("/usr/share/sweethome3d")
+"""Folder where Debian's packages sweethome3d-furniture and sweethome3d install their libraries and textures."""
 
 PROCEDURAL_SHARE: Final = 0.2
-"""How often a procedural model is taken though the library has fitting ones: mixing widens what networks see."""
+"""Probability of choosing a procedural model although the library has fitting ones: mixing widens the training data."""
 
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """Models by role and split; `extra` are procedural ones, which fill gaps and are mixed in now and then."""
+    """Models by role and split; `procedural` models fill gaps of the library and are sometimes preferred to its own."""
 
     library: tuple[FurnitureModel, ...] = ()
-    library_surfaces: tuple[tuple[Surface, Split], ...] = ()
-    extra: tuple[FurnitureModel, ...] = ()
+    library_surfaces: tuple[tuple[SurfaceTexture, Split], ...] = ()
+    procedural: tuple[FurnitureModel, ...] = ()
     _by_role: dict[tuple[str, Split], tuple[list[FurnitureModel], list[FurnitureModel]]] = field(
         init=False,
         repr=False,
@@ -44,15 +44,15 @@ class Catalogue:
     )
 
     def __post_init__(self) -> None:
-        """Sort the models into their drawers."""
-        for place, models in enumerate((self.library, self.extra)):
+        """Index the models by role and split."""
+        for place, models in enumerate((self.library, self.procedural)):
             for model in models:
                 self._by_role.setdefault((model.role, model.split), ([], []))[place].append(model)
 
     def models(self, role: str, split: Split) -> list[FurnitureModel]:
-        """All models of a role that rooms of this split may use, the library's first."""
-        library, extra = self._by_role.get((role, split), ([], []))
-        return [*library, *extra]
+        """Return all models of a role that rooms of this split may use, the library's first."""
+        library, procedural = self._by_role.get((role, split), ([], []))
+        return [*library, *procedural]
 
     def choose(
         self,
@@ -62,60 +62,65 @@ class Catalogue:
         *,
         fits: Callable[[FurnitureModel], bool] | None = None,
         max_width_m: float = np.inf,
-        procedural: float = PROCEDURAL_SHARE,
+        procedural_share: float = PROCEDURAL_SHARE,
     ) -> FurnitureModel | None:
-        """A model of that role that fits, or None. `procedural` is the chance that a procedural one is preferred.
+        """Choose a model of that role that fits, or None; `procedural_share` is the probability of preferring
+        procedural models.
 
-        The same number of random values is drawn whatever fits.
+        The number of random values drawn does not depend on what fits.
         """
-        library, extra = (
+        library, procedural = (
             [model for model in models if model.width_m <= max_width_m and (fits is None or fits(model))]
             for models in self._by_role.get((role, split), ([], []))
         )
-        prefer_extra, place = rng.random(2)
-        chosen = extra if (extra and prefer_extra < procedural) or not library else library
+        prefer_procedural, place = rng.random(2)
+        chosen = procedural if (procedural and prefer_procedural < procedural_share) or not library else library
         return chosen[min(int(place * len(chosen)), len(chosen) - 1)] if chosen else None
 
     def surfaces(self, kind: SurfaceKind, split: Split) -> list[Texture]:
-        """Wall or floor textures of the library with their physical size; none where there is no texture library."""
+        """Return the library's wall or floor textures with their physical size; empty without a texture library."""
         return [surface.texture for surface, own in self.library_surfaces if surface.kind == kind and own == split]
 
     @property
     def attributions(self) -> list[str]:
-        """Who made the models and the surfaces, each once."""
-        found = {model.attribution for model in (*self.library, *self.extra)}
+        """Sorted, distinct attributions of the models and the surfaces."""
+        found = {model.attribution for model in (*self.library, *self.procedural)}
         found |= {surface.attribution for surface, _ in self.library_surfaces}
         return sorted(text for text in found if text)
 
-    def joined(self, models: Sequence[FurnitureModel]) -> "Catalogue":
-        """This catalogue with procedural models besides those it has."""
-        return Catalogue(self.library, self.library_surfaces, (*self.extra, *models))
+    def with_procedural(self, models: Sequence[FurnitureModel]) -> "Catalogue":
+        """Return this catalogue with further procedural models."""
+        return Catalogue(self.library, self.library_surfaces, (*self.procedural, *models))
 
 
-def load_catalogue(path: Path | None = None, *, warn: Warn, progress: Progress | None = None) -> Catalogue:
-    """The furniture library: of a cache file, a `.sh3f` file, or a folder of such.
+def load_catalogue(
+    path: Path | None = None, *, warn: WarningCallback, progress: ProgressCallback | None = None
+) -> Catalogue:
+    """Load the furniture library from a cache file, a `.sh3f` file, or a folder of them.
 
-    Without a path, what the variable ROOMLIGHT_FURNITURE names, or else Debian's installed libraries. Libraries are
-    made into a cache file in the user's cache folder once; a damaged one is made anew with a warning. Where nothing is
-    installed the catalogue is empty, and `warn` is told what to do about it. FurnitureError where what was named
-    cannot be used.
+    Without a path, the variable ROOMLIGHT_FURNITURE names the library; if it is unset, Debian's installed libraries are
+    used. Libraries are converted once to a cache file in the user's cache folder; a damaged cache is rebuilt with a
+    warning. If nothing is installed the catalogue is empty, and `warn` is called with instructions.
+
+    Raises:
+        FurnitureError: the given or named library cannot be used.
     """
     named = path if path is not None else named_library()
     if named is not None and is_cache(named):
-        return catalogue_of(Cache(named))
+        return catalogue_from_cache(Cache(named))
     sources = library_files(named) if named is not None else installed_libraries()
     if not sources:
         warn(
             "no furniture library is installed: rooms are furnished with procedural models only. "
             "`apt install sweethome3d-furniture` brings 820 models (or set "
-            f"{ENVIRONMENT} to a .sh3f file, a folder of them or a furniture cache)"
+            f"{ENVIRONMENT_VARIABLE} to a .sh3f file, a folder of them or a furniture cache)"
         )
         return Catalogue()
-    return catalogue_of(_cached(sources, warn, progress))
+    return catalogue_from_cache(_open_or_build_cache(sources, warn, progress))
 
 
-def catalogue_of(cache: Cache) -> Catalogue:
-    """All models of a cache, divided into splits."""
+def catalogue_from_cache(cache: Cache) -> Catalogue:
+    """Return all models of a cache, divided into splits."""
     stored = cache.models()
     splits = assign_splits(
         {one.model.id: one.model.role for one in stored}, {one.model.id: one.shared for one in stored}
@@ -129,7 +134,11 @@ def catalogue_of(cache: Cache) -> Catalogue:
 
 
 def library_files(path: Path) -> list[Path]:
-    """The libraries that a path names: itself, or those in the folder. FurnitureError where there are none."""
+    """Return the path itself, or the libraries in the folder.
+
+    Raises:
+        FurnitureError: the path does not exist, or the folder has no libraries.
+    """
     if path.is_dir():
         found = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
         if not found:
@@ -141,20 +150,20 @@ def library_files(path: Path) -> list[Path]:
 
 
 def named_library() -> Path | None:
-    """What the variable ROOMLIGHT_FURNITURE names, if it is set."""
-    named = os.environ.get(ENVIRONMENT)
+    """Return the path in the variable ROOMLIGHT_FURNITURE, if it is set."""
+    named = os.environ.get(ENVIRONMENT_VARIABLE)
     return Path(named) if named else None
 
 
 def installed_libraries(root: Path | None = None) -> list[Path]:
-    """The libraries of Debian's packages, and Sweet Home 3D's own textures where they are installed too."""
-    root = root or INSTALLED
+    """Return the libraries of Debian's packages, and Sweet Home 3D's own textures if they are installed too."""
+    root = root or INSTALLED_FOLDER
     found = sorted((root / "furniture").glob("*.sh3f"))
     jar = root / "sweethome3d.jar"
     return [*found, jar] if found and jar.exists() else found
 
 
-def _cached(sources: Sequence[Path], warn: Warn, progress: Progress | None) -> Cache:
+def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progress: ProgressCallback | None) -> Cache:
     path = cache_folder() / f"furniture-{_key(sources)}.rlf"
     if path.exists():
         try:
@@ -171,13 +180,13 @@ def _cached(sources: Sequence[Path], warn: Warn, progress: Progress | None) -> C
 
 
 def cache_folder() -> Path:
-    """Where caches are kept: `roomlight` in XDG_CACHE_HOME or ~/.cache."""
+    """Return the cache folder: `roomlight` in XDG_CACHE_HOME or ~/.cache."""
     home = os.environ.get("XDG_CACHE_HOME")
     return (Path(home) if home else Path.home() / ".cache") / "roomlight"
 
 
 def _key(sources: Sequence[Path]) -> str:
-    """Changes with the files and with how they are read."""
+    """Return a key that changes with the files and with the cache version."""
     parts = [f"{VERSION}"]
     for source in sources:
         try:

@@ -1,18 +1,18 @@
-"""What a library model is for: its role in a room, or none (cars, trees, road signs, swimming pools).
+"""Classify a library model: its role in a room, or None (cars, trees, road signs, swimming pools).
 
-Words of the name decide, then the tags, each in the order of `_WORDS`; a model that words mislead about is listed in
-`exceptions`. All 820 models of the Debian libraries were looked at with the role they get.
+Words of the name decide, then the tags, each in the order of `_WORDS`; models that their words misclassify are listed
+in `exceptions`. The roles of all 820 models of the Debian libraries were checked by eye.
 """
 
 import re
 from typing import Final
 
 from roomlight_generator.rooms.furniture.exceptions import EXCLUDED, ROLE_OF
-from roomlight_generator.rooms.furniture.sh3f import Entry
+from roomlight_generator.rooms.furniture.sh3f import LibraryEntry
 from roomlight_generator.rooms.roles import CEILING_ROLES, FLAT_ROLES, FLOOR_ROLES, OPENING_ROLES, TOP_ROLES, WALL_ROLES
 
 _OUTDOORS: Final = frozenset({"vehicles", "exterior", "staircases", "garden", "road", "outdoor"})
-"""Categories of which nothing is taken but what `exceptions` lists."""
+"""Excluded categories, except for the models that `exceptions` lists."""
 
 _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("pet", r"cat|dog|bulldog|siamese|rabbit|puppy|kitten"),
@@ -81,19 +81,20 @@ _WORDS: Final[tuple[tuple[str, str], ...]] = (
     ("floor_clutter", r"box|basket|bin|trash|bag|suitcase|backpack|crate|dustbin"),
     ("ornament", r"decoration|statue|ornament|gift"),
 )
-"""Role and the words that mean it, whole words only. The first that matches counts."""
+"""Roles and their keywords, whole words only. The first match counts."""
 
 _PATTERNS: Final = tuple((role, re.compile(rf"\b(?:{words})\b")) for role, words in _WORDS)
 
 _LIMITS_M: Final[dict[str, tuple[float, float]]] = {"person": (0.25, 2.2), "pet": (0.1, 1.3), "rug": (0.003, 0.12)}
-"""Heights outside of which a role is not believed."""
+"""Plausible heights of roles; a model outside them does not get the role."""
 
 _SURFACE_ROLES: Final = frozenset(
     {"dining_table", "coffee_table", "side_table", "desk", "nightstand", "dresser", "bookcase", "sideboard", "tv_stand",
      "kitchen_unit", "piano", "fireplace", "wall_shelf", "washing_machine", "dishwasher", "fridge", "washbasin",
      "bench", "wall_unit"}
 )  # fmt: skip
-"""What things may stand on. A sofa's seat and a bed's cover, where the catalogues allow it too, are left free."""
+"""Roles that objects may stand on. Sofa seats and bed covers stay free, although library catalogues allow objects on
+them."""
 
 _ELEVATIONS_M: Final[dict[str, float]] = {
     "wall_unit": 1.45,
@@ -109,14 +110,14 @@ _ELEVATIONS_M: Final[dict[str, float]] = {
     "whiteboard": 0.9,
     "wall_clutter": 1.2,
 }
-"""Where a thing hangs whose catalogue does not say."""
+"""Default elevation of roles that hang, if the library gives none."""
 
 _HUNG_FLOOR_ROLES: Final = frozenset({"washbasin", "toilet", "radiator", "shower"})
-"""Roles that stand on the floor or hang close above it; all others of the floor stand on it."""
+"""Roles that stand on the floor or hang close above it; all other floor roles stand on it."""
 
 
-def role_of(entry: Entry) -> str | None:
-    """The role of a model, or None where it does not belong in a room."""
+def role_of(entry: LibraryEntry) -> str | None:
+    """Return the role of a model, or None if it does not belong in a room."""
     if entry.id in EXCLUDED:
         return None
     if entry.id in ROLE_OF:
@@ -132,19 +133,19 @@ def role_of(entry: Entry) -> str | None:
     return None
 
 
-def has_surface(role: str, entry: Entry) -> bool:
-    """Whether things may stand on it; not where a sink is in the way."""
+def has_surface(role: str, entry: LibraryEntry) -> bool:
+    """Return whether objects may stand on it; not if it has a sink."""
     return role in _SURFACE_ROLES and "sink" not in entry.words
 
 
-def elevation_m(role: str, entry: Entry) -> float:
-    """Height of its bottom over the floor."""
+def elevation_m(role: str, entry: LibraryEntry) -> float:
+    """Return the height of its bottom over the floor."""
     if role in WALL_ROLES:
         return entry.elevation_m or _ELEVATIONS_M[role]
     return entry.elevation_m if role in _HUNG_FLOOR_ROLES or role in OPENING_ROLES else 0.0
 
 
-def _opening(entry: Entry) -> str | None:
+def _opening(entry: LibraryEntry) -> str | None:
     if max(entry.width_m, entry.height_m) > 2.6 or entry.depth_m > 0.5:
         return None
     text = f"{entry.name} {' '.join(entry.tags)}".lower()
@@ -153,8 +154,8 @@ def _opening(entry: Entry) -> str | None:
     return "window" if "window" in text or entry.elevation_m > 0.3 else "door"
 
 
-def _believable(role: str, entry: Entry) -> bool:
-    """Whether its size allows the role: a toy car is no car, a doll no person."""
+def _believable(role: str, entry: LibraryEntry) -> bool:
+    """Return whether its size is plausible for the role: this excludes toy cars and dolls."""
     low, high = _LIMITS_M.get(role, (0.0, 2.6))
     if not low <= entry.height_m <= high or max(entry.width_m, entry.depth_m) > 4.2:
         return False
@@ -165,8 +166,8 @@ def _believable(role: str, entry: Entry) -> bool:
     return role in WALL_ROLES or role in CEILING_ROLES or role in FLAT_ROLES or role in OPENING_ROLES
 
 
-def _by_size(role: str, entry: Entry) -> str:
-    """The role among those that differ by size alone."""
+def _by_size(role: str, entry: LibraryEntry) -> str:
+    """Return the role among those that differ by size alone."""
     height = entry.height_m
     if role == "plant" and height < 0.55:
         return "small_plant"

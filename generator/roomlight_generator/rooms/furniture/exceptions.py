@@ -1,4 +1,4 @@
-"""Models that words mislead about, by id: found by looking at every model of the Debian libraries.
+"""Models that keyword classification gets wrong, by id: found by inspecting every model of the Debian libraries.
 
 `B0` and `BY` are the Blend Swap libraries (CC-0 and CC-BY), `K` is Kator Legaz, `S` is Scopia.
 """
@@ -15,7 +15,7 @@ _LIBRARIES: Final = {
 
 
 def _ids(text: str) -> list[str]:
-    """`S:tv K:fluorescent` as the libraries spell it: `Scopia#tv`, `Kator Legaz#fluorescent`."""
+    """Expand abbreviated ids to the libraries' ids: `S:tv K:fluorescent` to `Scopia#tv`, `Kator Legaz#fluorescent`."""
     parts = [word.partition(":") for word in text.split()]
     return [f"{_LIBRARIES[library]}#{name}" for library, _, name in parts]
 
@@ -38,7 +38,7 @@ _ROLES: Final[dict[str, str]] = {
     "fireplace": "S:furnace",
     "kitchen_unit": "B0:drawersCabinet BY:kitchenDrawersCabinet",
     "wall_unit": "B0:glassDoorCabinet BY:kitchenGlassDoorCabinet",
-    # A tower of cupboards with an oven in it stands where a tall fridge would.
+    # A tall cabinet with a built-in oven takes the place of a tall fridge.
     "fridge": "B0:highCabinet",
     "exercise": "B0:poolTable B0:table_football BY:table_tennis S:flipper S:punching-ball BY:abdominalBench S:bicycle",
     "floor_toy": "BY:bike S:tricycle S:scooter S:skateboard S:children_chair BY:childChair B0:basketball BY:ballonFoot",
@@ -75,23 +75,23 @@ ROLE_OF: Final[dict[str, str]] = {identity: role for role, text in _ROLES.items(
 
 EXCLUDED: Final = frozenset(
     _ids(
-        # Outdoors, or nothing that one sees in a room.
+        # Outdoor objects, and objects that do not occur in rooms.
         "S:chimney S:round-chimney S:farola1 S:candelabre K:classic-lamppost K:park-light K:flashlight B0:urinal "
         "S:small-urinal B0:bidet B0:fireExtinguisher S:CCTV "
         "S:hospital-bed S:air-mattress S:sleepingBag S:bar_table S:ryokanChair "
-        # Texture coordinates that smear its picture over it.
+        # Models with broken texture coordinates.
         "S:vase1 "
-        # Parts of something: a shower's fittings, units that want a corner or a neighbour.
+        # Incomplete objects: a shower's fittings, units that need a corner or a neighbour.
         "B0:shower K:showerHeadAndFaucet B0:showerDoor K:showerCurtain B0:lowerCornerCabinet B0:upperCornerCabinet "
         "B0:islandExtension B0:oven K:propane-stove B0:whiteBoard BY:workbench "
-        # People who sit on a chair that is not there, and one who lies as the dead do.
+        # People in poses that need a chair or a bed.
         "R:boySitting R:sitFemale03 R:girlSittingTable R:sitMale01 R:sitMale02 R:lyingDownMale01"
     )
 )
-"""Models that get no role though words would give them one."""
+"""Models without a role although their keywords match one."""
 
-TURNED_DEGREES: Final[dict[str, float]] = {}
-"""Models whose front is not toward +z, and the turn that brings it there. Of the Debian libraries there is none."""
+FRONT_ROTATION_DEGREES: Final[dict[str, float]] = {}
+"""Rotations, in degrees, of models whose front is not toward +z. The Debian libraries have none."""
 
 _KINDS: Final[dict[str, dict[str, str]]] = {
     "B0:desklamp": {"Material.002": "shade"},
@@ -117,10 +117,10 @@ _KINDS: Final[dict[str, dict[str, str]]] = {
     "K:apple-imac-1998": {"CRT": "screen"},
 }
 
-LIGHTS_MOVED_M: Final[dict[str, tuple[float, float, float]]] = dict.fromkeys(
+LIGHT_OFFSETS_M: Final[dict[str, tuple[float, float, float]]] = dict.fromkeys(
     _ids("S:desk_lamp1 S:desk_lamp2"), (0.0, -0.03, 0.0)
 )
-"""Lamps whose bulb is shut in by its socket, and the way out of it."""
+"""Offsets, in metres, that move enclosed bulbs out of their sockets."""
 
 KIND_OF: Final[dict[str, dict[str, str]]] = {_ids(key)[0]: kinds for key, kinds in _KINDS.items()}
-"""What parts of a model are (see `materials.make_material`), by the name of their material."""
+"""Kinds of model parts (see `materials.make_material`), by the name of their material."""

@@ -1,8 +1,8 @@
-"""What an MTL file says of a surface, made into a Material: reflectance, gloss, glass, mirrors, screens, shades.
+"""Convert MTL materials to scene materials: reflectance, gloss, glass, mirrors, screens, shades.
 
-MTL colours are those seen on a display, so they are decoded as sRGB. Their specular terms say little (half of all
-materials have the exporter's default), so gloss follows the words in material names and the model's role, with the
-written shininess as a hint. Choices that are free are made by a hash of the model's and the material's name.
+MTL colours are display colours, so they are decoded as sRGB. Their specular terms carry little information (half of all
+materials have the exporter's default), so gloss follows keywords in material names and the model's role, with the
+shininess as a hint. Free choices are made by a hash of the model's and the material's name.
 """
 
 import re
@@ -12,11 +12,11 @@ from typing import Final
 import numpy as np
 
 from roomlight.conventions import srgb_to_linear
-from roomlight_generator.rooms.furniture.obj import Finish
+from roomlight_generator.rooms.furniture.obj import MtlMaterial
 from roomlight_generator.rooms.scene import Material, Rgb, Texture
 
 ALBEDO: Final = (0.03, 0.88)
-"""Black plastic and fresh white paint."""
+"""Range of albedo: black plastic to fresh white paint."""
 
 _LIFT: Final = 1.15
 
@@ -45,22 +45,22 @@ _LAMP_ROLES: Final = frozenset({"ceiling_lamp", "floor_lamp", "table_lamp", "wal
 
 
 def make_material(
-    finish: Finish,
+    mtl: MtlMaterial,
     texture: Texture | None,
     *,
     role: str,
     identity: str,
     kind: str | None = None,
 ) -> Material:
-    """The material of one part of a model. `kind` overrules what its words say: mirror, glass, chrome, matte, glossy,
+    """Make the material of one part of a model. `kind` overrides its keywords: mirror, glass, chrome, matte, glossy,
     screen, shade.
 
-    A texture takes the place of the diffuse colour, as it does in Sweet Home 3D.
+    A texture replaces the diffuse colour, as it does in Sweet Home 3D.
     """
-    words = finish.name.lower()
-    kind = kind or _kind(words, finish, texture, role)
-    name = f"{kind} {finish.name}" if kind in ("screen", "shade") else finish.name
-    albedo = (0.95, 0.95, 0.95) if texture is not None else _albedo(finish.diffuse)
+    words = mtl.name.lower()
+    kind = kind or _kind(words, mtl, texture, role)
+    name = f"{kind} {mtl.name}" if kind in ("screen", "shade") else mtl.name
+    albedo = (0.95, 0.95, 0.95) if texture is not None else _albedo(mtl.diffuse)
     if kind == "mirror":
         return Material(name=name, albedo=(0.88, 0.88, 0.88), mirror=0.88)
     if kind == "glass":
@@ -69,30 +69,30 @@ def make_material(
         return Material(name=name, albedo=albedo, mirror=min(0.6, 0.25 + 0.4 * max(albedo)))
     if kind == "screen":
         return Material(name=name, albedo=(0.02, 0.02, 0.02), roughness=0.06)
-    chance = zlib.crc32(f"{identity}/{finish.name}".encode()) / 2**32
-    roughness = None if kind in ("matte", "shade") else _roughness(words, finish, texture, role, chance, kind)
+    chance = zlib.crc32(f"{identity}/{mtl.name}".encode()) / 2**32
+    roughness = None if kind in ("matte", "shade") else _roughness(words, mtl, texture, role, chance, kind)
     return Material(name=name, albedo=albedo, texture=texture, roughness=roughness)
 
 
 def looks_like_shade(name: str) -> bool:
-    """Whether the name of a lamp's material says that it glows."""
+    """Return whether the name of a lamp's material means a part that emits light."""
     return bool(_SHADE.search(name.lower())) and not _METAL.search(name.lower())
 
 
-def _kind(words: str, finish: Finish, texture: Texture | None, role: str) -> str | None:
+def _kind(words: str, mtl: MtlMaterial, texture: Texture | None, role: str) -> str | None:
     if role in _SCREEN_ROLES and _SCREEN.search(words):
         return "screen"
     if _MIRROR.search(words) and texture is None:
         return "mirror"
-    clear = finish.opacity < 0.5 or (finish.opacity < 0.85 and _GLASS.search(words))
+    clear = mtl.opacity < 0.5 or (mtl.opacity < 0.85 and _GLASS.search(words))
     if clear and role in _LAMP_ROLES:
         return "shade"
     if clear and role not in ("tableware", "food", "bathroom_thing", "stationery", "person", "pet", "curtain", "rug"):
         return "glass"
     if clear:
-        # What passes rays straight through cannot be seen at all; a drinking glass is to be seen.
+        # Glass that passes rays straight through is invisible; a drinking glass must be visible.
         return "glossy"
-    if _CHROME.search(words) and max(finish.specular) > 0.15 and _saturation(finish.diffuse) < 0.4:
+    if _CHROME.search(words) and max(mtl.specular) > 0.15 and _saturation(mtl.diffuse) < 0.4:
         return "chrome"
     if _MATTE.search(words):
         return "matte"
@@ -100,9 +100,9 @@ def _kind(words: str, finish: Finish, texture: Texture | None, role: str) -> str
 
 
 def _roughness(
-    words: str, finish: Finish, texture: Texture | None, role: str, chance: float, kind: str | None
+    words: str, mtl: MtlMaterial, texture: Texture | None, role: str, chance: float, kind: str | None
 ) -> float | None:
-    """GGX alpha of the coat, or None. The ranges are those of measured household surfaces, roughly."""
+    """Return the GGX alpha of the coat, or None. The ranges roughly match measured household surfaces."""
     if kind == "glossy":
         return 0.05 + 0.1 * chance
     if kind == "chrome" or _METAL.search(words):
@@ -117,16 +117,17 @@ def _roughness(
         return None
     if role in _SMOOTH_ROLES:
         return 0.08 + 0.3 * chance if chance < 0.8 else None
-    if max(finish.specular) >= 0.3 and finish.shininess >= 20 and chance < 0.55:
-        return float(np.clip(np.sqrt(2 / (finish.shininess + 2)) * (0.7 + chance), 0.06, 0.45))
+    if max(mtl.specular) >= 0.3 and mtl.shininess >= 20 and chance < 0.55:
+        return float(np.clip(np.sqrt(2 / (mtl.shininess + 2)) * (0.7 + chance), 0.06, 0.45))
     return None
 
 
 def _albedo(display: Rgb) -> Rgb:
-    # Sweet Home 3D lights its scenes so that a diffuse colour of 0.8, an exporter's usual white, is seen as white.
+    # Sweet Home 3D lights its scenes so that a diffuse colour of 0.8, many exporters' default white, appears white.
     colour = np.array(display, np.float32)
     shown = srgb_to_linear(np.clip(colour * np.float32(_LIFT), 0, 1))
-    # Light greys are whites and silvers whose value the exporter wrote as linear; decoded twice they look dirty.
+    # Light greys are whites and silvers that the exporter wrote as linear values; decoding them as sRGB would darken
+    # them.
     grey = np.clip(1 - _saturation(display) / 0.2, 0, 1) * np.clip((colour.min() - 0.3) / 0.3, 0, 1)
     linear = np.clip(ALBEDO[1] * ((1 - grey) * shown + grey * np.maximum(colour, shown)), *ALBEDO)
     red, green, blue = (float(value) for value in linear)

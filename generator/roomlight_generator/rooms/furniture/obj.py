@@ -1,7 +1,7 @@
 """Wavefront OBJ and MTL text as arrays, with a material for each face.
 
-trimesh is not used: it merges parts by material, drops groups it does not know and takes four times as long. Read are
-`v`, `vt`, `f`, `usemtl`, `mtllib`; normals are made anew later, for shading normals in these files are often missing.
+trimesh is not used: it merges parts by material, drops groups it does not know and takes four times as long. The parser
+reads `v`, `vt`, `f`, `usemtl`, `mtllib`; normals are recomputed later, since they are often missing in these files.
 """
 
 import math
@@ -16,13 +16,13 @@ from roomlight.errors import FurnitureError
 MAX_TRIANGLES: Final = 3_000_000
 """The largest of Debian's 820 models has 198,396."""
 
-_LARGEST_CLIPPED: Final = 256
-"""Corners of a polygon that ears are clipped from (the time is cubic); a larger one becomes a fan."""
+_MAX_CLIPPED_CORNERS: Final = 256
+"""Maximum number of corners of a polygon for ear clipping (cubic time); a larger one becomes a triangle fan."""
 
 
 @dataclass(frozen=True, eq=False)
 class Obj:
-    """A model as its file has it. uv_faces is -1 where a corner has no texture coordinates; v points up."""
+    """A parsed OBJ file. uv_faces is -1 for corners without texture coordinates; v points up."""
 
     positions: Float[np.ndarray, "v 3"]
     uvs: Float[np.ndarray, "t 2"]
@@ -34,8 +34,8 @@ class Obj:
 
 
 @dataclass(frozen=True)
-class Finish:
-    """A material of an MTL file, as written there: colours as displayed (sRGB), opacity 1 = opaque."""
+class MtlMaterial:
+    """A material of an MTL file, unconverted: colours as displayed (sRGB), opacity 1 = opaque."""
 
     name: str
     diffuse: tuple[float, float, float] = (0.8, 0.8, 0.8)
@@ -46,7 +46,11 @@ class Finish:
 
 
 def parse_obj(data: bytes, name: str) -> Obj:
-    """The triangles of an OBJ file (polygons are cut into ears). FurnitureError, naming it, when it is damaged."""
+    """Parse the triangles of an OBJ file; polygons are triangulated.
+
+    Raises:
+        FurnitureError: the file is damaged; the message starts with `name`.
+    """
     positions: list[bytes] = []
     uvs: list[bytes] = []
     corners: list[bytes] = []
@@ -95,8 +99,9 @@ def parse_obj(data: bytes, name: str) -> Obj:
     )
 
 
-def parse_mtl(data: bytes) -> dict[str, Finish]:
-    """The materials of an MTL file by name. Lines that make no sense are passed over: a colour is not worth a model."""
+def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
+    """Parse the materials of an MTL file by name. Malformed lines are skipped: a wrong colour is no reason to reject
+    a model."""
     found: dict[str, dict[str, object]] = {}
     current: dict[str, object] = {}
     for line in data.decode("utf-8", "replace").splitlines():
@@ -119,11 +124,11 @@ def parse_mtl(data: bytes) -> dict[str, Finish]:
                 current["shininess"] = max(float(numbers[0] or 0.0), 0.0)
             else:
                 current["opacity"] = values[0] if key == "d" else 1 - values[0]
-    return {name: Finish(name, **values) for name, values in found.items()}  # pyright: ignore[reportArgumentType]
+    return {name: MtlMaterial(name, **values) for name, values in found.items()}  # pyright: ignore[reportArgumentType]
 
 
 def _texture_name(rest: str) -> str:
-    """The file of a map statement: its name may have spaces in it, and options (`-s 1 1 1`) may stand before it."""
+    """Return the file of a map statement: its name may contain spaces, and options (`-s 1 1 1`) may precede it."""
     words = rest.strip().split(" ")
     while words and words[0].startswith("-"):
         words = words[1:]
@@ -145,7 +150,7 @@ def _number(word: str) -> float | None:
 
 
 def _numbers(lines: list[bytes], count: int, name: str) -> Float[np.ndarray, "n count"]:
-    """The first `count` numbers of each line."""
+    """Parse the first `count` numbers of each line."""
     try:
         flat = np.array(b" ".join(lines).split(), np.float64)
         if flat.size != count * len(lines):
@@ -159,7 +164,7 @@ def _numbers(lines: list[bytes], count: int, name: str) -> Float[np.ndarray, "n 
 
 
 def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[bytes]:
-    """Indices that count back from the latest line, as ones that count from the first."""
+    """Convert indices relative to the latest line (negative) to absolute ones."""
     try:
         out: list[bytes] = []
         for token in tokens:
@@ -176,7 +181,8 @@ def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[byt
 def _corners(
     tokens: list[bytes], points: int, uvs: int, name: str
 ) -> tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]:
-    """Point and texture indices of corner texts `p`, `p/t`, `p/t/n`, `p//n`; each spelling is parsed once."""
+    """Return point and texture indices of corner tokens `p`, `p/t`, `p/t/n`, `p//n`; each distinct token is parsed
+    once."""
     spellings: dict[bytes, int] = {}
     which = np.array([spellings.setdefault(token, len(spellings)) for token in tokens], np.int64)
     table = np.empty((len(spellings), 2), np.int64)
@@ -195,7 +201,7 @@ def _corners(
 def _triangulated(
     points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], sizes: Int[np.ndarray, " p"]
 ) -> tuple[Int[np.ndarray, "f 3"], Int[np.ndarray, " f"]]:
-    """Places in the list of corners for each triangle, and the polygon it came from, in the polygons' order."""
+    """Return, for each triangle, indices into the list of corners and its polygon, in the polygons' order."""
     starts = np.concatenate([[0], np.cumsum(sizes)[:-1]])
     places: list[np.ndarray] = []
     owners: list[np.ndarray] = []
@@ -211,7 +217,7 @@ def _triangulated(
         else:
             for polygon in chosen:
                 at = int(starts[polygon])
-                ears = _ears(points[corners[at : at + int(size)]])
+                ears = _clip_ears(points[corners[at : at + int(size)]])
                 places.append(at + ears)
                 owners.append(np.full(len(ears), polygon))
     place, owner = np.concatenate(places), np.concatenate(owners)
@@ -222,7 +228,8 @@ def _triangulated(
 def _quads(
     points: Float[np.ndarray, "v 3"], corners: Int[np.ndarray, " n"], starts: Int[np.ndarray, " q"]
 ) -> Int[np.ndarray, "q 2 3"]:
-    """Two triangles for each quad, cut along the diagonal on which both look the same way (a dart has only one)."""
+    """Cut each quad into two triangles along the diagonal on which both have the same orientation (a dart has only
+    one)."""
     index = starts[:, None] + np.arange(4)
     p = points[corners[index]]
     one = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
@@ -232,15 +239,15 @@ def _quads(
     return starts[:, None, None] + cut
 
 
-def _ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
-    """A flat polygon cut into triangles by clipping ears; a fan of the rest where none is left (self-crossing)."""
+def _clip_ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
+    """Triangulate a flat polygon by ear clipping; if no ear is left (self-crossing), the rest becomes a fan."""
     following = np.roll(polygon, -1, axis=0)
     normal = np.cross(polygon - polygon[0], following - polygon[0]).sum(0)
     drop = int(np.argmax(np.abs(normal)))
     flat = np.delete(polygon, drop, axis=1) * [1.0, 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0]
     left = list(range(len(flat)))
     found: list[tuple[int, int, int]] = []
-    while 3 < len(left) <= _LARGEST_CLIPPED:
+    while 3 < len(left) <= _MAX_CLIPPED_CORNERS:
         ear = next((k for strict in (False, True) for k in range(len(left)) if _is_ear(flat, left, k, strict)), None)
         if ear is None:
             break
@@ -251,23 +258,24 @@ def _ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
 
 
 def _is_ear(flat: Float[np.ndarray, "n 2"], left: list[int], k: int, strict: bool) -> bool:
-    """Whether corner k can be cut off: it bends outward and no other lies in it (nor on its edge, unless strict)."""
+    """Return whether corner k is an ear: it is convex and no other corner lies in it (nor on its edge, unless
+    strict)."""
     a, b, c = flat[left[k - 1]], flat[left[k]], flat[left[(k + 1) % len(left)]]
-    if _turn(a, b, c) <= 0:
+    if _cross(a, b, c) <= 0:
         return False
     rest = flat[[i for i in left if i not in (left[k - 1], left[k], left[(k + 1) % len(left)])]]
-    sides = np.stack([_turns(a, b, rest), _turns(b, c, rest), _turns(c, a, rest)])
+    sides = np.stack([_cross_products(a, b, rest), _cross_products(b, c, rest), _cross_products(c, a, rest)])
     inside = (sides > 0).all(0) if strict else (sides >= 0).all(0)
     # A hole's bridge passes the same point twice.
     same = ((rest == a).all(1)) | ((rest == b).all(1)) | ((rest == c).all(1))
     return not bool((inside & ~same).any())
 
 
-def _turns(
+def _cross_products(
     a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], points: Float[np.ndarray, "n 2"]
 ) -> Float[np.ndarray, " n"]:
     return (b[0] - a[0]) * (points[:, 1] - a[1]) - (b[1] - a[1]) * (points[:, 0] - a[0])
 
 
-def _turn(a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], c: Float[np.ndarray, "2"]) -> float:
-    return float(_turns(a, b, c[None])[0])
+def _cross(a: Float[np.ndarray, "2"], b: Float[np.ndarray, "2"], c: Float[np.ndarray, "2"]) -> float:
+    return float(_cross_products(a, b, c[None])[0])

@@ -1,4 +1,4 @@
-"""Java property files, in which Sweet Home 3D keeps its catalogues: `key#7=value`, latin-1 with \\uXXXX escapes."""
+r"""Java property files, the format of Sweet Home 3D's catalogues: `key#7=value`, latin-1 with \uXXXX escapes."""
 
 import re
 from typing import Final
@@ -10,7 +10,7 @@ _NUMBERED: Final = re.compile(r"(.+)#(\d{1,6})")
 
 
 def parse_properties(data: bytes) -> dict[str, str]:
-    """All keys and values; a later key wins. Never fails: any bytes are latin-1 text."""
+    """Parse all keys and values; a later key wins. Never fails: any bytes are latin-1 text."""
     found: dict[str, str] = {}
     for line in _logical_lines(data.decode("latin-1")):
         match = _KEY.fullmatch(line)
@@ -19,8 +19,9 @@ def parse_properties(data: bytes) -> dict[str, str]:
     return found
 
 
-def numbered(properties: dict[str, str]) -> tuple[dict[str, str], dict[int, dict[str, str]]]:
-    """The catalogue's own properties, and those of its entries (`name#12` is `name` of entry 12) in numeric order."""
+def numbered_entries(properties: dict[str, str]) -> tuple[dict[str, str], dict[int, dict[str, str]]]:
+    """Split properties into general ones and those of numbered entries (`name#12` is `name` of entry 12), in numeric
+    order."""
     general: dict[str, str] = {}
     entries: dict[int, dict[str, str]] = {}
     for key, value in properties.items():

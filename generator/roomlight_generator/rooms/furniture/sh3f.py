@@ -1,8 +1,8 @@
-"""Furniture libraries of Sweet Home 3D: `.sh3f` zip files with a catalogue and OBJ models.
+"""Furniture libraries of Sweet Home 3D: `.sh3f` zip files with a catalogue file and OBJ models.
 
-Catalogue lengths are centimetres; here they are metres. Their piece frame has x from the left, y from the front and z
-from the floor for light sources (checked on all 34 lamps of the Debian libraries); OBJ files have y up and the front
-toward +z once `modelRotation` is applied, which is the model frame of `rooms.model`.
+Lengths in catalogue files are centimetres; here they are metres. Light sources there have x from the left, y from the
+front and z from the floor (checked on all 34 lamps of the Debian libraries); OBJ files have y up and the front toward
++z once `modelRotation` is applied, which is the model frame of `rooms.furniture_model`.
 """
 
 import math
@@ -16,24 +16,24 @@ from jaxtyping import Float
 from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.archive import Archive
-from roomlight_generator.rooms.furniture.properties import numbered, parse_properties
+from roomlight_generator.rooms.furniture.properties import numbered_entries, parse_properties
 from roomlight_generator.rooms.furniture_model import LightSource
 
-CATALOGUE: Final = "PluginFurnitureCatalog.properties"
+CATALOGUE_FILE: Final = "PluginFurnitureCatalog.properties"
 
-Warn = Callable[[str], None]
-"""Told, in one line each, what is left out."""
+WarningCallback = Callable[[str], None]
+"""Called with a one-line message for each thing left out."""
 
 _SIZES_M: Final = (0.0005, 60.0)
-"""Widths a library may hold: the thinnest thing of the Debian ones is 1 mm, the largest a truck of 21 m."""
+"""Plausible sizes: the thinnest model of the Debian libraries is 1 mm, the largest a truck of 21 m."""
 
 
 @dataclass(frozen=True, eq=False)
-class Entry:
-    """One model as its catalogue describes it; metres, lights in the model frame.
+class LibraryEntry:
+    """One model as described in the library's catalogue file; metres, lights in the model frame.
 
-    rotation turns the OBJ's coordinates first. drop_top_m is where things are put down on it, over its bottom; None
-    where nothing can be. glowing names the materials that its maker marked as shining.
+    rotation is applied to the OBJ's coordinates first. drop_top_m is the height, over its bottom, at which objects may
+    be placed on it; None if nowhere. glowing holds the names of materials marked as emitting by the model's author.
     """
 
     id: str
@@ -54,21 +54,22 @@ class Entry:
 
     @property
     def words(self) -> frozenset[str]:
-        """The words of its name and tags, lower case."""
+        """Lower-case words of its name and tags."""
         text = " ".join([self.name, *self.tags]).lower()
         return frozenset("".join(c if c.isalnum() else " " for c in text).split())
 
 
-def read_entries(archive: Archive, warn: Warn) -> list[Entry]:
-    """What the catalogue of a library lists. Entries that make no sense are left out with a warning.
+def read_entries(archive: Archive, warn: WarningCallback) -> list[LibraryEntry]:
+    """Read the entries of a library's catalogue file. Malformed entries are left out with a warning.
 
-    FurnitureError where there is no catalogue, or none of its entries can be used.
+    Raises:
+        FurnitureError: there is no catalogue file, or none of its entries can be used.
     """
-    member = archive.find(CATALOGUE)
+    member = archive.find(CATALOGUE_FILE)
     if member is None:
-        raise FurnitureError(f"{archive.path}: has no {CATALOGUE} in it; it is not a furniture library")
-    general, found = numbered(parse_properties(archive.read(member, limit=32 << 20)))
-    entries: list[Entry] = []
+        raise FurnitureError(f"{archive.path}: has no {CATALOGUE_FILE} in it; it is not a furniture library")
+    general, found = numbered_entries(parse_properties(archive.read(member, limit=32 << 20)))
+    entries: list[LibraryEntry] = []
     for number, properties in found.items():
         try:
             entries.append(_entry(archive, number, properties, general))
@@ -79,7 +80,7 @@ def read_entries(archive: Archive, warn: Warn) -> list[Entry]:
     return entries
 
 
-def _entry(archive: Archive, number: int, properties: dict[str, str], general: dict[str, str]) -> Entry:
+def _entry(archive: Archive, number: int, properties: dict[str, str], general: dict[str, str]) -> LibraryEntry:
     name = properties.get("name", "").strip() or f"model {number}"
     identity = properties.get("id", "").strip() or f"{general.get('id', archive.path.stem)}#{number}"
     where = f"{archive.path}: model {identity!r}"
@@ -98,7 +99,7 @@ def _entry(archive: Archive, number: int, properties: dict[str, str], general: d
     drop = _metres(properties, "dropOnTopElevation", where, default=height)
     creator = properties.get("creator") or general.get("provider")
     licence = properties.get("license") or general.get("license")
-    return Entry(
+    return LibraryEntry(
         id=identity,
         name=name,
         tags=tuple(tag.strip() for tag in properties.get("tags", "").split(",") if tag.strip()),
@@ -170,7 +171,7 @@ def _lights(properties: dict[str, str], size_m: tuple[float, float, float], wher
     reach = np.array([size_m[0] / 2, size_m[1] / 2, size_m[2] / 2]) + 0.01
     inside = [light for light in lights if (abs(light.position - [0, size_m[1] / 2, 0]) <= reach).all()]
     if lights and not inside:
-        # Some lanterns have their sources around them, for opaque panes would hide one within.
+        # Some lanterns have light sources around them, since opaque panes would hide one inside.
         middle = np.mean([light.position for light in lights], axis=0)
         middle = np.clip(middle, [-reach[0], 0, -reach[2]], [reach[0], size_m[1], reach[2]])
         return (replace(lights[0], position=middle.astype(np.float32)),)
@@ -178,7 +179,7 @@ def _lights(properties: dict[str, str], size_m: tuple[float, float, float], wher
 
 
 def _colour(text: str) -> tuple[float, float, float]:
-    """Relative linear RGB of `#rrggbb`, brightest channel 1; white where it makes no sense or is black."""
+    """Parse `#rrggbb` to relative linear RGB, brightest channel 1; white if it is malformed or black."""
     try:
         code = int(text.lstrip("#"), 16)
     except ValueError:

@@ -1,6 +1,6 @@
-"""Library geometry made fit for ray tracing: welded, without doubles, no more triangles than needed, shaded smoothly.
+"""Prepare library geometry for ray tracing: weld vertices, remove duplicates, simplify, compute smooth normals.
 
-Works on a `Soup`: triangles whose corners have a position and a texture coordinate each, separately indexed.
+Works on a `TriangleSoup`: triangles whose corners have a position and a texture coordinate each, separately indexed.
 """
 
 from dataclasses import dataclass, replace
@@ -15,13 +15,13 @@ CREASE_DEGREES: Final = 40.0
 """Faces that meet at a smaller angle are shaded as one curved surface."""
 
 _WELD: Final = 1e-5
-"""Vertices nearer than this share of the model's size are one."""
+"""Vertices closer than this share of the model's size are merged."""
 
 _ROUNDS: Final = 80
 
 
 @dataclass(frozen=True, eq=False)
-class Soup:
+class TriangleSoup:
     """Triangles before they become a Mesh; uv_faces index uvs, material ids are the caller's."""
 
     points: Float[np.ndarray, "v 3"]
@@ -30,18 +30,18 @@ class Soup:
     uv_faces: Int[np.ndarray, "f 3"]
     materials: Int[np.ndarray, " f"]
 
-    def only(self, chosen: Bool[np.ndarray, " f"] | Int[np.ndarray, " k"]) -> "Soup":
-        """Some of its faces, in the order given."""
+    def select(self, chosen: Bool[np.ndarray, " f"] | Int[np.ndarray, " k"]) -> "TriangleSoup":
+        """Return the selected faces, in the given order."""
         return replace(self, faces=self.faces[chosen], uv_faces=self.uv_faces[chosen], materials=self.materials[chosen])
 
 
-def cleaned(soup: Soup) -> Soup:
-    """Welded, without triangles of no area, and of triangles in the same place only the one that faces outward."""
+def welded(soup: TriangleSoup) -> TriangleSoup:
+    """Weld vertices, remove degenerate triangles, and of coincident triangles keep the one that faces outward."""
     size = float(np.ptp(soup.points[np.unique(soup.faces)], axis=0).max())
     places = np.rint(soup.points / max(size * _WELD, 1e-12)).astype(np.int64)
     _, first, index = np.unique(places, axis=0, return_index=True, return_inverse=True)
     uvs, uv_index = np.unique(np.round(soup.uvs, 5), axis=0, return_inverse=True)
-    soup = Soup(
+    soup = TriangleSoup(
         points=soup.points[first],
         uvs=uvs,
         faces=index.reshape(-1)[soup.faces],
@@ -50,7 +50,7 @@ def cleaned(soup: Soup) -> Soup:
     )
     corners = soup.points[soup.faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    soup = soup.only(np.linalg.norm(area, axis=1) > 1e-10 * size * size)
+    soup = soup.select(np.linalg.norm(area, axis=1) > 1e-10 * size * size)
     if not len(soup.faces):
         return soup
     corners = soup.points[soup.faces]
@@ -59,20 +59,20 @@ def cleaned(soup: Soup) -> Soup:
     outward = (area * (corners.mean(1) - middle)).sum(1) >= 0
     order = np.argsort(~outward, kind="stable")
     _, kept = np.unique(np.sort(soup.faces[order], axis=1), axis=0, return_index=True)
-    return soup.only(np.sort(order[kept]))
+    return soup.select(np.sort(order[kept]))
 
 
-def simplified(soup: Soup, target: int) -> Soup:
-    """No more than about `target` triangles, materials and seams kept where they are.
+def simplified(soup: TriangleSoup, target: int) -> TriangleSoup:
+    """Reduce to about `target` triangles, preserving materials and seams.
 
-    What is made of separate leaves runs out of edges to collapse; then a regular sample of them is left, each enlarged
-    so that all cover as much as before.
+    Models made of separate leaves run out of collapsible edges; then a regular sample of the leaves is kept, each
+    enlarged so that the total area is unchanged.
     """
     if len(soup.faces) <= target:
         return soup
     size = float(np.ptp(soup.points, axis=0).max())
     points = (soup.points - soup.points.mean(0)) / size
-    part = parts_of(soup.faces, len(points))
+    part = connected_parts(soup.faces, len(points))
     area = np.bincount(part[soup.faces[:, 0]], _areas(soup), minlength=len(points))
     faces, wedges = soup.faces.astype(np.int64), soup.uv_faces.astype(np.int64)
     materials = soup.materials.astype(np.int64)
@@ -87,11 +87,11 @@ def simplified(soup: Soup, target: int) -> Soup:
             faces, wedges, materials = faces[keep], wedges[keep], materials[keep]
             if before - len(faces) < max(4, before // 2000):
                 break
-    return _thinned(replace(soup, faces=faces, uv_faces=wedges, materials=materials), part, area, target)
+    return _thin_parts(replace(soup, faces=faces, uv_faces=wedges, materials=materials), part, area, target)
 
 
-def shaded(soup: Soup) -> tuple[Float[np.ndarray, "f 3 3"], Float[np.ndarray, "f 3"]]:
-    """Corner normals, split at creases, and face normals."""
+def corner_normals(soup: TriangleSoup) -> tuple[Float[np.ndarray, "f 3 3"], Float[np.ndarray, "f 3"]]:
+    """Return corner normals, split at creases, and face normals."""
     corners = soup.points[soup.faces]
     area = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     length = np.linalg.norm(area, axis=1, keepdims=True)
@@ -101,8 +101,8 @@ def shaded(soup: Soup) -> tuple[Float[np.ndarray, "f 3 3"], Float[np.ndarray, "f
     return crease_normals(soup.points, faces, normals, length[:, 0], cosine), normals
 
 
-def parts_of(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, " count"]:
-    """The least vertex of the connected part that each of `count` vertices belongs to."""
+def connected_parts(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, " count"]:
+    """Return, for each of `count` vertices, the least vertex of its connected part."""
     label = np.arange(count)
     while True:
         least = label[faces].min(1)
@@ -114,23 +114,26 @@ def parts_of(faces: Int[np.ndarray, "f 3"], count: int) -> Int[np.ndarray, " cou
             return label
 
 
-def _areas(soup: Soup) -> Float[np.ndarray, " f"]:
+def _areas(soup: TriangleSoup) -> Float[np.ndarray, " f"]:
     corners = soup.points[soup.faces]
     return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
 
 
-def _thinned(soup: Soup, part_of_vertex: Int[np.ndarray, " v"], area: Float[np.ndarray, " v"], target: int) -> Soup:
-    """Small parts sampled where there are too many triangles, and all of them as large as they were (`area`)."""
+def _thin_parts(
+    soup: TriangleSoup, part_of_vertex: Int[np.ndarray, " v"], area: Float[np.ndarray, " v"], target: int
+) -> TriangleSoup:
+    """Keep a regular sample of small parts if there are too many triangles, and enlarge them to the original total
+    `area`."""
     part = part_of_vertex[soup.faces[:, 0]]
     counts = np.bincount(part, minlength=len(area))
     small = counts[part] <= 12
     spare, rest = int(small.sum()), int((~small).sum())
     share = min(1.0, max(target - rest, target // 3) / max(spare, 1))
-    # A golden-ratio sequence picks evenly among parts, which follow each other along the branches.
+    # A golden-ratio sequence samples evenly among parts, which follow each other along the branches.
     order = np.cumsum(counts > 0)
     picked = (order * 0.6180339887) % 1 < share
     keep = ~small | picked[part]
-    soup, part, small = soup.only(keep), part[keep], small[keep]
+    soup, part, small = soup.select(keep), part[keep], small[keep]
     left = np.bincount(part, _areas(soup), minlength=len(area))
     growth = np.sqrt(np.clip(area / np.maximum(left, 1e-12) / share, 1, 5))
     corners = soup.points[soup.faces[small]]
@@ -139,7 +142,7 @@ def _thinned(soup: Soup, part_of_vertex: Int[np.ndarray, " v"], area: Float[np.n
     middle = (total / np.maximum(np.bincount(part[small], minlength=len(area)), 1)[:, None])[part[small]][:, None]
     grown = middle + (corners - middle) * growth[part[small]][:, None, None]
     points = soup.points.copy()
-    # Corners of one vertex belong to one part, so that each is written one value.
+    # Corners of one vertex belong to one part, so each is assigned one value.
     lowest, highest = soup.points.min(0), soup.points.max(0)
     points[soup.faces[small].ravel()] = np.clip(grown.reshape(-1, 3), lowest, highest)
     return replace(soup, points=points)

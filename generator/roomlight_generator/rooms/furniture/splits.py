@@ -1,5 +1,5 @@
-"""Which models only test rooms show: a fifth of every role, chosen by a hash of ids, together with all that share a
-shape or a texture with them."""
+"""Assignment of models to splits: a fifth of every role is reserved for test rooms, chosen by a hash of ids. Models
+that share a shape or a texture stay in one split."""
 
 import hashlib
 from collections import Counter
@@ -12,7 +12,7 @@ _SHARE: Final = 0.2
 
 
 def assign_splits(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]]) -> dict[str, Split]:
-    """The split of every model id, from its role and from what it must share with none of the other split.
+    """Return the split of every model id, from its role and from what it shares with other models.
 
     `shared` maps an id to digests of its geometry and its textures: ids with one in common stay together. A role with
     three models or more has one in each split, unless all its models belong together. The order of the arguments does
@@ -55,7 +55,7 @@ def assign_splits(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]])
 
 
 def _groups(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]]) -> list[list[str]]:
-    """Ids that must stay together, in the order of a hash."""
+    """Return groups of ids that must stay together, in the order of a hash."""
     leader = {identity: identity for identity in roles}
 
     def find(identity: str) -> str:

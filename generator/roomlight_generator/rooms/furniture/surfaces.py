@@ -1,4 +1,4 @@
-"""Wall and floor textures of Sweet Home 3D: of its jar, or of `.sh3t` texture libraries."""
+"""Wall and floor textures of Sweet Home 3D, from its jar or from `.sh3t` texture libraries."""
 
 import re
 from dataclasses import dataclass
@@ -6,9 +6,9 @@ from typing import Final, Literal
 
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture.archive import Archive
-from roomlight_generator.rooms.furniture.properties import numbered, parse_properties
-from roomlight_generator.rooms.furniture.sh3f import Warn
-from roomlight_generator.rooms.furniture.textures import read_picture
+from roomlight_generator.rooms.furniture.properties import numbered_entries, parse_properties
+from roomlight_generator.rooms.furniture.sh3f import WarningCallback
+from roomlight_generator.rooms.furniture.textures import read_image
 from roomlight_generator.rooms.scene import Texture
 
 SurfaceKind = Literal["wall", "floor"]
@@ -20,12 +20,12 @@ CATALOGUES: Final = (
 
 _OUTDOOR: Final = re.compile(r"grass|box tree|hedge|pebble|paving|gravel|asphalt|roof|sky|cloud|water", re.IGNORECASE)
 
-_SIDE: Final = 512
+_MAX_SIDE: Final = 512
 """Pixels of a repeat, which is 0.2 to 0.8 m wide: 1 to 2 mm each."""
 
 
 @dataclass(frozen=True, eq=False)
-class Surface:
+class SurfaceTexture:
     """A texture for a wall or a floor with its physical size."""
 
     id: str
@@ -34,13 +34,13 @@ class Surface:
     attribution: str | None = None
 
 
-def read_surfaces(archive: Archive, warn: Warn) -> list[Surface]:
-    """The textures of an archive fit for a room; none where it has no texture catalogue."""
+def read_surfaces(archive: Archive, warn: WarningCallback) -> list[SurfaceTexture]:
+    """Read the indoor textures of an archive; empty if it has no texture catalogue."""
     member = next((found for name in CATALOGUES if (found := archive.find(name)) is not None), None)
     if member is None:
         return []
-    general, entries = numbered(parse_properties(archive.read(member, limit=8 << 20)))
-    surfaces: list[Surface] = []
+    general, entries = numbered_entries(parse_properties(archive.read(member, limit=8 << 20)))
+    surfaces: list[SurfaceTexture] = []
     for number, properties in entries.items():
         try:
             surface = _surface(archive, number, properties, general)
@@ -52,7 +52,9 @@ def read_surfaces(archive: Archive, warn: Warn) -> list[Surface]:
     return surfaces
 
 
-def _surface(archive: Archive, number: int, properties: dict[str, str], general: dict[str, str]) -> Surface | None:
+def _surface(
+    archive: Archive, number: int, properties: dict[str, str], general: dict[str, str]
+) -> SurfaceTexture | None:
     category = properties.get("category", "").strip().lower()
     name = properties.get("name", f"texture {number}")
     if category not in ("wall", "floor") or _OUTDOOR.search(name):
@@ -68,13 +70,13 @@ def _surface(archive: Archive, number: int, properties: dict[str, str], general:
     member = archive.find(properties.get("image", ""))
     if member is None:
         raise FurnitureError(f"{where}: its image {properties.get('image')!r} is not in the file")
-    picture = read_picture(archive, member, side=_SIDE)
+    picture = read_image(archive, member, side=_MAX_SIDE)
     made_by = ", ".join(
         " ".join(part.split())
         for part in (properties.get("creator") or general.get("provider"), general.get("license"))
         if part
     )
-    return Surface(
+    return SurfaceTexture(
         identity,
         "wall" if category == "wall" else "floor",
         Texture(picture.image, size),

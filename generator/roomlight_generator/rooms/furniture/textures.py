@@ -1,4 +1,4 @@
-"""Texture images of furniture libraries: decoded with their size checked first, and made small."""
+"""Texture images of furniture libraries: their size is checked before decoding, then they are scaled down."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -12,28 +12,33 @@ from roomlight.images import peek_size
 from roomlight_generator.rooms.furniture.archive import Archive
 
 MAX_SIDE: Final = 256
-"""Pixels of a stored texture's longer side: a sofa fills about as many of a 240 x 320 frame."""
+"""Maximum side of a stored texture in pixels: a sofa covers about as many of a 240 x 320 frame."""
 
 _MAX_PIXELS: Final = 40_000_000
 _MAX_BYTES: Final = 48 << 20
 
 
 @dataclass(frozen=True, eq=False)
-class Picture:
-    """An sRGB image, row 0 at the top, and its coverage 0 to 1 where it has holes."""
+class TextureImage:
+    """An sRGB image, row 0 at the top, and its coverage 0 to 1 if it has holes."""
 
     image: UInt8[np.ndarray, "h w 3"]
     coverage: Float[np.ndarray, "h w"] | None = None
 
 
-def read_picture(archive: Archive, member: str, *, side: int = MAX_SIDE) -> Picture:
-    """A PNG or JPEG of the archive, no larger than `side`. FurnitureError when it does not decode or is too large."""
+def read_image(archive: Archive, member: str, *, side: int = MAX_SIDE) -> TextureImage:
+    """Read a PNG or JPEG of the archive, scaled down to at most `side` pixels.
+
+    Raises:
+        FurnitureError: the image does not decode or is too large.
+    """
     where = f"{archive.path}: texture {member}"
-    return decode_picture(archive.read(member, limit=_MAX_BYTES), where, side=side)
+    return decode_image(archive.read(member, limit=_MAX_BYTES), where, side=side)
 
 
-def decode_picture(data: bytes, where: str, *, side: int = MAX_SIDE) -> Picture:
-    """The same from bytes. Colours where nothing covers are the mean of the rest, for they are arbitrary in files."""
+def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureImage:
+    """Decode an image (see `read_image`). Uncovered pixels get the mean of the others, since their colour in files
+    is arbitrary."""
     try:
         width, height = peek_size(data, where)
     except ImageError as error:
@@ -60,17 +65,17 @@ def decode_picture(data: bytes, where: str, *, side: int = MAX_SIDE) -> Picture:
     if coverage is not None and coverage.max() > 0.5:
         mean = np.average(colour.reshape(-1, 3), axis=0, weights=coverage.ravel())
         colour = np.where(coverage[..., None] > 0.1, colour, np.rint(mean)).astype(np.uint8)
-    return _shrunk(Picture(np.ascontiguousarray(colour), coverage), side)
+    return _shrunk(TextureImage(np.ascontiguousarray(colour), coverage), side)
 
 
-def _shrunk(picture: Picture, side: int) -> Picture:
+def _shrunk(picture: TextureImage, side: int) -> TextureImage:
     height, width = picture.image.shape[:2]
     scale = side / max(height, width)
     if scale >= 1:
         return picture
     size = (max(1, round(width * scale)), max(1, round(height * scale)))
     coverage = picture.coverage
-    return Picture(
+    return TextureImage(
         image=np.asarray(cv2.resize(picture.image, size, interpolation=cv2.INTER_AREA), np.uint8),
         coverage=None
         if coverage is None

@@ -1,4 +1,4 @@
-"""Plausible placement of furniture: room types, and furnishing a shell for one. Plan coordinates in metres."""
+"""Plausible furniture placement: room types, and furnishing of a shell for one. Plan coordinates in metres."""
 
 from roomlight_generator.rooms.planner.chooser import Chooser
 from roomlight_generator.rooms.planner.free_floor import FreeFloor, free_floor

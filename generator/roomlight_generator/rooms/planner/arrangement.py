@@ -1,8 +1,8 @@
-"""A room while it is being furnished: what stands where, what must stay free, and what may still be put.
+"""Arrangement of furniture in a room: placed pieces, reserved zones, and the tests for a new placement.
 
-Plan coordinates (x, z), metres; heights over the floor. Five layers: "floor" furniture, things on "top" of it, things
-on a "wall" or the "ceiling", and "flat" rugs. Bodies of all layers but rugs keep clear of each other; zones (a door's
-swing, the view from a window, the floor before a wardrobe) keep out the layers they name.
+Plan coordinates (x, z), metres; heights over the floor. Five layers: "floor" furniture, objects on "top" of it, objects
+on a "wall" or the "ceiling", and "flat" rugs. Bodies of all layers except rugs must not overlap; zones (a door's swing,
+the view from a window, the floor in front of a wardrobe) exclude the layers they name.
 """
 
 import math
@@ -16,44 +16,46 @@ import numpy as np
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Gap, Placement, Shell, Wall
-from roomlight_generator.rooms.planner.body import Body, Segment, within
+from roomlight_generator.rooms.planner.body import Body, Segment, contains_point
 from roomlight_generator.rooms.planner.chooser import Chooser
-from roomlight_generator.rooms.planner.free_floor import bare_floor, disc, in_the_way, shadow
+from roomlight_generator.rooms.planner.free_floor import bare_floor, cells_near, disc, is_obstacle
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.shapes import Number
 
-Thing = TypeVar("Thing")
+Element = TypeVar("Thing")
 
 Layer = Literal["floor", "top", "wall", "ceiling", "flat"]
 
-STANDING: Final[frozenset[Layer]] = frozenset({"floor"})
-LEANING: Final[frozenset[Layer]] = frozenset({"floor", "wall"})
-EVERYTHING: Final[frozenset[Layer]] = frozenset({"floor", "top", "wall", "ceiling", "flat"})
+FLOOR_LAYER: Final[frozenset[Layer]] = frozenset({"floor"})
+FLOOR_AND_WALL: Final[frozenset[Layer]] = frozenset({"floor", "wall"})
+ALL_LAYERS: Final[frozenset[Layer]] = frozenset({"floor", "top", "wall", "ceiling", "flat"})
 
-COUNTED: Final[frozenset[Layer]] = frozenset({"floor", "wall", "ceiling"})
-"""Layers that may stand in a walker's way; things on tops are over what does already."""
+OBSTACLE_LAYERS: Final[frozenset[Layer]] = frozenset({"floor", "wall", "ceiling"})
+"""Layers that can block a person walking; objects on tops stand above furniture that already does."""
 
-BODY_RADIUS_M: Final = 0.25
-"""Of whoever walks through the room with a phone."""
+WALKER_RADIUS_M: Final = 0.25
+"""Radius of a person walking through the room with a phone."""
 
-FREE_SHARE: Final = 0.32
-"""Of the floor, that a walking body can sweep in one piece; a little above the 0.3 that is promised, for the grid."""
+MIN_FREE_SHARE: Final = 0.32
+"""Minimum share of the floor that a walking person can sweep in one connected region; above the guaranteed 0.3
+because of the grid."""
 
-REACHED_SHARE: Final = 0.75
-"""Of all places free for a walking body, that lie in that one piece: no pockets shut off by furniture."""
+MIN_REACHABLE_SHARE: Final = 0.75
+"""Minimum share of all cells free for a walking person that must be in that region, so that furniture closes off no
+pockets."""
 
 DOORSTEP_M: Final = 0.35
-"""How far inside a door somebody who came in stands."""
+"""Distance from a door to the point inside it that must be reachable."""
 
 UNDER_CEILING_M: Final = 0.005
 
 SILL_M: Final = 0.06
-"""Of a window's sill below its hole."""
+"""Height of a window's sill below its hole."""
 
 
 @dataclass(frozen=True, eq=False)
 class Piece:
-    """A placement with the space that it takes up."""
+    """A placement and the space that it occupies."""
 
     placement: Placement
     body: Body
@@ -61,31 +63,31 @@ class Piece:
 
     @property
     def role(self) -> str:
-        """What it is for."""
+        """Furniture role of its model."""
         return self.placement.model.role
 
     @property
     def model(self) -> FurnitureModel:
-        """Its model."""
+        """Placed model."""
         return self.placement.model
 
     @property
     def degrees(self) -> float:
-        """Its turn."""
+        """Rotation about y in degrees."""
         return self.placement.degrees
 
 
 @dataclass(frozen=True, eq=False)
 class Zone:
-    """Space that the named layers keep out of."""
+    """Space from which the named layers are excluded."""
 
     body: Body
-    bars: frozenset[Layer]
+    excluded_layers: frozenset[Layer]
 
 
 @dataclass(frozen=True)
-class Mark:
-    """A state of the layout to go back to."""
+class Snapshot:
+    """A state of the arrangement to restore later."""
 
     pieces: int
     zones: int
@@ -93,8 +95,8 @@ class Mark:
 
 
 @dataclass(eq=False)
-class Layout:
-    """Pieces put so far. `clutter` from 0 (bare) to 1 (crowded) scales how many small things are put."""
+class Arrangement:
+    """Furniture placed so far. `clutter` from 0 (bare) to 1 (crowded) scales the number of small objects."""
 
     shell: Shell
     catalogue: Chooser
@@ -104,10 +106,10 @@ class Layout:
     pieces: list[Piece] = field(default_factory=list[Piece])
     zones: list[Zone] = field(default_factory=list[Zone])
     tables: list[Piece] = field(default_factory=list[Piece])
-    """Tables that people sit at: lamps may hang low over them."""
+    """Tables with seats: lamps may hang low over them."""
 
     def __post_init__(self) -> None:
-        """Measures the empty room."""
+        """Analyse the empty room."""
         polygon = self.shell.polygon
         self.outline: list[Segment] = [
             (float(x0), float(z0), float(x1), float(z1))
@@ -115,43 +117,43 @@ class Layout:
         ]
         self.area_m2 = abs(sum(x0 * z1 - x1 * z0 for x0, z0, x1, z1 in self.outline)) / 2
         self.fixed: list[Body] = shell_bodies(self.shell)
-        self.floor = bare_floor(self.shell, radius_m=BODY_RADIUS_M)
-        self._taken = np.zeros(self.floor.free.shape, np.int16)
-        for body in filter(in_the_way, self.fixed):
-            self._count(body, 1)
-        self._disc = disc(BODY_RADIUS_M / self.floor.cell_m)
+        self.floor = bare_floor(self.shell, radius_m=WALKER_RADIUS_M)
+        self._obstacle_counts = np.zeros(self.floor.free.shape, np.int16)
+        for body in filter(is_obstacle, self.fixed):
+            self._update_occupancy(body, 1)
+        self._disc = disc(WALKER_RADIUS_M / self.floor.cell_m)
         self._doorsteps: list[tuple[int, int]] = []
-        self._mark_gaps()
+        self._reserve_gaps()
         self._doorsteps = self._open_doorsteps()
-        free = replace(self.floor, free=self.free())
-        # An open door's leaf may shut off a part of the empty room already.
-        # Under low slopes nobody walks: such a room keeps most of what it has.
-        self._free_m2 = min(FREE_SHARE * self.area_m2, 0.7 * free.largest().swept_m2(BODY_RADIUS_M))
-        self._reached_share = min(REACHED_SHARE, 0.9 * free.largest().area_m2() / max(free.area_m2(), 1e-9))
+        free = replace(self.floor, free=self.free_cells())
+        # An open door's leaf may cut off part of the empty room. Nobody can walk under low slopes: such a room must
+        # keep most of its walkable area.
+        self._min_free_m2 = min(MIN_FREE_SHARE * self.area_m2, 0.7 * free.largest().swept_m2(WALKER_RADIUS_M))
+        self._min_reachable_share = min(MIN_REACHABLE_SHARE, 0.9 * free.largest().area_m2() / max(free.area_m2(), 1e-9))
 
-    # Chance
+    # Random numbers
 
     def chance(self, probability: float) -> bool:
-        """Whether something of that probability happens."""
+        """Return True with the given probability."""
         return bool(self.rng.random() < probability)
 
-    def between(self, low: Number, high: Number) -> float:
-        """A number of that range, evenly; `low` where the range is empty."""
+    def uniform(self, low: Number, high: Number) -> float:
+        """Return a uniform random number from the range; `low` if the range is empty."""
         return float(self.rng.uniform(low, high)) if high > low else float(low)
 
-    def wobble(self, degrees: Number) -> float:
-        """A small turn, normally distributed, cut off at twice its deviation."""
+    def jitter(self, degrees: Number) -> float:
+        """Return a small random rotation, normally distributed, clipped at two standard deviations."""
         return float(np.clip(self.rng.normal(0.0, degrees), -2 * degrees, 2 * degrees))
 
-    def count(self, mean: float) -> int:
-        """A whole number around that mean."""
+    def poisson(self, mean: float) -> int:
+        """Return a Poisson-distributed number with that mean."""
         return int(self.rng.poisson(max(mean, 0.0)))
 
-    def shuffled(self, things: Sequence[Thing]) -> list[Thing]:
-        """The same things in another order."""
-        return [things[int(place)] for place in self.rng.permutation(len(things))]
+    def shuffled(self, elements: Sequence[Element]) -> list[Element]:
+        """Return the elements in random order."""
+        return [elements[int(place)] for place in self.rng.permutation(len(elements))]
 
-    # Choosing
+    # Choosing models
 
     def pick(
         self,
@@ -162,7 +164,7 @@ class Layout:
         depth: tuple[float, float] = (0.0, 99.0),
         also: Callable[[FurnitureModel], bool] | None = None,
     ) -> FurnitureModel | None:
-        """A model of that role whose sizes lie in the ranges (metres); None where there is none."""
+        """Choose a model of that role whose sizes lie in the ranges (metres); None if there is none."""
 
         def fits(model: FurnitureModel) -> bool:
             return (
@@ -174,20 +176,21 @@ class Layout:
 
         return self.catalogue.choose(role, self.split, self.rng, fits=fits)
 
-    # Putting
+    # Placing
 
     def inside(self, body: Body) -> bool:
-        """Whether the body is within the room's walls and under its ceiling."""
-        if not within(body.x, body.z, self.outline) or body.crosses(self.outline):
+        """Return whether the body is within the room's walls and under its ceiling."""
+        if not contains_point(body.x, body.z, self.outline) or body.crosses(self.outline):
             return False
         if body.high > self.shell.height_m + 0.001:
             return False
         return not self.shell.slopes or all(body.high <= self.shell.ceiling_at(x, z) + 0.001 for x, z in body.corners())
 
-    def admits(self, body: Body, layer: Layer, *, ignore: Iterable[Body] = ()) -> bool:
-        """Whether a body of that layer may be there: inside, clear of all others (but those ignored) and of zones."""
+    def fits(self, body: Body, layer: Layer, *, ignore: Iterable[Body] = ()) -> bool:
+        """Return whether a body of that layer fits: inside, and clear of zones and of all bodies but the ignored
+        ones."""
         for zone in self.zones:
-            if layer in zone.bars and body.overlaps(zone.body):
+            if layer in zone.excluded_layers and body.overlaps(zone.body):
                 return False
         skip = {id(one) for one in ignore}
         for piece in self.pieces:
@@ -199,7 +202,7 @@ class Layout:
                 return False
         return not any(body.overlaps(one) for one in self.fixed) and self.inside(body)
 
-    def put(
+    def place(
         self,
         model: FurnitureModel | None,
         x: Number,
@@ -210,76 +213,76 @@ class Layout:
         layer: Layer = "floor",
         ignore: Iterable[Body] = (),
     ) -> Piece | None:
-        """Puts a model there if the place admits it and people can still walk; None where not (or without a model)."""
+        """Place a model if it fits and the room stays walkable; return None if not (or without a model)."""
         if model is None:
             return None
         placement = Placement(model=model, x=float(x), y=float(y), z=float(z), degrees=float(degrees))
         body = Body.placed(placement)
-        if not self.admits(body, layer, ignore=ignore):
+        if not self.fits(body, layer, ignore=ignore):
             return None
-        if layer in COUNTED and in_the_way(body):
-            self._count(body, 1)
+        if layer in OBSTACLE_LAYERS and is_obstacle(body):
+            self._update_occupancy(body, 1)
             if not self.walkable():
-                self._count(body, -1)
+                self._update_occupancy(body, -1)
                 return None
         piece = Piece(placement, body, layer)
         self.pieces.append(piece)
         return piece
 
-    def keep_free(self, body: Body, bars: frozenset[Layer] = STANDING) -> bool:
-        """Keeps the named layers out of a space from now on, unless something stands there already or a wall does."""
+    def reserve(self, body: Body, excluded_layers: frozenset[Layer] = FLOOR_LAYER) -> bool:
+        """Reserve a space from the named layers; return False if a piece or a wall is already in it."""
         if body.crosses(self.outline) or any(one.overlaps(body) for one in self.fixed):
             return False
-        if any(piece.layer in bars and piece.body.overlaps(body) for piece in self.pieces):
+        if any(piece.layer in excluded_layers and piece.body.overlaps(body) for piece in self.pieces):
             return False
-        self.zones.append(Zone(body, bars))
+        self.zones.append(Zone(body, excluded_layers))
         return True
 
-    def mark(self) -> Mark:
-        """The state now."""
-        return Mark(len(self.pieces), len(self.zones), len(self.tables))
+    def snapshot(self) -> Snapshot:
+        """Return the current state for `restore`."""
+        return Snapshot(len(self.pieces), len(self.zones), len(self.tables))
 
-    def back_to(self, mark: Mark) -> None:
-        """Takes away whatever was put since."""
-        for piece in self.pieces[mark.pieces :]:
-            if piece.layer in COUNTED and in_the_way(piece.body):
-                self._count(piece.body, -1)
-        del self.pieces[mark.pieces :], self.zones[mark.zones :], self.tables[mark.tables :]
+    def restore(self, snapshot: Snapshot) -> None:
+        """Remove everything placed since the snapshot."""
+        for piece in self.pieces[snapshot.pieces :]:
+            if piece.layer in OBSTACLE_LAYERS and is_obstacle(piece.body):
+                self._update_occupancy(piece.body, -1)
+        del self.pieces[snapshot.pieces :], self.zones[snapshot.zones :], self.tables[snapshot.tables :]
 
-    def having(self, *roles: str) -> list[Piece]:
-        """The pieces of those roles."""
+    def with_roles(self, *roles: str) -> list[Piece]:
+        """Return the pieces with those roles."""
         return [piece for piece in self.pieces if piece.role in roles]
 
     # Walking
 
-    def free(self) -> np.ndarray:
-        """Which cells of `floor` a walking body's middle may be in now."""
-        return self.floor.free & (self._taken == 0)
+    def free_cells(self) -> np.ndarray:
+        """Return which cells of `floor` the centre of a walking person may occupy now."""
+        return self.floor.free & (self._obstacle_counts == 0)
 
     def walkable(self) -> bool:
-        """Whether enough floor is free in one piece, and every door opens on it."""
-        free = self.free().astype(np.uint8)
+        """Return whether enough floor is free in one connected region that every door opens onto."""
+        free = self.free_cells().astype(np.uint8)
         count, labels, stats, _ = cv2.connectedComponentsWithStats(free, connectivity=4)
         if count < 2:
             return False
         sizes = stats[1:, cv2.CC_STAT_AREA]
         main = 1 + int(sizes.argmax())
-        if sizes.max() < self._reached_share * sizes.sum():
+        if sizes.max() < self._min_reachable_share * sizes.sum():
             return False
         region = (labels == main).astype(np.uint8)
         if any(not region[row, column] for row, column in self._doorsteps):
             return False
         swept = cv2.dilate(np.pad(region, 3), self._disc).sum() * self.floor.cell_m**2
-        return bool(swept >= self._free_m2)
+        return bool(swept >= self._min_free_m2)
 
-    def _count(self, body: Body, by: int) -> None:
-        rows, columns, near = shadow(self.floor, body, BODY_RADIUS_M)
-        self._taken[rows, columns] += np.int16(by) * near
+    def _update_occupancy(self, body: Body, by: int) -> None:
+        rows, columns, near = cells_near(self.floor, body, WALKER_RADIUS_M)
+        self._obstacle_counts[rows, columns] += np.int16(by) * near
 
     def _open_doorsteps(self) -> list[tuple[int, int]]:
-        """IrradianceCache just inside the doors, of those that the empty room leaves free."""
+        """Return the cells just inside the doors, if the empty room leaves them free."""
         steps: list[tuple[int, int]] = []
-        region = replace(self.floor, free=self.free()).largest().free
+        region = replace(self.floor, free=self.free_cells()).largest().free
         for wall in self.shell.walls:
             for gap in wall.gaps:
                 if gap.kind not in ("door", "passage"):
@@ -291,27 +294,27 @@ class Layout:
                     steps.append((row, column))
         return steps
 
-    def _mark_gaps(self) -> None:
+    def _reserve_gaps(self) -> None:
         for wall in self.shell.walls:
             for gap in wall.gaps:
                 if gap.kind in ("door", "passage"):
                     depth = max(gap.keep_clear_m, 0.6)
-                    self.zones.append(Zone(_before(wall, gap, depth, low=0.0, grow=0.1), EVERYTHING))
+                    self.zones.append(Zone(_space_in_front(wall, gap, depth, low=0.0, grow=0.1), ALL_LAYERS))
                 elif gap.covered:
-                    self.zones.append(Zone(_before(wall, gap, 0.3, low=gap.bottom_m, grow=0.1), EVERYTHING))
+                    self.zones.append(Zone(_space_in_front(wall, gap, 0.3, low=gap.bottom_m, grow=0.1), ALL_LAYERS))
                 else:
-                    self.zones.append(Zone(_before(wall, gap, 0.4, low=gap.bottom_m - SILL_M), LEANING))
+                    self.zones.append(Zone(_space_in_front(wall, gap, 0.4, low=gap.bottom_m - SILL_M), FLOOR_AND_WALL))
                 if gap.kind in ("window", "niche") and gap.keep_clear_m > 0:
-                    self.zones.append(Zone(_before(wall, gap, gap.keep_clear_m, low=0.0), EVERYTHING))
+                    self.zones.append(Zone(_space_in_front(wall, gap, gap.keep_clear_m, low=0.0), ALL_LAYERS))
 
 
-def _before(wall: Wall, gap: Gap, depth: float, *, low: float, grow: float = 0.0) -> Body:
-    """The space before a gap in a wall."""
+def _space_in_front(wall: Wall, gap: Gap, depth: float, *, low: float, grow: float = 0.0) -> Body:
+    """Return the space in front of a gap in a wall."""
     x, z = wall.at((gap.start_m + gap.end_m) / 2, depth / 2)
     width = gap.end_m - gap.start_m + grow
     return Body.of(float(x), float(z), wall.facing_degrees(), width=width, depth=depth, low=low, high=gap.top_m)
 
 
-def turn_toward(x0: float, z0: float, x1: float, z1: float) -> float:
-    """The turn in degrees that makes something at the first plan point face the second."""
+def yaw_toward(x0: float, z0: float, x1: float, z1: float) -> float:
+    """Return the rotation in degrees that makes an object at the first plan point face the second."""
     return math.degrees(math.atan2(x1 - x0, z1 - z0))

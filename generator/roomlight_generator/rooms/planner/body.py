@@ -1,7 +1,7 @@
-"""Upright boxes in plan: what a piece of furniture takes up, and whether two of them meet.
+"""Upright bounding boxes of furniture and their intersection tests.
 
-Plan coordinates (x, z) of the room, metres; heights over the floor. Turns as in `Mesh.placed`: a piece turned by
-degrees has its right hand along (cos, -sin) and its front along (sin, cos).
+Plan coordinates (x, z) of the room, metres; heights over the floor. Rotations as in `Mesh.placed`: a piece rotated by
+degrees has its right side along (cos, -sin) and its front along (sin, cos).
 """
 
 import math
@@ -13,7 +13,7 @@ from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.shapes import Number
 
 TOUCH_M: Final = 0.001
-"""Boxes that overlap by less only touch: kitchen units stand side by side."""
+"""Maximum overlap of boxes that are in contact: kitchen units stand side by side."""
 
 Segment = tuple[float, float, float, float]
 """x0, z0, x1, z1."""
@@ -21,7 +21,8 @@ Segment = tuple[float, float, float, float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """An upright box: middle of its footprint, half its width (x) and depth (z), its turn, lowest and highest point."""
+    """An upright box: centre of its footprint, half its width (x) and depth (z), its rotation, lowest and highest
+    point."""
 
     x: float
     z: float
@@ -37,17 +38,17 @@ class Body:
     def of(
         cls, x: Number, z: Number, degrees: Number, *, width: Number, depth: Number, low: Number = 0.0, high: Number
     ) -> "Body":
-        """From full sizes and a turn in degrees."""
-        turn = math.radians(degrees)
+        """Make a box from full sizes and a rotation in degrees."""
+        angle = math.radians(degrees)
         half_width, half_depth = width / 2, depth / 2
         reach = math.hypot(half_width, half_depth)
         return cls(
-            float(x), float(z), half_width, half_depth, math.sin(turn), math.cos(turn), float(low), float(high), reach
+            float(x), float(z), half_width, half_depth, math.sin(angle), math.cos(angle), float(low), float(high), reach
         )
 
     @classmethod
     def placed(cls, placement: Placement) -> "Body":
-        """The bounding box of a placed model."""
+        """Return the bounding box of a placed model."""
         model = placement.model
         return cls.of(
             placement.x,
@@ -59,25 +60,25 @@ class Body:
             high=placement.y + model.height_m,
         )
 
-    def out(self, right_m: float, front_m: float) -> tuple[float, float]:
-        """The plan point so far to its right and its front."""
+    def to_plan(self, right_m: float, front_m: float) -> tuple[float, float]:
+        """Return the plan point at a distance to its right and its front."""
         return (
             self.x + right_m * self.cosine + front_m * self.sine,
             self.z - right_m * self.sine + front_m * self.cosine,
         )
 
-    def into(self, x: float, z: float) -> tuple[float, float]:
-        """How far to its right and its front a plan point lies."""
+    def to_local(self, x: float, z: float) -> tuple[float, float]:
+        """Return the distances of a plan point to its right and its front."""
         dx, dz = x - self.x, z - self.z
         return dx * self.cosine - dz * self.sine, dx * self.sine + dz * self.cosine
 
     def corners(self, grow_m: float = 0.0) -> list[tuple[float, float]]:
-        """Its four corners in plan."""
+        """Return its four corners in plan."""
         w, d = self.half_width + grow_m, self.half_depth + grow_m
-        return [self.out(a * w, b * d) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
+        return [self.to_plan(a * w, b * d) for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))]
 
     def overlaps(self, other: "Body", slack_m: float = TOUCH_M) -> bool:
-        """Whether both take up the same space by more than the slack (separating axes, height intervals)."""
+        """Return whether the boxes overlap by more than the slack (separating axes, height intervals)."""
         if self.low >= other.high - slack_m or other.low >= self.high - slack_m:
             return False
         dx, dz = other.x - self.x, other.z - self.z
@@ -98,7 +99,7 @@ class Body:
         )
 
     def crosses(self, segments: Sequence[Segment], slack_m: float = TOUCH_M) -> bool:
-        """Whether any of the plan segments runs through its footprint."""
+        """Return whether any of the plan segments crosses its footprint."""
         half_width, half_depth = self.half_width - slack_m, self.half_depth - slack_m
         for x0, z0, x1, z1 in segments:
             ax, az = x0 - self.x, z0 - self.z
@@ -118,8 +119,8 @@ class Body:
         return False
 
 
-def within(x: float, z: float, segments: Sequence[Segment]) -> bool:
-    """Whether a plan point lies inside the closed outline."""
+def contains_point(x: float, z: float, segments: Sequence[Segment]) -> bool:
+    """Return whether a plan point lies inside the closed outline."""
     inside = False
     for x0, z0, x1, z1 in segments:
         if (z0 > z) != (z1 > z) and x < x0 + (z - z0) * (x1 - x0) / (z1 - z0):

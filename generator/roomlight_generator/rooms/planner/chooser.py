@@ -1,4 +1,4 @@
-"""What the planner asks of a collection of furniture."""
+"""Interface through which the planner chooses furniture models."""
 
 from collections.abc import Callable
 from typing import Protocol, runtime_checkable
@@ -11,10 +11,11 @@ from roomlight_generator.rooms.furniture_model import FurnitureModel
 
 @runtime_checkable
 class Chooser(Protocol):
-    """Gives models by role."""
+    """A collection of furniture models that can be sampled by role."""
 
     def choose(
         self, role: str, split: Split, rng: np.random.Generator, *, fits: Callable[[FurnitureModel], bool] | None = None
     ) -> FurnitureModel | None:
-        """A model of that role for rooms of that split, of those that `fits` accepts; None: there is none."""
+        """Choose a model of that role for rooms of that split among those that `fits` accepts; None if there is
+        none."""
         ...

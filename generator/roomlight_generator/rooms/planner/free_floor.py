@@ -1,4 +1,4 @@
-"""Where a body may walk: the floor, less what stands on it, as a grid.
+"""Free floor: a grid of the positions where a person can walk.
 
 Plan coordinates (x, z), metres. Rows of the grid go along z, columns along x.
 """
@@ -16,56 +16,56 @@ from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 
-OBSTACLE_M: Final = (0.05, 1.9)
-"""What takes up any height in between is in the way: not rugs, not lamps overhead."""
+OBSTACLE_HEIGHTS_M: Final = (0.05, 1.9)
+"""Height range of obstacles: anything within it blocks a person. Rugs and lamps overhead do not."""
 
 
 @dataclass(frozen=True, eq=False)
 class FreeFloor:
-    """free[row, column] says whether a body may stand with its middle at origin + cell_m * (column, row)."""
+    """free[row, column] says whether a person may stand with their centre at origin + cell_m * (column, row)."""
 
     free: Bool[np.ndarray, "rows columns"]
     origin: tuple[float, float]
     cell_m: float
 
     def is_free(self, x: float, z: float) -> bool:
-        """Whether the cell nearest to the plan point is free; False outside of the grid."""
+        """Return whether the cell nearest to the plan point is free; False outside the grid."""
         column, row = round((x - self.origin[0]) / self.cell_m), round((z - self.origin[1]) / self.cell_m)
         rows, columns = self.free.shape
         return 0 <= row < rows and 0 <= column < columns and bool(self.free[row, column])
 
     def points(self) -> Float[np.ndarray, "n 2"]:
-        """Plan points (x, z) of all free cells."""
+        """Return the plan points (x, z) of all free cells."""
         rows, columns = np.nonzero(self.free)
         return np.stack([self.origin[0] + self.cell_m * columns, self.origin[1] + self.cell_m * rows], 1)
 
     def area_m2(self) -> float:
-        """Area of the places for a body's middle."""
+        """Return the area of the free cells."""
         return float(self.free.sum()) * self.cell_m**2
 
     def largest(self) -> "FreeFloor":
-        """Only its largest connected region (steps to the four neighbours)."""
+        """Return the largest connected region (4-neighbourhood)."""
         if not self.free.any():
             return self
         _, labels, stats, _ = cv2.connectedComponentsWithStats(self.free.astype(np.uint8), connectivity=4)
         return replace(self, free=labels == 1 + int(stats[1:, cv2.CC_STAT_AREA].argmax()))
 
     def swept_m2(self, radius_m: float) -> float:
-        """Area that a disc covers when its middle goes through all free cells."""
+        """Return the area that a disc covers when its centre visits all free cells."""
         steps = math.ceil(radius_m / self.cell_m)
         padded = np.pad(self.free.astype(np.uint8), steps)
         return float(cv2.dilate(padded, disc(radius_m / self.cell_m)).sum()) * self.cell_m**2
 
 
 def disc(radius_cells: float) -> np.ndarray:
-    """A filled circle as a structuring element."""
+    """Return a filled circle as a structuring element."""
     reach = math.ceil(radius_cells)
     along = np.arange(-reach, reach + 1)
     return (along[:, None] ** 2 + along[None, :] ** 2 <= radius_cells**2).astype(np.uint8)
 
 
 def bare_floor(shell: Shell, *, radius_m: float, cell_m: float = 0.1) -> FreeFloor:
-    """Places for the middle of a body in the unfurnished room: inside, radius_m from every wall."""
+    """Return the positions free for the centre of a disc in the unfurnished room: inside, radius_m from every wall."""
     low, high = shell.polygon.min(0), shell.polygon.max(0)
     columns, rows = (int(n) for n in np.floor((high - low) / cell_m) + 1)
     x, z = np.meshgrid(float(low[0]) + cell_m * np.arange(columns), float(low[1]) + cell_m * np.arange(rows))
@@ -79,12 +79,13 @@ def bare_floor(shell: Shell, *, radius_m: float, cell_m: float = 0.1) -> FreeFlo
         nearest = np.minimum(nearest, (x - x0 - along * (x1 - x0)) ** 2 + (z - z0 - along * (z1 - z0)) ** 2)
     head = np.full(x.shape, True)
     for normal, d in shell.slopes:
-        head &= (d - normal[0] * x - normal[2] * z) / normal[1] >= OBSTACLE_M[1]
+        head &= (d - normal[0] * x - normal[2] * z) / normal[1] >= OBSTACLE_HEIGHTS_M[1]
     return FreeFloor(inside & (nearest >= radius_m**2) & head, (float(low[0]), float(low[1])), cell_m)
 
 
-def shadow(floor: FreeFloor, body: Body, radius_m: float) -> tuple[slice, slice, Bool[np.ndarray, "r c"]]:
-    """Rows and columns of the grid near a body, and which of their cells are within radius_m of its footprint."""
+def cells_near(floor: FreeFloor, body: Body, radius_m: float) -> tuple[slice, slice, Bool[np.ndarray, "r c"]]:
+    """Return the rows and columns of the grid near a body, and which of their cells are within radius_m of its
+    footprint."""
     reach = body.reach + radius_m + floor.cell_m
     rows, columns = floor.free.shape
     first_column = min(max(math.floor((body.x - reach - floor.origin[0]) / floor.cell_m), 0), columns)
@@ -99,21 +100,21 @@ def shadow(floor: FreeFloor, body: Body, radius_m: float) -> tuple[slice, slice,
     return slice(first_row, last_row), slice(first_column, last_column), near
 
 
-def in_the_way(body: Body) -> bool:
-    """Whether it takes up any height that a walking body needs."""
-    return body.low < OBSTACLE_M[1] and body.high > OBSTACLE_M[0]
+def is_obstacle(body: Body) -> bool:
+    """Return whether the body lies within the height range of obstacles."""
+    return body.low < OBSTACLE_HEIGHTS_M[1] and body.high > OBSTACLE_HEIGHTS_M[0]
 
 
 def free_floor(shell: Shell, placements: Iterable[Placement], *, radius_m: float, cell_m: float = 0.1) -> FreeFloor:
-    """Where the middle of an upright body of that radius may be, all regions of it (see `FreeFloor.largest`).
+    """Return where the centre of a person of that radius may be, all regions of it (see `FreeFloor.largest`).
 
-    Placements are in the way when they take up any height between 0.05 and 1.9 m, and so are curtains and open doors of
-    the shell, walls, and slanted ceilings lower than 1.9 m.
+    Placements between 0.05 and 1.9 m of height are obstacles, and so are curtains and open doors of the shell, walls,
+    and slanted ceilings lower than 1.9 m.
     """
     floor = bare_floor(shell, radius_m=radius_m, cell_m=cell_m)
     free = floor.free.copy()
     for body in [*shell_bodies(shell), *map(Body.placed, placements)]:
-        if in_the_way(body):
-            rows, columns, near = shadow(floor, body, radius_m)
+        if is_obstacle(body):
+            rows, columns, near = cells_near(floor, body, radius_m)
             free[rows, columns] &= ~near
     return replace(floor, free=free)

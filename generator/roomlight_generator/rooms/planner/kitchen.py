@@ -1,173 +1,194 @@
-"""Kitchen runs: an unbroken line of units along a wall, round a corner too, wall units and a hood above."""
+"""Kitchens: an unbroken run of units along a wall, possibly around a corner, with wall units and a hood above."""
 
 from typing import Final
 
 from roomlight_generator.rooms.furniture_model import FurnitureModel
-from roomlight_generator.rooms.planner.arrangement import STANDING, Layout, Piece
+from roomlight_generator.rooms.planner.arrangement import FLOOR_LAYER, Arrangement, Piece
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.wall_space import Stretch, at_wall, stretches
+from roomlight_generator.rooms.planner.wall_space import WallSpan, free_wall_spans, wall_point
 
 Range = tuple[float, float]
 
 COUNTER_M: Final = (0.7, 1.0)
-"""Heights of what carries a worktop."""
+"""Heights of units that carry a worktop."""
 
-TAP_M: Final = 0.35
+TAP_HEIGHT_M: Final = 0.35
 
 WALL_UNIT_M: Final = (1.38, 1.55)
-"""The bottom of wall units."""
+"""Height of the bottom of wall units."""
 
-BACK_M: Final = 0.012
-WAY_M: Final = 0.85
+BACK_GAP_M: Final = 0.012
+ACCESS_DEPTH_M: Final = 0.85
 
 
-def _counter(
-    layout: Layout, role: str, *, like: FurnitureModel | None = None, sink: bool | None = None
+def _pick_counter_unit(
+    arrangement: Arrangement, role: str, *, like: FurnitureModel | None = None, sink: bool | None = None
 ) -> FurnitureModel | None:
-    """A piece as high as a worktop, and as high as `like` where one is given."""
+    """Choose a unit of worktop height, and of the same height as `like` if given."""
 
     def fits(model: FurnitureModel) -> bool:
         has_sink = "sink" in f"{model.id} {model.name}".lower()
-        # A tap stands over its worktop.
+        # A tap rises above the worktop.
         over = model.height_m - (like.height_m if like is not None else COUNTER_M[1])
-        even = over <= 0.0 if like is None else -0.07 < over < (TAP_M if has_sink else 0.07)
+        even = over <= 0.0 if like is None else -0.07 < over < (TAP_HEIGHT_M if has_sink else 0.07)
         return even and (sink is None or has_sink == sink)
 
     def matches(model: FurnitureModel) -> bool:
-        return fits(model) and like is not None and _family(model) == _family(like)
+        return fits(model) and like is not None and _model_family(model) == _model_family(like)
 
-    own = layout.pick(
-        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_M), also=matches
+    own = arrangement.pick(
+        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=matches
     )
-    return own or layout.pick(
-        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_M), also=fits
+    return own or arrangement.pick(
+        role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=fits
     )
 
 
-def _family(model: FurnitureModel) -> tuple[str, str]:
-    """Models made to match share the first and the last part of their ids: "procedural/<kind>/train3"."""
+def _model_family(model: FurnitureModel) -> tuple[str, str]:
+    """Return the family of a model. Matching models share the first and the last part of their ids:
+    "procedural/<kind>/train3"."""
     return model.id.split("/")[0], model.id.split("/")[-1]
 
 
-def _matching(
-    layout: Layout, role: str, like: FurnitureModel, *, width: Range, depth: Range, height: Range
+def _pick_matching(
+    arrangement: Arrangement, role: str, like: FurnitureModel, *, width: Range, depth: Range, height: Range
 ) -> FurnitureModel | None:
-    """One made to match where there is one, else any."""
+    """Choose a model of the same family as `like` if there is one, otherwise any model."""
 
     def matches(model: FurnitureModel) -> bool:
-        return _family(model) == _family(like)
+        return _model_family(model) == _model_family(like)
 
-    own = layout.pick(role, width=width, depth=depth, height=height, also=matches)
-    return own or layout.pick(role, width=width, depth=depth, height=height)
+    own = arrangement.pick(role, width=width, depth=depth, height=height, also=matches)
+    return own or arrangement.pick(role, width=width, depth=depth, height=height)
 
 
-def kitchen(layout: Layout, *, longest: float = 4.5, corner: float = 0.45, island: float = 0.35) -> list[Piece]:
-    """Units along one wall, or round a corner; the pieces on the floor."""
-    unit = _counter(layout, "kitchen_unit", sink=False) or _counter(layout, "kitchen_unit")
+def kitchen(
+    arrangement: Arrangement, *, longest: float = 4.5, corner: float = 0.45, island: float = 0.35
+) -> list[Piece]:
+    """Place units along one wall, or around a corner; return the pieces on the floor."""
+    unit = _pick_counter_unit(arrangement, "kitchen_unit", sink=False) or _pick_counter_unit(
+        arrangement, "kitchen_unit"
+    )
     if unit is None:
         return []
-    found = stretches(layout, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
+    found = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
     ranked = sorted(
-        (one for one in found if one.length_m >= 0.7), key=lambda one: -one.length_m * layout.between(0.75, 1.25)
+        (one for one in found if one.length_m >= 0.7), key=lambda one: -one.length_m * arrangement.uniform(0.75, 1.25)
     )
-    for stretch in ranked[:4]:
-        mark = layout.mark()
-        turns = layout.chance(corner)
-        pieces, from_left = _run(layout, stretch, unit, longest, turns=turns)
+    for span in ranked[:4]:
+        snapshot = arrangement.snapshot()
+        turns = arrangement.chance(corner)
+        pieces, from_left = _place_run(arrangement, span, unit, longest, turns=turns)
         if not pieces:
-            layout.back_to(mark)
+            arrangement.restore(snapshot)
             continue
         if turns:
-            pieces += _second_leg(layout, stretch, unit, pieces, from_left=from_left)
-        _above(layout, stretch.wall, pieces)
-        if layout.chance(island) and layout.area_m2 > 14:
-            _island(layout, pieces, unit)
-        if len(pieces) < 4 and layout.area_m2 > 6:
-            pieces += _opposite(layout, pieces, unit)
+            pieces += _place_corner_run(arrangement, span, unit, pieces, from_left=from_left)
+        _place_wall_units(arrangement, span.wall, pieces)
+        if arrangement.chance(island) and arrangement.area_m2 > 14:
+            _place_island(arrangement, pieces, unit)
+        if len(pieces) < 4 and arrangement.area_m2 > 6:
+            pieces += _place_opposite_run(arrangement, pieces, unit)
         return pieces
     return []
 
 
-def _sequence(layout: Layout, unit: FurnitureModel, length: float, *, turns: bool) -> list[FurnitureModel]:
-    """What stands in a run of that length, from the corner on; a run that turns there begins with a low unit."""
-    sink = _counter(layout, "kitchen_unit", like=unit, sink=True) or unit
-    oven = _counter(layout, "oven", like=unit) or _matching(
-        layout, "oven", unit, width=(0.3, 1.0), depth=(0.4, 0.8), height=(0.6, 1.1)
+def _choose_run_models(
+    arrangement: Arrangement, unit: FurnitureModel, length: float, *, turns: bool
+) -> list[FurnitureModel]:
+    """Choose the units of a run of that length, starting at the corner; a run that turns there begins with a low
+    unit."""
+    sink = _pick_counter_unit(arrangement, "kitchen_unit", like=unit, sink=True) or unit
+    oven = _pick_counter_unit(arrangement, "oven", like=unit) or _pick_matching(
+        arrangement, "oven", unit, width=(0.3, 1.0), depth=(0.4, 0.8), height=(0.6, 1.1)
     )
-    washer = _counter(layout, layout.shuffled(("dishwasher", "dishwasher", "washing_machine"))[0], like=unit)
-    fridge = _matching(layout, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
-    wanted = [sink, oven, fridge if layout.chance(0.9) else None, unit, washer if layout.chance(0.6) else None]
+    washer = _pick_counter_unit(
+        arrangement, arrangement.shuffled(("dishwasher", "dishwasher", "washing_machine"))[0], like=unit
+    )
+    fridge = _pick_matching(arrangement, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
+    wanted = [
+        sink,
+        oven,
+        fridge if arrangement.chance(0.9) else None,
+        unit,
+        washer if arrangement.chance(0.6) else None,
+    ]
     used = 0.0
     fitted: list[FurnitureModel] = []
     for model in wanted:
         if model is not None and used + model.width_m + 0.002 <= length:
             fitted.append(model)
             used += model.width_m + 0.002
-    cold = [model for model in fitted if model.role == "fridge"]
+    fridges = [model for model in fitted if model.role == "fridge"]
     fitted = [model for model in fitted if model.role != "fridge"]
-    if layout.chance(0.5):
+    if arrangement.chance(0.5):
         fitted.reverse()
-    other = _counter(layout, "kitchen_unit", like=unit, sink=False) or unit
+    other = _pick_counter_unit(arrangement, "kitchen_unit", like=unit, sink=False) or unit
     while used + min(unit.width_m, other.width_m) + 0.002 <= length:
-        extra = unit if used + unit.width_m + 0.002 <= length and layout.chance(0.75) else other
+        extra = unit if used + unit.width_m + 0.002 <= length and arrangement.chance(0.75) else other
         if used + extra.width_m + 0.002 > length:
             extra = unit if unit.width_m < other.width_m else other
-        fitted.insert(int(layout.rng.integers(len(fitted) + 1)), extra)
+        fitted.insert(int(arrangement.rng.integers(len(fitted) + 1)), extra)
         used += extra.width_m + 0.002
     if turns:
-        # Nothing that opens stands in the corner, nothing high either.
+        # The corner holds no unit that opens and no high unit.
         fitted.sort(key=lambda model: model is not unit)
-        fitted[1:] = layout.shuffled(fitted[1:])
-    at_end = turns or layout.chance(0.5)
-    return fitted + cold if at_end else cold + fitted
+        fitted[1:] = arrangement.shuffled(fitted[1:])
+    at_end = turns or arrangement.chance(0.5)
+    return fitted + fridges if at_end else fridges + fitted
 
 
-def _run(
-    layout: Layout, stretch: Stretch, unit: FurnitureModel, longest: float, *, turns: bool
+def _place_run(
+    arrangement: Arrangement, span: WallSpan, unit: FurnitureModel, longest: float, *, turns: bool
 ) -> tuple[list[Piece], bool]:
-    """Units side by side from one end of the stretch; the end at a corner where one is. Whether that is its left."""
-    wall = layout.shell.walls[stretch.wall]
-    left_corner, right_corner = stretch.start_m < 0.01, stretch.end_m > wall.length_m - 0.01
-    from_left = left_corner if left_corner != right_corner else layout.chance(0.5)
-    length = min(stretch.length_m - 0.02, layout.between(0.7, 1.0) * longest)
+    """Place units side by side from one end of the span, an end at a corner if there is one; also return whether it
+    is the left end."""
+    wall = arrangement.shell.walls[span.wall]
+    left_corner, right_corner = span.start_m < 0.01, span.end_m > wall.length_m - 0.01
+    from_left = left_corner if left_corner != right_corner else arrangement.chance(0.5)
+    length = min(span.length_m - 0.02, arrangement.uniform(0.7, 1.0) * longest)
     turns = turns and (left_corner if from_left else right_corner)
-    line = _sequence(layout, unit, length, turns=turns)
-    cursor = stretch.start_m + 0.01 if from_left else stretch.end_m - 0.01
-    return _line_up(layout, stretch.wall, line, cursor, unit, step=1 if from_left else -1), from_left
+    line = _choose_run_models(arrangement, unit, length, turns=turns)
+    cursor = span.start_m + 0.01 if from_left else span.end_m - 0.01
+    return _place_side_by_side(arrangement, span.wall, line, cursor, unit, step=1 if from_left else -1), from_left
 
 
-def _opposite(layout: Layout, first: list[Piece], unit: FurnitureModel) -> list[Piece]:
-    """A second, plain run where the first is short, along another wall."""
+def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: FurnitureModel) -> list[Piece]:
+    """If the first run is short, place a second, plain run along another wall."""
     roles = {piece.role for piece in first}
-    found = stretches(layout, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
-    for stretch in sorted(found, key=lambda one: -one.length_m)[:3]:
-        length = min(stretch.length_m - 0.02, 3.0)
-        fridge = _matching(layout, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
+    found = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
+    for span in sorted(found, key=lambda one: -one.length_m)[:3]:
+        length = min(span.length_m - 0.02, 3.0)
+        fridge = _pick_matching(arrangement, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
         line = [fridge] if fridge is not None and "fridge" not in roles else []
         line += [unit] * int((length - sum(model.width_m for model in line)) / (unit.width_m + 0.002))
-        run = _line_up(layout, stretch.wall, line, stretch.start_m + 0.01, unit, step=1) if len(line) > 1 else []
+        run = (
+            _place_side_by_side(arrangement, span.wall, line, span.start_m + 0.01, unit, step=1)
+            if len(line) > 1
+            else []
+        )
         if run:
-            _above(layout, stretch.wall, run)
+            _place_wall_units(arrangement, span.wall, run)
             return run
     return []
 
 
-def _line_up(
-    layout: Layout, index: int, line: list[FurnitureModel], cursor: float, unit: FurnitureModel, *, step: int
+def _place_side_by_side(
+    arrangement: Arrangement, index: int, line: list[FurnitureModel], cursor: float, unit: FurnitureModel, *, step: int
 ) -> list[Piece]:
-    """One beside the other without gaps; what does not fit is replaced by a unit, or ends the run."""
+    """Place models side by side without gaps; a model that does not fit is replaced by a unit, or ends the run."""
     pieces: list[Piece] = []
-    waiting: list[FurnitureModel] = []
+    deferred: list[FurnitureModel] = []
     for model in line:
-        # A sink whose tap meets the sill waits for the next place, a unit stands there instead.
-        for choice in (*waiting, model, unit):
-            piece = _beside(layout, index, choice, cursor, step)
+        # A sink whose tap would overlap the window sill is deferred to the next position; a unit takes its place.
+        for choice in (*deferred, model, unit):
+            piece = _place_next(arrangement, index, choice, cursor, step)
             if piece is None:
                 continue
-            if choice in waiting:
-                waiting.remove(choice)
+            if choice in deferred:
+                deferred.remove(choice)
             if choice is not model and model.role != "kitchen_unit":
-                waiting.append(model)
+                deferred.append(model)
             pieces.append(piece)
             cursor += step * (choice.width_m + 0.002)
             break
@@ -177,63 +198,63 @@ def _line_up(
     return pieces
 
 
-def _beside(layout: Layout, index: int, model: FurnitureModel, cursor: float, step: int) -> Piece | None:
-    """One more piece of a run, with a way before it."""
-    wall = layout.shell.walls[index]
-    mark = layout.mark()
-    x, z = at_wall(wall, cursor + step * (model.width_m / 2 + 0.001), model.depth_m, BACK_M)
-    piece = layout.put(model, x, z, wall.facing_degrees())
+def _place_next(arrangement: Arrangement, index: int, model: FurnitureModel, cursor: float, step: int) -> Piece | None:
+    """Place one more piece of a run and reserve the floor in front of it."""
+    wall = arrangement.shell.walls[index]
+    snapshot = arrangement.snapshot()
+    x, z = wall_point(wall, cursor + step * (model.width_m / 2 + 0.001), model.depth_m, BACK_GAP_M)
+    piece = arrangement.place(model, x, z, wall.facing_degrees())
     if piece is None:
         return None
-    # A run that turns a corner may meet its own zone there, so a narrow way will do.
-    if layout.keep_free(_way(piece, WAY_M)) or layout.keep_free(_way(piece, 0.6)):
+    # In a corner a run can meet its own zone, so a shallow zone suffices.
+    if arrangement.reserve(_access_zone(piece, ACCESS_DEPTH_M)) or arrangement.reserve(_access_zone(piece, 0.6)):
         return piece
-    layout.back_to(mark)
+    arrangement.restore(snapshot)
     return None
 
 
-def _way(piece: Piece, depth: float) -> Body:
-    x, z = piece.body.out(0.0, piece.body.half_depth + depth / 2 + 0.005)
+def _access_zone(piece: Piece, depth: float) -> Body:
+    x, z = piece.body.to_plan(0.0, piece.body.half_depth + depth / 2 + 0.005)
     width = 2 * piece.body.half_width - 0.02
     return Body.of(x, z, piece.degrees, width=width, depth=depth, low=0.0, high=1.9)
 
 
-def _second_leg(
-    layout: Layout, stretch: Stretch, unit: FurnitureModel, first: list[Piece], *, from_left: bool
+def _place_corner_run(
+    arrangement: Arrangement, span: WallSpan, unit: FurnitureModel, first: list[Piece], *, from_left: bool
 ) -> list[Piece]:
-    """Round the corner that the run began at."""
-    walls = layout.shell.walls
-    index = (stretch.wall + (-1 if from_left else 1)) % len(walls)
-    wall, here = walls[index], walls[stretch.wall]
-    at_corner = stretch.start_m < 0.01 if from_left else stretch.end_m > here.length_m - 0.01
+    """Continue the run around the corner where it began."""
+    walls = arrangement.shell.walls
+    index = (span.wall + (-1 if from_left else 1)) % len(walls)
+    wall, here = walls[index], walls[span.wall]
+    at_corner = span.start_m < 0.01 if from_left else span.end_m > here.length_m - 0.01
     if not at_corner or abs(float(wall.inward @ here.inward)) > 0.02 or first[0].model.height_m > 1.2:
         return []
-    used = max(piece.model.depth_m for piece in first) + BACK_M + 0.004
-    length = min(wall.length_m - used - 0.05, layout.between(0.9, 2.6))
+    used = max(piece.model.depth_m for piece in first) + BACK_GAP_M + 0.004
+    length = min(wall.length_m - used - 0.05, arrangement.uniform(0.9, 2.6))
     line = [unit] * int(length / unit.width_m)
     cursor = wall.length_m - used if from_left else used
-    # The corner of two runs has no floor before it: the first unit's way was kept along the other wall.
-    kept = [zone for zone in layout.zones if zone.bars == STANDING]
-    reach = [zone for zone in kept if zone.body.overlaps(_corner_space(layout, index, used, from_left=from_left))]
+    # The corner of two runs has no floor in front of it: the first unit's zone was reserved along the other wall.
+    kept = [zone for zone in arrangement.zones if zone.excluded_layers == FLOOR_LAYER]
+    reach = [zone for zone in kept if zone.body.overlaps(_corner_space(arrangement, index, used, from_left=from_left))]
     for zone in reach:
-        layout.zones.remove(zone)
-    placed = _line_up(layout, index, line, cursor, unit, step=-1 if from_left else 1)
-    layout.zones.extend(zone for zone in reach if not any(zone.body.overlaps(piece.body) for piece in placed))
+        arrangement.zones.remove(zone)
+    placed = _place_side_by_side(arrangement, index, line, cursor, unit, step=-1 if from_left else 1)
+    arrangement.zones.extend(zone for zone in reach if not any(zone.body.overlaps(piece.body) for piece in placed))
     if placed:
-        _above(layout, index, placed)
+        _place_wall_units(arrangement, index, placed)
     return placed
 
 
-def _corner_space(layout: Layout, index: int, used: float, *, from_left: bool) -> Body:
-    wall = layout.shell.walls[index]
+def _corner_space(arrangement: Arrangement, index: int, used: float, *, from_left: bool) -> Body:
+    wall = arrangement.shell.walls[index]
     along = wall.length_m - used - 0.5 if from_left else used + 0.5
-    x, z = at_wall(wall, along, 0.6, 0.0)
+    x, z = wall_point(wall, along, 0.6, 0.0)
     return Body.of(x, z, wall.facing_degrees(), width=1.0, depth=0.6, low=0.0, high=1.0)
 
 
-def _above(layout: Layout, index: int, run: list[Piece]) -> None:
-    """A hood over the oven, wall units over the rest, where no window is."""
-    wall = layout.shell.walls[index]
+def _place_wall_units(arrangement: Arrangement, index: int, run: list[Piece]) -> None:
+    """Place a hood over the oven and wall units over the rest, except at windows."""
+    wall = arrangement.shell.walls[index]
     direction = (wall.end - wall.start) / wall.length_m
     low = [piece for piece in run if piece.model.height_m < 1.2]
     if not low:
@@ -242,53 +263,59 @@ def _above(layout: Layout, index: int, run: list[Piece]) -> None:
              for piece in low]  # fmt: skip
     for piece, place in zip(low, along, strict=True):
         if piece.role == "oven":
-            hood = _matching(layout, "hood", low[0].model, width=(0.3, 1.1), depth=(0.1, 0.7), height=(0.05, 1.2))
+            hood = _pick_matching(
+                arrangement, "hood", low[0].model, width=(0.3, 1.1), depth=(0.1, 0.7), height=(0.05, 1.2)
+            )
             if hood is not None:
                 lowest = piece.model.height_m + 0.6
-                y = min(max(lowest, layout.between(1.5, 1.65)), wall.height_m - hood.height_m - 0.02)
+                y = min(max(lowest, arrangement.uniform(1.5, 1.65)), wall.height_m - hood.height_m - 0.02)
                 if y >= lowest - 0.1:
-                    x, z = at_wall(wall, place, hood.depth_m, 0.005)
-                    layout.put(hood, x, z, wall.facing_degrees(), y=y, layer="wall")
-    if layout.chance(0.15):
+                    x, z = wall_point(wall, place, hood.depth_m, 0.005)
+                    arrangement.place(hood, x, z, wall.facing_degrees(), y=y, layer="wall")
+    if arrangement.chance(0.15):
         return
-    cabinet = _matching(layout, "wall_unit", low[0].model, width=(0.25, 1.3), depth=(0.15, 0.5), height=(0.25, 1.0))
+    cabinet = _pick_matching(
+        arrangement, "wall_unit", low[0].model, width=(0.25, 1.3), depth=(0.15, 0.5), height=(0.25, 1.0)
+    )
     if cabinet is None:
         return
-    y = layout.between(*WALL_UNIT_M)
+    y = arrangement.uniform(*WALL_UNIT_M)
     if y + cabinet.height_m > wall.height_m - 0.02:
         y = wall.height_m - 0.03 - cabinet.height_m
         if y < WALL_UNIT_M[0] - 0.06:
             return
     first = min(place - piece.body.half_width for piece, place in zip(low, along, strict=True))
     last = max(place + piece.body.half_width for piece, place in zip(low, along, strict=True))
-    free = stretches(layout, cabinet.depth_m + 0.01, low=y, high=y + cabinet.height_m, layer="wall", walls=(index,))
-    for stretch in free:
-        start, end = max(stretch.start_m, first), min(stretch.end_m, last)
+    free = free_wall_spans(
+        arrangement, cabinet.depth_m + 0.01, low=y, high=y + cabinet.height_m, layer="wall", walls=(index,)
+    )
+    for span in free:
+        start, end = max(span.start_m, first), min(span.end_m, last)
         count = int((end - start + 0.001) / (cabinet.width_m + 0.002))
         for k in range(count):
             place = start + (k + 0.5) * (cabinet.width_m + 0.002)
-            x, z = at_wall(wall, place, cabinet.depth_m, 0.005)
-            layout.put(cabinet, x, z, wall.facing_degrees(), y=y, layer="wall")
+            x, z = wall_point(wall, place, cabinet.depth_m, 0.005)
+            arrangement.place(cabinet, x, z, wall.facing_degrees(), y=y, layer="wall")
 
 
-def _island(layout: Layout, run: list[Piece], unit: FurnitureModel) -> None:
-    """Two or three units before the run, stools on their far side."""
+def _place_island(arrangement: Arrangement, run: list[Piece], unit: FurnitureModel) -> None:
+    """Place two or three units in front of the run, with stools on their far side."""
     middle = run[len(run) // 2]
-    count = 2 + int(layout.chance(0.5))
-    stool = layout.pick("stool", height=(0.4, 1.2), width=(0.2, 0.6), depth=(0.2, 0.6))
-    out = middle.body.half_depth + WAY_M + 0.15 + unit.depth_m / 2
+    count = 2 + int(arrangement.chance(0.5))
+    stool = arrangement.pick("stool", height=(0.4, 1.2), width=(0.2, 0.6), depth=(0.2, 0.6))
+    out = middle.body.half_depth + ACCESS_DEPTH_M + 0.15 + unit.depth_m / 2
     row: list[Piece] = []
-    mark = layout.mark()
+    snapshot = arrangement.snapshot()
     for k in range(count):
-        x, z = middle.body.out((k - (count - 1) / 2) * (unit.width_m + 0.002), out)
-        piece = layout.put(unit, x, z, middle.degrees + 180)
+        x, z = middle.body.to_plan((k - (count - 1) / 2) * (unit.width_m + 0.002), out)
+        piece = arrangement.place(unit, x, z, middle.degrees + 180)
         if piece is None:
-            layout.back_to(mark)
+            arrangement.restore(snapshot)
             return
         row.append(piece)
     if stool is not None:
         for piece in row:
-            x, z = middle.body.out(0.0, 0.0)
-            back = -(piece.body.half_depth + stool.depth_m / 2 + layout.between(0.03, 0.2))
-            x, z = piece.body.out(layout.between(-0.1, 0.1), back)
-            layout.put(stool, x, z, piece.degrees + layout.wobble(15))
+            x, z = middle.body.to_plan(0.0, 0.0)
+            back = -(piece.body.half_depth + stool.depth_m / 2 + arrangement.uniform(0.03, 0.2))
+            x, z = piece.body.to_plan(arrangement.uniform(-0.1, 0.1), back)
+            arrangement.place(stool, x, z, piece.degrees + arrangement.jitter(15))

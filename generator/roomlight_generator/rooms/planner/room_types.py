@@ -1,4 +1,4 @@
-"""Kinds of rooms: how large and high they are, and what stands in them, in the order in which it is put."""
+"""Room types: sizes, openings, and the furnishing programme as an ordered list of steps."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -6,54 +6,60 @@ from functools import partial
 from typing import Final
 
 from roomlight.dataset.recording import Split
-from roomlight_generator.rooms.planner.arrangement import Layout
+from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.bathroom import bathroom
 from roomlight_generator.rooms.planner.ceiling import CeilingLight
 from roomlight_generator.rooms.planner.kitchen import kitchen
-from roomlight_generator.rooms.planner.loose import by_wall, fill, in_corner, on_floor, rug
-from roomlight_generator.rooms.planner.lounge import conversation, reading_corner, tv_lounge
+from roomlight_generator.rooms.planner.loose_items import (
+    fill_walls,
+    place_along_walls,
+    place_in_corners,
+    place_rug,
+    scatter_on_floor,
+)
+from roomlight_generator.rooms.planner.lounge import conversation_group, reading_corner, tv_lounge
 from roomlight_generator.rooms.planner.public import benches, double_rows, row_along
 from roomlight_generator.rooms.planner.sleeping import bed
 from roomlight_generator.rooms.planner.tables import cafe_tables, desk, desk_islands, dining, reading_tables
 
 
-def spare_room(layout: Layout) -> int:
-    """Further groups while a large room is still empty; how many."""
+def fill_spare_space(arrangement: Arrangement) -> int:
+    """Place further furniture groups while a large room is still mostly empty; return their number."""
     done = 0
-    groups = layout.shuffled(
+    groups = arrangement.shuffled(
         (
             partial(dining, seats=(2, 6)),
-            conversation,
+            conversation_group,
             reading_corner,
             desk,
             partial(row_along, role="bookcase", longest=2.6),
         )
     )
     for group in groups[:3]:
-        if layout.free().sum() * layout.floor.cell_m**2 < max(9.0, 0.42 * layout.area_m2):
+        if arrangement.free_cells().sum() * arrangement.floor.cell_m**2 < max(9.0, 0.42 * arrangement.area_m2):
             break
-        done += bool(group(layout))
+        done += bool(group(arrangement))
     return done
 
 
 @dataclass(frozen=True)
 class Step:
-    """Something that is put with some chance; `otherwise` is tried where it is not, or does not fit."""
+    """A furnishing step with a probability; `fallback` runs if the step is skipped or does not fit."""
 
-    place: Callable[[Layout], object]
+    place: Callable[[Arrangement], object]
     chance: float = 1.0
-    otherwise: Callable[[Layout], object] | None = None
+    fallback: Callable[[Arrangement], object] | None = None
 
 
 @dataclass(frozen=True)
 class RoomType:
-    """What a room is for. split "test" keeps it for the test split; types of "train" are for both.
+    """A type of room. split "test" reserves it for the test split; types of "train" are used in both.
 
-    Ranges are (least, most): area_m2 of the main room, aspect long to short side, height_m, windows, doors. The
-    p_... are the chances of a room without any window, of slanted ceilings, of an L-shaped plan, of an open door or
-    passage to a second room or corridor. `wall_items` are mean numbers by role, `ceiling` shares of kinds of ceiling
-    light, `clutter` the range from bare (0) to crowded (1), `people` and `pets` chances, `radiators` the chance of
-    one below a window. `public` rooms are no homes: larger surfaces, other finishes.
+    Ranges are (least, most): area_m2 of the main room, aspect long to short side, height_m, windows, doors. The p_...
+    are the probabilities of a room without any window, of slanted ceilings, of an L-shaped plan, of an open door or
+    passage to a second room or corridor. `wall_items` are mean numbers by role, `ceiling` probabilities of kinds of
+    ceiling light, `clutter` the range from bare (0) to crowded (1), `people` and `pets` probabilities, `radiators` the
+    probability of one below a window. `public` marks rooms other than homes: larger surfaces, other finishes.
     """
 
     name: str
@@ -76,13 +82,13 @@ class RoomType:
     radiators: float = 0.45
     public: bool = False
 
-    def furnish(self, layout: Layout) -> None:
-        """Goes through its programme."""
+    def furnish(self, arrangement: Arrangement) -> None:
+        """Run the furnishing programme."""
         for step in self.programme:
-            if layout.chance(step.chance) and step.place(layout):
+            if arrangement.chance(step.chance) and step.place(arrangement):
                 continue
-            if step.otherwise is not None:
-                step.otherwise(layout)
+            if step.fallback is not None:
+                step.fallback(arrangement)
 
 
 _HOME_WALLS: Final = (
@@ -90,14 +96,14 @@ _HOME_WALLS: Final = (
     ("air_conditioner", 0.12), ("wall_clutter", 0.15),
 )  # fmt: skip
 
-_LOOSE: Final = (
-    Step(partial(in_corner, role="floor_lamp", number=0.6)),
-    Step(partial(in_corner, role="plant", number=1.1)),
+_CORNER_ITEMS: Final = (
+    Step(partial(place_in_corners, role="floor_lamp", number=0.6)),
+    Step(partial(place_in_corners, role="plant", number=1.1)),
 )
 
 _LIVING: Final = ("bookcase", "bookcase", "sideboard", "dresser", "side_table", "armchair", "plant", "stool")
 
-_CLUTTER: Final = Step(partial(on_floor, role="floor_clutter", number=0.9, by_walls=0.75))
+_CLUTTER: Final = Step(partial(scatter_on_floor, role="floor_clutter", number=0.9, by_walls=0.75))
 
 
 def _types() -> list[RoomType]:
@@ -105,20 +111,20 @@ def _types() -> list[RoomType]:
         RoomType(
             "living_room",
             (
-                Step(tv_lounge, 0.75, conversation),
-                Step(partial(by_wall, roles=("fireplace",)), 0.15),
+                Step(tv_lounge, 0.75, conversation_group),
+                Step(partial(place_along_walls, roles=("fireplace",)), 0.15),
                 Step(partial(dining, seats=(2, 6)), 0.3),
-                Step(partial(by_wall, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(by_wall, roles=("piano",)), 0.08),
+                Step(partial(place_along_walls, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
+                Step(partial(place_along_walls, roles=("piano",)), 0.08),
                 Step(reading_corner, 0.35),
                 Step(desk, 0.1),
-                Step(spare_room, 0.8),
-                *_LOOSE,
-                Step(partial(fill, roles=_LIVING, share=(0.2, 0.36)), 0.8),
-                Step(partial(by_wall, roles=("side_table", "stool", "bench"), number=(0, 1))),
+                Step(fill_spare_space, 0.8),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=_LIVING, share=(0.2, 0.36)), 0.8),
+                Step(partial(place_along_walls, roles=("side_table", "stool", "bench"), number=(0, 1))),
                 _CLUTTER,
-                Step(partial(on_floor, role="floor_toy", number=0.6), 0.2),
-                Step(partial(rug, probability=0.2)),
+                Step(partial(scatter_on_floor, role="floor_toy", number=0.6), 0.2),
+                Step(partial(place_rug, probability=0.2)),
             ),
             area_m2=(14.0, 42.0),
             height_m=(2.4, 3.4),
@@ -130,15 +136,15 @@ def _types() -> list[RoomType]:
             "bedroom",
             (
                 Step(bed),
-                Step(partial(by_wall, roles=("wardrobe",), number=(1, 2)), 0.85),
-                Step(partial(by_wall, roles=("dresser", "dresser", "sideboard", "bookcase"), number=(0, 2))),
+                Step(partial(place_along_walls, roles=("wardrobe",), number=(1, 2)), 0.85),
+                Step(partial(place_along_walls, roles=("dresser", "dresser", "sideboard", "bookcase"), number=(0, 2))),
                 Step(desk, 0.25),
                 Step(reading_corner, 0.25),
-                *_LOOSE,
-                Step(partial(fill, roles=("wardrobe", "dresser", "bookcase", "bench"), share=(0.25, 0.42)), 0.8),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=("wardrobe", "dresser", "bookcase", "bench"), share=(0.25, 0.42)), 0.8),
                 _CLUTTER,
-                Step(partial(by_wall, roles=("exercise",), depth=2.0), 0.05),
-                Step(partial(rug, probability=0.2)),
+                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.05),
+                Step(partial(place_rug, probability=0.2)),
             ),
             area_m2=(9.0, 24.0),
             windows=(1, 2),
@@ -151,11 +157,11 @@ def _types() -> list[RoomType]:
             (
                 Step(kitchen),
                 Step(partial(dining, seats=(2, 4)), 0.55),
-                Step(partial(by_wall, roles=("fridge", "sideboard", "bookcase", "dresser"), number=(0, 1))),
-                Step(partial(by_wall, roles=("stool", "chair"), number=(0, 1))),
-                Step(partial(in_corner, role="plant", number=0.4)),
-                Step(partial(on_floor, role="floor_clutter", number=0.8, by_walls=0.9)),
-                Step(partial(rug, probability=0.15, small=True)),
+                Step(partial(place_along_walls, roles=("fridge", "sideboard", "bookcase", "dresser"), number=(0, 1))),
+                Step(partial(place_along_walls, roles=("stool", "chair"), number=(0, 1))),
+                Step(partial(place_in_corners, role="plant", number=0.4)),
+                Step(partial(scatter_on_floor, role="floor_clutter", number=0.8, by_walls=0.9)),
+                Step(partial(place_rug, probability=0.15, small=True)),
             ),
             area_m2=(7.0, 22.0),
             windows=(1, 2),
@@ -167,11 +173,13 @@ def _types() -> list[RoomType]:
             "dining_room",
             (
                 Step(partial(dining, seats=(4, 8), prefer="middle")),
-                Step(partial(by_wall, roles=("sideboard", "sideboard", "bookcase", "dresser"), number=(1, 3))),
-                Step(partial(by_wall, roles=("fireplace", "piano")), 0.15),
+                Step(
+                    partial(place_along_walls, roles=("sideboard", "sideboard", "bookcase", "dresser"), number=(1, 3))
+                ),
+                Step(partial(place_along_walls, roles=("fireplace", "piano")), 0.15),
                 Step(reading_corner, 0.2),
-                *_LOOSE,
-                Step(partial(fill, roles=_LIVING), 0.8),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=_LIVING), 0.8),
                 _CLUTTER,
             ),
             area_m2=(10.0, 28.0),
@@ -182,9 +190,9 @@ def _types() -> list[RoomType]:
             "bathroom",
             (
                 Step(bathroom),
-                Step(partial(on_floor, role="floor_clutter", number=0.6, by_walls=0.9, tallest=0.8)),
-                Step(partial(in_corner, role="plant", number=0.25, widest=0.5)),
-                Step(partial(rug, probability=0.45, small=True)),
+                Step(partial(scatter_on_floor, role="floor_clutter", number=0.6, by_walls=0.9, tallest=0.8)),
+                Step(partial(place_in_corners, role="plant", number=0.25, widest=0.5)),
+                Step(partial(place_rug, probability=0.45, small=True)),
             ),
             area_m2=(3.4, 11.0),
             aspect=(1.0, 2.0),
@@ -205,14 +213,14 @@ def _types() -> list[RoomType]:
             (
                 Step(partial(desk, facing_room=0.3)),
                 Step(desk, 0.2),
-                Step(partial(by_wall, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(by_wall, roles=("sofa",), depth=1.1), 0.15),
+                Step(partial(place_along_walls, roles=("bookcase", "bookcase", "sideboard", "dresser"), number=(1, 3))),
+                Step(partial(place_along_walls, roles=("sofa",), depth=1.1), 0.15),
                 Step(reading_corner, 0.3),
-                Step(partial(by_wall, roles=("exercise",), depth=2.0), 0.08),
-                *_LOOSE,
-                Step(partial(fill, roles=("bookcase", "bookcase", "dresser", "sideboard", "armchair")), 0.8),
+                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.08),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=("bookcase", "bookcase", "dresser", "sideboard", "armchair")), 0.8),
                 _CLUTTER,
-                Step(partial(rug, probability=0.4)),
+                Step(partial(place_rug, probability=0.4)),
             ),
             area_m2=(7.0, 18.0),
             windows=(1, 2),
@@ -225,15 +233,22 @@ def _types() -> list[RoomType]:
             (
                 Step(partial(bed, role="child_bed", widest=1.4, rug=0.5)),
                 Step(partial(bed, role="child_bed", widest=1.2, rug=0.0), 0.2),
-                Step(partial(by_wall, roles=("wardrobe", "dresser"), number=(1, 2))),
+                Step(partial(place_along_walls, roles=("wardrobe", "dresser"), number=(1, 2))),
                 Step(partial(desk, seat="chair"), 0.6),
-                Step(partial(by_wall, roles=("bookcase", "dresser", "side_table"), number=(0, 2), height=(0.0, 1.9))),
-                Step(partial(on_floor, role="floor_toy", number=2.2, by_walls=0.3)),
-                Step(partial(rug, probability=0.6)),
-                Step(partial(fill, roles=("bookcase", "dresser", "wardrobe", "bench"), share=(0.2, 0.4)), 0.7),
-                Step(partial(in_corner, role="floor_lamp", number=0.3)),
+                Step(
+                    partial(
+                        place_along_walls,
+                        roles=("bookcase", "dresser", "side_table"),
+                        number=(0, 2),
+                        height=(0.0, 1.9),
+                    )
+                ),
+                Step(partial(scatter_on_floor, role="floor_toy", number=2.2, by_walls=0.3)),
+                Step(partial(place_rug, probability=0.6)),
+                Step(partial(fill_walls, roles=("bookcase", "dresser", "wardrobe", "bench"), share=(0.2, 0.4)), 0.7),
+                Step(partial(place_in_corners, role="floor_lamp", number=0.3)),
                 _CLUTTER,
-                Step(partial(in_corner, role="plant", number=0.3)),
+                Step(partial(place_in_corners, role="plant", number=0.3)),
             ),
             area_m2=(8.0, 18.0),
             windows=(1, 2),
@@ -245,13 +260,20 @@ def _types() -> list[RoomType]:
         RoomType(
             "hallway",
             (
-                Step(partial(by_wall, roles=("sideboard", "dresser", "bench", "bookcase"), number=(1, 2), depth=0.5)),
-                Step(partial(by_wall, roles=("wardrobe", "bookcase"), depth=0.65), 0.4),
-                Step(partial(by_wall, roles=("chair", "stool", "side_table"), number=(0, 1), depth=0.6)),
-                Step(partial(in_corner, role="plant", number=0.5, widest=0.5)),
-                Step(partial(in_corner, role="floor_lamp", number=0.2, widest=0.45)),
-                Step(partial(on_floor, role="floor_clutter", number=1.2, by_walls=0.95)),
-                Step(partial(rug, probability=0.5, narrow=True)),
+                Step(
+                    partial(
+                        place_along_walls,
+                        roles=("sideboard", "dresser", "bench", "bookcase"),
+                        number=(1, 2),
+                        depth=0.5,
+                    )
+                ),
+                Step(partial(place_along_walls, roles=("wardrobe", "bookcase"), depth=0.65), 0.4),
+                Step(partial(place_along_walls, roles=("chair", "stool", "side_table"), number=(0, 1), depth=0.6)),
+                Step(partial(place_in_corners, role="plant", number=0.5, widest=0.5)),
+                Step(partial(place_in_corners, role="floor_lamp", number=0.2, widest=0.45)),
+                Step(partial(scatter_on_floor, role="floor_clutter", number=1.2, by_walls=0.95)),
+                Step(partial(place_rug, probability=0.5, narrow=True)),
             ),
             area_m2=(4.5, 16.0),
             aspect=(1.8, 5.0),
@@ -270,16 +292,16 @@ def _types() -> list[RoomType]:
             (
                 Step(partial(kitchen, longest=3.2, corner=0.3, island=0.15)),
                 Step(partial(bed, widest=1.8)),
-                Step(tv_lounge, 0.6, conversation),
+                Step(tv_lounge, 0.6, conversation_group),
                 Step(partial(dining, seats=(2, 4)), 0.6),
                 Step(desk, 0.4),
-                Step(partial(by_wall, roles=("wardrobe", "bookcase", "sideboard", "dresser"), number=(1, 3))),
-                Step(partial(by_wall, roles=("exercise",), depth=2.0), 0.06),
-                Step(spare_room, 0.6),
-                *_LOOSE,
-                Step(partial(fill, roles=(*_LIVING, "wardrobe"), share=(0.22, 0.38)), 0.8),
+                Step(partial(place_along_walls, roles=("wardrobe", "bookcase", "sideboard", "dresser"), number=(1, 3))),
+                Step(partial(place_along_walls, roles=("exercise",), depth=2.0), 0.06),
+                Step(fill_spare_space, 0.6),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=(*_LIVING, "wardrobe"), share=(0.22, 0.38)), 0.8),
                 _CLUTTER,
-                Step(partial(rug, probability=0.25)),
+                Step(partial(place_rug, probability=0.25)),
             ),
             area_m2=(20.0, 46.0),
             aspect=(1.0, 2.0),
@@ -294,14 +316,14 @@ def _types() -> list[RoomType]:
             (
                 Step(bed, 0.65, reading_corner),
                 Step(desk, 0.5),
-                Step(conversation, 0.35),
-                Step(partial(by_wall, roles=("dresser", "bookcase", "sideboard", "wardrobe"), number=(1, 3))),
+                Step(conversation_group, 0.35),
+                Step(partial(place_along_walls, roles=("dresser", "bookcase", "sideboard", "wardrobe"), number=(1, 3))),
                 Step(reading_corner, 0.4),
-                Step(spare_room, 0.5),
-                *_LOOSE,
-                Step(partial(fill, roles=(*_LIVING, "wardrobe", "bench")), 0.8),
-                Step(partial(on_floor, role="floor_clutter", number=1.8, by_walls=0.8)),
-                Step(partial(rug, probability=0.5)),
+                Step(fill_spare_space, 0.5),
+                *_CORNER_ITEMS,
+                Step(partial(fill_walls, roles=(*_LIVING, "wardrobe", "bench")), 0.8),
+                Step(partial(scatter_on_floor, role="floor_clutter", number=1.8, by_walls=0.8)),
+                Step(partial(place_rug, probability=0.5)),
             ),
             area_m2=(10.0, 32.0),
             windows=(1, 2),
@@ -316,13 +338,13 @@ def _types() -> list[RoomType]:
                 Step(desk_islands),
                 Step(partial(dining, seats=(4, 8), prefer="middle"), 0.3),
                 Step(partial(row_along, role="bookcase", longest=3.0), 0.6),
-                Step(conversation, 0.2),
-                Step(partial(by_wall, roles=("sideboard", "dresser", "bookcase"), number=(0, 3))),
+                Step(conversation_group, 0.2),
+                Step(partial(place_along_walls, roles=("sideboard", "dresser", "bookcase"), number=(0, 3))),
                 Step(desk, 0.4),
-                Step(partial(fill, roles=("bookcase", "sideboard", "dresser", "desk"), share=(0.16, 0.3)), 0.8),
-                Step(partial(in_corner, role="plant", number=2.2)),
-                Step(partial(in_corner, role="floor_lamp", number=0.3)),
-                Step(partial(on_floor, role="floor_clutter", number=2.0, by_walls=0.7)),
+                Step(partial(fill_walls, roles=("bookcase", "sideboard", "dresser", "desk"), share=(0.16, 0.3)), 0.8),
+                Step(partial(place_in_corners, role="plant", number=2.2)),
+                Step(partial(place_in_corners, role="floor_lamp", number=0.3)),
+                Step(partial(scatter_on_floor, role="floor_clutter", number=2.0, by_walls=0.7)),
             ),
             area_m2=(22.0, 80.0),
             aspect=(1.0, 2.2),
@@ -347,13 +369,16 @@ def _types() -> list[RoomType]:
                 Step(reading_tables, 0.75),
                 Step(double_rows, 0.55),
                 Step(reading_corner, 0.7),
-                Step(conversation, 0.25),
+                Step(conversation_group, 0.25),
                 Step(partial(row_along, role="bookcase", longest=3.0), 0.6),
                 Step(desk, 0.3),
-                Step(spare_room, 0.7),
-                *_LOOSE,
-                Step(partial(fill, roles=("bookcase", "bookcase", "armchair", "sideboard"), share=(0.2, 0.36)), 0.8),
-                Step(partial(rug, probability=0.5)),
+                Step(fill_spare_space, 0.7),
+                *_CORNER_ITEMS,
+                Step(
+                    partial(fill_walls, roles=("bookcase", "bookcase", "armchair", "sideboard"), share=(0.2, 0.36)),
+                    0.8,
+                ),
+                Step(partial(place_rug, probability=0.5)),
             ),
             split="test",
             area_m2=(16.0, 60.0),
@@ -369,12 +394,12 @@ def _types() -> list[RoomType]:
             (
                 Step(partial(kitchen, longest=3.6, corner=0.25, island=0.7)),
                 Step(cafe_tables),
-                Step(partial(by_wall, roles=("sideboard", "fridge", "bookcase"), number=(0, 2))),
+                Step(partial(place_along_walls, roles=("sideboard", "fridge", "bookcase"), number=(0, 2))),
                 Step(benches, 0.5),
-                Step(conversation, 0.35),
-                Step(partial(in_corner, role="plant", number=2.0)),
-                Step(partial(in_corner, role="floor_lamp", number=0.5)),
-                Step(partial(on_floor, role="stool", number=0.7, by_walls=0.6)),
+                Step(conversation_group, 0.35),
+                Step(partial(place_in_corners, role="plant", number=2.0)),
+                Step(partial(place_in_corners, role="floor_lamp", number=0.5)),
+                Step(partial(scatter_on_floor, role="stool", number=0.7, by_walls=0.6)),
             ),
             split="test",
             area_m2=(20.0, 70.0),
@@ -396,4 +421,4 @@ def _types() -> list[RoomType]:
 
 
 ROOM_TYPES: Final[dict[str, RoomType]] = {one.name: one for one in _types()}
-"""By name."""
+"""Room types by name."""

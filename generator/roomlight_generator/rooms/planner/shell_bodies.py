@@ -1,6 +1,6 @@
-"""What the shell itself puts into the room: curtains, open door leaves, beams, columns.
+"""Bodies of the shell's parts that stand in the room: curtains, open door leaves, beams, columns.
 
-Read from the meshes of its items, so that the planner need not know how a shell is built.
+They are derived from the meshes of the shell's items, so that the planner does not depend on how a shell is built.
 """
 
 from typing import Final
@@ -13,32 +13,32 @@ from roomlight_generator.rooms.plan import Shell
 from roomlight_generator.rooms.planner.body import Body
 from roomlight_generator.rooms.scene import Mesh
 
-ALONGSIDE: Final = frozenset(
+ENCLOSING_ROLES: Final = frozenset(
     {"wall", "floor", "ceiling", "second_room", "skirting", "moulding", "frame", "pane", "sill"}
 )
 """Parts that enclose the room or run along its walls."""
 
-STANDS_OUT_M: Final = 0.07
-"""Skirtings, linings and sills that stand out of the wall by less are nobody's obstacle."""
+MIN_PROTRUSION_M: Final = 0.07
+"""Minimum protrusion from the wall of an obstacle; skirtings, linings and sills protrude less."""
 
 SLICE_M: Final = 0.25
-"""Of a slanted part, for each of its boxes."""
+"""Length of the slices into which a slanted part is cut."""
 
-STEP_M: Final = 0.1
-"""Between points on the edges of triangles."""
+SAMPLE_SPACING_M: Final = 0.1
+"""Spacing of sample points on triangle edges."""
 
 CELL_M: Final = 0.15
 """Points of one connected part lie in neighbouring cells of this size."""
 
 
 def shell_bodies(shell: Shell) -> list[Body]:
-    """Boxes around the parts of the shell that stand in the room, one for each connected part of an item."""
+    """Return boxes around the parts of the shell that stand in the room, one for each connected part of an item."""
     bodies: list[Body] = []
     for item in shell.items:
-        if item.role in ALONGSIDE:
+        if item.role in ENCLOSING_ROLES:
             continue
         points = _along_edges(item.mesh)
-        points = points[_out_of_wall(shell, points[:, [0, 2]])]
+        points = points[_protrudes(shell, points[:, [0, 2]])]
         if len(points):
             bodies += _boxes(points)
     return bodies
@@ -48,14 +48,14 @@ def _along_edges(mesh: Mesh) -> Float[np.ndarray, "n 3"]:
     corners = mesh.vertices[mesh.faces].astype(np.float64)
     starts, ends = corners.reshape(-1, 3), np.roll(corners, -1, axis=1).reshape(-1, 3)
     lengths = np.linalg.norm(ends - starts, axis=1)
-    long = lengths > STEP_M
-    steps = int(np.ceil(lengths.max(initial=0.0) / STEP_M))
+    long = lengths > SAMPLE_SPACING_M
+    steps = int(np.ceil(lengths.max(initial=0.0) / SAMPLE_SPACING_M))
     shares = np.arange(1, steps)[:, None, None] / max(steps, 1)
     between = starts[long] + shares * (ends[long] - starts[long])
     return np.concatenate([starts, between.reshape(-1, 3)])
 
 
-def _out_of_wall(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
+def _protrudes(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarray, " n"]:
     x, z = plan[:, 0], plan[:, 1]
     inside = np.zeros(len(plan), bool)
     near = np.zeros(len(plan), bool)
@@ -64,7 +64,7 @@ def _out_of_wall(shell: Shell, plan: Float[np.ndarray, "n 2"]) -> Bool[np.ndarra
             inside ^= ((z0 > z) != (z1 > z)) & (x < x0 + (z - z0) * (x1 - x0) / (z1 - z0))
         along = ((x - x0) * (x1 - x0) + (z - z0) * (z1 - z0)) / max((x1 - x0) ** 2 + (z1 - z0) ** 2, 1e-12)
         along = np.clip(along, 0, 1)
-        near |= np.hypot(x - x0 - along * (x1 - x0), z - z0 - along * (z1 - z0)) < STANDS_OUT_M
+        near |= np.hypot(x - x0 - along * (x1 - x0), z - z0 - along * (z1 - z0)) < MIN_PROTRUSION_M
     return inside & ~near
 
 
@@ -82,7 +82,7 @@ def _boxes(points: Float[np.ndarray, "n 3"]) -> list[Body]:
 
 
 def _slices(points: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "m 3"]]:
-    """What slants (a rafter) is cut into lengths, each with a low box of its own; else all of it."""
+    """Cut a slanted part (a rafter) into slices, each with a low box of its own; return other parts whole."""
     middle = points.mean(0)
     _, _, axes = np.linalg.svd(points - middle, full_matrices=False)
     if not 0.15 < abs(float(axes[0, 1])) < 0.97:
@@ -95,7 +95,7 @@ def _box(own: Float[np.ndarray, "n 3"]) -> Body:
     corners = cv2.boxPoints(cv2.minAreaRect(np.ascontiguousarray(own[:, [0, 2]], np.float32))).astype(np.float64)
     side, other = corners[1] - corners[0], corners[2] - corners[1]
     x, z = corners.mean(0)
-    # A turn of t has its right hand along (cos t, -sin t).
+    # A rotation of t has its right side along (cos t, -sin t).
     degrees = float(np.degrees(np.arctan2(-side[1], side[0])))
     width, depth = float(np.linalg.norm(side)), float(np.linalg.norm(other))
     low, high = float(own[:, 1].min()), float(own[:, 1].max())

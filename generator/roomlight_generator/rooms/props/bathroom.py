@@ -8,7 +8,7 @@ from roomlight_generator.rooms.props import palette
 from roomlight_generator.rooms.props.draft import Draft, Kit, between
 from roomlight_generator.rooms.props.storage import Front, fronts
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, loft, rod, sheet, tube
+from roomlight_generator.rooms.shapes import Number, double_sided_sheet, loft, rod, tube
 
 
 def bathtub(rng: np.random.Generator) -> Draft:
@@ -67,7 +67,7 @@ def _rim(x: Number, z: Number, inner_x: Number, inner_z: Number, height: Number,
         c, s = np.cos(angle), -np.sin(angle)
         stretch = (np.abs(c) ** exponent + np.abs(s) ** exponent) ** (-1 / exponent)
         rings.append(np.stack([a * c * stretch, np.full(41, height), b * s * stretch], 1))
-    return sheet(np.array(rings, np.float32), thickness=0.004)
+    return double_sided_sheet(np.array(rings, np.float32), thickness=0.004)
 
 
 def shower(rng: np.random.Generator) -> Draft:
@@ -280,7 +280,7 @@ def _hung(
         (top - drop[1], z - 0.018),
     ]
     grid = np.array([[[x - width / 2, y, d], [x, y, d], [x + width / 2, y, d]] for y, d in path], np.float32)
-    kit.add(sheet(grid, thickness=0.012), cloth)
+    kit.add(double_sided_sheet(grid, thickness=0.012), cloth)
 
 
 def _towels(rng: np.random.Generator, ladder: bool, width: Number, height: Number, depth: Number) -> Mesh:

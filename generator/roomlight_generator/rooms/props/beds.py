@@ -8,7 +8,7 @@ from roomlight_generator.rooms.props import palette
 from roomlight_generator.rooms.props.draft import Draft, Kit, between
 from roomlight_generator.rooms.props.seating import legs
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, cushion, sheet
+from roomlight_generator.rooms.shapes import Number, cushion, double_sided_sheet
 
 _TUCKED: Final = (0.03, 0.06)
 """How far a duvet hangs down, metres, where a frame holds it in."""
@@ -34,7 +34,7 @@ def duvet(
     # A corner hangs lower than the edges beside it, so that it is folded outward.
     points[-1, [0, -1], 1] = points[-2:, [0, -1], 1].min() - 0.03
     # Rows run from foot to head so that the upper layer looks up.
-    kit.add(sheet(points[::-1].copy(), thickness=0.012), cover)
+    kit.add(double_sided_sheet(points[::-1].copy(), thickness=0.012), cover)
 
 
 def bedding(
@@ -79,7 +79,7 @@ def bedding(
             ],
             np.float32,
         )  # fmt: skip
-        kit.add(sheet(grid, thickness=0.012), throw)
+        kit.add(double_sided_sheet(grid, thickness=0.012), throw)
 
 
 def bed(rng: np.random.Generator) -> Draft:

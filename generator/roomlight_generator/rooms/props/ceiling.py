@@ -11,7 +11,7 @@ from roomlight_generator.rooms.props.draft import Draft, Kit, between, light, ri
 from roomlight_generator.rooms.props.lamps import bulb, drum, hat
 from roomlight_generator.rooms.props.smalls import turned_solid
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, lathe, sheet, sphere, tube
+from roomlight_generator.rooms.shapes import Number, double_sided_sheet, lathe, sphere, tube
 
 _STICKS_OUT_M: Final = 0.03
 """How much of a recessed lamp's tube is seen: the ceiling has no hole for the rest."""
@@ -378,7 +378,7 @@ def ceiling_fan(rng: np.random.Generator) -> Draft:
                 ],
                 np.float32,
             )
-            kit.add(sheet(grid, thickness=0.008), blade, yaw=angle + 90)
+            kit.add(double_sided_sheet(grid, thickness=0.008), blade, yaw=angle + 90)
         return kit.mesh()
 
     return Draft("ceiling fan", size, build, lights=lights)

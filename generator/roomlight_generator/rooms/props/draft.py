@@ -11,7 +11,7 @@ from jaxtyping import Float
 
 from roomlight_generator.rooms.furniture_model import LightSource
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, Vector, block, blocks, box, clad, rod, turned
+from roomlight_generator.rooms.shapes import Number, Vector, block, blocks, box, rod, rotated, with_material
 
 FAR = 99.0
 """A longest edge that nothing reaches: flat parts are not cut into pieces."""
@@ -60,10 +60,10 @@ class Kit:
         roll: Number = 0,
     ) -> None:
         """A shape in a material: rolled about z, pitched about x, turned about y (degrees), then moved."""
-        mesh = clad(shape, material)
+        mesh = with_material(shape, material)
         for degrees, axis in ((roll, "z"), (pitch, "x"), (yaw, "y")):
             if degrees:
-                mesh = turned(mesh, degrees, axis)
+                mesh = rotated(mesh, degrees, axis)
         self._parts.append(mesh.transformed(np.eye(3, dtype=np.float32), np.array([*at], np.float32)))
 
     def slab(

@@ -9,7 +9,7 @@ from roomlight_generator.rooms.props.draft import Draft, Kit, between
 from roomlight_generator.rooms.props.seating import legs, padded
 from roomlight_generator.rooms.props.smalls import loft_ball, plush
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, lathe, loft, sheet, sphere, tube
+from roomlight_generator.rooms.shapes import Number, double_sided_sheet, lathe, loft, sphere, tube
 
 
 def _basketry(rng: np.random.Generator) -> Material:
@@ -219,7 +219,9 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
         for k in range(1, 4):
             a, b = (np.array(feet[k]) * 0.97, np.array(feet[(k + 1) % 4]) * 0.97)
             kit.add(
-                sheet(np.array([[a, b], [apex + (a - b) * 0.02, apex - (a - b) * 0.02]], np.float32), thickness=0.004),
+                double_sided_sheet(
+                    np.array([[a, b], [apex + (a - b) * 0.02, apex - (a - b) * 0.02]], np.float32), thickness=0.004
+                ),
                 cloth,
             )
         for s in (-1, 1):
@@ -227,7 +229,7 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
             inner = np.array([s * width * 0.26, 0.0, depth / 2 * 0.97])
             pair = [corner, inner] if s < 0 else [inner, corner]
             kit.add(
-                sheet(
+                double_sided_sheet(
                     np.array([pair, [apex - np.array([0.01, 0, 0]), apex + np.array([0.01, 0, 0])]], np.float32),
                     thickness=0.004,
                 ),

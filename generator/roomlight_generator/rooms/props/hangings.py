@@ -13,7 +13,7 @@ from roomlight_generator.rooms.props.pictures import clock_texture, print_textur
 from roomlight_generator.rooms.props.smalls import turned_solid, vessel
 from roomlight_generator.rooms.props.storage import shelf_of_things
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, lathe, loft, rectangle, sheet, tube
+from roomlight_generator.rooms.shapes import Number, double_sided_sheet, lathe, loft, rectangle, tube
 
 
 def framed(
@@ -345,5 +345,5 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 ],
                 np.float32,
             )
-            kit.add(sheet(grid, thickness=0.002), palette.paper(rng))
+            kit.add(double_sided_sheet(grid, thickness=0.002), palette.paper(rng))
     return kit.mesh()

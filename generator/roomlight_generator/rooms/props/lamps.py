@@ -9,7 +9,7 @@ from roomlight_generator.rooms.props import palette
 from roomlight_generator.rooms.props.draft import Draft, Kit, between, light
 from roomlight_generator.rooms.props.smalls import turned_solid, vessel
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, Vector, lathe, loft, sheet, sphere, tube
+from roomlight_generator.rooms.shapes import Number, Vector, double_sided_sheet, lathe, loft, sphere, tube
 
 
 def drum(low_radius: Number, high_radius: Number, height: Number, *, segments: int = 24) -> Mesh:
@@ -245,7 +245,9 @@ def wall_lamp(rng: np.random.Generator) -> Draft:
             angle = np.linspace(0, np.pi, 13)
             rings = [[(r * s * np.cos(a), height * y, back + depth * s * np.sin(a)) for a in angle]
                      for s, y in ((0.12, 0.0), (0.6, 0.25), (0.88, 0.6), (1.0, 1.0))]  # fmt: skip
-            kit.add(sheet(np.array(rings, np.float32)[:, ::-1].copy(), thickness=0.003), palette.shade(rng))
+            kit.add(
+                double_sided_sheet(np.array(rings, np.float32)[:, ::-1].copy(), thickness=0.003), palette.shade(rng)
+            )
             kit.slab(metal, (r * 0.6, height * 0.6, 0.02), (0, height * 0.2, back + 0.01), radius=0)
         elif kind == 1:
             z = depth / 2 - r

@@ -12,7 +12,7 @@ import numpy as np
 
 from roomlight_generator.rooms.props import textures
 from roomlight_generator.rooms.props.draft import between
-from roomlight_generator.rooms.props.textures import decoded
+from roomlight_generator.rooms.props.textures import from_srgb
 from roomlight_generator.rooms.scene import Material, Rgb
 from roomlight_generator.rooms.shapes import Number
 
@@ -28,7 +28,7 @@ _WOODS: Final = (
 
 def srgb(red: Number, green: Number, blue: Number) -> Rgb:
     """Linear RGB of an sRGB colour given in 0 to 255."""
-    values = np.minimum(decoded(np.array([red, green, blue], np.float64) / 255), WHITEST)
+    values = np.minimum(from_srgb(np.array([red, green, blue], np.float64) / 255), WHITEST)
     return (float(values[0]), float(values[1]), float(values[2]))
 
 

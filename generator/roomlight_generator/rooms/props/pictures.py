@@ -9,7 +9,7 @@ from jaxtyping import Float, UInt8
 
 from roomlight_generator.rooms.props.draft import between
 from roomlight_generator.rooms.props.palette import cloth_colour, hue, neutral, paint_colour
-from roomlight_generator.rooms.props.textures import encoded, noise
+from roomlight_generator.rooms.props.textures import noise, to_srgb
 from roomlight_generator.rooms.scene import Rgb, Texture
 from roomlight_generator.rooms.shapes import Number
 
@@ -22,7 +22,7 @@ def _bytes(image: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
 
 
 def _shown(colour: Rgb) -> Float[np.ndarray, "3"]:
-    return encoded(np.array(colour, np.float64))
+    return to_srgb(np.array(colour, np.float64))
 
 
 def _any(rng: np.random.Generator) -> Float[np.ndarray, "3"]:

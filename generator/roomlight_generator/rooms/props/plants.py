@@ -9,7 +9,7 @@ from roomlight_generator.rooms.props import palette, textures
 from roomlight_generator.rooms.props.draft import Draft, Kit, between
 from roomlight_generator.rooms.props.smalls import turned_solid
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, clad, lathe, sheet, sphere
+from roomlight_generator.rooms.shapes import Number, double_sided_sheet, lathe, sphere, with_material
 
 _GOLDEN_TURN: Final = 2.399963
 
@@ -68,7 +68,7 @@ def blade(
     across = np.array([-1.0, 0.0, 1.0])
     fold = np.array([0, 1, 0]) * 0.35
     points = rib[:, None] + wide[:, None, None] * (across[:, None] * sideways + np.abs(across)[:, None] * fold)
-    return sheet(points[::-1].astype(np.float32), thickness=min(0.002, half_width * 0.05))
+    return double_sided_sheet(points[::-1].astype(np.float32), thickness=min(0.002, half_width * 0.05))
 
 
 def _crown(
@@ -191,7 +191,7 @@ def bunch(
     kit: Kit, rng: np.random.Generator, stuff: Material, count: int, radius: Number, spread: Number, floor: Number
 ) -> None:
     """Round things heaped in a bowl: fruit."""
-    ball = clad(sphere(radius, rings=6, segments=10), stuff)
+    ball = with_material(sphere(radius, rings=6, segments=10), stuff)
     for k in range(count):
         angle = _GOLDEN_TURN * k
         away = spread * np.sqrt((k + 0.5) / count)

@@ -7,7 +7,7 @@ import numpy as np
 from roomlight_generator.rooms.props import palette
 from roomlight_generator.rooms.props.draft import Draft, Kit, between, ring_of
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, cushion, lathe, loft, sheet, tube
+from roomlight_generator.rooms.shapes import Number, cushion, double_sided_sheet, lathe, loft, tube
 
 
 def padded(
@@ -112,7 +112,7 @@ def sofa(rng: np.random.Generator) -> Draft:
                 (height + 0.02, back_z + 0.01),
             ]
             grid = np.array([[[x + across, y, z] for across in (-0.3, 0.0, 0.3)] for y, z in path], np.float32)
-            kit.add(sheet(grid, thickness=0.012), throw)
+            kit.add(double_sided_sheet(grid, thickness=0.012), throw)
         return kit.mesh()
 
     return Draft("sofa", (width, height + 0.03, depth + chaise), build)
@@ -149,7 +149,7 @@ def _armchair(rng: np.random.Generator, kind: int, width: Number, height: Number
                     1,
                 )
             )
-        kit.add(sheet(np.array(rows, np.float32), thickness=0.05), body)
+        kit.add(double_sided_sheet(np.array(rows, np.float32), thickness=0.05), body)
         kit.add(
             loft(
                 [
@@ -238,7 +238,7 @@ def _chair(rng: np.random.Generator, width: Number, height: Number, depth: Numbe
             curl = 0.05 * across**2
             upright = np.clip((k - 2) / 3, 0, 1)
             rows.append(np.stack([half * across, y + curl * (1 - upright), z + curl * upright * 1.6], 1))
-        kit.add(sheet(np.array(rows, np.float32), thickness=between(rng, 0.012, 0.03)), shell)
+        kit.add(double_sided_sheet(np.array(rows, np.float32), thickness=between(rng, 0.012, 0.03)), shell)
         under = palette.wood(rng) if rng.random() < 0.5 else palette.metal(rng)
         legs(kit, under, (width * 0.4, depth * 0.35), seat - 0.02, thick=0.014, splay=0.11)
         return kit.mesh()

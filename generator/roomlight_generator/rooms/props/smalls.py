@@ -8,7 +8,7 @@ from roomlight_generator.rooms.props import palette, textures
 from roomlight_generator.rooms.props.draft import Draft, Kit, between, ring_of
 from roomlight_generator.rooms.props.pictures import print_texture
 from roomlight_generator.rooms.scene import Material, Mesh
-from roomlight_generator.rooms.shapes import Number, clad, lathe, loft, rectangle, sphere, tube
+from roomlight_generator.rooms.shapes import Number, lathe, loft, rectangle, sphere, tube, with_material
 
 
 def turned_solid(rings: Sequence[tuple[Number, Number]], *, segments: int = 16) -> Mesh:
@@ -33,7 +33,7 @@ def vessel(rng: np.random.Generator, height: Number, across: Number, *, segments
     inner = max(rim * 0.82, 0.004)
     inside = [(inner, height), (inner * 0.98, height * 0.85), (1e-3, height * 0.8)]
     mesh = lathe([[(1e-3, 0.0), outside[0]], outside, [outside[-1], (inner, height)], inside], segments=segments)
-    return clad(mesh, palette.ceramic(rng) if rng.random() < 0.75 else palette.metal(rng))
+    return with_material(mesh, palette.ceramic(rng) if rng.random() < 0.75 else palette.metal(rng))
 
 
 def vase(rng: np.random.Generator) -> Draft:

@@ -14,13 +14,13 @@ from roomlight_generator.rooms.shapes import Number
 Image = Float[np.ndarray, "h w 3"]
 
 
-def decoded(srgb: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+def from_srgb(srgb: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
     """Linear values of sRGB ones, both 0 to 1."""
     return np.where(srgb <= 0.04045, srgb / 12.92, ((np.maximum(srgb, 0.0) + 0.055) / 1.055) ** 2.4)
 
 
-def encoded(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
-    """The inverse of `decoded`."""
+def to_srgb(linear: Float[np.ndarray, "*n"]) -> Float[np.ndarray, "*n"]:
+    """The inverse of `from_srgb`."""
     clear = np.clip(linear, 0.0, 1.0)
     return np.where(clear <= 0.0031308, clear * 12.92, 1.055 * clear ** (1 / 2.4) - 0.055)
 
@@ -31,7 +31,7 @@ def _bytes(image: Float[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
 
 def _stored(colour: Rgb) -> Float[np.ndarray, "3"]:
     """A colour as a texture under an albedo of 0.95 stores it, encoded."""
-    return encoded(np.minimum(np.array(colour, np.float64) / 0.95, 1.0))
+    return to_srgb(np.minimum(np.array(colour, np.float64) / 0.95, 1.0))
 
 
 def noise(

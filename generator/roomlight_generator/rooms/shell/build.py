@@ -1,4 +1,5 @@
-"""A whole shell from a style: envelope, layout, items, openings and the plan for furniture."""
+"""Build a complete shell from a style: envelope, floor plan, items, openings, and the plan for the furniture
+planner."""
 
 from collections.abc import Sequence
 
@@ -7,54 +8,55 @@ import numpy as np
 from roomlight_generator.rooms.plan import Gap, Shell, Wall
 from roomlight_generator.rooms.scene import Item, Material, Opening
 from roomlight_generator.rooms.shell.doors import door_items, niche_items, passage_items
-from roomlight_generator.rooms.shell.floor_plan import Layout, choose_layout
+from roomlight_generator.rooms.shell.floor_plan import FloorPlan, choose_floor_plan
 from roomlight_generator.rooms.shell.holes import AnyHole, Door, Niche, Passage, Window
+from roomlight_generator.rooms.shell.mesh_builder import Plane
 from roomlight_generator.rooms.shell.outline import Envelope, choose_envelope
-from roomlight_generator.rooms.shell.sheets import Outline, Plane, area
+from roomlight_generator.rooms.shell.polygons import Outline, area
 from roomlight_generator.rooms.shell.style import ShellStyle, between
 from roomlight_generator.rooms.shell.surfaces import (
     Trim,
     beam_items,
-    ceiling_sheets,
-    floor_sheets,
+    build_ceiling,
+    build_floor,
+    build_wall,
     hole_outline,
     trim_items,
-    wall_sheets,
 )
 from roomlight_generator.rooms.shell.windows import window_items
 from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 
 
 def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator) -> Shell:
-    """A random room without furniture; the same generator state gives the same shell.
+    """Build a random room without furniture; the same generator state gives the same shell.
 
     Items have the roles wall (one for each side, named "wall 0" in the order of `Shell.walls`; "wall 2, backsplash"
-    where units would stand; reveals and niches are walls too), floor, ceiling, frame, sill, pane, door_leaf, skirting,
-    beam, curtain, blind, moulding and second_room (every part of a second room and of its doors).
+    where kitchen units are expected; reveals and niches are walls too), floor, ceiling, frame, sill, pane, door_leaf,
+    skirting, beam, curtain, blind, moulding and second_room (every part of a second room and of its doors).
     """
     room = choose_envelope(style, rng)
     deep = between(rng, (0.1, 0.22)) if rng.random() < style.beams and room.height_m >= 2.35 else 0.0
-    layout = choose_layout(room, style, rng, beams_m=0.0 if room.slopes else deep)
-    trim, band = _choose_trim(room, layout, style, finishes, deep, rng)
-    items, openings = _room_items(room, layout.holes, finishes, finishes.room, trim, rng, band=band)
-    for k, light in enumerate(layout.skylights):
+    floor_plan = choose_floor_plan(room, style, rng, beams_m=0.0 if room.slopes else deep)
+    trim, band = _choose_trim(room, floor_plan, style, finishes, deep, rng)
+    items, openings = _room_items(room, floor_plan.holes, finishes, finishes.room, trim, rng, band=band)
+    for k, light in enumerate(floor_plan.skylights):
         plane = room.slopes[light.side].plane
         made, opening = window_items(light, plane, finishes, finishes.room.ceiling, rng, name=f"skylight {k}")
         items += made
         openings += [opening] if opening is not None else []
-    items.append(Item("ceiling", "ceiling", ceiling_sheets(room, finishes.room.ceiling, layout.skylights).mesh()))
-    items.append(Item("floor", "floor", floor_sheets(room, finishes.room.floor).mesh()))
+    items.append(Item("ceiling", "ceiling", build_ceiling(room, finishes.room.ceiling, floor_plan.skylights).mesh()))
+    items.append(Item("floor", "floor", build_floor(room, finishes.room.floor).mesh()))
     if deep:
-        items += beam_items(room, layout.skylights, finishes.beam, deep, rng)
+        items += beam_items(room, floor_plan.skylights, finishes.beam, deep, rng)
     spots: list[tuple[float, float, float]] = []
-    if layout.second is not None:
-        items += _second_items(room, layout, finishes, trim, rng)
-        spots = _spots(room, layout, rng)
+    if floor_plan.second is not None:
+        items += _second_room_items(room, floor_plan, finishes, trim, rng)
+        spots = _spots(room, floor_plan, rng)
     return Shell(
         items=tuple(items),
         openings=tuple(openings),
         polygon=np.array(room.corners, np.float64),
-        walls=_walls(room, layout.holes),
+        walls=_walls(room, floor_plan.holes),
         height_m=room.height_m,
         slopes=tuple((slope.normal, slope.offset) for slope in room.slopes),
         spots=tuple(spots),
@@ -62,9 +64,9 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
 
 
 def _choose_trim(
-    room: Envelope, layout: Layout, style: ShellStyle, finishes: Finishes, deep: float, rng: np.random.Generator
+    room: Envelope, floor_plan: FloorPlan, style: ShellStyle, finishes: Finishes, deep: float, rng: np.random.Generator
 ) -> tuple[Trim, int | None]:
-    """Trim, and the side that has the backsplash."""
+    """Choose the trim; also return the side that has the backsplash, if any."""
     skirting = between(rng, (0.05, 0.15)) if rng.random() < style.skirting else 0.0
     accent = bool(rng.random() < style.accent_wall)
     crown = between(rng, (0.03, 0.11)) if rng.random() < style.crown_moulding and not deep else 0.0
@@ -73,7 +75,7 @@ def _choose_trim(
     top = min(between(rng, style.lower_wall_m), room.height_m - 0.05)
     if style.lower_wall == "backsplash":
         free = [side.length_m for side in room.sides]
-        for hole in layout.holes:
+        for hole in floor_plan.holes:
             free[hole.side] -= hole.rect[1] - hole.rect[0]
         band = int(np.argmax(free))
         return Trim((0.85, max(top, 1.2)), frozenset([band]), False, skirting, crown, accent), band
@@ -94,7 +96,7 @@ def _room_items(
     band: int | None = None,
     cuts: dict[int, list[Outline]] | None = None,
 ) -> tuple[list[Item], list[Opening]]:
-    """Walls, what is in them and what runs along them. `cuts` are further holes whose linings someone else makes."""
+    """Build walls, the windows and doors in them and the trim along them. `cuts` are further holes, lined elsewhere."""
     items: list[Item] = []
     openings: list[Opening] = []
     accent = _accent_side(room, holes) if own.accent_wall is not None and trim.accent else None
@@ -102,8 +104,8 @@ def _room_items(
         here = [hole for hole in holes if hole.side == i]
         outlines: list[Outline] = [hole_outline(hole) for hole in here]
         outlines += (cuts or {}).get(i, [])
-        sheets = wall_sheets(room, i, outlines, own, trim, accent=i == accent)
-        items.append(Item(f"wall {i}, backsplash" if i == band else f"wall {i}", "wall", sheets.mesh()))
+        builder = build_wall(room, i, outlines, own, trim, accent=i == accent)
+        items.append(Item(f"wall {i}, backsplash" if i == band else f"wall {i}", "wall", builder.mesh()))
         paper = own.accent_wall if i == accent and own.accent_wall is not None else own.wall
         for k, hole in enumerate(here):
             made, opening = _hole_items(hole, side.plane, finishes, own, paper, rng, name=f"{i}.{k}")
@@ -114,7 +116,7 @@ def _room_items(
 
 
 def _holes_and_cuts(here: Sequence[AnyHole], side: int, cuts: dict[int, list[Outline]] | None) -> list[AnyHole]:
-    """Holes for the trim to stop at; a cut counts as a plain doorway with an architrave's margin."""
+    """Return the holes at which trim stops; a cut counts as a plain doorway with an architrave's margin."""
     found = list(here)
     for cut in (cuts or {}).get(side, []):
         s, h = [p[0] for p in cut], [p[1] for p in cut]
@@ -123,7 +125,7 @@ def _holes_and_cuts(here: Sequence[AnyHole], side: int, cuts: dict[int, list[Out
 
 
 def _accent_side(room: Envelope, holes: Sequence[AnyHole]) -> int | None:
-    """The longest side without a window."""
+    """Return the longest side without a window."""
     glazed = {hole.side for hole in holes if isinstance(hole, Window)}
     plain = [i for i in range(len(room.sides)) if i not in glazed]
     return max(plain, key=lambda i: room.sides[i].length_m) if plain else None
@@ -148,16 +150,16 @@ def _hole_items(
     return passage_items(hole, plane, finishes, paper, own.floor, name=f"passage {name}"), None
 
 
-def _way_through(layout: Layout) -> Door | Passage:
-    """The hole that leads to the second room."""
-    return next(h for h in layout.holes if isinstance(h, Passage) or (isinstance(h, Door) and h.through))
+def _second_room_entry(floor_plan: FloorPlan) -> Door | Passage:
+    """Return the hole that leads to the second room."""
+    return next(h for h in floor_plan.holes if isinstance(h, Passage) or (isinstance(h, Door) and h.to_second_room))
 
 
-def _second_items(
-    room: Envelope, layout: Layout, finishes: Finishes, trim: Trim, rng: np.random.Generator
+def _second_room_items(
+    room: Envelope, floor_plan: FloorPlan, finishes: Finishes, trim: Trim, rng: np.random.Generator
 ) -> list[Item]:
-    """The second room, closed but for the way through."""
-    second, hole = layout.second, _way_through(layout)
+    """Build the second room, closed except for the doorway or passage to it."""
+    second, hole = floor_plan.second, _second_room_entry(floor_plan)
     if second is None:
         return []
     plane = room.sides[hole.side].plane
@@ -168,30 +170,30 @@ def _second_items(
     plain = Trim(skirting_m=trim.skirting_m or 0.08)
     if own.lower_wall is not None:
         plain = Trim((0.0, 1.1), frozenset(range(4)), skirting_m=plain.skirting_m)
-    items, _ = _room_items(second, layout.second_holes, finishes, own, plain, rng, cuts={3: [cut]})
-    items.append(Item("floor", "floor", floor_sheets(second, own.floor).mesh()))
-    items.append(Item("ceiling", "ceiling", ceiling_sheets(second, own.ceiling, []).mesh()))
+    items, _ = _room_items(second, floor_plan.second_holes, finishes, own, plain, rng, cuts={3: [cut]})
+    items.append(Item("floor", "floor", build_floor(second, own.floor).mesh()))
+    items.append(Item("ceiling", "ceiling", build_ceiling(second, own.ceiling, []).mesh()))
     return [Item(f"second room: {item.name}", "second_room", item.mesh) for item in items]
 
 
-def _spots(room: Envelope, layout: Layout, rng: np.random.Generator) -> list[tuple[float, float, float]]:
-    """Up to two places along the far wall of the second room, one of them opposite the way through."""
-    second, hole = layout.second, _way_through(layout)
+def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> list[tuple[float, float, float]]:
+    """Choose up to two places along the far wall of the second room, the first opposite the doorway."""
+    second, hole = floor_plan.second, _second_room_entry(floor_plan)
     if second is None:
         return []
     far = second.sides[1]
     deep = second.sides[0].length_m
-    # A leaf that swings into the second room needs its floor.
+    # A leaf that swings into the second room needs clear floor.
     leaf = 0.0
-    if isinstance(hole, Door) and not hole.look.swings_in:
-        leaf = (hole.rect[1] - hole.rect[0]) / hole.look.leaves
+    if isinstance(hole, Door) and not hole.design.swings_in:
+        leaf = (hole.rect[1] - hole.rect[0]) / hole.design.leaves
     radius = min(0.5, (deep - leaf) / 2 - 0.05, far.length_m / 2 - 0.05)
     if radius < 0.15:
         return []
     side = room.sides[hole.side].plane
     middle = side.at((hole.rect[0] + hole.rect[1]) / 2, 0.0, hole.depth_m)
     along = float((middle - far.plane.origin) @ far.plane.u)
-    taken = [(door.rect[0] - 0.1, door.rect[1] + 0.1) for door in layout.second_holes]
+    taken = [(door.rect[0] - 0.1, door.rect[1] + 0.1) for door in floor_plan.second_holes]
     places = [along + float(rng.uniform(-0.3, 0.3))]
     places += [places[0] + step for step in (-2.1 * radius, 2.1 * radius)]
     found: list[tuple[float, float, float]] = []
@@ -206,7 +208,7 @@ def _spots(room: Envelope, layout: Layout, rng: np.random.Generator) -> list[tup
 
 
 def _walls(room: Envelope, holes: Sequence[AnyHole]) -> tuple[Wall, ...]:
-    """The sides as furniture sees them."""
+    """Convert the sides to the walls that the furniture planner uses."""
     walls: list[Wall] = []
     for i, side in enumerate(room.sides):
         start = side.plane.origin[[0, 2]]
@@ -226,5 +228,5 @@ def _walls(room: Envelope, holes: Sequence[AnyHole]) -> tuple[Wall, ...]:
 
 
 def floor_area_m2(shell: Shell) -> float:
-    """Floor of the main room."""
+    """Return the floor area of the main room."""
     return area([(float(x), float(z)) for x, z in shell.polygon])

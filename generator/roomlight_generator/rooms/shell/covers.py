@@ -1,26 +1,28 @@
 """Curtains and blinds.
 
-Cloth that covers a window whole and lets light through has a material of its own called "daylit-curtain" or
-"daylit-blind", for whoever lights the room: nothing in the transport passes light diffusely. Behind such a cover the
-hole is closed at the wall's outer face by the same material, so that slits beside the cloth glow and no ray leaves.
+Translucent cloth that covers a whole window has a material of its own, named "daylit-curtain" or "daylit-blind", to
+which the lighting gives an emission: the transport has no diffuse transmission. Behind such a cover the hole is closed
+at the wall's outer face by the same material, so that gaps beside the cloth glow and no ray leaves the room.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomlight_generator.rooms.scene import Item, Material
 from roomlight_generator.rooms.shapes import smooth_normals
 from roomlight_generator.rooms.shell.holes import Cover, Window
-from roomlight_generator.rooms.shell.sheets import OVERLAP, Plane, Sheets, rect
+from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
+from roomlight_generator.rooms.shell.polygons import OVERLAP, rect
 from roomlight_generator.rooms.shell_finishes import Finishes
 
 _FOLD_COLUMNS = 7
-"""Points across one fold."""
+"""Vertices across one fold."""
 
 
 def seal_material(cover: Cover, finishes: Finishes) -> Material | None:
-    """What closes the hole of a wholly covered window, a new object for each window; None where it stays open."""
+    """Return the material that closes the hole of a fully covered window, a new object for each window; None if it
+    stays open."""
     if not cover.full:
         return None
     if cover.kind == "drawn_curtains":
@@ -40,37 +42,37 @@ def cover_items(
     sealed: Material | None,
     name: str,
 ) -> list[Item]:
-    """What hangs before one window, whose frame begins near_m behind the wall's face."""
+    """Build the curtains or blinds of one window, whose frame begins near_m behind the wall's face."""
     cover = window.cover
-    sheets = Sheets()
+    builder = MeshBuilder()
     if sealed is not None:
         s0, s1, h0, h1 = window.rect
         edge = 2 * OVERLAP
         hole = rect(s0 - edge, s1 + edge, h0 - edge, h1 + edge)
-        sheets.panel(plane, hole, sealed, depth=window.depth_m)
+        builder.panel(plane, hole, sealed, depth=window.depth_m)
     if cover.kind in ("roller", "roller_down"):
-        _roller(window, plane, finishes, near_m, sealed, sheets)
+        _roller(window, plane, finishes, near_m, sealed, builder)
     elif cover.kind == "venetian":
-        _venetian(window, plane, finishes, near_m, sheets)
+        _venetian(window, plane, finishes, near_m, builder)
     elif cover.kind == "vertical":
-        _vertical(window, plane, finishes, sheets)
+        _vertical(window, plane, finishes, builder)
     elif cover.curtains:
-        _curtains(window, plane, finishes, rng, sealed, sheets)
-    if not sheets:
+        _curtains(window, plane, finishes, rng, sealed, builder)
+    if not builder:
         return []
     role = "curtain" if cover.curtains else "blind"
-    return [Item(f"{role} of {name}", role, sheets.mesh())]
+    return [Item(f"{role} of {name}", role, builder.mesh())]
 
 
 def _clearance_m(window: Window) -> float:
-    """Between a blind and the frame: window handles stand out."""
-    return 0.058 if window.look.kind in ("casement", "french") and not window.in_slope else 0.02
+    """Return the clearance between a blind and the frame: window handles protrude."""
+    return 0.058 if window.design.kind in ("casement", "french") and not window.in_slope else 0.02
 
 
 def _roller(
-    window: Window, plane: Plane, finishes: Finishes, near_m: float, sealed: Material | None, sheets: Sheets
+    window: Window, plane: Plane, finishes: Finishes, near_m: float, sealed: Material | None, builder: MeshBuilder
 ) -> None:
-    """A sheet of cloth before the frame with its tube above and a bar at its hem."""
+    """Build a sheet of cloth in front of the frame, its tube above and a bar at its hem."""
     s0, s1, h0, h1 = window.rect
     cover = window.cover
     cloth = sealed
@@ -79,13 +81,13 @@ def _roller(
     cloth = cloth or finishes.blind
     at = near_m - _clearance_m(window)
     low = h1 - cover.share * (h1 - h0 - 0.012)
-    sheets.panel(plane, rect(s0 + 0.012, s1 - 0.012, low, h1 - 0.03), cloth, depth=at)
-    sheets.bar(plane, (s0 + 0.006, s1 - 0.006, h1 - 0.045, h1), (at - 0.035, at + 0.012), finishes.frame)
-    sheets.bar(plane, (s0 + 0.012, s1 - 0.012, low - 0.012, low + 0.012), (at - 0.005, at + 0.005), finishes.frame)
+    builder.panel(plane, rect(s0 + 0.012, s1 - 0.012, low, h1 - 0.03), cloth, depth=at)
+    builder.bar(plane, (s0 + 0.006, s1 - 0.006, h1 - 0.045, h1), (at - 0.035, at + 0.012), finishes.frame)
+    builder.bar(plane, (s0 + 0.012, s1 - 0.012, low - 0.012, low + 0.012), (at - 0.005, at + 0.005), finishes.frame)
 
 
-def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, sheets: Sheets) -> None:
-    """Level slats, tilted, with a head rail, a bottom rail and two cords; the rest of a raised blind lies packed."""
+def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, builder: MeshBuilder) -> None:
+    """Build tilted slats, a head rail, a bottom rail and two cords; the slats of a raised part are stacked."""
     s0, s1, h0, h1 = window.rect
     cover = window.cover
     pitch = max(cover.pitch_m, (h1 - h0) / 90)
@@ -109,7 +111,7 @@ def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, s
             (right, h + half_h, at + half_d),
             (left, h + half_h, at + half_d),
         ]
-        sheets.quad(plane, corners, finishes.blind)
+        builder.quad(plane, corners, finishes.blind)
     foot = max(head - hanging * pitch - 0.004 * packed - 0.02, h0 + 0.002)
     boxes = [
         [left, right, head, h1, at - 0.5 * wide, at + 0.5 * wide],
@@ -118,11 +120,11 @@ def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, s
     for share in (0.12, 0.88):
         s = left + share * (right - left)
         boxes.append([s - 0.0015, s + 0.0015, foot, head, at - 0.5 * wide - 0.001, at - 0.5 * wide + 0.001])
-    sheets.bars(plane, np.array(boxes), finishes.blind)
+    builder.bars(plane, np.array(boxes), finishes.blind)
 
 
-def _vertical(window: Window, plane: Plane, finishes: Finishes, sheets: Sheets) -> None:
-    """Upright strips on a rail before the wall."""
+def _vertical(window: Window, plane: Plane, finishes: Finishes, builder: MeshBuilder) -> None:
+    """Build vertical strips on a rail in front of the wall."""
     s0, s1, h0, h1 = window.rect
     pitch = window.cover.pitch_m
     tilt = np.radians(window.cover.tilt_degrees)
@@ -133,10 +135,10 @@ def _vertical(window: Window, plane: Plane, finishes: Finishes, sheets: Sheets) 
     for n in range(count):
         s = s0 - 0.05 + (n + 0.5) * (s1 - s0 + 0.1) / count
         corners = [(s - along, low, at - out), (s + along, low, at + out)]
-        sheets.quad(
+        builder.quad(
             plane, [*corners, (s + along, high, at + out), (s - along, high, at - out)], finishes.blind, grain_up=True
         )
-    sheets.bar(plane, (s0 - 0.06, s1 + 0.06, high, high + 0.035), (at - 0.02, at + 0.02), finishes.frame)
+    builder.bar(plane, (s0 - 0.06, s1 + 0.06, high, high + 0.035), (at - 0.02, at + 0.02), finishes.frame)
 
 
 def _curtains(
@@ -145,9 +147,9 @@ def _curtains(
     finishes: Finishes,
     rng: np.random.Generator,
     sealed: Material | None,
-    sheets: Sheets,
+    builder: MeshBuilder,
 ) -> None:
-    """Cloth on a rod: gathered at the sides, drawn half over, or drawn; a sheer one hangs behind thick ones."""
+    """Build cloth on a rod: gathered at the sides, half drawn, or drawn; a sheer curtain hangs behind a thick one."""
     s0, s1, _, h1 = window.rect
     cover = window.cover
     low, high = cover.bottom_m, h1 + cover.lift_m
@@ -172,43 +174,36 @@ def _curtains(
     for start, end in spans:
         # Gathered cloth has narrower folds than drawn cloth.
         pitch = cover.pitch_m * (0.62 if end - start < 0.45 * (right - left) else 1.0)
-        _cloth(plane, (start, end), (low, high), at, pitch, thick, rng, sheets)
+        _add_cloth(_Cloth((start, end), (low, high), at, pitch), plane, thick, rng, builder)
     if sealed is not None and cover.kind != "drawn_curtains":
         behind = at + 0.05 if spans else at
-        _cloth(
-            plane,
-            (left + 0.01, right - 0.01),
-            (low, high),
-            behind,
-            0.8 * cover.pitch_m,
-            sealed,
-            rng,
-            sheets,
-            deep=0.014,
-        )
-    _rod(plane, left - 0.04, right + 0.04, high + 0.012, at, finishes.handle, sheets)
+        cloth = _Cloth((left + 0.01, right - 0.01), (low, high), behind, 0.8 * cover.pitch_m, fold_depth_m=0.014)
+        _add_cloth(cloth, plane, sealed, rng, builder)
+    _rod(plane, left - 0.04, right + 0.04, high + 0.012, at, finishes.handle, builder)
 
 
-def _cloth(
-    plane: Plane,
-    span: tuple[float, float],
-    heights: tuple[float, float],
-    at: float,
-    pitch: float,
-    material: Material,
-    rng: np.random.Generator,
-    sheets: Sheets,
-    *,
-    deep: float = 0.032,
-) -> None:
-    """One length of cloth in folds about depth `at` (negative: before the wall), one layer that faces the room.
+@dataclass(frozen=True)
+class _Cloth:
+    """A length of cloth: its span along the wall, lowest and highest point, depth in the wall's plane (negative: in
+    the room), width of a fold and maximum depth of the folds, all in metres."""
 
-    Folds are no deeper than seven points across each can show; they wander and differ in depth; pleats at the top
-    are tighter than the hem.
+    span: tuple[float, float]
+    heights: tuple[float, float]
+    depth_m: float
+    pitch_m: float
+    fold_depth_m: float = 0.032
+
+
+def _add_cloth(cloth: _Cloth, plane: Plane, material: Material, rng: np.random.Generator, builder: MeshBuilder) -> None:
+    """Build one length of cloth with folds about its depth, a single layer that faces the room.
+
+    Folds are no deeper than seven vertices across each can represent; their position and depth vary; the top, with its
+    pleats, is narrower than the hem.
     """
-    count = max(2, round((span[1] - span[0]) / pitch))
+    span, heights = cloth.span, cloth.heights
+    count = max(2, round((span[1] - span[0]) / cloth.pitch_m))
     pitch = (span[1] - span[0]) / count
-    deep = min(deep, 0.3 * pitch)
+    deep = min(cloth.fold_depth_m, 0.3 * pitch)
     columns = _FOLD_COLUMNS * count + 1
     t = np.linspace(0.0, 1.0, columns)
     rows = np.array([0.0, 0.06, 0.4, 0.75, 1.0])
@@ -222,11 +217,11 @@ def _cloth(
     )
     sideways = 0.07 * pitch * np.sin(2 * phase)
     local = np.empty((len(rows), columns, 3))
-    # The ends stay where they are: the cloth may not leave its span.
+    # The ends are fixed: the cloth must stay within its span.
     ends = np.sin(np.pi * t) ** 0.2
     local[..., 0] = np.clip(span[0] + t * (span[1] - span[0]) + sideways * ends, *span)
     local[..., 1] = (heights[0] + rows * (heights[1] - heights[0]))[:, None]
-    local[..., 2] = np.minimum(at - deep * depth * swell * np.sin(phase + drift), -0.004)
+    local[..., 2] = np.minimum(cloth.depth_m - deep * depth * swell * np.sin(phase + drift), -0.004)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(local[2], axis=0), axis=1))])
     uvs = np.stack(np.broadcast_arrays(length[None], -local[..., 1]), -1)
     index = np.arange(local.shape[0] * columns).reshape(-1, columns)
@@ -234,26 +229,26 @@ def _cloth(
     faces = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
     world = plane.points(local.reshape(-1, 3))
     normals = smooth_normals(world.astype(np.float32), faces)
-    sheets.add(world, normals, uvs.reshape(-1, 2), faces, material)
+    builder.add(world, normals, uvs.reshape(-1, 2), faces, material)
 
 
-def _rod(plane: Plane, start: float, end: float, h: float, at: float, metal: Material, sheets: Sheets) -> None:
-    """A round rod on two brackets, with knobs."""
+def _rod(plane: Plane, start: float, end: float, h: float, at: float, metal: Material, builder: MeshBuilder) -> None:
+    """Build a round rod with two brackets and end knobs."""
     for low, high, radius in ((start, end, 0.012), (start - 0.03, start, 0.02), (end, end + 0.03, 0.02)):
         angle = np.linspace(0, 2 * np.pi, 9)
         ring = np.stack([np.zeros(9), np.cos(angle), np.sin(angle)], 1)
         local = np.concatenate([radius * ring + [low, h, at], radius * ring + [high, h, at]])
         normals = plane.directions(np.concatenate([ring, ring]))
         k = np.arange(8)
-        # (s, h, depth) is left-handed: what would be wound inward is wound outward.
+        # (s, h, depth) is left-handed, so the vertex order is reversed to make the faces point outward.
         faces = np.concatenate([np.stack([k, k + 10, k + 1], 1), np.stack([k, k + 9, k + 10], 1)])
         uvs = np.stack([local[:, 0], np.tile(angle * radius, 2)], 1)
-        sheets.add(plane.points(local), normals, uvs, faces, metal)
+        builder.add(plane.points(local), normals, uvs, faces, metal)
         for place, sign in ((low, -1.0), (high, 1.0)):
             disc = np.concatenate([[[place, h, at]], radius * ring + [place, h, at]])
             fan = np.stack([np.zeros(8, np.int64), k + 1, k + 2], 1)
             fan = fan if sign < 0 else fan[:, ::-1]
             facing = np.broadcast_to(sign * plane.u, disc.shape)
-            sheets.add(plane.points(disc), facing, disc[:, 1:], fan, metal)
+            builder.add(plane.points(disc), facing, disc[:, 1:], fan, metal)
     for s in (start + 0.05, end - 0.05):
-        sheets.bar(plane, (s - 0.006, s + 0.006, h - 0.01, h + 0.01), (at, 0.001), metal)
+        builder.bar(plane, (s - 0.006, s + 0.006, h - 0.01, h + 0.01), (at, 0.001), metal)

@@ -1,4 +1,4 @@
-"""Where windows, doors, passages and niches go: proposed at random, kept where they fit, else left away."""
+"""Place windows, doors, passages and niches: proposed at random, kept if they fit, otherwise dropped."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -6,23 +6,23 @@ from typing import Final
 
 import numpy as np
 
-from roomlight_generator.rooms.shell.holes import AnyHole, Cover, Door, DoorLook, Niche, Passage, Window, edge_m
+from roomlight_generator.rooms.shell.holes import AnyHole, Cover, Door, DoorDesign, Niche, Passage, Window, edge_m
 from roomlight_generator.rooms.shell.outline import Envelope, Side, envelope
-from roomlight_generator.rooms.shell.sheets import Point, area, triangles, within
+from roomlight_generator.rooms.shell.polygons import Point, area, intersection, triangles
 from roomlight_generator.rooms.shell.style import ShellStyle, between
-from roomlight_generator.rooms.shell.window_choice import WindowTaste, choose_taste
+from roomlight_generator.rooms.shell.window_style import WindowStyle, choose_window_style
 
-_TRIES: Final = 14
-_HEADROOM: Final = 0.09
+_MAX_ATTEMPTS: Final = 14
+_CEILING_CLEARANCE_M: Final = 0.09
 """Between a hole's top and the ceiling."""
 
-VIEW_M: Final = 3.0
-"""A window is put only where nothing of the building stands so near before it."""
+CLEAR_VIEW_M: Final = 3.0
+"""A window is placed only if no part of the building is nearer than this in front of it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Layout:
-    """The main room's holes, and the second room behind one of them with its own."""
+class FloorPlan:
+    """The main room's holes, and the second room behind one of them with its own holes."""
 
     holes: tuple[AnyHole, ...]
     skylights: tuple[Window, ...]
@@ -30,8 +30,8 @@ class Layout:
     second_holes: tuple[AnyHole, ...]
 
 
-class _Board:
-    """What is taken so far: stretches of the sides, and plan areas outside."""
+class _Occupancy:
+    """Occupied stretches of the sides, and occupied plan areas outside the room."""
 
     def __init__(self, room: Envelope, beams_m: float) -> None:
         self.room = room
@@ -42,22 +42,23 @@ class _Board:
         self._beams_m = beams_m
 
     def overlaps(self, footprint: Sequence[Point], others: Sequence[Sequence[Point]]) -> float:
-        """The area a footprint shares with others."""
-        shared = (within(footprint, other) for other in others)
+        """Return the area that a footprint shares with others."""
+        shared = (intersection(footprint, other) for other in others)
         return sum((area(piece) for piece in shared if piece), 0.0)
 
     def free_outside(self, footprint: Sequence[Point]) -> bool:
-        """Whether a plan area lies outside all rooms."""
+        """Return whether a plan area lies outside all rooms."""
         return self.overlaps(footprint, [*self._triangles, *self.outside]) < 1e-6
 
     def fits(self, hole: AnyHole, *, behind_m: float, front_m: float) -> bool:
-        """Whether there is wall for it, nothing behind it, and free floor before it.
+        """Return whether the wall has space for a hole, the space behind it is empty and the floor in front of it is
+        free.
 
-        From a window one must not see the building's own outside: nothing stands in its view, 27 degrees to each side.
+        The building's own exterior must not be visible from a window: its view, 27 degrees to each side, must be empty.
         """
         side = self.room.sides[hole.side]
         start, end = edge_m(hole)
-        top = max(gap.top_m for gap in hole.gaps()) + _HEADROOM
+        top = max(gap.top_m for gap in hole.gaps()) + _CEILING_CLEARANCE_M
         if start < 0.03 or end > side.length_m - 0.03:
             return False
         if min(side.height_at(start), side.height_at(end)) - self._beams_m < top:
@@ -67,7 +68,7 @@ class _Board:
                 low, high = edge_m(other)
                 if start < high + 0.04 and end > low - 0.04:
                     return False
-                if isinstance(hole, Window) and _leads_on(other):
+                if isinstance(hole, Window) and _leads_to_second_room(other):
                     return False
         flare = 0.5 * behind_m if isinstance(hole, Window) else 0.0
         if not self.free_outside(side.footprint(hole.rect[0], hole.rect[1], 0.003, behind_m, flare=flare)):
@@ -78,49 +79,50 @@ class _Board:
         return self.overlaps(front, self._triangles) > area(front) - 1e-6
 
 
-def _leads_on(hole: AnyHole) -> bool:
-    """Whether the second room is behind it."""
-    return isinstance(hole, Passage) or (isinstance(hole, Door) and hole.through)
+def _leads_to_second_room(hole: AnyHole) -> bool:
+    """Return whether the hole leads to the second room."""
+    return isinstance(hole, Passage) or (isinstance(hole, Door) and hole.to_second_room)
 
 
-def choose_layout(room: Envelope, style: ShellStyle, rng: np.random.Generator, *, beams_m: float) -> Layout:
-    """Doors first (with the second room), then windows, then niches; beams take beams_m off the walls' height."""
-    board = _Board(room, beams_m)
+def choose_floor_plan(room: Envelope, style: ShellStyle, rng: np.random.Generator, *, beams_m: float) -> FloorPlan:
+    """Place doors first (with the second room), then windows, then niches; beams lower the usable wall height by
+    beams_m."""
+    occupancy = _Occupancy(room, beams_m)
     wall_m = between(rng, style.wall_m)
-    look = _door_look(rng)
+    design = _choose_door_design(rng)
     second: Envelope | None = None
     second_holes: tuple[AnyHole, ...] = ()
     kind = rng.random()
     closed = int(rng.integers(style.doors[0], style.doors[1] + 1))
     if kind < style.open_door + style.passage:
-        found = _through(board, look, wall_m, rng, passage=kind >= style.open_door)
+        found = _place_second_room(occupancy, design, wall_m, rng, passage=kind >= style.open_door)
         if found is not None:
             second, second_holes = found
     if second is None:
         closed = max(closed, 1)
     for _ in range(closed):
-        _closed_door(board, look, wall_m, rng)
-    taste = choose_taste(style, room.height_m - beams_m, wall_m, abs(area(room.corners)), rng)
+        _place_closed_door(occupancy, design, wall_m, rng)
+    window_style = choose_window_style(style, room.height_m - beams_m, wall_m, abs(area(room.corners)), rng)
     count = int(rng.integers(style.windows[0], style.windows[1] + 1))
-    lights = _skylights(room, style, taste, count, rng) if rng.random() < style.skylights else []
-    _windows(board, taste, max(count - len(lights), 0), rng)
+    skylights = _choose_skylights(room, style, window_style, count, rng) if rng.random() < style.skylights else []
+    _place_windows(occupancy, window_style, max(count - len(skylights), 0), rng)
     if rng.random() < style.niche:
-        _niche(board, wall_m, rng)
-    return Layout(tuple(board.holes), tuple(lights), second, second_holes)
+        _place_niche(occupancy, wall_m, rng)
+    return FloorPlan(tuple(occupancy.holes), tuple(skylights), second, second_holes)
 
 
 def _sides_by_length(room: Envelope, least_m: float) -> tuple[list[int], np.ndarray]:
-    """Sides at least so long, and their weights for drawing one."""
+    """Return the sides that are at least least_m long, and their sampling weights."""
     sides = [i for i, side in enumerate(room.sides) if side.length_m >= least_m]
     weights = np.array([room.sides[i].length_m for i in sides])
     return sides, weights / max(float(weights.sum()), 1e-9)
 
 
-def _door_look(rng: np.random.Generator) -> DoorLook:
-    """One make of door for the whole home."""
+def _choose_door_design(rng: np.random.Generator) -> DoorDesign:
+    """Choose one door design for the whole home."""
     panelled = rng.random() < 0.55
     panels = ((1, 1), (1, 2), (2, 2), (2, 3), (1, 3), (1, 4))[int(rng.integers(6))]
-    return DoorLook(
+    return DoorDesign(
         leaf="panels" if panelled else "flush",
         panels=panels,
         lining_m=between(rng, (0.025, 0.04)),
@@ -128,8 +130,8 @@ def _door_look(rng: np.random.Generator) -> DoorLook:
     )
 
 
-def _along(side: Side, width: float, edge: float, rng: np.random.Generator) -> float:
-    """Where a doorway starts: mostly near a corner, as doors are."""
+def _choose_doorway_start(side: Side, width: float, edge: float, rng: np.random.Generator) -> float:
+    """Choose where a doorway starts: usually near a corner."""
     room_left = side.length_m - width - 2 * edge
     if room_left <= 0:
         return edge
@@ -140,68 +142,71 @@ def _along(side: Side, width: float, edge: float, rng: np.random.Generator) -> f
     return edge + (room_left - near if where < 0.7 else float(rng.random()) * room_left)
 
 
-def _closed_door(board: _Board, look: DoorLook, wall_m: float, rng: np.random.Generator) -> None:
+def _place_closed_door(occupancy: _Occupancy, design: DoorDesign, wall_m: float, rng: np.random.Generator) -> None:
     width, height = between(rng, (0.68, 0.92)), between(rng, (1.96, 2.1))
-    height = min(height, board.room.height_m - 0.2)
-    sides, weights = _sides_by_length(board.room, width + 0.3)
-    for _ in range(_TRIES if sides else 0):
+    height = min(height, occupancy.room.height_m - 0.2)
+    sides, weights = _sides_by_length(occupancy.room, width + 0.3)
+    for _ in range(_MAX_ATTEMPTS if sides else 0):
         i = int(rng.choice(sides, p=weights))
-        start = _along(board.room.sides[i], width, look.architrave_m + 0.03, rng)
-        make = replace(look, hinge_right=bool(rng.random() < 0.5), swings_in=bool(rng.random() < 0.6))
-        depth = float(min(wall_m, 0.07 if make.swings_in else 0.16) - 0.004)
-        door = Door(i, (start, start + width, 0.0, height), depth, make)
-        if board.fits(door, behind_m=depth + 0.02, front_m=door.keep_clear_m):
-            board.holes.append(door)
+        start = _choose_doorway_start(occupancy.room.sides[i], width, design.architrave_m + 0.03, rng)
+        door_design = replace(design, hinge_right=bool(rng.random() < 0.5), swings_in=bool(rng.random() < 0.6))
+        depth = float(min(wall_m, 0.07 if door_design.swings_in else 0.16) - 0.004)
+        door = Door(i, (start, start + width, 0.0, height), depth, door_design)
+        if occupancy.fits(door, behind_m=depth + 0.02, front_m=door.keep_clear_m):
+            occupancy.holes.append(door)
             return
 
 
-def _through(
-    board: _Board, look: DoorLook, wall_m: float, rng: np.random.Generator, *, passage: bool
+def _place_second_room(
+    occupancy: _Occupancy, design: DoorDesign, wall_m: float, rng: np.random.Generator, *, passage: bool
 ) -> tuple[Envelope, tuple[AnyHole, ...]] | None:
-    """An open door or a passage, and the second room behind it; None where there is no place for one."""
+    """Place an open door or a passage, and the second room behind it; return None if there is no space."""
     double = rng.random() < 0.2
     if passage:
         width, height = between(rng, (0.85, 1.9)), between(rng, (2.0, 2.5))
     else:
         width, height = between(rng, (1.3, 1.7) if double else (0.7, 0.95)), between(rng, (1.96, 2.12))
-    height = min(height, board.room.height_m - 0.2)
-    sides, weights = _sides_by_length(board.room, width + 0.3)
-    for _ in range(2 * _TRIES if sides else 0):
+    height = min(height, occupancy.room.height_m - 0.2)
+    sides, weights = _sides_by_length(occupancy.room, width + 0.3)
+    for _ in range(2 * _MAX_ATTEMPTS if sides else 0):
         i = int(rng.choice(sides, p=weights))
-        side = board.room.sides[i]
-        start = _along(side, width, look.architrave_m + 0.03, rng)
+        side = occupancy.room.sides[i]
+        start = _choose_doorway_start(side, width, design.architrave_m + 0.03, rng)
         rect = (start, start + width, 0.0, height)
         if passage:
             arch = float(rng.choice([0.0, between(rng, (0.1, 0.35))], p=[0.65, 0.35]))
             hole: Door | Passage = Passage(i, rect, wall_m, min(arch, width / 2), bool(rng.random() < 0.5))
         else:
             inward = bool(rng.random() < 0.5)
-            make = replace(
-                look,
+            door_design = replace(
+                design,
                 leaves=2 if double else 1,
                 hinge_right=bool(rng.random() < 0.5),
                 swings_in=inward,
                 open_degrees=between(rng, (35.0, 92.0) if inward else (60.0, 105.0)),
             )
-            leaf = width / make.leaves
-            hole = Door(i, rect, wall_m, make, through=True, keep_clear_m=leaf + 0.05 if inward else 0.6)
-        if not board.fits(hole, behind_m=wall_m + 1.0, front_m=hole.keep_clear_m):
+            leaf = width / door_design.leaves
+            hole = Door(i, rect, wall_m, door_design, to_second_room=True, keep_clear_m=leaf + 0.05 if inward else 0.6)
+        if not occupancy.fits(hole, behind_m=wall_m + 1.0, front_m=hole.keep_clear_m):
             continue
-        corners = _second_corners(board, side, hole, rng)
+        corners = _choose_second_room_corners(occupancy, side, hole, rng)
         if corners is None:
             continue
-        board.holes.append(hole)
-        board.outside.append(corners)
-        if isinstance(hole, Door) and hole.look.swings_in:
-            board.swings.append(side.footprint(start, start + width, -hole.keep_clear_m, -0.001))
+        occupancy.holes.append(hole)
+        occupancy.outside.append(corners)
+        if isinstance(hole, Door) and hole.design.swings_in:
+            occupancy.swings.append(side.footprint(start, start + width, -hole.keep_clear_m, -0.001))
         tall = max(height + 0.15, between(rng, (2.35, 2.9)))
         second = envelope(corners, tall, ())
-        return second, _second_holes(second, look, rng)
+        return second, _second_holes(second, design, rng)
     return None
 
 
-def _second_corners(board: _Board, side: Side, hole: AnyHole, rng: np.random.Generator) -> list[Point] | None:
-    """Plan of the second room: a corridor along the wall or a small room, its near wall `depth_m` behind the side."""
+def _choose_second_room_corners(
+    occupancy: _Occupancy, side: Side, hole: AnyHole, rng: np.random.Generator
+) -> list[Point] | None:
+    """Return the plan of the second room: a corridor along the wall or a small room, its near wall `depth_m` behind
+    the side."""
     s0, s1 = hole.rect[:2]
     for _ in range(6):
         corridor = rng.random() < 0.5
@@ -210,90 +215,98 @@ def _second_corners(board: _Board, side: Side, hole: AnyHole, rng: np.random.Gen
         low = min(max(s0 - left, 0.0), s0 - 0.12)
         high = max(min(s1 + right, side.length_m), s1 + 0.12)
         corners = side.footprint(low, high, hole.depth_m, hole.depth_m + deep)
-        if board.free_outside(side.footprint(low - 0.02, high + 0.02, hole.depth_m, hole.depth_m + deep + 0.02)):
+        if occupancy.free_outside(side.footprint(low - 0.02, high + 0.02, hole.depth_m, hole.depth_m + deep + 0.02)):
             return corners
     return None
 
 
-def _second_holes(second: Envelope, look: DoorLook, rng: np.random.Generator) -> tuple[AnyHole, ...]:
-    """A shut door on the wall one looks at, half the time."""
+def _second_holes(second: Envelope, design: DoorDesign, rng: np.random.Generator) -> tuple[AnyHole, ...]:
+    """With probability one half, add a closed door in the wall opposite the entry."""
     far = second.sides[1]
     width, height = 0.8, min(2.02, second.height_m - 0.2)
-    free = far.length_m - width - 2 * look.architrave_m - 0.1
+    free = far.length_m - width - 2 * design.architrave_m - 0.1
     if free < 0 or rng.random() < 0.5:
         return ()
-    start = look.architrave_m + 0.05 + float(rng.random()) * free
-    return (Door(1, (start, start + width, 0.0, height), 0.06, replace(look, hinge_right=bool(rng.random() < 0.5))),)
+    start = design.architrave_m + 0.05 + float(rng.random()) * free
+    return (Door(1, (start, start + width, 0.0, height), 0.06, replace(design, hinge_right=bool(rng.random() < 0.5))),)
 
 
-def _windows(board: _Board, taste: WindowTaste, count: int, rng: np.random.Generator) -> None:
-    """On one wall or two: evenly over each, else wherever there is place."""
-    sides, weights = _sides_by_length(board.room, 0.75)
+def _place_windows(occupancy: _Occupancy, window_style: WindowStyle, count: int, rng: np.random.Generator) -> None:
+    """Place windows on one wall or two: evenly spaced on each, otherwise wherever there is space."""
+    sides, weights = _sides_by_length(occupancy.room, 0.75)
     if not sides or not count:
         return
-    # Bays are made for windows: one in each of their sides.
-    bays = _bay_sides(board.room)
+    # A bay has a window in each of its sides.
+    bays = _bay_sides(occupancy.room)
     for i in bays:
-        count -= _row(board, i, 1, replace(taste, cover=Cover("none")) if taste.cover.curtains else taste, rng)
+        count -= _place_window_row(
+            occupancy,
+            i,
+            1,
+            replace(window_style, cover=Cover("none")) if window_style.cover.curtains else window_style,
+            rng,
+        )
     order = [int(i) for i in rng.choice(sides, size=len(sides), replace=False, p=weights) if i not in bays]
-    split = count if taste.in_a_row or rng.random() < 0.55 else (count + 1) // 2
+    split = count if window_style.fills_wall_first or rng.random() < 0.55 else (count + 1) // 2
     left = count
     for i in order if left > 0 else []:
         here = min(split if left == count else left, left)
-        left -= _row(board, i, here, taste, rng)
+        left -= _place_window_row(occupancy, i, here, window_style, rng)
         if left <= 0:
             return
 
 
 def _bay_sides(room: Envelope) -> list[int]:
-    """Sides at an angle to the others, and one between two of them."""
+    """Return the sides at an angle to the others, and any side between two of them."""
     count = len(room.sides)
     oblique = [min(abs(side.plane.u[0]), abs(side.plane.u[2])) > 1e-6 for side in room.sides]
     return [i for i in range(count) if oblique[i] or (oblique[i - 1] and oblique[(i + 1) % count])]
 
 
-def _row(board: _Board, i: int, count: int, taste: WindowTaste, rng: np.random.Generator) -> int:
-    """Windows spread over a wall, what its doors leave of it; returns how many found a place."""
-    side = board.room.sides[i]
+def _place_window_row(
+    occupancy: _Occupancy, i: int, count: int, window_style: WindowStyle, rng: np.random.Generator
+) -> int:
+    """Spread windows over the part of a wall that its doors leave free; return how many were placed."""
+    side = occupancy.room.sides[i]
     placed = 0
-    low, high = _widest_free(board, i)
+    low, high = _longest_free_stretch(occupancy, i)
     for n in range(count, 0, -1):
         cell = (high - low) / n
-        if cell < taste.least_cell_m and n > 1:
+        if cell < window_style.min_cell_m and n > 1:
             continue
-        width = min(taste.width_m, cell - taste.pier_m)
-        jitter = float(rng.uniform(-0.5, 0.5)) * max(cell - width - taste.pier_m, 0.0) * (n == 1)
+        width = min(window_style.width_m, cell - window_style.pier_m)
+        jitter = float(rng.uniform(-0.5, 0.5)) * max(cell - width - window_style.pier_m, 0.0) * (n == 1)
         for k in range(n):
             middle = low + (k + 0.5) * cell + jitter
-            window = taste.window(i, middle - width / 2, middle + width / 2)
-            if window is not None and board.fits(window, behind_m=window.depth_m + VIEW_M, front_m=0.1):
-                board.holes.append(window)
+            window = window_style.window(i, middle - width / 2, middle + width / 2)
+            if window is not None and occupancy.fits(window, behind_m=window.depth_m + CLEAR_VIEW_M, front_m=0.1):
+                occupancy.holes.append(window)
                 placed += 1
         if placed:
             return placed
     for _ in range(4):
-        width = between(rng, (min(0.6, taste.width_m), taste.width_m))
+        width = between(rng, (min(0.6, window_style.width_m), window_style.width_m))
         start = between(rng, (0.0, max(side.length_m - width, 0.01)))
-        window = taste.window(i, start, start + width)
-        if window is not None and board.fits(window, behind_m=window.depth_m + VIEW_M, front_m=0.1):
-            board.holes.append(window)
+        window = window_style.window(i, start, start + width)
+        if window is not None and occupancy.fits(window, behind_m=window.depth_m + CLEAR_VIEW_M, front_m=0.1):
+            occupancy.holes.append(window)
             return 1
     return 0
 
 
-def _widest_free(board: _Board, i: int) -> tuple[float, float]:
-    """The longest stretch of a side that no hole has taken."""
-    side = board.room.sides[i]
-    taken = sorted(edge_m(hole) for hole in board.holes if hole.side == i)
+def _longest_free_stretch(occupancy: _Occupancy, i: int) -> tuple[float, float]:
+    """Return the longest stretch of a side without holes."""
+    side = occupancy.room.sides[i]
+    taken = sorted(edge_m(hole) for hole in occupancy.holes if hole.side == i)
     stops = [0.0, *(stop for span in taken for stop in span), side.length_m]
     spans = list(zip(stops[::2], stops[1::2], strict=True))
     return max(spans, key=lambda span: span[1] - span[0])
 
 
-def _skylights(
-    room: Envelope, style: ShellStyle, taste: WindowTaste, count: int, rng: np.random.Generator
+def _choose_skylights(
+    room: Envelope, style: ShellStyle, window_style: WindowStyle, count: int, rng: np.random.Generator
 ) -> list[Window]:
-    """Up to two a slope, side by side at one height."""
+    """Place up to two skylights in each slope, side by side at one height."""
     found: list[Window] = []
     for k, slope in enumerate(room.slopes):
         wanted = int(rng.integers(1, 3))
@@ -304,35 +317,35 @@ def _skylights(
         cell = slope.length_m / wanted
         for n in range(wanted):
             start = n * cell + between(rng, (0.2, max(cell - wide - 0.2, 0.21)))
-            window = taste.skylight(k, (start, start + wide, low, low + tall), max(style.wall_m[0], 0.16))
+            window = window_style.skylight(k, (start, start + wide, low, low + tall), max(style.wall_m[0], 0.16))
             if start + wide < slope.length_m - 0.15 and _on_slope(room, k, window):
                 found.append(window)
     return found[: max(count, 1)] if style.windows[1] else []
 
 
 def _on_slope(room: Envelope, k: int, window: Window) -> bool:
-    """Whether the hole lies on the slope's part that is ceiling, with a hand's breadth around it."""
+    """Return whether the hole lies within the part of the slope that is ceiling, with a margin around it."""
     plane = room.slopes[k].plane
     s0, s1, h0, h1 = window.rect
     corners = [plane.at(s, h) for s in (s0 - 0.1, s1 + 0.1) for h in (h0 - 0.1, h1 + 0.1)]
     ground = [(float(p[0]), float(p[2])) for p in (corners[0], corners[2], corners[3], corners[1])]
     if area(ground) < 0:
         ground.reverse()
-    inside = sum(area(piece) for triangle in triangles(room.corners) if (piece := within(ground, triangle)))
+    inside = sum(area(piece) for triangle in triangles(room.corners) if (piece := intersection(ground, triangle)))
     lowest = all(float(p[1]) < room.ceiling_at(float(p[0]), float(p[2])) + 1e-6 for p in corners)
     return lowest and inside > area(ground) - 1e-6
 
 
-def _niche(board: _Board, wall_m: float, rng: np.random.Generator) -> None:
+def _place_niche(occupancy: _Occupancy, wall_m: float, rng: np.random.Generator) -> None:
     width, low = between(rng, (0.4, 1.1)), between(rng, (0.6, 1.1))
     high = low + between(rng, (0.5, 1.1))
     depth = between(rng, (0.1, 0.25))
     shelves = tuple(float(h) for h in np.linspace(low, high, int(rng.integers(1, 4)) + 1)[1:-1])
-    sides, weights = _sides_by_length(board.room, width + 0.4)
-    for _ in range(_TRIES if sides else 0):
+    sides, weights = _sides_by_length(occupancy.room, width + 0.4)
+    for _ in range(_MAX_ATTEMPTS if sides else 0):
         i = int(rng.choice(sides, p=weights))
-        start = 0.1 + float(rng.random()) * (board.room.sides[i].length_m - width - 0.2)
+        start = 0.1 + float(rng.random()) * (occupancy.room.sides[i].length_m - width - 0.2)
         niche = Niche(i, (start, start + width, low, high), depth, shelves)
-        if board.fits(niche, behind_m=max(depth, wall_m) + 0.02, front_m=0.3):
-            board.holes.append(niche)
+        if occupancy.fits(niche, behind_m=max(depth, wall_m) + 0.02, front_m=0.3):
+            occupancy.holes.append(niche)
             return

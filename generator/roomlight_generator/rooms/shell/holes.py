@@ -1,4 +1,4 @@
-"""What a wall is interrupted by: windows, doors, passages, niches; their sizes and looks, before any geometry.
+"""Holes in a wall: windows, doors, passages, niches; their sizes and designs, without geometry.
 
 Rectangles are (s0, s1, h0, h1) in the plane of the side (or slope) they are in: the hole in the wall itself.
 """
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Literal
 
 from roomlight_generator.rooms.plan import Gap
-from roomlight_generator.rooms.shell.sheets import Rect
+from roomlight_generator.rooms.shell.polygons import Rect
 from roomlight_generator.rooms.shell.style import CoverKind, WindowKind
 
 FULL_COVERS: Final[tuple[CoverKind, ...]] = ("drawn_curtains", "sheer", "sheer_and_curtains", "roller_down")
@@ -22,7 +22,7 @@ CURTAINS: Final[tuple[CoverKind, ...]] = (
 
 @dataclass(frozen=True)
 class Cover:
-    """What hangs before a window.
+    """A window covering: curtains or a blind.
 
     spread_m is how far curtains reach beyond the hole at each side, lift_m how far their rod is above it, bottom_m the
     height of their hem. share is how much of the width (half curtains) or of the height (blinds) is covered. tilt is
@@ -45,15 +45,15 @@ class Cover:
 
     @property
     def curtains(self) -> bool:
-        """Whether it hangs in the room before the wall, not in the reveal."""
+        """Whether it hangs in front of the wall, not in the reveal."""
         return self.kind in CURTAINS
 
 
 @dataclass(frozen=True)
-class WindowLook:
-    """A window's make: sashes side by side, glazing bars in each (rows, columns), bar sizes, and where it stands.
+class WindowDesign:
+    """A window's design: sashes side by side, glazing bars in each (rows, columns), bar sizes, and depth in the wall.
 
-    inset is the share of the wall's thickness in front of the frame. sill_m is how far the sill stands out (0: none).
+    inset is the share of the wall's thickness in front of the frame. sill_m is how far the sill protrudes (0: none).
     """
 
     kind: WindowKind
@@ -77,19 +77,20 @@ class Hole:
 
 @dataclass(frozen=True)
 class Window(Hole):
-    """A window to outdoors; in a slope, `side` counts slopes."""
+    """A window to the outdoors; in a slope, `side` is an index of slopes."""
 
-    look: WindowLook
+    design: WindowDesign
     cover: Cover
     in_slope: bool = False
 
     def gaps(self) -> list[Gap]:
-        """Where its side is no wall. Curtains open at the sides hang before the wall right and left of it."""
+        """Return the gap in its wall. Curtains that are open at the sides also cover the wall to the right and left
+        of it."""
         s0, s1, h0, h1 = self.rect
         cover = self.cover
         clear = 0.5 if h0 < 0.2 else 0.0
         if not cover.curtains:
-            sill = h0 - 0.04 if self.look.sill_m else h0 - 0.01
+            sill = h0 - 0.04 if self.design.sill_m else h0 - 0.01
             return [Gap("window", s0 - 0.02, s1 + 0.02, max(sill, 0.0), h1 + 0.02, clear, cover.kind != "none")]
         low, top = cover.bottom_m if cover.bottom_m > 0.1 else 0.0, h1 + cover.lift_m + 0.03
         depth = 0.18 if low == 0 else 0.0
@@ -104,8 +105,9 @@ class Window(Hole):
 
 
 @dataclass(frozen=True)
-class DoorLook:
-    """A door's make. hinge_right as seen from the main room; open_degrees 0 is shut; swings_in: into the main room."""
+class DoorDesign:
+    """A door's design. hinge_right as seen from the main room; open_degrees 0 is closed; swings_in: into the main
+    room."""
 
     leaf: Literal["flush", "panels"]
     panels: tuple[int, int] = (1, 1)
@@ -119,16 +121,16 @@ class DoorLook:
 
 @dataclass(frozen=True)
 class Door(Hole):
-    """A door; shut, its hole is a blind recess; open, it leads to the second room."""
+    """A door. Closed, its hole is a blind recess; open, it leads to the second room."""
 
-    look: DoorLook
-    through: bool = False
+    design: DoorDesign
+    to_second_room: bool = False
     keep_clear_m: float = 0.8
 
     def gaps(self) -> list[Gap]:
-        """The doorway with its architrave."""
+        """Return the doorway with its architrave."""
         s0, s1, _, h1 = self.rect
-        edge = self.look.architrave_m
+        edge = self.design.architrave_m
         return [Gap("door", s0 - edge, s1 + edge, 0.0, h1 + edge, self.keep_clear_m)]
 
 
@@ -141,7 +143,7 @@ class Passage(Hole):
     keep_clear_m: float = 0.8
 
     def gaps(self) -> list[Gap]:
-        """The doorway."""
+        """Return the doorway."""
         s0, s1, _, h1 = self.rect
         edge = 0.07 if self.lined else 0.0
         return [Gap("passage", s0 - edge, s1 + edge, 0.0, h1 + edge, self.keep_clear_m)]
@@ -149,12 +151,12 @@ class Passage(Hole):
 
 @dataclass(frozen=True)
 class Niche(Hole):
-    """A recess, with shelves at these heights."""
+    """A recess with shelves at the given heights."""
 
     shelves_m: tuple[float, ...]
 
     def gaps(self) -> list[Gap]:
-        """The recess."""
+        """Return the recess."""
         s0, s1, h0, h1 = self.rect
         return [Gap("niche", s0, s1, h0, h1)]
 
@@ -163,6 +165,6 @@ AnyHole = Window | Door | Passage | Niche
 
 
 def edge_m(hole: AnyHole) -> tuple[float, float]:
-    """Where along the side anything of it begins and ends: its gaps' reach."""
+    """Return where along the side its gaps begin and end."""
     gaps = hole.gaps()
     return min(gap.start_m for gap in gaps), max(gap.end_m for gap in gaps)

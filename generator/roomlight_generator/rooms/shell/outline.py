@@ -1,8 +1,8 @@
-"""The floor's outline and the ceiling over it: rectangles and Ls with alcoves, bays, cut corners, chimney breasts, and
-slopes.
+"""The floor outline and the ceiling over it: rectangles and L shapes with alcoves, bays, cut corners, chimney breasts,
+and slopes.
 
 Plan coordinates (x, z), metres. Outlines run clockwise seen from above (x to the right, z down the page), which is
-counter-clockwise in numbers: z grows to the left of a side's direction.
+counter-clockwise in (x, z) coordinates: z grows to the left of a side's direction.
 """
 
 from dataclasses import dataclass
@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight_generator.rooms.shell.sheets import OVERLAP, Plane, Point, area, clipped
+from roomlight_generator.rooms.shell.mesh_builder import Plane
+from roomlight_generator.rooms.shell.polygons import OVERLAP, Point, area, clip_half_plane
 from roomlight_generator.rooms.shell.style import ShellStyle, between
 
 _UP: Final = np.array([0.0, 1.0, 0.0])
@@ -26,10 +27,10 @@ class Slope:
     plane: Plane
     length_m: float
     rise_m: float
-    """From the knee wall up the slope to the flat ceiling."""
+    """Height from the knee wall's top up the slope to the flat ceiling."""
 
     def height_at(self, x: float, z: float) -> float:
-        """Its height over a plan point."""
+        """Return its height over a plan point."""
         return float((self.offset - self.normal[0] * x - self.normal[2] * z) / self.normal[1])
 
 
@@ -46,14 +47,14 @@ class Side:
     """Cotangent of half the inner angle at its start and end: 1 in a right-angled corner, -1 around an outer one."""
 
     def footprint(self, s0: float, s1: float, near: float, far: float, *, flare: float = 0.0) -> list[Point]:
-        """The plan rectangle along it from s0 to s1, between two depths behind it (negative: in the room), wider at
-        each end by `flare` metres on its far side."""
+        """Return a plan rectangle along it from s0 to s1, between two depths behind it (negative: in the room),
+        wider at each end by `flare` metres on its far side."""
         ends = [(s0, near), (s0 - flare, far), (s1 + flare, far), (s1, near)]
         points = self.plane.points(np.array([(s, 0.0, depth) for s, depth in ends]))
         return [(float(x), float(z)) for x, _, z in points]
 
     def height_at(self, s: float) -> float:
-        """Ceiling over the wall at s."""
+        """Return the ceiling height above the wall at s."""
         best = np.inf
         for i, (s0, h0) in enumerate(self.outline):
             s1, h1 = self.outline[(i + 1) % len(self.outline)]
@@ -63,13 +64,13 @@ class Side:
 
     @property
     def least_height_m(self) -> float:
-        """Where its top is lowest."""
+        """Minimum height of its top edge."""
         return float(min(h for _, h in self.outline if h > 1e-6))
 
 
 @dataclass(frozen=True, eq=False)
 class Envelope:
-    """Outline and ceiling of a room: all that its walls, floor and ceiling follow from."""
+    """Outline and ceiling of a room, from which its walls, floor and ceiling are derived."""
 
     corners: tuple[Point, ...]
     height_m: float
@@ -77,15 +78,15 @@ class Envelope:
     sides: tuple[Side, ...]
 
     def ceiling_at(self, x: float, z: float) -> float:
-        """Height of the ceiling over a plan point."""
+        """Return the ceiling height over a plan point."""
         return min([self.height_m, *(slope.height_at(x, z) for slope in self.slopes)])
 
 
 def choose_outline(style: ShellStyle, rng: np.random.Generator) -> list[Point]:
-    """An outline whose area lies in the style's range, its bounding rectangle's middle at the origin.
+    """Choose an outline with an area in the style's range, the centre of its bounding rectangle at the origin.
 
-    Features have sizes of their own, so the main rectangle is chosen to make up for them; what does not fit a small
-    room is left away.
+    Features have sizes of their own, so the main rectangle is chosen to compensate for their area; a feature that does
+    not fit in a small room is left out.
     """
     target = between(rng, style.area_m2)
     aspect = between(rng, style.aspect)
@@ -96,8 +97,8 @@ def choose_outline(style: ShellStyle, rng: np.random.Generator) -> list[Point]:
     short = float(np.sqrt(target / share / aspect))
     if min(short * (1 - cut[1]), short * aspect * (1 - cut[0])) < max(style.least_width_m, 1.5):
         wants_l, share = False, 1.0
-    bump = _bump(wants, short * aspect, short, rng)
-    extra = sum(piece.area_m2 for piece in bump)
+    features = _choose_features(wants, short * aspect, short, rng)
+    extra = sum(feature.area_m2 for feature in features)
     base = (target - extra) / share
     aspect = min(aspect, base / style.least_width_m**2)
     depth = float(np.sqrt(base / aspect))
@@ -106,13 +107,13 @@ def choose_outline(style: ShellStyle, rng: np.random.Generator) -> list[Point]:
     if wants_l:
         x, z = width * (1 - cut[0]), depth * (1 - cut[1])
         corners = [(0.0, 0.0), (width, 0.0), (width, z), (x, z), (x, depth), (0.0, depth)]
-    corners = _with_bumps(corners, bump, width)
-    return _posed(corners, rng)
+    corners = _with_features(corners, features, width)
+    return _randomly_oriented(corners, rng)
 
 
 @dataclass(frozen=True)
-class _Bump:
-    """A feature on the first side (z = 0): the corners that replace a stretch of it, and the floor they add."""
+class _OutlineFeature:
+    """A feature on the first side (z = 0): the corners that replace part of it, and the floor area they add."""
 
     kind: str
     width_m: float
@@ -126,42 +127,46 @@ class _Bump:
         return sign * (self.width_m - inset) * self.depth_m
 
 
-def _bump(wants: dict[str, bool], width: float, depth: float, rng: np.random.Generator) -> list[_Bump]:
-    """At most one feature on the first side, and a cut corner at its end."""
-    found: list[_Bump] = []
+def _choose_features(
+    wants: dict[str, bool], width: float, depth: float, rng: np.random.Generator
+) -> list[_OutlineFeature]:
+    """Choose at most one feature on the first side, and a cut corner at its end."""
+    found: list[_OutlineFeature] = []
     place = float(rng.random())
     if wants["bay"] and width > 3.0 and depth > 2.6:
-        found.append(_Bump("bay", between(rng, (1.9, min(3.0, width - 0.9))), between(rng, (0.5, 0.9)), 0.5))
+        found.append(_OutlineFeature("bay", between(rng, (1.9, min(3.0, width - 0.9))), between(rng, (0.5, 0.9)), 0.5))
     elif wants["chimney_breast"] and width > 3.0 and depth > 2.8:
-        found.append(_Bump("chimney_breast", between(rng, (1.1, 1.6)), between(rng, (0.25, 0.5)), place))
+        found.append(_OutlineFeature("chimney_breast", between(rng, (1.1, 1.6)), between(rng, (0.25, 0.5)), place))
     elif wants["alcove"] and width > 2.0:
-        found.append(_Bump("alcove", between(rng, (0.8, min(2.4, 0.62 * width))), between(rng, (0.35, 0.9)), place))
+        found.append(
+            _OutlineFeature("alcove", between(rng, (0.8, min(2.4, 0.62 * width))), between(rng, (0.35, 0.9)), place)
+        )
     elif wants["chamfer"] and min(width, depth) > 2.4:
         size = between(rng, (0.7, 1.2))
-        found.append(_Bump("chamfer", size, size, 1.0))
+        found.append(_OutlineFeature("chamfer", size, size, 1.0))
     return found
 
 
-def _with_bumps(corners: list[Point], bumps: list[_Bump], width: float) -> list[Point]:
-    for bump in bumps:
+def _with_features(corners: list[Point], features: list[_OutlineFeature], width: float) -> list[Point]:
+    for feature in features:
         low = 0.35
-        start = low + bump.place * max(width - bump.width_m - 2 * low, 0.0)
-        end, deep = start + bump.width_m, bump.depth_m
-        if bump.kind == "chamfer":
+        start = low + feature.place * max(width - feature.width_m - 2 * low, 0.0)
+        end, deep = start + feature.width_m, feature.depth_m
+        if feature.kind == "chamfer":
             return [corners[0], (width - deep, 0.0), (width, deep), *corners[2:]]
-        if bump.kind == "bay":
-            start = (width - bump.width_m) / 2
-            end, inset = start + bump.width_m, min(deep, bump.width_m / 4)
+        if feature.kind == "bay":
+            start = (width - feature.width_m) / 2
+            end, inset = start + feature.width_m, min(deep, feature.width_m / 4)
             cut = [(start, 0.0), (start + inset, -deep), (end - inset, -deep), (end, 0.0)]
         else:
-            z = -deep if bump.kind == "alcove" else deep
+            z = -deep if feature.kind == "alcove" else deep
             cut = [(start, 0.0), (start, z), (end, z), (end, 0.0)]
         corners = [corners[0], *cut, *corners[1:]]
     return corners
 
 
-def _posed(corners: list[Point], rng: np.random.Generator) -> list[Point]:
-    """Turned by quarters, mirrored half the time, its middle put at the origin."""
+def _randomly_oriented(corners: list[Point], rng: np.random.Generator) -> list[Point]:
+    """Rotate by a multiple of 90 degrees, mirror with probability one half, and centre on the origin."""
     points = np.array(corners)
     if rng.random() < 0.5:
         points = points[::-1] * np.array([-1.0, 1.0])
@@ -172,7 +177,7 @@ def _posed(corners: list[Point], rng: np.random.Generator) -> list[Point]:
 
 
 def choose_envelope(style: ShellStyle, rng: np.random.Generator) -> Envelope:
-    """Outline, height and slopes together."""
+    """Choose outline, height and slopes."""
     corners = choose_outline(style, rng)
     height = between(rng, style.height_m)
     slanted, both = rng.random() < style.slanted, rng.random() < style.two_slopes
@@ -181,7 +186,11 @@ def choose_envelope(style: ShellStyle, rng: np.random.Generator) -> Envelope:
 
 
 def envelope(corners: list[Point], height: float, slopes: tuple[Slope, ...]) -> Envelope:
-    """The walls that follow from an outline and a ceiling. ValueError for an outline the wrong way round."""
+    """Derive the walls from an outline and a ceiling.
+
+    Raises:
+        ValueError: the outline runs counter-clockwise seen from above.
+    """
     if area(corners) <= 0:
         raise ValueError(f"the outline has an area of {area(corners):.2f} m2: it must run clockwise seen from above")
     points = np.array(corners)
@@ -194,7 +203,7 @@ def envelope(corners: list[Point], height: float, slopes: tuple[Slope, ...]) -> 
         plane = Plane(np.array([start[0], 0.0, start[1]]), u, _UP)
         outline = [(0.0, 0.0), (length, 0.0), (length, height), (0.0, height)]
         for slope in slopes:
-            outline = clipped(outline, *wall_cut(slope, plane))
+            outline = clip_half_plane(outline, *wall_cut(slope, plane))
         sides.append(
             Side(
                 plane,
@@ -208,7 +217,7 @@ def envelope(corners: list[Point], height: float, slopes: tuple[Slope, ...]) -> 
 
 
 def wall_cut(slope: Slope, plane: Plane, slack: float = 0.0) -> tuple[float, float, float]:
-    """(a, b, c): in a wall's plane, a s + b h <= c is what lies below the slope (slack metres over it allowed)."""
+    """Return (a, b, c): in a wall's plane, a s + b h <= c is below the slope (up to slack metres above it allowed)."""
     along = float(slope.normal @ plane.u)
     up = float(slope.normal[1])
     return along / up, 1.0, (slope.offset - float(slope.normal @ plane.origin)) / up + slack
@@ -217,14 +226,14 @@ def wall_cut(slope: Slope, plane: Plane, slack: float = 0.0) -> tuple[float, flo
 def _half_cotangent(
     before: Float[np.ndarray, "2"], corner: Float[np.ndarray, "2"], after: Float[np.ndarray, "2"]
 ) -> float:
-    """Of the inner angle at a corner."""
+    """Return the cotangent of half the inner angle at a corner."""
     a, b = corner - before, after - corner
     turn = float(np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b))
     return float(np.tan(turn / 2))
 
 
 def _choose_slopes(corners: list[Point], height: float, both: bool, rng: np.random.Generator) -> list[Slope]:
-    """One slope over a side that is a whole side of the bounding rectangle, or two over opposite ones."""
+    """Choose one slope over a side that spans a whole side of the bounding rectangle, or two over opposite sides."""
     points = np.array(corners)
     size = points.max(0) - points.min(0)
     whole: list[int] = []
@@ -253,7 +262,8 @@ def _choose_slopes(corners: list[Point], height: float, both: bool, rng: np.rand
 def _slope_over(
     points: Float[np.ndarray, "n 2"], i: int, height: float, pitch: float, knee: float, run_m: float
 ) -> Slope:
-    """The slope from the knee wall on side i up to the ceiling; the knee is raised where it would run too far."""
+    """Return the slope from the knee wall on side i up to the ceiling; the knee is raised if the slope would run too
+    far."""
     start, end = points[i], points[(i + 1) % len(points)]
     length = float(np.linalg.norm(end - start))
     u = np.array([end[0] - start[0], 0.0, end[1] - start[1]]) / length
@@ -267,7 +277,7 @@ def _slope_over(
 
 
 def offset_outline(corners: tuple[Point, ...], by_m: float) -> list[Point]:
-    """The outline with every side moved outward."""
+    """Move every side of the outline outward."""
     points = np.array(corners)
     found: list[Point] = []
     for i, corner in enumerate(points):
@@ -279,5 +289,5 @@ def offset_outline(corners: tuple[Point, ...], by_m: float) -> list[Point]:
     return found
 
 
-GROWN: Final = 2 * OVERLAP
-"""How far floors and ceilings reach below and over the walls."""
+OUTER_MARGIN_M: Final = 2 * OVERLAP
+"""How far floors and ceilings extend below and over the walls."""

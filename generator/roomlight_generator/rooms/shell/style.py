@@ -1,4 +1,4 @@
-"""What kind of shell is wanted: sizes as ranges, features as chances, windows and doors as counts and weights."""
+"""Parameters of a shell: size ranges, probabilities of features, counts and weights of windows and doors."""
 
 from dataclasses import dataclass
 from typing import Final, Literal
@@ -20,8 +20,8 @@ CoverKind = Literal[
     "venetian",
     "vertical",
 ]
-"""What hangs before a window. drawn_curtains, sheer, sheer_and_curtains and roller_down cover the whole window: it has
-no `Opening`, and (drawn_curtains apart) cloth whose material is called "daylit-..." stands for the light."""
+"""Kinds of window coverings. drawn_curtains, sheer, sheer_and_curtains and roller_down cover the whole window: it
+has no `Opening`, and (except for drawn_curtains) cloth with a material named "daylit-..." emits the daylight."""
 
 LowerKind = Literal["none", "tiles", "wainscot", "backsplash"]
 
@@ -46,16 +46,15 @@ _COVERS: Final[tuple[tuple[CoverKind, float], ...]] = (
 
 @dataclass(frozen=True)
 class ShellStyle:
-    """Ranges are (least, most), chances 0 to 1, weights any positive numbers.
+    """Ranges are (least, most), probabilities 0 to 1, weights any positive numbers.
 
-    area_m2 is the main room's floor area; aspect the long over the short side of its main rectangle. windows and
-    doors (closed ones) are counts, both ends included; fewer are built where no wall has room for them. A room gets at
-    most one second room: behind an open door (`open_door`), else behind a doorway without one (`passage`); a room left
-    without any of these and of closed doors gets one closed door. Slopes cut `slanted` rooms, on two sides by
-    `two_slopes`, with windows in them by `skylights` (never where windows are (0, 0)). lower_wall is the finish of the
-    walls' lower part, as often as `lower_wall_chance`: tiles or wainscot all around up to lower_wall_m, a backsplash as
-    a band on the wall with most room for units. An accent wall is painted as often as `accent_wall`, where the finishes
-    have one.
+    area_m2 is the main room's floor area; aspect the long over the short side of its main rectangle. windows and doors
+    (closed ones) are counts, both ends included; fewer are built if no wall has space for them. A room gets at most one
+    second room: behind an open door (`open_door`), else behind a doorway without one (`passage`); a room with no door
+    of any kind gets one closed door. Slopes cut `slanted` rooms, on two sides by `two_slopes`, with windows in them by
+    `skylights` (never if windows are (0, 0)). lower_wall is the finish of the walls' lower part, with probability
+    `lower_wall_chance`: tiles or wainscot all around up to lower_wall_m, a backsplash as a band on the wall with the
+    most space for units. An accent wall is painted with probability `accent_wall`, if the finishes have one.
     """
 
     area_m2: Range = (12.0, 30.0)
@@ -87,7 +86,11 @@ class ShellStyle:
     lower_wall_m: Range = (0.85, 1.2)
 
     def __post_init__(self) -> None:
-        """ValueError for a range upside down or a room that nobody could stand in."""
+        """Check the ranges.
+
+        Raises:
+            ValueError: a range is reversed or negative, or the room is too low, too small or has an aspect below 1.
+        """
         for name in ("area_m2", "aspect", "height_m", "windows", "doors", "wall_m", "lower_wall_m"):
             low, high = getattr(self, name)
             if not 0 <= low <= high:
@@ -149,9 +152,9 @@ STYLES: Final[dict[str, ShellStyle]] = {
         covers=(("none", 0.6), ("open_curtains", 0.15), ("venetian", 0.1), ("roller", 0.15)),
     ),
 }  # fmt: skip
-"""Usual shells by the planner's room types; take one as it is or `dataclasses.replace` what differs."""
+"""Default shells by the planner's room types; use one as it is or change it with `dataclasses.replace`."""
 
 
 def between(rng: np.random.Generator, span: Range) -> float:
-    """A number drawn evenly from a range."""
+    """Return a uniform random number from a range."""
     return float(rng.uniform(span[0], span[1]))

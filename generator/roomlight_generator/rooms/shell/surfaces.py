@@ -1,6 +1,6 @@
-"""A room's large surfaces: walls with holes, floor, ceiling; what runs along them: skirting, mouldings, beams.
+"""A room's large surfaces: walls with holes, floor, ceiling; and the trim: skirting, mouldings, beams.
 
-Everything overlaps its neighbours by `OVERLAP` (see `roomlight_generator.rooms.shell.sheets`).
+Every surface overlaps its neighbours by `OVERLAP` (see `roomlight_generator.rooms.shell.mesh_builder`).
 """
 
 from collections.abc import Sequence
@@ -11,17 +11,16 @@ import numpy as np
 
 from roomlight_generator.rooms.scene import Item, Material
 from roomlight_generator.rooms.shell.holes import AnyHole, Door, Passage, Window
-from roomlight_generator.rooms.shell.outline import GROWN, Envelope, Side, offset_outline, wall_cut
-from roomlight_generator.rooms.shell.sheets import (
+from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
+from roomlight_generator.rooms.shell.outline import OUTER_MARGIN_M, Envelope, Side, offset_outline, wall_cut
+from roomlight_generator.rooms.shell.polygons import (
     OVERLAP,
     Outline,
-    Plane,
     Point,
-    Sheets,
-    clipped,
+    clip_half_plane,
+    difference,
     rect,
     triangles,
-    without,
 )
 from roomlight_generator.rooms.shell_finishes import RoomFinishes
 
@@ -30,7 +29,7 @@ _UP: Final = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Trim:
-    """What runs along the walls. lower_m is the lower wall's band (from, to), None for none; heights in metres."""
+    """Trim along the walls. lower_m is the lower wall's band (from, to), None for none; heights in metres."""
 
     lower_m: tuple[float, float] | None = None
     lower_sides: frozenset[int] = frozenset()
@@ -41,7 +40,7 @@ class Trim:
 
 
 def arch_outline(hole: Passage) -> list[Point]:
-    """The hole of a passage: a rectangle whose top may be arched."""
+    """Return the outline of a passage: a rectangle whose top may be arched."""
     s0, s1, h0, h1 = hole.rect
     if hole.arch_m < 0.02:
         return rect(s0, s1, h0, h1)
@@ -53,59 +52,60 @@ def arch_outline(hole: Passage) -> list[Point]:
 
 
 def hole_outline(hole: AnyHole) -> list[Point]:
-    """The outline of any hole in its plane."""
+    """Return the outline of any hole in its plane."""
     return arch_outline(hole) if isinstance(hole, Passage) else rect(*hole.rect)
 
 
-def wall_sheets(
+def build_wall(
     room: Envelope, index: int, holes: Sequence[Outline], finishes: RoomFinishes, trim: Trim, *, accent: bool
-) -> Sheets:
-    """One wall's sheet with its holes cut out, in one or two finishes."""
+) -> MeshBuilder:
+    """Build one wall with its holes cut out, in one or two finishes."""
     side = room.sides[index]
-    whole: Outline = rect(-OVERLAP, side.length_m + OVERLAP, -GROWN, room.height_m + GROWN)
+    whole: Outline = rect(-OVERLAP, side.length_m + OVERLAP, -OUTER_MARGIN_M, room.height_m + OUTER_MARGIN_M)
     for slope in room.slopes:
-        whole = clipped(whole, *wall_cut(slope, side.plane, GROWN))
+        whole = clip_half_plane(whole, *wall_cut(slope, side.plane, OUTER_MARGIN_M))
     material = finishes.accent_wall if accent and finishes.accent_wall is not None else finishes.wall
     parts: list[tuple[Outline, Material]] = [(whole, material)]
     if trim.lower_m is not None and index in trim.lower_sides and finishes.lower_wall is not None:
         low, high = trim.lower_m
-        band = clipped(clipped(whole, 0.0, 1.0, high), 0.0, -1.0, -low if low > 0 else GROWN)
-        parts = [(clipped(whole, 0.0, -1.0, -(high - OVERLAP)), material), (band, finishes.lower_wall)]
+        band = clip_half_plane(clip_half_plane(whole, 0.0, 1.0, high), 0.0, -1.0, -low if low > 0 else OUTER_MARGIN_M)
+        parts = [(clip_half_plane(whole, 0.0, -1.0, -(high - OVERLAP)), material), (band, finishes.lower_wall)]
         if low > 0:
-            parts.append((clipped(whole, 0.0, 1.0, low + OVERLAP), material))
-    sheets = Sheets()
+            parts.append((clip_half_plane(whole, 0.0, 1.0, low + OVERLAP), material))
+    builder = MeshBuilder()
     for outline, chosen in parts:
         pieces: list[Outline] = [outline] if outline else []
         for hole in holes:
-            pieces = list(without(pieces, hole))
+            pieces = list(difference(pieces, hole))
         for piece in pieces:
-            sheets.panel(side.plane, piece, chosen)
-    return sheets
+            builder.panel(side.plane, piece, chosen)
+    return builder
 
 
 def floor_plane(room: Envelope) -> Plane:
-    """The floor seen from above, u along the room's longer side: (s, h) = plan coordinates turned."""
+    """Return the floor plane seen from above, u along the room's longer side: (s, h) = rotated plan coordinates."""
     size = np.ptp(np.array(room.corners), axis=0)
     if size[0] >= size[1]:
         return Plane(np.zeros(3), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, -1.0]))
     return Plane(np.zeros(3), np.array([0.0, 0.0, 1.0]), np.array([1.0, 0.0, 0.0]))
 
 
-def floor_sheets(room: Envelope, material: Material) -> Sheets:
-    """The floor, reaching under the walls."""
-    sheets = Sheets()
+def build_floor(room: Envelope, material: Material) -> MeshBuilder:
+    """Build the floor, which extends under the walls."""
+    builder = MeshBuilder()
     plane = floor_plane(room)
-    for piece in triangles(offset_outline(room.corners, GROWN)):
+    for piece in triangles(offset_outline(room.corners, OUTER_MARGIN_M)):
         world = np.array([[x, 0.0, z] for x, z in reversed(piece)])
         local = np.stack([world @ plane.u, world @ plane.v], 1)
-        sheets.panel(plane, [(float(s), float(h)) for s, h in local], material)
-    return sheets
+        builder.panel(plane, [(float(s), float(h)) for s, h in local], material)
+    return builder
 
 
-def ceiling_sheets(room: Envelope, material: Material, skylights: Sequence[Window]) -> Sheets:
-    """The flat ceiling and the slopes with their skylights' holes, each reaching past the crease and over the walls."""
-    sheets = Sheets()
-    pieces = triangles(offset_outline(room.corners, GROWN))
+def build_ceiling(room: Envelope, material: Material, skylights: Sequence[Window]) -> MeshBuilder:
+    """Build the flat ceiling and the slopes with their skylights' holes, each extended past the crease and over the
+    walls."""
+    builder = MeshBuilder()
+    pieces = triangles(offset_outline(room.corners, OUTER_MARGIN_M))
     flat = Plane(np.array([0.0, room.height_m, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, 0.0, 1.0]))
     planes = [(0.0, 0.0, room.height_m)]
     for slope in room.slopes:
@@ -117,30 +117,31 @@ def ceiling_sheets(room: Envelope, material: Material, skylights: Sequence[Windo
             part: Outline = piece
             for j, (other_a, other_b, other_c) in enumerate(planes):
                 if j != k and part:
-                    part = clipped(part, a - other_a, b - other_b, other_c - c + GROWN)
+                    part = clip_half_plane(part, a - other_a, b - other_b, other_c - c + OUTER_MARGIN_M)
             if not part:
                 continue
             if k == 0:
-                sheets.panel(flat, part, material)
+                builder.panel(flat, part, material)
                 continue
             plane = room.slopes[k - 1].plane
             world = np.array([[x, a * x + b * z + c, z] for x, z in part]) - plane.origin
             on_slope: list[Outline] = [[(float(p @ plane.u), float(p @ plane.v)) for p in world]]
             for window in skylights:
                 if window.side == k - 1:
-                    on_slope = list(without(on_slope, rect(*window.rect)))
+                    on_slope = list(difference(on_slope, rect(*window.rect)))
             for outline in on_slope:
-                sheets.panel(plane, outline, material)
-    return sheets
+                builder.panel(plane, outline, material)
+    return builder
 
 
 def _free_spans(side: Side, holes: Sequence[AnyHole], low: float, high: float) -> list[tuple[float, float, bool, bool]]:
-    """Stretches of a side without holes between two heights: (from, to, starts at a corner, ends at a corner)."""
+    """Return the stretches of a side without holes between two heights: (from, to, starts at a corner, ends at a
+    corner)."""
     cuts: list[tuple[float, float]] = []
     for hole in holes:
         edge = 0.0
         if isinstance(hole, Door):
-            edge = hole.look.architrave_m
+            edge = hole.design.architrave_m
         elif isinstance(hole, Passage) and hole.lined:
             edge = 0.07
         if hole.rect[2] < high and hole.rect[3] > low:
@@ -152,35 +153,37 @@ def _free_spans(side: Side, holes: Sequence[AnyHole], low: float, high: float) -
     return [(low, high, k == 0, k == last) for k, (low, high) in enumerate(spans) if high - low > 0.01]
 
 
-def _along(side: Side, holes: Sequence[AnyHole], profile: Sequence[Point], material: Material, sheets: Sheets) -> None:
+def _sweep_along(
+    side: Side, holes: Sequence[AnyHole], profile: Sequence[Point], material: Material, builder: MeshBuilder
+) -> None:
     low, high = min(h for _, h in profile), max(h for _, h in profile)
     for start, end, first, last in _free_spans(side, holes, low, high):
         mitres = (side.turn_before if first else None, side.turn_after if last else None)
-        sheets.swept(side.plane, profile, (start, end), mitres, material)
+        builder.swept(side.plane, profile, (start, end), mitres, material)
 
 
 def trim_items(
     room: Envelope, index: int, holes: Sequence[AnyHole], finishes: RoomFinishes, moulding: Material, trim: Trim
 ) -> list[Item]:
-    """Skirting board, chair rail and crown moulding of one wall."""
+    """Build the skirting board, chair rail and crown moulding of one wall."""
     side = room.sides[index]
     items: list[Item] = []
     if trim.skirting_m > 0:
-        sheets, tall = Sheets(), trim.skirting_m
+        builder, tall = MeshBuilder(), trim.skirting_m
         profile = [(0.014, 0.0), (0.014, tall - 0.012), (0.006, tall), (0.0, tall)]
-        _along(side, holes, profile, finishes.skirting, sheets)
-        if sheets:
-            items.append(Item(f"skirting {index}", "skirting", sheets.mesh()))
-    sheets = Sheets()
+        _sweep_along(side, holes, profile, finishes.skirting, builder)
+        if builder:
+            items.append(Item(f"skirting {index}", "skirting", builder.mesh()))
+    builder = MeshBuilder()
     if trim.rail and trim.lower_m is not None and index in trim.lower_sides:
         at = trim.lower_m[1]
         if side.least_height_m > at + 0.1:
-            _along(
+            _sweep_along(
                 side,
                 holes,
                 [(0.0, at - 0.02), (0.02, at - 0.012), (0.02, at + 0.02), (0.0, at + 0.02)],
                 moulding,
-                sheets,
+                builder,
             )
     flat = side.least_height_m > room.height_m - 1e-6 and not room.slopes
     if trim.crown_m > 0 and flat:
@@ -188,20 +191,20 @@ def trim_items(
         turn = np.linspace(0, np.pi / 2, 4)
         cove = [(deep * float(1 - np.cos(t)), top - deep * float(1 - np.sin(t))) for t in turn]
         profile = [(0.0, top - deep - 0.012), (0.008, top - deep - 0.012), *[(a + 0.008, h) for a, h in cove]]
-        _along(side, [], profile, moulding, sheets)
-    if sheets:
-        items.append(Item(f"moulding {index}", "moulding", sheets.mesh()))
+        _sweep_along(side, [], profile, moulding, builder)
+    if builder:
+        items.append(Item(f"moulding {index}", "moulding", builder.mesh()))
     return items
 
 
 def beam_items(
     room: Envelope, skylights: Sequence[Window], material: Material, deep: float, rng: np.random.Generator
 ) -> list[Item]:
-    """Beams below a flat ceiling along its shorter side, none in the middle (lamps hang there); rafters on slopes, but
-    not across a skylight."""
+    """Build beams below a flat ceiling along its shorter side, none in the middle (the place of lamps); rafters on
+    slopes, but not across a skylight."""
     wide = float(rng.uniform(0.08, 0.2))
     spacing = float(rng.uniform(0.6, 1.25))
-    sheets = Sheets()
+    builder = MeshBuilder()
     for k, slope in enumerate(room.slopes):
         count = max(2, round(slope.length_m / spacing))
         rise = slope.rise_m if slope.rise_m > 0.3 else 0.0
@@ -212,7 +215,9 @@ def beam_items(
                 light.side == k and light.rect[0] < end + 0.03 and light.rect[1] > start - 0.03 for light in skylights
             ):
                 continue
-            sheets.bar(slope.plane, (start, end, -0.2, rise + deep * 0.5), (-deep * 0.7, OVERLAP), material, back=False)
+            builder.bar(
+                slope.plane, (start, end, -0.2, rise + deep * 0.5), (-deep * 0.7, OVERLAP), material, back=False
+            )
     if not room.slopes:
         points = np.array(room.corners)
         size = np.ptp(points, axis=0)
@@ -226,12 +231,12 @@ def beam_items(
             for start, end in _chords(points, across, middle, wide):
                 span = (middle - wide / 2, middle + wide / 2, start, end)
                 box = span if across == 0 else (span[2], span[3], span[0], span[1])
-                sheets.bar(plane, box, (-deep, OVERLAP), material, back=False)
-    return [Item("beams", "beam", sheets.mesh())] if sheets else []
+                builder.bar(plane, box, (-deep, OVERLAP), material, back=False)
+    return [Item("beams", "beam", builder.mesh())] if builder else []
 
 
 def _chords(points: np.ndarray, across: int, middle: float, wide: float) -> list[tuple[float, float]]:
-    """Where lines at both edges of a beam run inside the outline; 1 cm into the walls at each end."""
+    """Return where lines at both edges of a beam run inside the outline; 1 cm into the walls at each end."""
     spans: list[list[tuple[float, float]]] = []
     for place in (middle - wide / 2, middle + wide / 2):
         hits: list[float] = []

@@ -1,1 +1,1 @@
-"""Numba loops over triangles; their annotations are not checked, for numba compiles them from their source."""
+"""Numba kernels over triangles; their annotations are not checked at run time, since numba compiles their source."""

@@ -1,24 +1,24 @@
 # pyright: reportMissingParameterType=false
 """Edge collapses of a triangle mesh by quadric error (Garland and Heckbert 1997), one round of them at a time.
 
-A collapse moves vertex u onto its neighbour v, so that no new positions or texture coordinates arise. Corners carry a
-`wedge` (which texture coordinate they use): u's wedges become those that v has in the triangles that vanish, and a
-collapse across a seam, for which there is none, does not happen.
+A collapse moves vertex u onto its neighbour v, so it creates no new positions or texture coordinates. Corners carry a
+`wedge` (index of their texture coordinate): u's wedges become those that v has in the triangles that vanish; a collapse
+across a seam, where v has none, is rejected.
 """
 
 import numpy as np
 from numba import njit
 
-_BORDER = 8.0
-"""Weight of the planes that hold open borders, seams and edges between materials in place."""
+_BORDER_WEIGHT = 8.0
+"""Weight of the planes that preserve open borders, seams and edges between materials."""
 
-_TURN = 0.3
-"""Least cosine between a triangle's normal before and after: a collapse may not fold a surface over."""
+_MIN_NORMAL_COSINE = 0.3
+"""Minimum cosine between a triangle's normals before and after: a collapse must not fold a surface over."""
 
 
 @njit(cache=True, nogil=True)
 def incidence(faces, vertex_count):
-    """Triangles around each vertex: those of v are `around[starts[v] : starts[v + 1]]`."""
+    """Return the triangles around each vertex: those of v are `around[starts[v] : starts[v + 1]]`."""
     starts = np.zeros(vertex_count + 1, np.int64)
     for face in range(len(faces)):
         for corner in range(3):
@@ -60,7 +60,7 @@ def _error(quadric, p):
 
 @njit(cache=True, nogil=True)
 def quadrics(points, faces, wedges, materials):
-    """The quadric of every vertex: planes of its triangles by area, and of the borders they end at."""
+    """Return the quadric of every vertex: planes of its triangles weighted by area, and of the borders they end at."""
     result = np.zeros((len(points), 10))
     starts, around = incidence(faces, len(points))
     for face in range(len(faces)):
@@ -103,7 +103,7 @@ def quadrics(points, faces, wedges, materials):
             if size <= 0:
                 continue
             side = side / size
-            weight = _BORDER * size * size
+            weight = _BORDER_WEIGHT * size * size
             offset = -np.sum(side * points[u])
             _add_plane(result[u], side[0], side[1], side[2], offset, weight)
             _add_plane(result[v], side[0], side[1], side[2], offset, weight)
@@ -112,7 +112,7 @@ def quadrics(points, faces, wedges, materials):
 
 @njit(cache=True, nogil=True)
 def _wedge_of_target(faces, wedges, starts, around, u, v, wedge):
-    """Which wedge of v a corner of u with `wedge` takes over: -2 where the two share no triangle with it."""
+    """Return the wedge of v that replaces `wedge` of u; -2 if the two share no triangle with it."""
     for k in range(starts[u], starts[u + 1]):
         face = around[k]
         at_u, at_v = -1, -1
@@ -148,17 +148,17 @@ def _may_collapse(points, faces, wedges, starts, around, u, v, strict):
         after = np.cross(b - points[v], c - points[v])
         product = np.sum(before * after)
         size = np.sqrt(np.sum(before * before) * np.sum(after * after))
-        if product <= _TURN * size:
+        if product <= _MIN_NORMAL_COSINE * size:
             return False
-    # Where nothing would survive, a leaf's tip or a whole small part would be gone.
+    # A collapse that leaves no triangle would delete a leaf's tip or a whole small part.
     return survivors > 0
 
 
 @njit(cache=True, nogil=True)
 def collapse_round(points, faces, wedges, quadric, target, strict):
-    """One round: the cheapest edges that do not touch each other. Changes faces, wedges and quadric in place.
+    """Collapse the cheapest edges that do not touch each other. Changes faces, wedges and quadric in place.
 
-    Not strict, it crosses seams too, and a little of the texture goes astray. Returns which faces are left.
+    Not strict, it also collapses across seams, with slight texture distortion. Returns the mask of remaining faces.
     """
     count = len(faces)
     starts, around = incidence(faces, len(points))
@@ -180,7 +180,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
     keep = np.ones(count, np.bool_)
     locked = np.zeros(len(points), np.bool_)
     left = count
-    # Edges far dearer than the last one needed wait for the next round, when cheaper ones may have come up.
+    # Edges much costlier than the last one needed wait for the next round, which may have cheaper ones.
     needed = min(3 * (count - target), len(order) - 1)
     limit = 1.5 * costs[order[needed]] + 1e-12
     for row in order:
@@ -231,8 +231,8 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
 
 @njit(cache=True, nogil=True)
 def crease_normals(points, faces, normals, areas, cosine):
-    """A normal for each corner: the mean, by area, of those triangles around its vertex that bend away less than the
-    crease angle from its own triangle."""
+    """Return a normal for each corner: the area-weighted mean of the triangles around its vertex whose angle to its
+    own triangle is below the crease angle."""
     starts, around = incidence(faces, len(points))
     result = np.empty((len(faces), 3, 3))
     for face in range(len(faces)):

@@ -4,19 +4,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight_generator.rooms.scene import Material, Mesh, Texture
-from roomlight_generator.rooms.shapes import faces_look_along_normals
+from roomlight_generator.rooms.shapes import faces_match_normals
+from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.outline import choose_outline, envelope, offset_outline
-from roomlight_generator.rooms.shell.sheets import (
+from roomlight_generator.rooms.shell.polygons import (
     OVERLAP,
-    Plane,
     Point,
-    Sheets,
     area,
-    clipped,
+    clip_half_plane,
+    difference,
+    intersection,
     rect,
     triangles,
-    within,
-    without,
 )
 from roomlight_generator.rooms.shell.style import STYLES, ShellStyle
 
@@ -32,8 +31,8 @@ def test_a_piece_minus_a_hole_and_their_common_part_are_the_piece(
     a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
 ) -> None:
     piece, hole = rect(*a, *b), rect(*c, *d)
-    common = within(piece, hole)
-    left = sum(area(part) for part in without([piece], hole))
+    common = intersection(piece, hole)
+    left = sum(area(part) for part in difference([piece], hole))
     taken = area(common) if common else 0.0
     # Pieces overlap the hole, and one another, by OVERLAP at most along the hole's four edges' lines.
     assert -1e-6 <= left - (area(piece) - taken) < 4 * OVERLAP * 6.3 + 1e-6
@@ -41,16 +40,16 @@ def test_a_piece_minus_a_hole_and_their_common_part_are_the_piece(
 
 def test_no_piece_of_a_holed_sheet_reaches_far_into_the_hole() -> None:
     hole = [(1.0, 0.5), (2.0, 0.5), (2.0, 1.5), (1.5, 1.9), (1.0, 1.5)]
-    pieces = without([rect(0.0, 3.0, 0.0, 3.0)], hole)
+    pieces = difference([rect(0.0, 3.0, 0.0, 3.0)], hole)
     inner = [(1.5 + 0.998 * (s - 1.5), 1.1 + 0.998 * (h - 1.1)) for s, h in hole]
-    assert all(not within(piece, inner) for piece in pieces)
+    assert all(not intersection(piece, inner) for piece in pieces)
     assert all(area(piece) > 0 for piece in pieces)
 
 
 def test_a_clip_keeps_one_side() -> None:
-    left = clipped(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, 0.5)
+    left = clip_half_plane(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, 0.5)
     assert area(left) == pytest.approx(0.5)
-    assert clipped(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, -1.0) == []
+    assert clip_half_plane(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, -1.0) == []
 
 
 @pytest.mark.parametrize("seed", range(40))
@@ -80,38 +79,38 @@ def _closed_volume(mesh: Mesh) -> float:
 
 
 def test_bars_are_closed_and_wound_outward() -> None:
-    sheets = Sheets()
-    sheets.bar(WALL, (0.0, 0.5, 1.0, 1.2), (-0.1, 0.2), GREY)
-    mesh = sheets.mesh()
+    builder = MeshBuilder()
+    builder.bar(WALL, (0.0, 0.5, 1.0, 1.2), (-0.1, 0.2), GREY)
+    mesh = builder.mesh()
     assert _closed_volume(mesh) == pytest.approx(0.5 * 0.2 * 0.3, rel=1e-4)
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
 
 
 def test_the_sides_of_a_hole_face_its_middle() -> None:
-    sheets = Sheets()
-    sheets.tube(WALL, rect(1.0, 2.0, 0.5, 1.5), (0.0, 0.3), GREY)
-    mesh = sheets.mesh()
+    builder = MeshBuilder()
+    builder.tube(WALL, rect(1.0, 2.0, 0.5, 1.5), (0.0, 0.3), GREY)
+    mesh = builder.mesh()
     toward = WALL.at(1.5, 1.0, 0.15) - mesh.vertices[mesh.faces].mean(1)
     assert (np.einsum("fi,fi->f", toward, mesh.normals[mesh.faces[:, 0]]) > 0).all()
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
 
 
 @pytest.mark.parametrize(("mitre", "length"), [(1.0, 1.96), (-1.0, 2.04), (None, 2.0)])
 def test_swept_profiles_are_mitred_or_capped(mitre: float | None, length: float) -> None:
-    sheets = Sheets()
-    sheets.swept(WALL, [(0.02, 0.0), (0.02, 0.1), (0.0, 0.1)], (0.0, 2.0), (mitre, mitre), GREY)
-    mesh = sheets.mesh()
+    builder = MeshBuilder()
+    builder.swept(WALL, [(0.02, 0.0), (0.02, 0.1), (0.0, 0.1)], (0.0, 2.0), (mitre, mitre), GREY)
+    mesh = builder.mesh()
     along = (mesh.vertices - WALL.origin) @ WALL.u
     front = (mesh.vertices - WALL.origin) @ WALL.normal > 0.019
     assert np.ptp(along[front]) == pytest.approx(length, abs=1e-4)
-    assert faces_look_along_normals(mesh).all()
+    assert faces_match_normals(mesh).all()
 
 
 def test_textures_repeat_by_the_metre_and_stand_upright() -> None:
     image = np.zeros((4, 8, 3), np.uint8)
-    sheets = Sheets()
-    sheets.panel(WALL, rect(0.0, 2.0, 0.0, 3.0), Material("paper", texture=Texture(image, (0.5, 0.25))))
-    mesh = sheets.mesh()
+    builder = MeshBuilder()
+    builder.panel(WALL, rect(0.0, 2.0, 0.0, 3.0), Material("paper", texture=Texture(image, (0.5, 0.25))))
+    mesh = builder.mesh()
     assert np.ptp(mesh.uvs, axis=0) == pytest.approx([4.0, 12.0])
     highest = mesh.vertices[:, 1].argmax()
     assert mesh.uvs[highest, 1] == mesh.uvs[:, 1].min()
@@ -119,7 +118,7 @@ def test_textures_repeat_by_the_metre_and_stand_upright() -> None:
 
 def test_an_empty_mesh_and_impossible_styles_are_refused() -> None:
     with pytest.raises(ValueError, match="nothing was added"):
-        Sheets().mesh()
+        MeshBuilder().mesh()
     with pytest.raises(ValueError, match="area_m2"):
         ShellStyle(area_m2=(9.0, 4.0))
     with pytest.raises(ValueError, match="height"):
@@ -145,6 +144,6 @@ def test_footprints_lie_before_and_behind_their_side(seed: int) -> None:
         behind = side.footprint(0.1, side.length_m - 0.1, 0.01, 0.2)
         assert _ccw(before)
         assert _ccw(behind)
-        shared = [sum(area(p) for t in triangles(corners) if (p := within(f, t))) for f in (before, behind)]
+        shared = [sum(area(p) for t in triangles(corners) if (p := intersection(f, t))) for f in (before, behind)]
         assert shared[0] == pytest.approx(area(before), rel=1e-6)
         assert shared[1] == pytest.approx(0.0, abs=1e-9)

@@ -1,12 +1,12 @@
-"""What a room's windows look like: one taste for all of them, with what differs from window to window drawn anew."""
+"""Choice of a room's windows: one design for all of them, with variation from window to window."""
 
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
-from roomlight_generator.rooms.shell.holes import Cover, Window, WindowLook
-from roomlight_generator.rooms.shell.sheets import Rect
+from roomlight_generator.rooms.shell.holes import Cover, Window, WindowDesign
+from roomlight_generator.rooms.shell.polygons import Rect
 from roomlight_generator.rooms.shell.style import CoverKind, Range, ShellStyle, WindowKind, between
 
 
@@ -30,11 +30,11 @@ _SIZES: Final[dict[WindowKind, _Sizes]] = {
 
 
 @dataclass(frozen=True)
-class WindowTaste:
-    """One make of window and of cover. Widths and heights are for every window of the room."""
+class WindowStyle:
+    """One design of window and of covering. Widths and heights are for every window of the room."""
 
     kind: WindowKind
-    look: WindowLook
+    design: WindowDesign
     cover: Cover
     width_m: float
     bottom_m: float
@@ -46,46 +46,46 @@ class WindowTaste:
     rng: np.random.Generator
 
     @property
-    def in_a_row(self) -> bool:
-        """Office windows fill one wall before the next."""
+    def fills_wall_first(self) -> bool:
+        """Whether the windows fill one wall before the next, as in offices."""
         return self.kind == "office"
 
     @property
     def pier_m(self) -> float:
-        """Wall between two windows, and half of it beside the last."""
+        """Width of wall between two windows; half of it is left beside the last one."""
         if self.cover.curtains:
             return 2 * self.cover.spread_m + 0.08
-        return 0.14 if self.in_a_row else 0.3
+        return 0.14 if self.fills_wall_first else 0.3
 
     @property
-    def least_cell_m(self) -> float:
-        """Below this width of wall for each there are fewer windows."""
+    def min_cell_m(self) -> float:
+        """Minimum width of wall for each window; with less, there are fewer windows."""
         return self.pier_m + min(self.width_m, 0.6)
 
     def window(self, side: int, s0: float, s1: float) -> Window | None:
-        """The window from s0 to s1; None where that is too narrow to be one."""
+        """Make the window from s0 to s1; None if that is too narrow."""
         if s1 - s0 < 0.38:
             return None
         low = self.bottom_m
         if self.kind == "french" and self.rng.random() > self.french_share:
             low = max(low, 0.85)
         columns = max(1, round((s1 - s0) / self.sash_m))
-        sill = min(self.look.sill_m, 0.025 if self.cover.curtains else 1.0) if low > 0.2 else 0.0
-        look = replace(self.look, columns=columns, sill_m=sill)
-        return Window(side, (s0, s1, low, self.top_m), self.wall_m, look, self._cover(low))
+        sill = min(self.design.sill_m, 0.025 if self.cover.curtains else 1.0) if low > 0.2 else 0.0
+        design = replace(self.design, columns=columns, sill_m=sill)
+        return Window(side, (s0, s1, low, self.top_m), self.wall_m, design, self._cover(low))
 
     def skylight(self, slope: int, hole: Rect, depth_m: float) -> Window:
-        """A roof window: one sash, nothing or a blind before it."""
-        look = replace(
-            self.look, kind="picture", columns=1, bars=(1, 1), inset=0.5, sill_m=0.0, frame_m=0.06, transom=0.0
+        """Make a roof window: one sash, with a blind or nothing in front of it."""
+        design = replace(
+            self.design, kind="picture", columns=1, bars=(1, 1), inset=0.5, sill_m=0.0, frame_m=0.06, transom=0.0
         )
         cover = replace(self.cover, share=between(self.rng, (0.2, 0.7)))
         if cover.kind not in ("roller", "roller_down", "venetian"):
             cover = Cover("none")
-        return Window(slope, hole, depth_m, look, cover, in_slope=True)
+        return Window(slope, hole, depth_m, design, cover, in_slope=True)
 
     def _cover(self, low: float) -> Cover:
-        """The same kind for every window, drawn as far as someone left it."""
+        """Choose a window's covering: the same kind for every window, drawn to a random extent."""
         cover = self.cover
         if cover.full and self.rng.random() > self.covered_share:
             cover = replace(cover, kind="open_curtains" if cover.curtains else "roller")
@@ -98,10 +98,10 @@ class WindowTaste:
         return cover
 
 
-def choose_taste(
+def choose_window_style(
     style: ShellStyle, height_m: float, wall_m: float, area_m2: float, rng: np.random.Generator
-) -> WindowTaste:
-    """One taste for a room of this height and floor area: large rooms have wider windows."""
+) -> WindowStyle:
+    """Choose the design for a room of this height and floor area: large rooms have wider windows."""
     kind = style.window_kinds[_weighted([weight for _, weight in style.window_kinds], rng)][0]
     covers = style.covers[_weighted([weight for _, weight in style.covers], rng)][0]
     cover = _cover(covers, kind, height_m, rng)
@@ -112,7 +112,7 @@ def choose_taste(
     bars = (1, 1)
     if kind in ("casement", "sash", "french") and rng.random() < 0.45:
         bars = (int(rng.integers(2, 5 if kind == "french" else 4)), 1 if kind == "french" else int(rng.integers(1, 3)))
-    look = WindowLook(
+    design = WindowDesign(
         kind=kind,
         columns=1,
         bars=bars,
@@ -122,9 +122,9 @@ def choose_taste(
         sill_m=between(rng, (0.02, 0.12)) if rng.random() < 0.85 else 0.0,
         transom=between(rng, (0.22, 0.32)) if kind in ("casement", "office") and rng.random() < 0.3 else 0.0,
     )
-    return WindowTaste(
+    return WindowStyle(
         kind=kind,
-        look=look,
+        design=design,
         cover=cover,
         width_m=between(
             rng, (sizes.width[0] + min(area_m2 / 80, 0.5) * (sizes.width[1] - sizes.width[0]), sizes.width[1])
@@ -134,7 +134,7 @@ def choose_taste(
         sash_m=between(rng, sizes.sash),
         wall_m=wall_m,
         french_share=0.6 if rng.random() < 0.5 else 1.0,
-        # Someone may have drawn only some of them.
+        # In half of the rooms only some of the curtains are drawn.
         covered_share=1.0 if rng.random() < 0.5 else 0.5,
         rng=rng,
     )
@@ -149,7 +149,7 @@ def _cover(kind: CoverKind, window: WindowKind, height_m: float, rng: np.random.
     cover = Cover(kind)
     if cover.curtains:
         long = window == "french" or rng.random() < 0.7
-        # The rod hangs at most half a metre over the window, and clear of the ceiling.
+        # The rod hangs at most half a metre above the window, and clear of the ceiling.
         lift = between(rng, (0.06, min(0.3, max(height_m - 2.15, 0.07))))
         return replace(
             cover,

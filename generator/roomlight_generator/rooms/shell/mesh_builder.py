@@ -1,36 +1,27 @@
-"""Flat work: convex outlines in a plane, holes cut into them, bars and swept profiles, gathered into one mesh.
+"""Flat geometry: convex outlines in a plane, holes cut into them, bars and swept profiles, collected into one mesh.
 
 A `Plane` is a wall or a slope: s to the right and h up as seen from inside the room, depth away from the room (behind
 the wall); its normal faces the room. Metres.
 
-Watertight by overlap: a sheet runs past the sheets it meets by `OVERLAP`, so that the two cross instead of touching,
-and no ray slips through a seam by rounding. Half a millimetre is a hundred times float32's steps at 50 m and
-a fifth of a pixel's footprint 1 m from the camera.
+Watertight by overlap: a panel extends past the panels it meets by `OVERLAP`, so that the two cross instead of touching,
+and no ray slips through a seam by rounding. Half a millimetre is a hundred times float32's steps at 50 m and a fifth of
+a pixel's footprint 1 m from the camera.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.scene import Material, Mesh
-
-OVERLAP: Final = 0.0005
-
-Point = tuple[float, float]
-Outline = Sequence[Point]
-"""Corners of a convex area, counter-clockwise as (s, h) is seen."""
-
-Rect = tuple[float, float, float, float]
-"""s0, s1, h0, h1."""
+from roomlight_generator.rooms.shell.polygons import OVERLAP, Outline, Point, Rect
 
 
 @dataclass(frozen=True, eq=False)
 class Plane:
-    """An origin and two unit vectors at right angles; the normal u x v faces the room."""
+    """An origin and two orthogonal unit vectors; the normal u x v faces the room."""
 
     origin: Float[np.ndarray, "3"]
     u: Float[np.ndarray, "3"]
@@ -38,110 +29,26 @@ class Plane:
 
     @property
     def normal(self) -> Float[np.ndarray, "3"]:
-        """Into the room."""
+        """Unit normal into the room."""
         return np.cross(self.u, self.v)
 
     def at(self, s: float, h: float, depth: float = 0.0) -> Float[np.ndarray, "3"]:
-        """The world point."""
+        """Return the world point of (s, h, depth)."""
         return self.origin + s * self.u + h * self.v - depth * self.normal
 
     def points(self, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """World points of (s, h, depth)."""
+        """Return the world points of (s, h, depth)."""
         return self.origin + local @ np.stack([self.u, self.v, -self.normal])
 
     def directions(self, local: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n 3"]:
-        """World directions of (s, h, depth) directions."""
+        """Return the world directions of (s, h, depth) directions."""
         return local @ np.stack([self.u, self.v, -self.normal])
 
 
-def rect(s0: float, s1: float, h0: float, h1: float) -> list[Point]:
-    """A rectangle as an outline."""
-    return [(s0, h0), (s1, h0), (s1, h1), (s0, h1)]
-
-
-def clipped(outline: Outline, a: float, b: float, c: float) -> list[Point]:
-    """What of a convex outline lies where a s + b h <= c; empty where nothing does."""
-    kept: list[Point] = []
-    signs = [a * s + b * h - c for s, h in outline]
-    for i, (s, h) in enumerate(outline):
-        j = (i + 1) % len(outline)
-        if signs[i] <= 0:
-            kept.append((s, h))
-        if (signs[i] < 0 < signs[j]) or (signs[j] < 0 < signs[i]):
-            t = signs[i] / (signs[i] - signs[j])
-            kept.append((s + t * (outline[j][0] - s), h + t * (outline[j][1] - h)))
-    return kept if len(kept) >= 3 and area(kept) > 1e-9 else []
-
-
-def within(outline: Outline, other: Outline) -> list[Point]:
-    """The common part of two convex outlines."""
-    found = list(outline)
-    for (s0, h0), (s1, h1) in zip(other, [*other[1:], other[0]], strict=True):
-        a, b = h1 - h0, s0 - s1
-        found = clipped(found, a, b, a * s0 + b * h0) if found else found
-    return found
-
-
-def without(pieces: Iterable[Outline], hole: Outline) -> list[list[Point]]:
-    """Convex pieces minus a convex hole; what is left overlaps the hole's edge by `OVERLAP`."""
-    left: list[list[Point]] = []
-    for piece in pieces:
-        rest = list(piece)
-        if not within(rest, hole):
-            left.append(rest)
-            continue
-        for (s0, h0), (s1, h1) in zip(hole, [*hole[1:], hole[0]], strict=True):
-            if not rest:
-                break
-            a, b = h1 - h0, s0 - s1
-            length = float(np.hypot(a, b))
-            a, b = a / length, b / length
-            c = a * s0 + b * h0
-            outside = clipped(rest, -a, -b, -(c - OVERLAP))
-            if outside:
-                left.append(outside)
-            rest = clipped(rest, a, b, c)
-    return left
-
-
-def area(outline: Outline) -> float:
-    """Signed area, positive for counter-clockwise."""
-    total = 0.0
-    for (s0, h0), (s1, h1) in zip(outline, [*outline[1:], outline[0]], strict=True):
-        total += s0 * h1 - s1 * h0
-    return total / 2
-
-
-def triangles(outline: Outline) -> list[list[Point]]:
-    """Any simple counter-clockwise outline cut into triangles (ear clipping). ValueError where none is left to cut."""
-    left = list(outline)
-    found: list[list[Point]] = []
-    while len(left) > 3:
-        for i in range(len(left)):
-            a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
-            turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
-            if turn > 1e-12 and not any(_inside(p, (a, b, c)) for p in left if p not in (a, b, c)):
-                found.append([a, b, c])
-                del left[i]
-                break
-        else:
-            raise ValueError(f"the outline {list(outline)} crosses itself or runs clockwise: it cannot be cut")
-    found.append(left)
-    return found
-
-
-def _inside(point: Point, triangle: tuple[Point, Point, Point]) -> bool:
-    for (s0, h0), (s1, h1) in zip(triangle, (triangle[1], triangle[2], triangle[0]), strict=True):
-        if (s1 - s0) * (point[1] - h0) - (h1 - h0) * (point[0] - s0) < -1e-12:
-            return False
-    return True
-
-
-class Sheets:
-    """Gathers flat faces in any materials; `mesh` makes one mesh of them. Normals are flat."""
+class MeshBuilder:
+    """Collects flat-shaded faces of any materials; `mesh` joins them into one mesh."""
 
     def __init__(self) -> None:
-        """Empty."""
         self._vertices: list[np.ndarray] = []
         self._normals: list[np.ndarray] = []
         self._uvs: list[np.ndarray] = []
@@ -151,7 +58,7 @@ class Sheets:
         self._count = 0
 
     def __bool__(self) -> bool:
-        """Whether anything is in it."""
+        """Return whether any face was added."""
         return self._count > 0
 
     def add(
@@ -162,7 +69,7 @@ class Sheets:
         faces: np.ndarray,
         material: Material,
     ) -> None:
-        """Any triangles in world coordinates; texture coordinates in metres."""
+        """Add triangles in world coordinates; texture coordinates in metres."""
         place, _ = self._materials.setdefault(id(material), (len(self._materials), material))
         if material.texture is not None:
             uvs = uvs / np.asarray(material.texture.size_m)
@@ -182,7 +89,7 @@ class Sheets:
         depth: float = 0.0,
         grain_up: bool = False,
     ) -> None:
-        """A convex flat piece that faces the room. uv = (s, -h) in metres, or (h, s) where the grain runs up."""
+        """Add a convex flat piece that faces the room. uv = (s, -h) in metres, or (h, s) if the grain runs up."""
         local = np.empty((len(outline), 3))
         local[:, :2] = outline
         local[:, 2] = depth
@@ -200,7 +107,8 @@ class Sheets:
         *,
         grain_up: bool = False,
     ) -> None:
-        """Four corners (s, h, depth), counter-clockwise from its front; u runs along the first edge."""
+        """Add a quadrilateral of corners (s, h, depth), counter-clockwise from its front; u runs along the first
+        edge."""
         world = plane.points(np.array(corners, np.float64))
         first, last = world[1] - world[0], world[3] - world[0]
         normal = np.cross(first, last)
@@ -226,9 +134,9 @@ class Sheets:
         *,
         others: dict[int, Material] | None = None,
     ) -> None:
-        """The sides of a hole through the plane, facing its middle, between two depths (given with overlaps wanted).
+        """Add the sides of a hole through the plane, facing its middle, between two depths (pass depths with overlaps).
 
-        `others` are the materials of single edges of the outline (the sill's, a threshold's) where they differ.
+        `others` gives the materials of single edges of the outline (the sill's, a threshold's) that differ.
         """
         near, far = depths
         for i, (a, b) in enumerate(zip(hole, [*hole[1:], hole[0]], strict=True)):
@@ -236,7 +144,7 @@ class Sheets:
             along *= OVERLAP / max(float(np.linalg.norm(along)), 1e-9)
             (s0, h0), (s1, h1) = np.array(a) - along, np.array(b) + along
             chosen = (others or {}).get(i, material)
-            # Walls' paper runs on around the corner: u along the depth on upright sides.
+            # Wallpaper continues around the corner: u along the depth on upright sides.
             corners = [(s0, h0, near), (s1, h1, near), (s1, h1, far), (s0, h0, far)]
             if abs(b[1] - a[1]) > abs(b[0] - a[0]):
                 corners = [*corners[1:], corners[0]]
@@ -245,12 +153,13 @@ class Sheets:
     def bar(
         self, plane: Plane, where: Rect, depths: tuple[float, float], material: Material, *, back: bool = True
     ) -> None:
-        """A box: s and h from `where`, between two depths (the lesser nearer the room); u along its longest edge."""
+        """Add a box: s and h from `where`, between two depths (the lesser nearer the room); u along its longest
+        edge."""
         s0, s1, h0, h1 = where
         self.bars(plane, np.array([[s0, s1, h0, h1, *depths]], np.float64), material, back=back)
 
     def bars(self, plane: Plane, sizes: Float[np.ndarray, "n 6"], material: Material, *, back: bool = True) -> None:
-        """Many boxes at once, each (s0, s1, h0, h1, depth0, depth1)."""
+        """Add many boxes at once, each (s0, s1, h0, h1, depth0, depth1)."""
         pick = _BOX_CORNERS if back else _BOX_CORNERS[:20]
         local = sizes[:, pick]  # [n, 24, 3]
         count = len(pick)
@@ -278,7 +187,7 @@ class Sheets:
         mitres: tuple[float | None, float | None],
         material: Material,
     ) -> None:
-        """A profile of (distance from the wall, h), bottom to top, drawn along the wall from span[0] to span[1].
+        """Sweep a profile of (distance from the wall, h), bottom to top, along the wall from span[0] to span[1].
 
         A mitre is how far an end moves inward for each metre off the wall: 1 in a right-angled corner of the room, -1
         around an outer one; None is a free end, closed by a cap.
@@ -292,7 +201,8 @@ class Sheets:
         for place, mitre, sign in ((span[0], mitres[0], -1), (span[1], mitres[1], 1)):
             if mitre is not None:
                 continue
-            # Fans out from the corner between the wall and the floor or ceiling, which sees all of the profile.
+            # Triangle fans from the corner between the wall and the floor or ceiling, from which the whole profile is
+            # visible.
             foot = profile[0][1] if profile[0][0] > 0 else profile[-1][1]
             local = np.array([[place, h, -a] for a, h in [(0.0, foot), *profile]])
             corner = np.arange(1, len(local) - 1)
@@ -302,7 +212,11 @@ class Sheets:
             self.add(plane.points(local), normals, local[:, 1:], faces, material)
 
     def mesh(self) -> Mesh:
-        """All of it as one mesh. ValueError where nothing was added."""
+        """Join everything that was added into one mesh.
+
+        Raises:
+            ValueError: nothing was added.
+        """
         if not self:
             raise ValueError("nothing was added to the mesh")
         return Mesh(
@@ -316,8 +230,8 @@ class Sheets:
 
 
 def _box_corners() -> tuple[np.ndarray, np.ndarray]:
-    """For 6 faces x 4 corners, which of (s0, s1, h0, h1, d0, d1) each coordinate is; and the normals. Front first, back
-    last: the back is what may be left away."""
+    """Return, for 6 faces x 4 corners, which of (s0, s1, h0, h1, d0, d1) each coordinate is; and the normals. Front
+    first, back last: the back can be left out."""
     front = [(0, 2, 4), (1, 2, 4), (1, 3, 4), (0, 3, 4)]
     left = [(0, 2, 5), (0, 2, 4), (0, 3, 4), (0, 3, 5)]
     right = [(1, 2, 4), (1, 2, 5), (1, 3, 5), (1, 3, 4)]

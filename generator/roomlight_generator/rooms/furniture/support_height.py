@@ -1,4 +1,4 @@
-"""At what height things may be put down on a model, measured by rays from above: catalogues know it for few."""
+"""Height of a model's supporting surface, measured by rays from above: few library catalogues give it."""
 
 from typing import Final
 
@@ -14,18 +14,19 @@ _LEVEL_M: Final = 0.012
 
 _FLAT: Final = 0.6
 _LISTED_FLAT: Final = 0.45
-"""Least share of the footprint that lies at one height, as measured and where a catalogue lists that height."""
+"""Minimum share of the footprint that lies at one height, if measured and if listed in the catalogue file."""
 
 _ABOVE: Final = 0.1
-"""Most of the footprint that may rise over it: things are put down anywhere, and must not stand in a mirror."""
+"""Maximum share of the footprint that may rise above it: objects are placed anywhere and must not intersect a
+mirror."""
 
 _LOW_M: Final = 0.15
 
 
-def top_m(mesh: Mesh, *, listed_m: float | None) -> float | None:
-    """Height of the flat surface that takes up most of the model seen from above, or None where none does.
+def measure_top_m(mesh: Mesh, *, listed_m: float | None) -> float | None:
+    """Return the height of the flat surface that takes up most of the model seen from above, or None.
 
-    The height a catalogue lists is preferred to the one that most of the footprint has.
+    The height listed in the catalogue file is preferred to the most frequent height.
     """
     low, high = mesh.bounds()
     along = (np.arange(_GRID) + 0.5) / _GRID * 0.94 + 0.03
