@@ -25,12 +25,12 @@ from roomlight.placement import point_in_view
 from roomlight.sample import sample_capture
 from roomlight.threads import thread_count
 from roomlight.wire.frame_message import FrameLimits
-from roomlight.wire.messages import Mode
-from roomlight_bench.report import machine_here
+from roomlight.wire.messages import ModelName
 from roomlight_bench.server_load import FORMS, PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
 from roomlight_bench.server_process import ServerProcess, watching_health
 from roomlight_bench.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
-from roomlight_client import Client, Colour, Session
+from roomlight_bench.stages_report import machine_here
+from roomlight_client import Client, FrameEncoding, Session
 from roomlight_client.frames import pack_frame
 from roomlight_server.intake import decode_to_size, parse_frame
 
@@ -64,7 +64,7 @@ class ServerBenchOptions:
     rounds: int = 3
     passes: int = 8
     frames: int | None = None
-    mode: Mode = "auto"
+    mode: ModelName = "auto"
     weights: Path | None = None
     allow_untrained: bool = False
     height: int = 120
@@ -96,7 +96,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: Progress | None =
 
     say("starting a server")
     with ServerProcess(options.serve_arguments) as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
-        colours: tuple[Colour, ...] = ("jpeg", "exact")
+        colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
         overhead = [_overhead(client, frames[::2], colour, probe, options, say) for colour in colours]
         probes = [_followed(client, bodies, probe, count, options, say) for count in options.points]
         probes += _late(client, bodies, probe, options, say)
@@ -132,11 +132,11 @@ def _engine(options: ServerBenchOptions) -> Engine:
 
 
 def _open(client: Client, options: ServerBenchOptions) -> Session:
-    return client.open(mode=options.mode, height=options.height, reference_exposure=1.0)
+    return client.open(model=options.mode, height=options.height, reference_exposure=1.0)
 
 
 def _overhead(
-    client: Client, frames: Sequence[Frame], colour: Colour, probe: Position, options: ServerBenchOptions, say: Progress
+    client: Client, frames: Sequence[Frame], colour: FrameEncoding, probe: Position, options: ServerBenchOptions, say: Progress
 ) -> OverheadRow:
     """Every frame here and there, in turn; which goes first alternates."""
     bodies = [pack_frame(frame, colour=colour) for frame in frames]

@@ -127,7 +127,7 @@ def watching_health(port: int) -> Generator[Callable[[], list[float]]]:
     """Poll /healthz meanwhile, from another process (`bench.health`); the function that is given ends it and returns
     the latencies in milliseconds.
     """
-    command = [sys.executable, "-m", "roomlight_bench.health", str(port)]
+    command = [sys.executable, "-m", "roomlight_bench.server_health", str(port)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
     def ended() -> list[float]:

@@ -9,7 +9,7 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from roomlight_bench.report import Criterion, criteria_table, short
+from roomlight_bench.stages_report import Criterion, criteria_table, short
 from roomlight_bench.server_load import IN_FLIGHT
 
 OVERHEAD_SHARE: Final = 0.15
@@ -231,7 +231,7 @@ class ServerReport:
 
 
 def _table(title: str, caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Columns as wide as what stands in them: `print_whole` widens the console for them."""
+    """Columns as wide as what stands in them: `print_table` widens the console for them."""
     table = Table(
         title=title,
         title_justify="left",

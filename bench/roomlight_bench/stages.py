@@ -18,11 +18,11 @@ from roomlight.engine.sglv import Far, Sglv, render_rays, render_rays_reference
 from roomlight.engine.volume import VolumeGrid, initial_volume, initial_volume_reference
 from roomlight.frame import Frame
 from roomlight_bench import costs, plain_torch
-from roomlight_bench.graphs import Networks, export_possible, load_networks, network_stages, untrained_networks
-from roomlight_bench.report import StageRow, StagesReport
+from roomlight_bench.network_stages import Networks, export_possible, load_networks, network_stages, untrained_networks
+from roomlight_bench.stages_report import StageRow, StagesReport
 from roomlight_bench.roofline import CeilingRuns, Cost
 from roomlight_bench.room import PROBE, RoomSize, network_like, views
-from roomlight_bench.stage import Stage, differences, largest_difference
+from roomlight_bench.bench_stage import Stage, differences, largest_difference
 from roomlight_bench.timing import Timing, Way, time_in_turn
 from roomlight_model.config import ModelConfig
 

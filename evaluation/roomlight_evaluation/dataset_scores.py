@@ -1,8 +1,8 @@
-"""What an evaluation on a dataset found: means with 95 % intervals over rooms, and ratios held to targets.
+"""Scores of methods on a dataset: means with 95 % intervals over rooms, and ratios with their targets.
 
-Rooms are drawn, not sequences or probes: walks through one room are not independent. The same rooms are drawn for every
-method, so that a ratio's interval is that of the pairs. The JSON (schema `roomlight-dataset-evaluation-1`) holds every
-sequence's scores, unscaled.
+The bootstrap resamples rooms, not sequences or probes: walks through one room are not independent. Every method's
+interval draws the same rooms, so that the interval of a ratio is a paired one. The JSON (schema
+`roomlight-dataset-evaluation-1`) holds every sequence's scores, unscaled.
 """
 
 from collections.abc import Mapping
@@ -13,7 +13,8 @@ from typing import Any, Final, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from roomlight_evaluation.scores import BOOTSTRAP_SAMPLES, Cell
+from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.dataset_methods import BLENDED, UNBLENDED
 
 SCHEMA: Final = "roomlight-dataset-evaluation-1"
 MetricKey = Literal["log_l2", "render_l2"]
@@ -22,13 +23,21 @@ TITLES: Final[Mapping[MetricKey, tuple[str, float]]] = {
     "log_l2": ("log-L2 (1e-1)", 1e1),
     "render_l2": ("rendering (1e-2)", 1e2),
 }
-"""Headings, and the factor the paper prints them with."""
+"""Heading of each metric, and the factor that the paper prints it with."""
 BASELINES: Final = ("mean colour", "warp and fill", "classical")
+"""Methods without learning."""
 
 
 @dataclass(frozen=True)
 class SequenceScores:
-    """One sequence: means over its probes of (log-L2, rendering loss), by method and kind of depth."""
+    """One sequence's scores.
+
+    Attributes:
+        name: The sequence's name.
+        room: Identifies its room within the dataset.
+        room_type: The room's type, e.g. `living_room`.
+        values: By method, then by kind of depth: (log-L2, rendering loss), means over the sequence's probes.
+    """
 
     name: str
     room: str
@@ -38,21 +47,21 @@ class SequenceScores:
 
 @dataclass(frozen=True)
 class Ratio:
-    """Mean over mean with its 95 % interval; `limit` is the target it should stay under, where there is one."""
+    """The ratio of two means with its 95 % interval; `limit` is the target: the largest ratio that is accepted."""
 
     title: str
-    value: Cell
+    value: MeanWithInterval
     limit: float | None = None
 
     @property
     def holds(self) -> bool | None:
-        """Whether the target holds; None without one."""
+        """Whether the target is met; None without a target."""
         return None if self.limit is None else self.value.mean <= self.limit
 
 
 @dataclass(frozen=True)
 class DatasetScores:
-    """All sequences' scores, and what is concluded from them."""
+    """Scores of every method on every sequence, and their summary."""
 
     dataset: str
     sequences: tuple[SequenceScores, ...]
@@ -60,70 +69,62 @@ class DatasetScores:
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """In the order in which they were given."""
+        """Names of the methods in the order in which they were given."""
         return tuple(self.sequences[0].values)
 
     @property
     def depths(self) -> tuple[str, ...]:
-        """Kinds of depth scored."""
+        """Kinds of depth that were scored."""
         return tuple(self.sequences[0].values[self.methods[0]])
 
     @cached_property
     def rooms(self) -> int:
-        """How many different rooms."""
+        """Number of different rooms."""
         return len({sequence.room for sequence in self.sequences})
 
-    def cell(self, method: str, depth: str, metric: MetricKey) -> Cell:
-        """The mean over sequences; its interval draws rooms with replacement (NaN for a single room)."""
+    def mean(self, method: str, depth: str, metric: MetricKey) -> MeanWithInterval:
+        """Return the mean over sequences; its interval resamples rooms (NaN for a single room)."""
         sums, counts = self._by_room(method, depth, metric)
-        mean = float(sums.sum() / counts.sum())
-        if len(sums) < 2:
-            return Cell(mean, np.nan, np.nan)
-        low, high = np.percentile(sums[self._drawn].sum(1) / counts[self._drawn].sum(1), [2.5, 97.5])
-        return Cell(mean, float(low), float(high))
+        return self._quotient(sums, counts)
 
-    def ratio(self, of: tuple[str, str], to: tuple[str, str], metric: MetricKey) -> Cell:
-        """Mean of one (method, depth) over that of another, on the same drawn rooms."""
+    def ratio(self, of: tuple[str, str], to: tuple[str, str], metric: MetricKey) -> MeanWithInterval:
+        """Return the mean of one (method, depth) over that of another; both resample the same rooms."""
         above, _ = self._by_room(*of, metric)
         below, _ = self._by_room(*to, metric)
-        mean = float(above.sum() / below.sum())
-        if len(above) < 2:
-            return Cell(mean, np.nan, np.nan)
-        low, high = np.percentile(above[self._drawn].sum(1) / below[self._drawn].sum(1), [2.5, 97.5])
-        return Cell(mean, float(low), float(high))
+        return self._quotient(above, below)
 
     def best_baseline(self, metric: MetricKey) -> str | None:
-        """The lowest mean of those without learning."""
-        there = [name for name in BASELINES if name in self.methods]
-        return min(there, key=lambda name: self.cell(name, self.depths[0], metric).mean, default=None)
+        """Return the method without learning that has the lowest mean; None if there is no such method."""
+        scored = [name for name in BASELINES if name in self.methods]
+        return min(scored, key=lambda name: self.mean(name, self.depths[0], metric).mean, default=None)
 
     def ratios(self) -> tuple[Ratio, ...]:
-        """The comparisons that these methods allow: targets first, the paper's own ratios in the titles."""
+        """Return the comparisons that these methods allow; titles give the paper's own ratios."""
         found: list[Ratio] = []
         first = self.depths[0]
 
         def compare(title: str, one: str, other: str | None, metric: MetricKey, limit: float | None) -> None:
             if one in self.methods and other in self.methods:
-                cell = self.ratio((one, first), (other, first), metric)
-                found.append(Ratio(f"{title}, {_named(metric)}", cell, limit))
+                ratio = self.ratio((one, first), (other, first), metric)
+                found.append(Ratio(f"{title}, {_title(metric)}", ratio, limit))
 
-        compare("blended / SGLV alone (paper 0.947)", "full", "SGLV alone", "log_l2", 0.93)
-        compare("blended / SGLV alone (paper 0.952)", "full", "SGLV alone", "render_l2", 0.93)
-        compare("SGLV / RGB-alpha, both blended", "full", "rgb-alpha", "log_l2", None)
-        compare("SGLV / RGB-alpha, both blended (paper 0.965)", "full", "rgb-alpha", "render_l2", 0.95)
-        compare("with / without rendering loss", "full", "no-rendering-loss", "render_l2", None)
+        compare("blended / SGLV alone (paper 0.947)", BLENDED, UNBLENDED, "log_l2", 0.93)
+        compare("blended / SGLV alone (paper 0.952)", BLENDED, UNBLENDED, "render_l2", 0.93)
+        compare("SGLV / RGB-alpha, both blended", BLENDED, "rgb-alpha", "log_l2", None)
+        compare("SGLV / RGB-alpha, both blended (paper 0.965)", BLENDED, "rgb-alpha", "render_l2", 0.95)
+        compare("with / without rendering loss", BLENDED, "no-rendering-loss", "render_l2", None)
         limits: dict[MetricKey, float | None] = {"log_l2": 0.65, "render_l2": None}
         for metric, limit in limits.items():
             best = self.best_baseline(metric)
-            compare(f"full / {best}, the best baseline", "full", best, metric, limit)
-        if "full" in self.methods and {"exact", "arkit"} <= set(self.depths):
+            compare(f"{BLENDED} / {best}, the best baseline", BLENDED, best, metric, limit)
+        if BLENDED in self.methods and {"exact", "arkit"} <= set(self.depths):
             for metric in KEYS:
-                cell = self.ratio(("full", "arkit"), ("full", "exact"), metric)
-                found.append(Ratio(f"full: ARKit-like / exact depth, {_named(metric)}", cell, 1.15))
+                ratio = self.ratio((BLENDED, "arkit"), (BLENDED, "exact"), metric)
+                found.append(Ratio(f"{BLENDED}: ARKit-like / exact depth, {_title(metric)}", ratio, 1.15))
         return tuple(found)
 
     def to_json(self) -> dict[str, Any]:
-        """The schema in this module's docstring."""
+        """Return the JSON of this module's docstring as plain dictionaries and lists."""
         return {
             "schema": SCHEMA,
             "dataset": self.dataset,
@@ -131,13 +132,13 @@ class DatasetScores:
             "rooms": self.rooms,
             "skipped": list(self.skipped),
             "summary": [
-                {"method": method, "depth": depth, "metric": metric, **_plain(self.cell(method, depth, metric))}
+                {"method": method, "depth": depth, "metric": metric, **_json_values(self.mean(method, depth, metric))}
                 for method in self.methods
                 for depth in self.depths
                 for metric in KEYS
             ],
             "ratios": [
-                {"title": ratio.title, "limit": ratio.limit, "holds": ratio.holds, **_plain(ratio.value)}
+                {"title": ratio.title, "limit": ratio.limit, "holds": ratio.holds, **_json_values(ratio.value)}
                 for ratio in self.ratios()
             ],
             "sequences": [
@@ -155,25 +156,37 @@ class DatasetScores:
         }
 
     @cached_property
-    def _room_of(self) -> Int[np.ndarray, " n"]:
+    def _room_numbers(self) -> Int[np.ndarray, " n"]:
+        """The room of each sequence, as a number from 0."""
         names = sorted({sequence.room for sequence in self.sequences})
         return np.array([names.index(sequence.room) for sequence in self.sequences])
 
     @cached_property
-    def _drawn(self) -> Int[np.ndarray, "b r"]:
+    def _resampled_rooms(self) -> Int[np.ndarray, "b r"]:
+        """Room numbers drawn with replacement; seeded, so that a table comes out the same twice."""
         return np.random.default_rng(0).integers(0, self.rooms, (BOOTSTRAP_SAMPLES, self.rooms))
+
+    def _quotient(self, above: Float[np.ndarray, " r"], below: Float[np.ndarray, " r"]) -> MeanWithInterval:
+        """Divide two sums over rooms; the interval resamples the rooms (NaN for a single room)."""
+        quotient = float(above.sum() / below.sum())
+        if len(above) < 2:
+            return MeanWithInterval(quotient, np.nan, np.nan)
+        drawn = self._resampled_rooms
+        low, high = np.percentile(above[drawn].sum(1) / below[drawn].sum(1), [2.5, 97.5])
+        return MeanWithInterval(quotient, float(low), float(high))
 
     def _by_room(
         self, method: str, depth: str, metric: MetricKey
     ) -> tuple[Float[np.ndarray, " r"], Float[np.ndarray, " r"]]:
+        """Return each room's sum of scores and its number of sequences."""
         values = np.array([one.values[method][depth][KEYS.index(metric)] for one in self.sequences])
-        counts = np.bincount(self._room_of, minlength=self.rooms).astype(np.float64)
-        return np.bincount(self._room_of, values, minlength=self.rooms), counts
+        counts = np.bincount(self._room_numbers, minlength=self.rooms).astype(np.float64)
+        return np.bincount(self._room_numbers, values, minlength=self.rooms), counts
 
 
-def _named(metric: MetricKey) -> str:
+def _title(metric: MetricKey) -> str:
     return "log-L2" if metric == "log_l2" else "rendering loss"
 
 
-def _plain(cell: Cell) -> dict[str, float | None]:
-    return {key: value if np.isfinite(value) else None for key, value in asdict(cell).items()}
+def _json_values(mean: MeanWithInterval) -> dict[str, float | None]:
+    return {key: value if np.isfinite(value) else None for key, value in asdict(mean).items()}

@@ -1,4 +1,4 @@
-"""An evaluation on a dataset as tables: for a terminal, and as Markdown for a README."""
+"""Scores on a dataset as tables: for a terminal, and as Markdown."""
 
 import math
 
@@ -6,16 +6,16 @@ from rich import box
 from rich.markup import escape
 from rich.table import Table
 
+from roomlight_evaluation.confidence import MeanWithInterval
 from roomlight_evaluation.dataset_scores import KEYS, TITLES, DatasetScores, MetricKey, Ratio
-from roomlight_evaluation.scores import Cell
 
 _DEPTHS = {"exact": "exact depth", "arkit": "ARKit-like"}
 
 
 def dataset_tables(scores: DatasetScores) -> list[Table]:
-    """Methods below each other, a column for each metric and kind of depth; then the ratios, if there are any."""
+    """Return a table with a row per method and a column per metric and kind of depth, then the ratios, if any."""
     table = Table(
-        title=escape(heading(scores)),
+        title=escape(_heading(scores)),
         title_justify="left",
         caption="mean and 95 % interval over rooms; less is better, the best of each column is bold",
         caption_justify="left",
@@ -24,13 +24,13 @@ def dataset_tables(scores: DatasetScores) -> list[Table]:
     )
     table.add_column("", min_width=max(map(len, scores.methods)))
     for metric, depth in _columns(scores):
-        wide = [len(shown(scores.cell(method, depth, metric), metric)) for method in scores.methods]
+        widths = [len(_scaled(scores.mean(method, depth, metric), metric)) for method in scores.methods]
         title = TITLES[metric][0]
-        table.add_column(f"{title}\n{_DEPTHS[depth]}", justify="right", min_width=max(len(title), *wide))
+        table.add_column(f"{title}\n{_DEPTHS[depth]}", justify="right", min_width=max(len(title), *widths))
     best = _best(scores)
     for method in scores.methods:
         cells = [
-            (_bold if method in best[metric, depth] else str)(shown(scores.cell(method, depth, metric), metric))
+            (_bold if method in best[metric, depth] else str)(_scaled(scores.mean(method, depth, metric), metric))
             for metric, depth in _columns(scores)
         ]
         table.add_row(escape(method), *cells)
@@ -38,8 +38,8 @@ def dataset_tables(scores: DatasetScores) -> list[Table]:
     return [table, _ratio_table(ratios)] if ratios else [table]
 
 
-def markdown(scores: DatasetScores) -> str:
-    """The same as Markdown."""
+def dataset_markdown(scores: DatasetScores) -> str:
+    """Return the content of `dataset_tables` as Markdown."""
     columns = _columns(scores)
     lines = [
         "| " + " | ".join(["", *(f"{TITLES[metric][0]}, {_DEPTHS[depth]}" for metric, depth in columns)]) + " |",
@@ -47,12 +47,12 @@ def markdown(scores: DatasetScores) -> str:
     ]
     best = _best(scores)
     for method in scores.methods:
-        cells = [shown(scores.cell(method, depth, metric), metric) for metric, depth in columns]
+        cells = [_scaled(scores.mean(method, depth, metric), metric) for metric, depth in columns]
         marked = [
             f"**{cell}**" if method in best[column] else cell for cell, column in zip(cells, columns, strict=True)
         ]
         lines.append("| " + " | ".join([method, *marked]) + " |")
-    lines += ["", f"{heading(scores)}; in brackets 95 % intervals over rooms."]
+    lines += ["", f"{_heading(scores)}; in brackets 95 % intervals over rooms."]
     if ratios := scores.ratios():
         lines += ["", "| ratio | measured | target | |", "| --- | ---: | ---: | --- |"]
         lines += [
@@ -61,16 +61,15 @@ def markdown(scores: DatasetScores) -> str:
     return "\n".join(lines) + "\n"
 
 
-def heading(scores: DatasetScores) -> str:
-    """What was scored."""
+def _heading(scores: DatasetScores) -> str:
     skipped = f", {len(scores.skipped)} skipped" if scores.skipped else ""
     return f"{scores.rooms} rooms, {len(scores.sequences)} sequences, first frames{skipped}"
 
 
-def shown(cell: Cell, metric: MetricKey) -> str:
-    """Mean (low to high), with the paper's factor."""
+def _scaled(mean: MeanWithInterval, metric: MetricKey) -> str:
+    """Format a mean and its interval, times the paper's factor."""
     factor = TITLES[metric][1]
-    return _interval(Cell(cell.mean * factor, cell.low * factor, cell.high * factor))
+    return _interval(MeanWithInterval(mean.mean * factor, mean.low * factor, mean.high * factor))
 
 
 def _columns(scores: DatasetScores) -> list[tuple[MetricKey, str]]:
@@ -80,7 +79,7 @@ def _columns(scores: DatasetScores) -> list[tuple[MetricKey, str]]:
 def _best(scores: DatasetScores) -> dict[tuple[MetricKey, str], set[str]]:
     best: dict[tuple[MetricKey, str], set[str]] = {}
     for metric, depth in _columns(scores):
-        means = {method: scores.cell(method, depth, metric).mean for method in scores.methods}
+        means = {method: scores.mean(method, depth, metric).mean for method in scores.methods}
         lowest = min(means.values())
         best[metric, depth] = {method for method, mean in means.items() if mean == lowest and len(means) > 1}
     return best
@@ -107,10 +106,10 @@ def _verdict(ratio: Ratio) -> str:
     return {True: "holds", False: "does not hold", None: ""}[ratio.holds]
 
 
-def _interval(cell: Cell) -> str:
-    if not math.isfinite(cell.low):
-        return f"{cell.mean:.3g}"
-    return f"{cell.mean:.3g} ({cell.low:.3g}-{cell.high:.3g})"
+def _interval(mean: MeanWithInterval) -> str:
+    if not math.isfinite(mean.low):
+        return f"{mean.mean:.3g}"
+    return f"{mean.mean:.3g} ({mean.low:.3g}-{mean.high:.3g})"
 
 
 def _bold(text: str) -> str:

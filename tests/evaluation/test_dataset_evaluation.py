@@ -1,4 +1,4 @@
-"""`roomlight eval-dataset`: scores, intervals over rooms, ratios, tables and picture, on a dataset made on the spot."""
+"""Scores of methods on a small dataset: values, intervals over rooms, ratios, tables, Markdown and picture."""
 
 import json
 from dataclasses import replace
@@ -11,26 +11,19 @@ from typer.testing import CliRunner
 from recordings import BoxRecordings
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.engine.session import SessionOptions, choose_graphs
-from roomlight.errors import DatasetError, ModelError
+from roomlight.errors import DatasetError, ModelError, OptionError
 from roomlight.metrics import log_l2
+from roomlight_cli.console import print_table
 from roomlight_cli.main import app
-from roomlight_evaluation import dataset_picture as drawing
-from roomlight_evaluation.dataset_eval import Baseline, Engine, evaluate_dataset, first_frame
+from roomlight_evaluation.dataset_evaluation import evaluate_dataset, first_frame
+from roomlight_evaluation.dataset_methods import BLENDED, UNBLENDED, BaselineMethod, EngineMethod
+from roomlight_evaluation.dataset_picture import compose_picture, write_picture
 from roomlight_evaluation.dataset_scores import DatasetScores, SequenceScores
-from roomlight_evaluation.dataset_tables import dataset_tables, markdown
-from roomlight_evaluation.tables import print_whole
-from roomlight_export.exporting import export_checkpoint
-from roomlight_model.checkpoint import save_untrained
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-
-TINY = ModelConfig(
-    SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),
-    BlendConfig(height=16, channels=4, full_channels=4),
-)
+from roomlight_evaluation.dataset_tables import dataset_markdown, dataset_tables
 
 
 class Boxes(BoxRecordings):
-    """Looks like a dataset: a folder's name, and two sequences a room."""
+    """A dataset of box rooms with two sequences per room."""
 
     folder = "boxes"
 
@@ -40,34 +33,26 @@ class Boxes(BoxRecordings):
 
 
 @pytest.fixture(scope="module")
-def weights(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("weights")
-    save_untrained(folder / "model.pt", "single", TINY)
-    export_checkpoint(folder / "model.pt", folder / "onnx", ort=False)
-    return folder / "onnx"
-
-
-@pytest.fixture(scope="module")
-def evaluated(weights):
-    options = SessionOptions(model="single", weights=weights, allow_untrained=True)
+def evaluated(tiny_video):
+    options = SessionOptions(model="single", weights=tiny_video[1], allow_untrained=True)
     methods = [
-        Baseline(MeanColour), Baseline(WarpAndFill),
-        Engine("classical", SessionOptions(model="classical"), None),
-        Engine("full", options, choose_graphs(options), alone="SGLV alone"),
+        BaselineMethod(MeanColour), BaselineMethod(WarpAndFill),
+        EngineMethod("classical", SessionOptions(model="classical"), None),
+        EngineMethod(BLENDED, options, choose_graphs(options), unblended_name=UNBLENDED),
     ]  # fmt: skip
-    told = []
-    result = evaluate_dataset(Boxes(4, height=120), methods, show=2, progress=lambda *at: told.append(at))
-    assert told == [(1, 4), (2, 4), (3, 4), (4, 4)]
+    reported = []
+    result = evaluate_dataset(Boxes(4, height=120), methods, picture_rows=2, progress=lambda *at: reported.append(at))
+    assert reported == [(1, 4), (2, 4), (3, 4), (4, 4)]
     return result
 
 
-def made_up(values, rooms):
-    """Sequences with given (log-L2, rendering loss) by method, exact depth."""
+def scores_of(values, rooms):
+    """Scores with exact depth: `values` are (log-L2, rendering loss) of each sequence by method."""
     sequences = []
     for k, room in enumerate(rooms):
         scores = {method: {"exact": pairs[k]} for method, pairs in values.items()}
         sequences.append(SequenceScores(f"s{k}", room, "box", scores))
-    return DatasetScores("made up", tuple(sequences))
+    return DatasetScores("a dataset", tuple(sequences))
 
 
 def test_every_method_is_scored_on_every_sequence_and_depth(evaluated):
@@ -77,8 +62,8 @@ def test_every_method_is_scored_on_every_sequence_and_depth(evaluated):
     assert (len(scores.sequences), scores.rooms) == (4, 2)
     for method in scores.methods:
         for depth in scores.depths:
-            cell = scores.cell(method, depth, "log_l2")
-            assert 0 < cell.low <= cell.mean <= cell.high
+            mean = scores.mean(method, depth, "log_l2")
+            assert 0 < mean.low <= mean.mean <= mean.high
 
 
 def test_a_score_is_the_mean_of_the_metric_over_the_probes(evaluated):
@@ -90,7 +75,7 @@ def test_a_score_is_the_mean_of_the_metric_over_the_probes(evaluated):
     assert scores.sequences[1].values["mean colour"]["exact"][0] == pytest.approx(expected, rel=1e-5)
 
 
-def test_a_phone_is_drawn_by_the_sequences_name():
+def test_arkit_depth_is_seeded_by_the_sequences_name():
     recording = Boxes(2).read(0, frames=[0])
     once, again = first_frame(recording, "arkit"), first_frame(recording, "arkit")
     np.testing.assert_array_equal(once.depth_m, again.depth_m)
@@ -100,10 +85,10 @@ def test_a_phone_is_drawn_by_the_sequences_name():
 
 
 def test_intervals_are_over_rooms_not_sequences():
-    """Ten walks through two rooms say no more than two walks: the interval must not shrink with them."""
+    """Ten walks through two rooms hold no more information than two: the interval must not shrink."""
     pairs = [(1.0, 1.0), (3.0, 3.0)]
-    few = made_up({"full": pairs}, ["a", "b"]).cell("full", "exact", "log_l2")
-    many = made_up({"full": [p for p in pairs for _ in range(5)]}, ["a"] * 5 + ["b"] * 5).cell(
+    few = scores_of({"full": pairs}, ["a", "b"]).mean("full", "exact", "log_l2")
+    many = scores_of({"full": [p for p in pairs for _ in range(5)]}, ["a"] * 5 + ["b"] * 5).mean(
         "full", "exact", "log_l2"
     )
     assert few.mean == many.mean == 2.0
@@ -111,10 +96,10 @@ def test_intervals_are_over_rooms_not_sequences():
 
 
 def test_ratios_are_paired():
-    """Rooms differ a hundredfold, the ratio in none: its interval has no width, though both means' are wide."""
+    """The means differ widely between rooms, the ratio does not: its interval has no width."""
     rooms = [f"r{k}" for k in range(8)]
     alone = [(10.0**k, 1.0) for k in range(8)]
-    scores = made_up({"SGLV alone": alone, "full": [(0.9 * a, b) for a, b in alone]}, rooms)
+    scores = scores_of({"SGLV alone": alone, "full": [(0.9 * a, b) for a, b in alone]}, rooms)
     blended = scores.ratios()[0]
     assert "paper 0.947" in blended.title
     assert (blended.value.mean, blended.value.low, blended.value.high) == pytest.approx((0.9, 0.9, 0.9))
@@ -123,14 +108,14 @@ def test_ratios_are_paired():
 
 
 def test_one_room_has_no_interval():
-    cell = made_up({"full": [(1.0, 2.0)]}, ["a"]).cell("full", "exact", "render_l2")
-    assert cell.mean == 2.0
-    assert np.isnan(cell.low)
+    mean = scores_of({"full": [(1.0, 2.0)]}, ["a"]).mean("full", "exact", "render_l2")
+    assert mean.mean == 2.0
+    assert np.isnan(mean.low)
 
 
-def test_the_best_baseline_is_the_one_compared_with():
+def test_networks_are_compared_with_the_best_baseline():
     values = {"mean colour": [(3.0, 1.0)] * 2, "classical": [(2.0, 4.0)] * 2, "full": [(1.0, 1.0)] * 2}
-    titles = {ratio.title: ratio for ratio in made_up(values, ["a", "b"]).ratios()}
+    titles = {ratio.title: ratio for ratio in scores_of(values, ["a", "b"]).ratios()}
     assert titles["full / classical, the best baseline, log-L2"].value.mean == 0.5
     assert titles["full / classical, the best baseline, log-L2"].holds
     assert titles["full / mean colour, the best baseline, rendering loss"].limit is None
@@ -138,7 +123,7 @@ def test_the_best_baseline_is_the_one_compared_with():
 
 def test_ablations_are_compared_by_their_names():
     values = {"full": [(1.0, 0.9)], "rgb-alpha": [(1.0, 1.0)], "no-rendering-loss": [(1.0, 1.2)]}
-    titles = [ratio.title for ratio in made_up(values, ["a"]).ratios()]
+    titles = [ratio.title for ratio in scores_of(values, ["a"]).ratios()]
     assert any("RGB-alpha" in title and "rendering loss" in title for title in titles)
     assert "with / without rendering loss, rendering loss" in titles
 
@@ -148,8 +133,8 @@ def test_tables_json_and_markdown_say_the_same(evaluated):
     console = Console(width=60)
     with console.capture() as shown:
         for table in dataset_tables(scores):
-            print_whole(console, table)
-    text = markdown(scores)
+            print_table(console, table)
+    text = dataset_markdown(scores)
     plain = json.loads(json.dumps(scores.to_json()))
     assert plain["rooms"] == 2
     assert len(plain["sequences"]) == 4
@@ -162,23 +147,23 @@ def test_tables_json_and_markdown_say_the_same(evaluated):
         assert ratio["title"] in shown.get()
 
 
-def test_the_picture_has_a_column_a_method(evaluated, tmp_path):
-    _, shown = evaluated
-    assert [one.name for one in shown] == ["box-0", "box-2"]
-    assert list(shown[0].panoramas) == ["truth", "mean colour", "warp and fill", "classical", "SGLV alone", "full"]
-    one, two = drawing.compose_picture(shown[:1]), drawing.compose_picture(shown)
+def test_the_picture_has_a_column_per_method(evaluated, tmp_path):
+    _, rows = evaluated
+    assert [row.name for row in rows] == ["box-0", "box-2"]
+    assert list(rows[0].panoramas) == ["truth", "mean colour", "warp and fill", "classical", "SGLV alone", "full"]
+    one, two = compose_picture(rows[:1]), compose_picture(rows)
     assert one.shape[1] == two.shape[1] > 7 * 240
     assert two.shape[0] > 1.5 * one.shape[0]
-    drawing.write_picture(tmp_path / "picture.png", shown)
+    write_picture(tmp_path / "picture.png", rows)
     assert (tmp_path / "picture.png").read_bytes().startswith(b"\x89PNG")
-    with pytest.raises(ValueError, match="nothing to draw"):
-        drawing.compose_picture([])
+    with pytest.raises(ValueError, match="at least one row"):
+        compose_picture([])
 
 
-def test_limit_takes_some_evenly():
-    scores, shown = evaluate_dataset(Boxes(4, height=16), [Baseline(MeanColour)], depths=["exact"], limit=2)
+def test_limit_spreads_the_scored_sequences_evenly():
+    scores, rows = evaluate_dataset(Boxes(4, height=16), [BaselineMethod(MeanColour)], depths=["exact"], limit=2)
     assert [one.name for one in scores.sequences] == ["box-0", "box-2"]
-    assert shown == []
+    assert rows == []
 
 
 def test_frames_without_depth_are_skipped_and_named():
@@ -187,36 +172,36 @@ def test_frames_without_depth_are_skipped_and_named():
             recording = super().read(index, frames=frames)
             return recording if index else replace(recording, depth_mm=np.zeros_like(recording.depth_mm))
 
-    classical = Engine("classical", SessionOptions(model="classical"), None)
+    classical = EngineMethod("classical", SessionOptions(model="classical"), None)
     scores, _ = evaluate_dataset(Blind(2, height=120), [classical], depths=["exact"])
     assert len(scores.sequences) == 1
     assert scores.skipped[0].startswith("box-0: ")
-    with pytest.raises(DatasetError, match="no sequence could be used"):
+    with pytest.raises(DatasetError, match="no sequence can be used"):
         evaluate_dataset(Blind(1), [classical], depths=["exact"])
 
 
-def test_an_empty_dataset_and_twin_names_are_refused():
+def test_an_empty_dataset_and_equal_names_are_refused():
     with pytest.raises(DatasetError, match="no finished sequence"):
-        evaluate_dataset(Boxes(0), [Baseline(MeanColour)])
-    with pytest.raises(ValueError, match="different names"):
-        evaluate_dataset(Boxes(1), [Baseline(MeanColour), Baseline(MeanColour)])
+        evaluate_dataset(Boxes(0), [BaselineMethod(MeanColour)])
+    with pytest.raises(OptionError, match="different names"):
+        evaluate_dataset(Boxes(1), [BaselineMethod(MeanColour), BaselineMethod(MeanColour)])
 
 
-def test_what_is_no_panorama_is_the_methods_fault():
+def test_an_invalid_panorama_is_refused_and_the_method_named():
     class Broken:
         names = ("broken",)
 
         def light(self, _frame, positions):
             return {"broken": [np.full((120, 240, 3), np.nan, np.float32) for _ in positions]}
 
-    with pytest.raises(ModelError, match="broken: what it gave for box-0"):
+    with pytest.raises(ModelError, match="broken: returned an invalid panorama for box-0"):
         evaluate_dataset(Boxes(1), [Broken()], depths=["exact"])
 
 
 @pytest.mark.parametrize(
-    ("also", "message"), [("rgb-alpha", "NAME=DIR"), ("=there", "NAME=DIR"), ("full=there", "scored anyway")]
+    ("also", "message"), [("rgb-alpha", "NAME=DIR"), ("=there", "NAME=DIR"), ("full=there", "scored in any case")]
 )
-def test_a_misspelt_model_folder_is_a_usage_error(tmp_path, also, message):
+def test_a_malformed_also_option_is_a_usage_error(tmp_path, also, message):
     result = CliRunner().invoke(app, ["eval-dataset", str(tmp_path), "--also", also])
     assert result.exit_code == 2
     assert message in result.output

@@ -8,8 +8,8 @@ from rich.console import Console
 
 from recordings import BoxRecordings
 from roomlight.errors import ModelError
-from roomlight_bench.train import measure
-from roomlight_evaluation.tables import print_whole
+from roomlight_bench.training import measure
+from roomlight_cli.console import print_table
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.training.clock import PARTS, StepClock
 from roomlight_model.training.options import TrainOptions
@@ -37,7 +37,7 @@ def test_the_report_is_readable_and_plain_json():
     costs = measure(OPTIONS, BoxRecordings(3), steps=2, device="cpu", progress=lambda _: None)
     console = Console(width=80, record=True, quiet=False, file=None)
     with console.capture() as shown:
-        print_whole(console, costs.table())
+        print_table(console, costs.table())
     for part in PARTS:
         assert part in shown.get()
     assert "beside it" in shown.get()

@@ -19,7 +19,7 @@ from roomlight_cli.main import app
 from roomlight_client import AsyncClient, ConflictError
 from roomlight_client.errors import refusal
 from roomlight_client.frames import pack_frame
-from roomlight_evaluation.tables import print_whole
+from roomlight_cli.console import print_table
 
 TINY = ServerBenchOptions(
     sessions=(1, 2), seconds=1.0, fps=4.0, points=(1, 3), frames=4, mode="classical", height=16, rounds=1, passes=1
@@ -79,7 +79,7 @@ def test_frames_are_lost_or_processed(report):
 def test_the_tables_name_every_row_whole(report):
     console = Console(width=60, force_terminal=False)
     with console.capture() as capture:
-        print_whole(console, report.table())
+        print_table(console, report.table())
     printed = capture.get()
     for text in ("jpeg", "exact", "followed", "late", "/healthz", "keyframes", "to the engine alone", "2 cores"):
         assert text.replace("2 cores", f"{report.cores} cores") in " ".join(printed.split())

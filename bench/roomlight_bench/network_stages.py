@@ -17,10 +17,10 @@ from jaxtyping import Float
 
 from roomlight.engine.graphs import Graph, LightingGraphs, load_graphs
 from roomlight.engine.providers import open_graph, openvino_device
-from roomlight_bench.costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
+from roomlight_bench.stage_costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
 from roomlight_bench.plain_torch import torch_installed
 from roomlight_bench.roofline import Cost
-from roomlight_bench.stage import Stage
+from roomlight_bench.bench_stage import Stage
 from roomlight_bench.timing import Way
 from roomlight_model.config import ModelConfig
 

@@ -1,6 +1,6 @@
 """Ask a server for its health again and again, from a process of its own: nothing else here delays the answers.
 
-`python -m roomlight_bench.health PORT` polls until its standard input ends, then writes the latencies, a JSON
+`python -m roomlight_bench.server_health PORT` polls until its standard input ends, then writes the latencies, a JSON
 list of milliseconds. It imports the standard library alone.
 """
 

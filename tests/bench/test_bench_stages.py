@@ -10,11 +10,11 @@ from rich.console import Console
 from roomlight.camera import transform_points
 from roomlight.errors import ModelError
 from roomlight_bench import plain_torch, stages
-from roomlight_bench.report import StageRow, StagesReport, judge
+from roomlight_bench.stages_report import StageRow, StagesReport, judge
 from roomlight_bench.roofline import CeilingRuns, Ceilings, Cost
 from roomlight_bench.room import PROBE, RoomSize, views
 from roomlight_bench.timing import Timing, Way, time_in_turn
-from roomlight_evaluation.tables import print_whole
+from roomlight_cli.console import print_table
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
 SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=16, samples=100, keyframes=3)
@@ -89,7 +89,7 @@ def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
     assert f"{report.threads} threads" in printed
     narrow = Console(width=80, force_terminal=False)
     with narrow.capture() as capture:
-        print_whole(narrow, report.table(width=80))
+        print_table(narrow, report.table(width=80))
     assert "…" not in capture.get()
     assert "initialisation" in capture.get()
     assert len(report.criteria) == 6

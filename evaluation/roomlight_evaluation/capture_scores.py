@@ -1,15 +1,15 @@
-"""Results of an evaluation: per-frame scores, their means over the paper's intervals, and JSON.
+"""Scores of estimators on captures: per-frame values, their means over the paper's intervals, and JSON.
 
-The JSON (schema `roomlight-evaluation-1`), numbers unscaled, null where there is none:
+The JSON (schema `roomlight-evaluation-1`), numbers unscaled, null for values that are not known:
 
     schema    "roomlight-evaluation-1"
-    metrics   {key: {"title", "shown_times"}}: the factor is the one tables show values with
+    metrics   {key: {"title", "shown_times"}}: `shown_times` is the factor that tables show values with
     captures  [{"name", "path", "frames", "skipped", "probes"}]
-    summary   [{"method", "capture" (null: the mean of all), "metric", "intervals": [{"frames", "mean",
-    "low", "high"}]}] tracks    [{"capture", "probe", "method", "frames": [index, ...], "scores": {metric:
-    [value, ...]}}]
+    summary   [{"method", "capture" (null: the mean of all), "metric",
+                "intervals": [{"frames", "mean", "low", "high"}]}]
+    tracks    [{"capture", "probe", "method", "frames": [index, ...], "scores": {metric: [value, ...]}}]
 
-A track's smoothness has one value fewer than it has frames: value i is that of frames i and i + 1.
+A track's smoothness has one value fewer than it has frames: value i compares frames i and i + 1.
 """
 
 import json
@@ -25,15 +25,14 @@ from jaxtyping import Float
 from roomlight.errors import CaptureError
 from roomlight.files import write_json
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
+from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
 
 SCHEMA: Final = "roomlight-evaluation-1"
-BOOTSTRAP_SAMPLES: Final = 10_000
-"""Resamples of the (capture, probe) pairs; the ends of an interval are then stable to 2 % of its width."""
 
 
 @dataclass(frozen=True)
 class CaptureSummary:
-    """What was evaluated: frames scored, frames skipped as unusable, and probes with truth."""
+    """One capture: numbers of frames scored, frames skipped as unusable, and probes with ground truth."""
 
     name: str
     path: str
@@ -44,7 +43,10 @@ class CaptureSummary:
 
 @dataclass(frozen=True)
 class Track:
-    """Scores of one method at one probe of one capture, a value for each frame, by metric key."""
+    """Scores of one method at one probe of one capture: for each metric key, a value per frame.
+
+    `frames` are the indices of the frames scored.
+    """
 
     capture: str
     probe: int
@@ -53,36 +55,27 @@ class Track:
     scores: Mapping[str, tuple[float, ...]]
 
     def means(self, metric: str) -> Float[np.ndarray, "6"]:
-        """Means over the paper's five intervals and over all frames; NaN where there is no frame."""
+        """Return the means over the paper's five intervals and over all frames; NaN for intervals without frames."""
         values = np.array(self.scores[metric], np.float64)
         overall = values.mean() if len(values) else np.nan
         return np.append(interval_means(values, len(self.frames)), overall)
 
 
 @dataclass(frozen=True)
-class Cell:
-    """A mean and its 95 % bootstrap interval over (capture, probe) pairs; NaN where there is none."""
-
-    mean: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """All tracks of all captures, and the tables made of them."""
+class CaptureScores:
+    """Scores of every method at every probe of every capture, and their summary."""
 
     captures: tuple[CaptureSummary, ...]
     tracks: tuple[Track, ...]
 
     @property
     def methods(self) -> tuple[str, ...]:
-        """Methods in the order in which they were given."""
+        """Names of the methods in the order in which they were given."""
         return tuple(dict.fromkeys(track.method for track in self.tracks))
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Headings of the five intervals and of the mean over all frames; frames are numbered from 1."""
+        """Headings of the five intervals and of all frames together; headings number frames from 1."""
         lengths = {capture.frames for capture in self.captures}
         if lengths == {31}:
             return (*PAPER_INTERVALS, "all")
@@ -92,11 +85,13 @@ class Evaluation:
             return (*spans, "all")
         return (*(f"part {number} of 5" for number in range(1, 6)), "all")
 
-    def cells(self, method: str, metric: str, *, capture: str | None = None) -> tuple[Cell, ...]:
-        """The metric's mean in each column: over a capture's probes, then over captures (or one capture
-        only).
+    def means(self, method: str, metric: str, *, capture: str | None = None) -> tuple[MeanWithInterval, ...]:
+        """Return a metric's mean in each column: over a capture's probes, then over captures (or one capture only).
 
-        The interval resamples (capture, probe) pairs with replacement; a single pair has none (NaN).
+        The 95 % interval resamples (capture, probe) pairs with replacement; a single pair has no interval (NaN).
+
+        Raises:
+            KeyError: The method or the capture was not scored.
         """
         chosen = [
             track for track in self.tracks if track.method == method and (capture is None or track.capture == capture)
@@ -105,10 +100,10 @@ class Evaluation:
             raise KeyError(f"no scores of {method!r}" + (f" on {capture!r}" if capture else ""))
         values = np.stack([track.means(metric) for track in chosen])  # [pair, column]
         probes = [sum(other.capture == track.capture for other in chosen) for track in chosen]
-        return tuple(_cell(column, 1 / np.array(probes, np.float64)) for column in values.T)
+        return tuple(_weighted_mean(column, 1 / np.array(probes, np.float64)) for column in values.T)
 
     def to_json(self) -> dict[str, Any]:
-        """The schema in this module's docstring, as plain dictionaries and lists."""
+        """Return the JSON of this module's docstring as plain dictionaries and lists."""
         scopes: list[str | None] = [None, *(capture.name for capture in self.captures)]
         return {
             "schema": SCHEMA,
@@ -120,9 +115,9 @@ class Evaluation:
                     "capture": scope,
                     "metric": metric.key,
                     "intervals": [
-                        {"frames": column, **{key: _number(value) for key, value in asdict(cell).items()}}
+                        {"frames": column, **{key: _or_none(value) for key, value in asdict(cell).items()}}
                         for column, cell in zip(
-                            self.columns, self.cells(method, metric.key, capture=scope), strict=True
+                            self.columns, self.means(method, metric.key, capture=scope), strict=True
                         )
                     ],
                 }
@@ -136,19 +131,27 @@ class Evaluation:
                     "probe": track.probe,
                     "method": track.method,
                     "frames": list(track.frames),
-                    "scores": {key: [_number(value) for value in values] for key, values in track.scores.items()},
+                    "scores": {key: [_or_none(value) for value in values] for key, values in track.scores.items()},
                 }
                 for track in self.tracks
             ],
         }
 
     def write(self, path: Path) -> None:
-        """Write `to_json` to a file, whole or not at all; OutputError if it cannot be written."""
+        """Write `to_json` to a file atomically.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
         write_json(path, self.to_json())
 
     @classmethod
-    def read(cls, path: Path) -> "Evaluation":
-        """Read what `write` wrote, so that runs can be compared later; CaptureError for anything else."""
+    def read(cls, path: Path) -> "CaptureScores":
+        """Read what `write` wrote, to compare runs.
+
+        Raises:
+            CaptureError: The file cannot be read or holds something else.
+        """
         try:
             data: Any = json.loads(path.read_text())
             if data["schema"] != SCHEMA:
@@ -158,7 +161,7 @@ class Evaluation:
         except OSError as error:
             raise CaptureError(f"{path}: cannot be read ({error.strerror or error})") from error
         except (ValueError, TypeError, KeyError) as error:
-            raise CaptureError(f"{path}: is not the JSON that `roomlight eval` writes ({error!r})") from error
+            raise CaptureError(f"{path}: is not JSON of an evaluation ({error!r})") from error
         return cls(captures, tracks)
 
 
@@ -170,20 +173,21 @@ def _track(data: dict[str, Any]) -> Track:
     return Track(data["capture"], int(data["probe"]), data["method"], tuple(data["frames"]), scores)
 
 
-def _cell(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> Cell:
+def _weighted_mean(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> MeanWithInterval:
+    """Average the known (finite) values; the bootstrap resamples them with their weights."""
     known = np.isfinite(values)
     values, weights = values[known], weights[known]
     if len(values) == 0:
-        return Cell(math.nan, math.nan, math.nan)
+        return MeanWithInterval(math.nan, math.nan, math.nan)
     mean = float(np.average(values, weights=weights))
     if len(values) == 1:
-        return Cell(mean, math.nan, math.nan)
-    # Seeded, so that a table comes out the same twice, and the same pairs are drawn for every method.
+        return MeanWithInterval(mean, math.nan, math.nan)
+    # Seeded: a table comes out the same twice, and every method's interval draws the same pairs.
     drawn = np.random.default_rng(0).integers(0, len(values), (BOOTSTRAP_SAMPLES, len(values)))
     means = (values * weights)[drawn].sum(axis=1) / weights[drawn].sum(axis=1)
     low, high = np.percentile(means, [2.5, 97.5])
-    return Cell(mean, float(low), float(high))
+    return MeanWithInterval(mean, float(low), float(high))
 
 
-def _number(value: float) -> float | None:
+def _or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from rich import box
 from rich.table import Table
 
-from roomlight_bench.report import machine_here, short
+from roomlight_bench.stages_report import machine_here, short
 
 if TYPE_CHECKING:
     from roomlight_model.training.examples import Recordings
