@@ -13,7 +13,7 @@ from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import column_major, pack
 from roomlight_server.app import create_app
-from roomlight_server.serving import server_of
+from roomlight_server.serving import make_server
 from roomlight_server.settings import ServerSettings
 from rooms import BoxRoom, camera_at
 
@@ -28,7 +28,7 @@ class RunningServer:
         self.settings = ServerSettings(port=0, **settings)
         self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
         self._up = threading.Event()
-        self._server = server_of(self.settings, self.app)
+        self._server = make_server(self.settings, self.app)
         self._thread = threading.Thread(target=self._run, daemon=True)
 
     def _run(self):

@@ -1,4 +1,4 @@
-"""The application: routes, middleware, and what happens at start and stop."""
+"""The application: routes, middleware, start and stop."""
 
 import asyncio
 import logging
@@ -10,6 +10,7 @@ from typing import Any
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
+from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
 
@@ -18,23 +19,23 @@ from roomlight.errors import RoomLightError
 from roomlight.wire import messages
 from roomlight.wire.frame_header import FrameHeader
 from roomlight_server import light_forms, light_routes, problems, session_routes, stream
-from roomlight_server.auth import AuthMiddleware, Tokens
+from roomlight_server.auth import DOCS_ASSETS, AuthMiddleware, Tokens
 from roomlight_server.bodies import BodyMiddleware
-from roomlight_server.context import Context, In
+from roomlight_server.context import Context, ContextDep
 from roomlight_server.metrics import CONTENT_TYPE, Metrics
 from roomlight_server.registry import Clock, Registry
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
-_DESCRIPTION = """Frames in, HDR light out, at any point of a room.
+_DESCRIPTION = """HDR light at any point of a room, from frames of a moving camera.
 
-Open a session under an id of your own, send frames (colour, depth, camera pose), ask for light. Positions are world
-metres, y up. Light is linear RGB; 1.0 is what the session's reference exposure shows as white. Refusals are problem
-details (RFC 9457) that name the field, its value and the rule. The frame's bytes and the WebSocket
-`/v1/sessions/{id}/stream` are described in `server/WIRE.md`.
+Open a session under an id of your choice, send frames (colour, depth, camera pose), request light. Positions are world
+metres, y up. Light is linear RGB; 1.0 is white at the session's reference exposure. Errors are problem details
+(RFC 9457) that name the field, its value and the rule. The document on the wire format describes the bytes of a frame
+and the WebSocket `/v1/sessions/{id}/stream`.
 """
-_SOCKET_MODELS = (
+_WIRE_MODELS = (
     FrameHeader,
     messages.Problem,
     messages.LightCall,
@@ -47,14 +48,18 @@ _SOCKET_MODELS = (
     messages.ProbesEvent,
     messages.ProblemEvent,
 )
-"""In the OpenAPI document for the clients' types, though no HTTP body is of them."""
+"""Models of frames and of the WebSocket, added to the OpenAPI document although no HTTP body uses them."""
 
 
 def create_app(
     settings: ServerSettings, *, clock: Clock = time.monotonic, when_ready: Callable[[], object] | None = None
 ) -> FastAPI:
-    """A server's application. `clock`: seconds that only go forward, for the expiry of sessions. `when_ready`: called
-    once, when kernels are compiled and weights loaded.
+    """Return the application of a server.
+
+    Args:
+        settings: Settings of the server.
+        clock: Monotonic clock in seconds, for the expiry of sessions.
+        when_ready: Called once when kernels are compiled and weights loaded.
     """
     metrics = Metrics()
     workers = Workers(settings)
@@ -64,8 +69,8 @@ def create_app(
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
         tasks = [
-            asyncio.create_task(_get_ready(context, when_ready)),
-            asyncio.create_task(_reap(registry, every_s=min(5.0, settings.idle_expiry_s / 4))),
+            asyncio.create_task(_prepare(context, when_ready)),
+            asyncio.create_task(_expire_sessions(registry, every_s=min(5.0, settings.idle_expiry_s / 4))),
         ]
         try:
             yield
@@ -78,12 +83,14 @@ def create_app(
             registry.close()
             await asyncio.to_thread(workers.stop)
 
-    app = FastAPI(
+    app = FastAPIOffline(
+        docs_url="/docs",
+        redoc_url=None,
+        static_url=DOCS_ASSETS,
         title="RoomLight",
         version=__version__,
         description=_DESCRIPTION,
         lifespan=lifespan,
-        redoc_url=None,
         redirect_slashes=False,
         generate_unique_id_function=lambda route: route.name,
         exception_handlers={
@@ -119,13 +126,15 @@ def create_app(
     return app
 
 
-async def _get_ready(context: Context, when_ready: Callable[[], object] | None) -> None:
-    """Beside the serving: the process answers for its health from the first moment."""
+async def _prepare(context: Context, when_ready: Callable[[], object] | None) -> None:
+    """Load weights and compile kernels in the background; `/healthz` is answered meanwhile."""
     try:
         await context.workers.start()
-        await context.workers.aside(light_forms.warm_up)
+        await context.workers.run_in_decode_pool(light_forms.warm_up)
     except RoomLightError as error:
-        _log.error("cannot get ready: %s", error)
+        _log.error("server cannot become ready: %s", error)
+    except Exception:
+        _log.exception("server cannot become ready")
     else:
         if when_ready is not None:
             when_ready()
@@ -133,54 +142,52 @@ async def _get_ready(context: Context, when_ready: Callable[[], object] | None) 
         _log.info("ready")
 
 
-async def _reap(registry: Registry, *, every_s: float) -> None:
+async def _expire_sessions(registry: Registry, *, every_s: float) -> None:
     while True:
         await asyncio.sleep(every_s)
         registry.expire()
 
 
 def _add_health(app: FastAPI) -> None:
-    @app.get("/healthz", tags=["server"], summary="Is the process alive")
+    @app.get("/healthz", tags=["server"], summary="Liveness")
     async def healthz() -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]  (FastAPI calls it)
-        """Answers whatever the engine is doing."""
+        """Return 200 while the process is alive, whatever the load of the engine."""
         return {"status": "ok", "version": __version__}
 
     @app.get(
         "/readyz",
         tags=["server"],
-        summary="Can it serve",
-        responses={503: {"description": "Kernels and weights are being loaded, or the server is stopping"}},
+        summary="Readiness",
+        responses={503: {"description": "The server is compiling kernels, loading weights or stopping"}},
     )
-    async def readyz(context: In, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
-        """200 once kernels are compiled and weights loaded."""
+    async def readyz(context: ContextDep, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
+        """Return 200 once kernels are compiled and weights loaded."""
         response.status_code = 200 if context.ready else 503
         return {"status": "ready" if context.ready else "loading"}
 
-    @app.get("/metrics", tags=["server"], summary="For Prometheus", response_class=Response)
-    async def metrics(context: In) -> Response:  # pyright: ignore[reportUnusedFunction]
-        """Counters and histograms; no ids, no addresses."""
+    @app.get("/metrics", tags=["server"], summary="Metrics for Prometheus", response_class=Response)
+    async def metrics(context: ContextDep) -> Response:  # pyright: ignore[reportUnusedFunction]
+        """Return counters and histograms. They contain no ids and no addresses."""
         return Response(context.metrics.text(), media_type=CONTENT_TYPE)
 
 
 def _openapi(app: FastAPI, *, tokens: bool) -> dict[str, Any]:
-    """FastAPI's document, with the models that only the WebSocket and the frame's header have, and with bearer tokens
-    where the server has any.
-    """
+    """Return FastAPI's OpenAPI document with `_WIRE_MODELS`, and with bearer tokens if the server has any."""
     if app.openapi_schema is None:
         document = get_openapi(
             title=app.title, version=app.version, description=app.description, routes=app.routes, tags=app.openapi_tags
         )
-        parts = document.setdefault("components", {})
-        schemas = parts.setdefault("schemas", {})
-        for model in _SOCKET_MODELS:
+        components = document.setdefault("components", {})
+        schemas = components.setdefault("schemas", {})
+        for model in _WIRE_MODELS:
             schema = model.model_json_schema(ref_template="#/components/schemas/{model}")
-            for name, part in schema.pop("$defs", {}).items():
-                schemas.setdefault(name, part)
+            for name, definition in schema.pop("$defs", {}).items():
+                schemas.setdefault(name, definition)
             schemas.setdefault(model.__name__, schema)
         for unused in ("HTTPValidationError", "ValidationError"):
             schemas.pop(unused, None)
         if tokens:
-            parts["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
+            components["securitySchemes"] = {"bearer": {"type": "http", "scheme": "bearer"}}
             for path, operations in document["paths"].items():
                 for operation in operations.values():
                     operation["security"] = [{"bearer": []}] if path.startswith("/v1/") else []

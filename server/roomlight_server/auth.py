@@ -1,4 +1,4 @@
-"""Who asks: bearer tokens compared in constant time, and web pages held to the origins that are allowed."""
+"""Authentication by bearer token, and the check of web origins."""
 
 import hashlib
 import hmac
@@ -12,61 +12,72 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from roomlight_server.problems import ProblemError, problem_response
 
 OPEN_PATHS: Final = ("/healthz", "/readyz", "/metrics", "/openapi.json", "/docs")
-"""What needs no token: it tells nothing about any room."""
+DOCS_ASSETS: Final = "/docs-assets"
+"""Paths that need no token: their answers contain nothing about any room."""
 SUBPROTOCOL: Final = "roomlight.v1"
 _BEARER_SUBPROTOCOL: Final = "bearer."
 
 
 class Tokens:
-    """The tokens of a server; an owner is named by a digest, so that no token stands in memory beside a session."""
+    """The bearer tokens of a server. Tokens are kept and compared as digests; a digest also names the owner."""
 
     def __init__(self, tokens: Iterable[str]) -> None:
-        """None: everyone is one owner."""
+        """Store the digests of the tokens. Without tokens, all clients are the same owner."""
         self._digests = [hashlib.sha256(token.encode()).digest() for token in tokens]
 
     def owner(self, token: str | None) -> str | None:
-        """The owner's name, or None for a token that is none. Every token is compared, each in constant time."""
+        """Return the token's owner, or None if the token is unknown.
+
+        The token is compared with every known token, each in constant time.
+        """
         if not self._digests:
             return "anyone"
-        given = hashlib.sha256((token or "").encode()).digest()
-        found = None
+        received = hashlib.sha256((token or "").encode()).digest()
+        owner = None
         for digest in self._digests:
-            if hmac.compare_digest(digest, given):
-                found = digest.hex()[:16]
-        return found
+            if hmac.compare_digest(digest, received):
+                owner = digest.hex()[:16]
+        return owner
 
 
 class AuthMiddleware:
-    """Sets `scope["state"]["owner"]`, or answers 401 or 403 before a body is read."""
+    """Sets `scope["state"]["owner"]`, or answers 401 or 403 before the body is read."""
 
     def __init__(self, app: ASGIApp, *, tokens: Tokens, origins: tuple[str, ...], loopback: bool) -> None:
-        """`loopback`: the server has no token and trusts its machine, so requests must be addressed to it."""
+        """Wrap an application.
+
+        Args:
+            app: The application.
+            tokens: Tokens that are accepted.
+            origins: Web origins that are allowed besides the server's own; `*` allows all.
+            loopback: Accept only requests whose `Host` is this machine, because the server has no token.
+        """
         self._app, self._tokens, self._origins, self._loopback = app, tokens, origins, loopback
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
-        if scope["type"] not in ("http", "websocket") or scope["path"] in OPEN_PATHS:
+        """Handle an ASGI connection."""
+        if scope["type"] not in ("http", "websocket") or _is_open(scope["path"]):
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        refusal = self._refusal(scope, headers)
-        if refusal is None:
+        problem = self._check(scope, headers)
+        if problem is None:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket" and "websocket.http.response" not in scope.get("extensions", {}):
-            await send({"type": "websocket.close", "code": 1008, "reason": refusal.kind})
-        else:  # a WebSocket that is not accepted is still HTTP
-            await problem_response(refusal)(scope, receive, send)
+            await send({"type": "websocket.close", "code": 1008, "reason": problem.kind})
+        else:  # a WebSocket is answered over HTTP until it is accepted
+            await problem_response(problem)(scope, receive, send)
 
-    def _refusal(self, scope: Scope, headers: Headers) -> ProblemError | None:
+    def _check(self, scope: Scope, headers: Headers) -> ProblemError | None:
         host, origin = headers.get("host", ""), headers.get("origin")
         if self._loopback and urlsplit(f"//{host}").hostname not in ("localhost", "127.0.0.1", "::1"):
-            # a page of another site whose name was made to point here
-            return ProblemError("forbidden-origin", f"without a token the server answers for localhost, not for {host}")
+            # DNS rebinding: a page of another site whose name resolves to this machine
+            return ProblemError("forbidden-origin", f"without a token the server serves localhost only, not {host}")
         if origin is not None and not self._allowed(origin, host):
             return ProblemError("forbidden-origin", f"{origin[:100]} is not in allow_origins", field="Origin")
         owner = self._tokens.owner(_token_of(scope, headers))
         if owner is None:
-            return ProblemError("unauthorized", "send the header Authorization: Bearer TOKEN", field="Authorization")
+            return ProblemError("unauthorized", "header Authorization: Bearer TOKEN is required", field="Authorization")
         scope.setdefault("state", {})["owner"] = owner
         return None
 
@@ -74,11 +85,15 @@ class AuthMiddleware:
         return "*" in self._origins or origin in self._origins or urlsplit(origin).netloc == host
 
 
+def _is_open(path: str) -> bool:
+    return path in OPEN_PATHS or path.startswith(f"{DOCS_ASSETS}/")
+
+
 def _token_of(scope: Scope, headers: Headers) -> str | None:
     scheme, _, token = headers.get("authorization", "").partition(" ")
     if scheme.lower() == "bearer":
         return token.strip()
-    if scope["type"] == "websocket":  # browsers can set no other header there
+    if scope["type"] == "websocket":  # browsers can set no header but the subprotocol
         for offered in scope.get("subprotocols", []):
             if offered.startswith(_BEARER_SUBPROTOCOL):
                 return offered.removeprefix(_BEARER_SUBPROTOCOL)

@@ -1,4 +1,4 @@
-"""Request bodies: counted as they stream in, given up when they are late; multipart for people with curl."""
+"""Request bodies: limits on size and time, and frames sent as multipart form data (curl)."""
 
 import asyncio
 import json
@@ -15,78 +15,82 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from roomlight.errors import WireError
 from roomlight.wire.frame_header import FrameHeader
-from roomlight.wire.frame_message import MAX_HEADER_BYTES, explain, pack
+from roomlight.wire.frame_message import MAX_HEADER_BYTES, pack, to_wire_error
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
 
-JSON_BYTES: Final = 65_536
-"""Of a JSON body: 64 probes take 6 kB."""
+MAX_JSON_BYTES: Final = 65_536
+"""Largest JSON body; a request with 64 probes has 6 kB."""
 _FRAME_PATH: Final = re.compile(r"/v1/sessions/[^/]+/frames/[^/]+")
 
 
 class BodyMiddleware:
-    """Stops bodies that grow past their limit (413) or do not arrive in time (408), and times requests.
+    """Rejects bodies that exceed their limit (413) or arrive too late (408), and measures the time of requests.
 
-    Refusals are HTTPExceptions, because FastAPI lets no other error out of the reading of a body. What comes after one
-    is read and thrown away by the server, so that the client gets to see the answer.
+    Rejections are HTTPExceptions, because FastAPI passes no other error on while it reads a body. The server reads and
+    discards the rest of the body, so that the client receives the answer.
     """
 
     def __init__(self, app: ASGIApp, *, frame_bytes: int, timeout_s: float, metrics: Metrics) -> None:
-        """`frame_bytes` for frames, `JSON_BYTES` for everything else."""
+        """Wrap an application. `frame_bytes` limits frames; `MAX_JSON_BYTES` limits all other bodies."""
         self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """ASGI."""
+        """Handle an ASGI connection."""
         if scope["type"] != "http":
             await self._app(scope, receive, send)
             return
-        limit = JSON_BYTES
-        if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds its boundaries, and its header is a part
+        limit = MAX_JSON_BYTES
+        if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
             multipart = Headers(scope=scope).get("content-type", "").startswith("multipart/")
             limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if multipart else 0)
-        began, status = time.perf_counter(), 0
+        start_s, status = time.perf_counter(), 0
 
-        async def observed(message: Message) -> None:
+        async def send_observed(message: Message) -> None:
             nonlocal status
             if message["type"] == "http.response.start":
                 status = message["status"]
             await send(message)
 
         try:
-            await self._app(scope, self._limited(scope, receive, limit), observed)
+            await self._app(scope, self._limited(scope, receive, limit), send_observed)
         finally:
             path = getattr(scope.get("route"), "path", "other")
             labels = self._metrics.requests.labels(scope["method"] if path != "other" else "-", path, str(status))
-            labels.observe(time.perf_counter() - began)
+            labels.observe(time.perf_counter() - start_s)
 
     def _limited(self, scope: Scope, receive: Receive, limit: int) -> Receive:
         declared = Headers(scope=scope).get("content-length", "")
         too_long = declared.isdecimal() and int(declared) > limit
-        seen, done = 0, False
+        received, done = 0, False
         deadline = time.monotonic() + self._timeout_s
 
         async def limited() -> Message:
-            nonlocal seen, done
-            if done:  # what follows is the wait for a disconnect
+            nonlocal received, done
+            if done:  # the application now waits for a disconnect
                 return await receive()
             if too_long:
-                raise HTTPException(413, f"the body is {declared} bytes; this server takes {limit} here")
+                raise HTTPException(413, f"the body has {declared} bytes; the limit is {limit}")
             try:
                 async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
                     message = await receive()
             except TimeoutError:
                 raise HTTPException(408, f"the body did not arrive within {self._timeout_s:g} s") from None
-            seen += len(message.get("body", b""))
+            received += len(message.get("body", b""))
             done = message["type"] != "http.request" or not message.get("more_body", False)
-            if seen > limit:
-                raise HTTPException(413, f"the body is over {limit} bytes, the most that this server takes here")
+            if received > limit:
+                raise HTTPException(413, f"the body has more than {limit} bytes, the limit")
             return message
 
         return limited
 
 
 async def read_frame(request: Request) -> bytes:
-    """The frame message in a request's body: as it is, or put together from multipart. Raises ProblemError."""
+    """Return the frame message in a request's body, assembled from its parts if the body is multipart.
+
+    Raises:
+        ProblemError: The multipart body cannot be parsed.
+    """
     if not request.headers.get("content-type", "").startswith("multipart/form-data"):
         chunks = [chunk async for chunk in request.stream()]
         return b"".join(chunks)
@@ -96,7 +100,7 @@ async def read_frame(request: Request) -> bytes:
             for name, value in form.multi_items():
                 parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
     except MultiPartException as error:
-        raise ProblemError("bad-request", f"the multipart body cannot be read: {error.message}") from error
+        raise ProblemError("bad-request", f"the multipart body cannot be parsed: {error.message}") from error
     try:
         return _from_parts(parts)
     except WireError as error:
@@ -104,10 +108,13 @@ async def read_frame(request: Request) -> bytes:
 
 
 def _from_parts(parts: dict[str, bytes]) -> bytes:
-    """A frame message from the parts `header`, `colour`, `depth` and perhaps `confidence`; lengths are filled in."""
-    wanted = {"header", "colour", "depth"}
-    if not wanted <= parts.keys() <= wanted | {"confidence"}:
-        rule = "the parts are header, colour, depth and, if there is one, confidence"
+    """Build a frame message from the parts `header`, `colour`, `depth` and optionally `confidence`.
+
+    Lengths that the header leaves out are filled in.
+    """
+    required = {"header", "colour", "depth"}
+    if not required <= parts.keys() <= required | {"confidence"}:
+        rule = "the parts must be header, colour, depth and optionally confidence"
         raise WireError("bad-frame", field="", value=", ".join(sorted(parts)), rule=rule)
     if len(parts["header"]) > MAX_HEADER_BYTES:
         rule = f"at most {MAX_HEADER_BYTES} bytes"
@@ -115,7 +122,9 @@ def _from_parts(parts: dict[str, bytes]) -> bytes:
     try:
         header: Any = json.loads(parts["header"])
     except (ValueError, RecursionError) as error:
-        raise WireError("bad-frame", field="header", value="no JSON", rule=f"must be JSON ({error})") from error
+        raise WireError(
+            "bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=f"must be JSON ({error})"
+        ) from error
     for name in ("colour", "depth", "confidence"):
         part = header.get(name) if isinstance(header, dict) else None
         if isinstance(part, dict) and name in parts:
@@ -123,5 +132,5 @@ def _from_parts(parts: dict[str, bytes]) -> bytes:
     try:
         checked = FrameHeader.model_validate_json(json.dumps(header))
     except ValidationError as error:
-        raise explain(error, kind="bad-frame") from error
+        raise to_wire_error(error, kind="bad-frame") from error
     return pack(checked, parts["colour"], parts["depth"], parts.get("confidence"))

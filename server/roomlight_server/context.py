@@ -1,8 +1,8 @@
-"""What the routes of one server share, and how they find it and the session they are about."""
+"""Objects shared by the routes of a server, and the dependencies that provide them."""
 
 from collections.abc import AsyncGenerator
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Final
 
 from fastapi import Depends, Path, Request
 
@@ -16,7 +16,7 @@ from roomlight_server.workers import Workers
 
 @dataclass
 class Context:
-    """One server's parts; `ready` once kernels and weights are loaded."""
+    """Shared objects of a server. `ready` is set once kernels are compiled and weights loaded."""
 
     settings: ServerSettings
     metrics: Metrics
@@ -25,20 +25,19 @@ class Context:
     ready: bool = False
 
 
-SessionId = Annotated[
-    str,
-    Path(pattern=ID_PATTERN.removesuffix(r"\Z") + "$", description="Made by the client: A-Z a-z 0-9 _ -, up to 64."),
-]
-ProbeName = Annotated[str, Path(pattern=ID_PATTERN.removesuffix(r"\Z") + "$", description="As session ids.")]
+_SCHEMA_PATTERN: Final = ID_PATTERN.removesuffix(r"\Z") + "$"  # JSON schema has no \Z
+_ID_PATH: Final = Path(pattern=_SCHEMA_PATTERN, description="Chosen by the client: 1 to 64 of A-Z a-z 0-9 _ -.")
+SessionId = Annotated[str, _ID_PATH]
+ProbeName = Annotated[str, _ID_PATH]
 
 
 def context_of(request: Request) -> Context:
-    """The server's parts."""
+    """Return the shared objects of the server."""
     return request.app.state.context
 
 
 def owner_of(request: Request) -> str:
-    """Who asks, as `AuthMiddleware` found out."""
+    """Return the owner of the request's token, as set by `AuthMiddleware`."""
     return request.scope["state"]["owner"]
 
 
@@ -47,11 +46,15 @@ async def live_session(
     context: Annotated[Context, Depends(context_of)],
     owner: Annotated[str, Depends(owner_of)],
 ) -> AsyncGenerator[LiveSession]:
-    """The session of the address, held while the request runs. Raises ProblemError (404)."""
+    """Yield the session of the path; it does not expire while the request runs.
+
+    Raises:
+        ProblemError: The session does not exist (404).
+    """
     with context.registry.use(owner, session_id) as live:
         yield live
 
 
-In = Annotated[Context, Depends(context_of)]
-Owner = Annotated[str, Depends(owner_of)]
-Live = Annotated[LiveSession, Depends(live_session)]
+ContextDep = Annotated[Context, Depends(context_of)]
+OwnerDep = Annotated[str, Depends(owner_of)]
+SessionDep = Annotated[LiveSession, Depends(live_session)]

@@ -1,6 +1,6 @@
-"""The order of one session's frames: which index may come, which frame waits, and what became of each.
+"""Queue of one session's frames: checks the order of indices, holds the waiting frame and records outcomes.
 
-Lives on the event loop; no locks. One frame waits at most: a newer one takes its place.
+At most one frame waits; a newer frame replaces it. All methods run on the event loop, so there are no locks.
 """
 
 import asyncio
@@ -14,10 +14,10 @@ from roomlight_server.problems import ProblemError
 
 @dataclass
 class Entry:
-    """An accepted frame. `outcome` is its result or the problem it ended with; nobody has to look at it.
+    """An accepted frame. `outcome` becomes its result or a ProblemError; it may stay unread.
 
-    One that took another's place comes as its `message`, to be decoded when its turn comes: on a busy server most never
-    have one. With neither, its tracking state rules it out.
+    A frame that replaced a waiting one is stored as its undecoded `message`, because on a busy server most of these are
+    replaced too. A frame with neither `frame` nor `message` is skipped because of its tracking state.
     """
 
     index: int
@@ -27,42 +27,45 @@ class Entry:
     outcome: "asyncio.Future[FrameResult]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def settle(self, result: FrameResult) -> None:
-        """State what became of it; once."""
+        """Record the result, unless there is an outcome already."""
         if not self.outcome.done():
             self.outcome.set_result(result)
 
     def fail(self, error: ProblemError) -> None:
-        """State why nothing became of it."""
+        """Record the reason for rejection, unless there is an outcome already."""
         if not self.outcome.done():
             self.outcome.set_exception(error)
-            self.outcome.exception()  # looked at: asyncio has nothing to complain about when nobody waits
+            self.outcome.exception()  # marks it as retrieved: asyncio would log it if no request awaits it
 
 
 class FrameQueue:
-    """Indices, counts and the frame that waits."""
+    """Indices, counts and the waiting frame of one session."""
 
     def __init__(self) -> None:
-        """No frame yet."""
         self._last: Entry | None = None
         self._before_last: Entry | None = None
         self._waiting: Entry | None = None
-        self._working: Entry | None = None
+        self._processing: Entry | None = None
         self._counts = dict.fromkeys(("processed", "superseded", "skipped", "gaps", "replayed", "refused"), 0)
 
     def replay_of(self, index: int, digest: bytes) -> Entry | None:
-        """The entry that this message repeats, None for a new frame; ProblemError (409) where its index is spent."""
+        """Return the entry that this message repeats, or None for a new frame.
+
+        Raises:
+            ProblemError: The index was used before, by another message (409).
+        """
         if self._last is None or index > self._last.index:
             return None
         if index == self._last.index and digest == self._last.digest:
             self._counts["replayed"] += 1
             return self._last
         same = index == self._last.index
-        detail = f"frame {index} was sent with other bytes" if same else f"frame {self._last.index} was sent already"
-        rule = f"above {self._last.index}, or {self._last.index} with the same bytes"
+        detail = f"frame {index} was sent with other bytes" if same else f"frame {self._last.index} was already sent"
+        rule = f"must be above {self._last.index}, or {self._last.index} with the same bytes"
         raise ProblemError("frame-conflict", detail, field="index", value=index, rule=rule)
 
     def accept(self, entry: Entry) -> None:
-        """Take a new frame; it waits, and one that waited so far is superseded. One without content is skipped."""
+        """Add a new frame. It supersedes the waiting frame; without frame and message it is skipped."""
         self._before_last = self._last
         if self._last is not None:
             self._counts["gaps"] += entry.index - self._last.index - 1
@@ -78,18 +81,21 @@ class FrameQueue:
         self._waiting = entry
 
     def take(self) -> Entry | None:
-        """The frame that waits, now being worked on."""
-        self._working, self._waiting = self._waiting, None
-        return self._working
+        """Remove and return the waiting frame for processing, or None."""
+        self._processing, self._waiting = self._waiting, None
+        return self._processing
 
     def processed(self, entry: Entry, result: FrameResult) -> None:
-        """The engine has taken it."""
+        """Record that the engine has processed the frame."""
         self._counts["processed"] += 1
         self._done(entry)
         entry.settle(result)
 
     def refused(self, entry: Entry, error: ProblemError) -> None:
-        """The engine would not have it, and is as before: so is the order, where nothing newer came."""
+        """Record that the frame was rejected without a change to the engine.
+
+        Its index becomes free again, unless a newer frame was accepted.
+        """
         self._counts["refused"] += 1
         self._done(entry)
         if self._last is entry:
@@ -99,12 +105,12 @@ class FrameQueue:
         entry.fail(error)
 
     def count_refused(self) -> None:
-        """A frame was refused before it was accepted."""
+        """Count a frame that was rejected before it was accepted."""
         self._counts["refused"] += 1
 
     def abandon(self, error: ProblemError) -> None:
-        """The session ends: nobody is left waiting."""
-        for entry in (self._waiting, self._working):
+        """End all pending frames with this error, because the session ends."""
+        for entry in (self._waiting, self._processing):
             if entry is not None:
                 self._done(entry)
                 entry.fail(error)
@@ -112,33 +118,33 @@ class FrameQueue:
 
     @property
     def has_waiting(self) -> bool:
-        """Whether a frame waits for its turn."""
+        """Whether a frame is waiting."""
         return self._waiting is not None
 
     def counts(self) -> FrameCounts:
-        """So far."""
-        queued = (self._waiting is not None) + (self._working is not None)
+        """Return the counts of all frames so far."""
+        queued = (self._waiting is not None) + (self._processing is not None)
         used = sum(self._counts[name] for name in ("processed", "superseded", "skipped"))
         last = None if self._last is None else self._last.index
         return FrameCounts(accepted=used + queued, queued=queued, last_index=last, **self._counts)
 
     def _done(self, entry: Entry) -> None:
-        entry.frame = entry.message = None  # a replay needs the outcome alone
-        if self._working is entry:
-            self._working = None
+        entry.frame = entry.message = None  # a replay needs only the outcome
+        if self._processing is entry:
+            self._processing = None
 
 
 def replayed(outcome: "asyncio.Future[FrameResult]") -> "asyncio.Future[FrameResult]":
-    """The outcome of the frame that this one repeats."""
-    again: asyncio.Future[FrameResult] = asyncio.get_running_loop().create_future()
+    """Return a future with the outcome of the original frame, marked as a replay."""
+    replay: asyncio.Future[FrameResult] = asyncio.get_running_loop().create_future()
 
     def copy(done: "asyncio.Future[FrameResult]") -> None:
         error = done.exception()
         if error is None:
-            again.set_result(done.result().model_copy(update={"replay": True}))
+            replay.set_result(done.result().model_copy(update={"replay": True}))
         else:
-            again.set_exception(error)
-            again.exception()
+            replay.set_exception(error)
+            replay.exception()
 
     outcome.add_done_callback(copy)
-    return again
+    return replay

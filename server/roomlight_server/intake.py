@@ -1,7 +1,7 @@
-"""From a frame's bytes to a frame at the engine's size: what runs on decoding threads.
+"""Parsing and decoding of frames at the engine's working size; these functions run on decoding threads.
 
-A frame is parsed, and all its sizes checked, before it is accepted. Decoded it is before, too, or, where it takes the
-place of one that still waits, when its turn comes.
+A frame is parsed and its sizes are checked before it is accepted. It is also decoded before, unless another frame is
+waiting in the queue: then it is decoded when the engine takes it.
 """
 
 import hashlib
@@ -14,12 +14,26 @@ from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
 
 
 def parse_frame(body: bytes, limits: FrameLimits) -> tuple[FrameMessage, bytes]:
-    """The message, and the digest that tells its repetition from another. Raises WireError."""
+    """Parse a message; return it with its digest, which identifies a repetition of the same bytes.
+
+    Raises:
+        WireError: The message is malformed or exceeds the limits.
+    """
     return parse(body, limits), hashlib.sha256(body).digest()
 
 
 def decode_to_size(message: FrameMessage, index: int, reference: float, min_confidence: int) -> Frame:
-    """The frame at the working size, so that one that waits takes 1.3 MB whatever the camera. Raises WireError."""
+    """Decode a frame at the working size (a waiting frame takes 1.3 MB, whatever the camera).
+
+    Args:
+        message: The parsed message.
+        index: Index of the frame.
+        reference: Exposure at which radiance 1 is white.
+        min_confidence: Depth below this confidence becomes unknown.
+
+    Raises:
+        WireError: A part does not decode or has unusable values.
+    """
     try:
         frame = decode_frame(message, index, reference_exposure=reference, min_confidence=min_confidence)
         return frame.resized(*WORKING_SIZE)
@@ -31,10 +45,14 @@ def decode_to_size(message: FrameMessage, index: int, reference: float, min_conf
 
 
 def index_of(message: FrameMessage, index: int | None) -> int:
-    """The address's index, or the message's own where there is no address (None). Raises WireError."""
+    """Return the index of the path, or the message's own if there is no path index (None).
+
+    Raises:
+        WireError: Both are missing, or they differ.
+    """
     stated = message.header.index
     if index is None and stated is None:
-        raise WireError("bad-frame", field="index", value="nothing", rule="a frame on a WebSocket states its index")
+        raise WireError("bad-frame", field="index", value="nothing", rule="required on a WebSocket")
     if index is not None and stated not in (None, index):
-        raise WireError("bad-frame", field="index", value=stated, rule=f"must be the address's, {index}")
+        raise WireError("bad-frame", field="index", value=stated, rule=f"must equal the index of the path, {index}")
     return stated if index is None and stated is not None else index or 0

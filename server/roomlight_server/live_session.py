@@ -1,12 +1,8 @@
-"""One session of the server: the engine's `Session` behind turns, its frames in order, its named probes, its light.
+"""One session of the server: an engine session with its frame queue, named probes and light.
 
-Everything here runs on the event loop; the engine is called on its threads. `_turn` puts what needs the engine in
-order, and is held while a session waits for an engine thread behind the others; `_changing` is held only while its
-state changes. The light of named probes is read between changes, so it waits for no other session. They are taken in
-this order: `_turn`, a thread, `_changing`.
-
-What is refused leaves the session as it was. An engine that fails in the middle of a frame may not be: the session is
-then failed, says so from then on, and its memory is given back.
+All methods run on the event loop; the engine runs on its own threads. A rejected request leaves the session unchanged.
+If the engine fails while it processes a frame, its state may be inconsistent: the session then has failed, every later
+request is answered with this error, and its memory is released.
 """
 
 import asyncio
@@ -39,23 +35,13 @@ from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
-KEPT_LIGHTS: Final = 8
-"""Lights of late probes kept for further forms and for `If-None-Match`: 0.6 MB each at a height of 120."""
-
-
-@dataclass(frozen=True)
-class PointLight:
-    """Light at a point, the digest that is its identity, and the frame it is of."""
-
-    light: Light
-    digest: str
-    frame: int
-    name: str | None = None
+MAX_CACHED_LIGHTS: Final = 8
+"""Lights cached for requests of more forms and for `If-None-Match`; 0.6 MB each at a height of 120."""
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a session may use; see `ServerSettings`."""
+    """Limits of a session; see `ServerSettings`."""
 
     frame: FrameLimits
     frames_in_flight: int
@@ -64,14 +50,14 @@ class Limits:
 
 
 @dataclass
-class _Named:
+class _NamedProbe:
     position: Position
     handle: int
     coverage: float = 0.0
 
 
 class LiveSession:
-    """See the module. `last_used_s` is its owner's business (`registry`)."""
+    """One session of the server. The registry maintains `last_used_s` and `users`."""
 
     def __init__(
         self,
@@ -84,7 +70,7 @@ class LiveSession:
         limits: Limits,
         metrics: Metrics,
     ) -> None:
-        """Around a new engine session."""
+        """Wrap a new engine session."""
         self.name, self.request = name, request
         self.last_used_s = 0.0
         self.users = 0
@@ -92,13 +78,21 @@ class LiveSession:
         self._model = engine.model
         self._keyframe_capacity = engine.options.keyframes
         self._workers, self._footprint, self._limits, self._metrics = workers, footprint, limits, metrics
-        self._turn, self._changing, self._order = asyncio.Lock(), asyncio.Lock(), asyncio.Lock()
-        self._in_flight = asyncio.Semaphore(limits.frames_in_flight)
+        # Locks are taken in this order: _engine_lock, an engine slot of `workers`, _state_lock. _ingest_lock is never
+        # held together with another one.
+        # _engine_lock: order of all engine calls that change or read the engine's state; held while waiting for a slot.
+        self._engine_lock = asyncio.Lock()
+        # _state_lock: the engine's state together with _named, _light_frame and _lights; held only while they change,
+        # so that the light of named probes can be read while this session waits behind others for a slot.
+        self._state_lock = asyncio.Lock()
+        # _ingest_lock: order of arriving frames from parsing to the queue, and _reference.
+        self._ingest_lock = asyncio.Lock()
+        self._frame_slots = asyncio.Semaphore(limits.frames_in_flight)
         self._queue = FrameQueue()
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
-        self._named: dict[str, _Named] = {}
-        self._lights: OrderedDict[tuple[str | None, Position], PointLight] = OrderedDict()
+        self._named: dict[str, _NamedProbe] = {}
+        self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
         self._light_frame = NO_FRAME
         self._ended: ProblemError | None = None
         self._listeners: set[Callable[[], None]] = set()
@@ -106,22 +100,45 @@ class LiveSession:
     # --- frames -----------------------------------------------------------------------------------------------
 
     @asynccontextmanager
-    async def room_for_frame(self, *, wait: bool = False) -> AsyncGenerator[None]:
-        """Hold one of the places for frames on their way in. Full: ProblemError (429), or wait for one."""
+    async def frame_slot(self) -> AsyncGenerator[None]:
+        """Hold a slot for a frame in flight (being received, decoded or processed).
+
+        Raises:
+            ProblemError: All slots are taken (429), or the session has ended.
+        """
         self.check_open()
-        if self._in_flight.locked() and not wait:
-            most = self._limits.frames_in_flight
-            detail = f"{most} frames of this session are being sent, decoded or awaited; send the newest a little later"
-            raise ProblemError("session-full", detail, rule=f"at most {most} at once", retry_after_s=1)
-        async with self._in_flight:
+        if self._frame_slots.locked():
+            limit = self._limits.frames_in_flight
+            detail = f"{limit} frames of this session are being in flight; retry with a newer one"
+            raise ProblemError("session-full", detail, rule=f"at most {limit} frames in flight", retry_after_s=1)
+        async with self._frame_slots:
             yield
 
-    async def accept(self, body: bytes, index: int | None) -> Entry:
-        """Take a frame's message: parsed, checked, decoded, in order. The entry's outcome is what became of it.
+    async def acquire_frame_slot(self) -> None:
+        """Wait for a slot for a frame in flight; `release_frame_slot` frees it.
 
-        `index` is the address's, None for the message's own. Raises ProblemError with nothing changed.
+        Raises:
+            ProblemError: The session has ended.
         """
-        async with self._order:
+        self.check_open()
+        await self._frame_slots.acquire()
+
+    def release_frame_slot(self) -> None:
+        """Free the slot of a frame."""
+        self._frame_slots.release()
+
+    async def accept(self, body: bytes, index: int | None) -> Entry:
+        """Parse, check and decode a frame message and add it to the queue.
+
+        `index` is the index of the path, or None to use the message's own.
+
+        Returns:
+            The queue entry; its `outcome` becomes the frame's result.
+
+        Raises:
+            ProblemError: The frame is rejected; the session is unchanged.
+        """
+        async with self._ingest_lock:
             try:
                 entry = await self._accept_in_order(body, index)
             except WireError as error:
@@ -137,7 +154,7 @@ class LiveSession:
         return entry
 
     async def _accept_in_order(self, body: bytes, index: int | None) -> Entry:
-        message, digest = await self._workers.aside(parse_frame, body, self._limits.frame)
+        message, digest = await self._workers.run_in_decode_pool(parse_frame, body, self._limits.frame)
         index = index_of(message, index)
         self.check_open()
         repeated = self._queue.replay_of(index, digest)
@@ -156,15 +173,16 @@ class LiveSession:
 
     async def _decoded(self, message: FrameMessage, index: int) -> Frame:
         reference = self._reference or message.header.exposure
-        frame = await self._workers.aside(decode_to_size, message, index, reference, self.request.min_confidence)
+        least = self.request.min_confidence
+        frame = await self._workers.run_in_decode_pool(decode_to_size, message, index, reference, least)
         self._reference = reference
         return frame
 
     async def _run(self) -> None:
-        """Push what waits until nothing does; the newest is taken when an engine thread is free."""
+        """Process waiting frames until the queue is empty; each is taken when an engine thread is free."""
         try:
             while self._queue.has_waiting:
-                async with self._turn, self._workers.engine_turn(), self._changing:
+                async with self._engine_lock, self._workers.engine_slot(), self._state_lock:
                     entry = self._queue.take()
                     if entry is not None:
                         await self._push(entry)
@@ -176,31 +194,33 @@ class LiveSession:
     async def _push(self, entry: Entry) -> None:
         engine, frame = self._engine, entry.frame
         if engine is None:
-            return  # ended: the entry has been told
+            return  # the session has ended, and the entry has its outcome
         try:
             if frame is None and entry.message is not None:
                 frame = await self._decoded(entry.message, entry.index)
             assert frame is not None
-            report = await self._workers.on_engine(engine.push, frame)
+            report = await self._workers.run_in_engine_pool(engine.push, frame)
+            result = self._result(engine, entry.index, report)
         except WireError as error:
-            self._refuse(entry, ProblemError.from_wire(error))
+            self._reject(entry, ProblemError.from_wire(error))
         except FrameError as error:
-            self._refuse(
+            self._reject(
                 entry, ProblemError("bad-frame", str(error), field="frame", value=entry.index, rule=str(error))
             )
-        except Exception as error:  # out of memory, ONNX Runtime: half a frame may be in the state
+        except Exception as error:  # out of memory, ONNX Runtime: the state may contain half of the frame
             _log.exception("engine failed", extra={"session": self.name, "frame": entry.index})
             self._metrics.frames.labels("failed").inc()
-            entry.fail(ProblemError("engine-failed", f"frame {entry.index}: {type(error).__name__}; open it anew"))
-            self._end(ProblemError("session-failed", f"its engine failed on frame {entry.index}; DELETE it, open anew"))
+            advice = "delete the session and open a new one"
+            entry.fail(ProblemError("engine-failed", f"frame {entry.index}: {type(error).__name__}; {advice}"))
+            self._end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
         else:
             self._light_frame = entry.index
             self._metrics.observe_frame(report)
-            self._queue.processed(entry, self._result(engine, entry.index, report))
+            self._queue.processed(entry, result)
 
-    def _refuse(self, entry: Entry, refusal: ProblemError) -> None:
+    def _reject(self, entry: Entry, problem: ProblemError) -> None:
         self._metrics.refused.labels("bad-frame").inc()
-        self._queue.refused(entry, refusal)
+        self._queue.refused(entry, problem)
 
     def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:
         coverage = dict(zip(engine.handles, report.coverage, strict=True))
@@ -217,121 +237,137 @@ class LiveSession:
     # --- probes and light -------------------------------------------------------------------------------------
 
     async def track(self, name: str, position: Position) -> bool:
-        """Follow a point under a name; True if the name is new. The same again changes nothing.
+        """Track a named probe; an existing name moves to the new position. Return whether the name is new.
 
-        Raises ProblemError: too many probes, no such position.
+        Raises:
+            ProblemError: There are too many probes, the position is unusable, or the session has ended.
         """
-        async with self._turn:
+        async with self._engine_lock:
             engine, old = self._live_engine(), self._named.get(name)
             if old is not None and old.position == position:
                 return False
             if old is None and len(self._named) >= self._limits.max_probes:
-                most = self._limits.max_probes
-                raise ProblemError(
-                    "too-many-probes", f"{most} named probes are tracked; delete one", rule=f"at most {most}"
-                )
-            async with self._workers.engine_turn():
-                handle = await _probing(self._workers.on_engine(engine.track, position))
-            new = _Named(position, handle)
+                limit = self._limits.max_probes
+                detail = f"the session already tracks {limit} named probes; delete one first"
+                raise ProblemError("too-many-probes", detail, rule=f"at most {limit} probes")
+            async with self._workers.engine_slot():
+                handle = await _convert_errors(self._workers.run_in_engine_pool(engine.track, position))
+            new = _NamedProbe(position, handle)
             if self.has_light:
-                new.coverage = (await self._workers.aside(engine.light, handle)).coverage
-            async with self._changing:
+                new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
+            async with self._state_lock:
                 if old is not None:
-                    self._forget(engine, name)
+                    self._remove(engine, name)
                 self._named[name] = new
             return old is None
 
     async def untrack(self, name: str) -> None:
-        """No longer follow it. Raises ProblemError (404)."""
-        async with self._turn, self._changing:
+        """Stop tracking a named probe.
+
+        Raises:
+            ProblemError: There is no probe of this name (404), or the session has ended.
+        """
+        async with self._engine_lock, self._state_lock:
             engine = self._live_engine()
             self._named_probe(name)
-            self._forget(engine, name)
+            self._remove(engine, name)
 
-    def _forget(self, engine: Session, name: str) -> None:
+    def _remove(self, engine: Session, name: str) -> None:
         named = self._named.pop(name)
         engine.untrack(named.handle)
         self._lights.pop((name, named.position), None)
 
-    async def lights(self, queries: Sequence[ProbeQuery]) -> list[PointLight]:
-        """Light at each point, all after the same frame; the prior, of frame `NO_FRAME`, before the first.
+    async def lights(self, queries: Sequence[ProbeQuery]) -> list[Light]:
+        """Return the light at each point after the same frame, with its etag; before the first frame the default light.
 
-        Raises ProblemError.
+        Raises:
+            ProblemError: A probe name is unknown, a position is unusable, or the session has ended.
         """
-        named = all(query.name is not None for query in queries)
-        async with self._changing if named else self._turn:
+        all_named = all(query.name is not None for query in queries)
+        async with self._state_lock if all_named else self._engine_lock:
             engine = self._live_engine()
             if not self.has_light:
-                return [self._prior(query) for query in queries]
+                return [self._default_light(query) for query in queries]
             return [await self._light(engine, query) for query in queries]
 
-    async def _light(self, engine: Session, query: ProbeQuery) -> PointLight:
-        name = query.name
-        position = self._named_probe(name).position if name is not None else _position(query)
-        kept = self._lights.get((name, position))
-        if kept is not None and kept.frame == self._light_frame:
+    async def _light(self, engine: Session, query: ProbeQuery) -> Light:
+        name, position = query.name, self._position(query)
+        cached = self._lights.get((name, position))
+        if cached is not None and cached.frame == self._light_frame:
             self._lights.move_to_end((name, position))
-            return kept
+            return cached
         if name is not None:
-            light = await self._workers.aside(engine.light, self._named[name].handle)
+            found = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
         else:
-            async with self._workers.engine_turn():
-                light = await _probing(self._workers.on_engine(engine.light_at, position))
-        found = PointLight(light, await self._workers.aside(_digest, light), self._light_frame, name)
-        self._lights[name, position] = found
-        while len(self._lights) > KEPT_LIGHTS:
+            async with self._workers.engine_slot():
+                found = await _convert_errors(self._workers.run_in_engine_pool(engine.light_at, position))
+        etag = await self._workers.run_in_decode_pool(_digest, found.panorama, found.observed)
+        light = Light(
+            position, found.panorama, found.observed, found.coverage, frame=self._light_frame, name=name, etag=etag
+        )
+        self._lights[name, position] = light
+        while len(self._lights) > MAX_CACHED_LIGHTS:
             self._lights.popitem(last=False)
-        return found
+        return light
 
-    def _prior(self, query: ProbeQuery) -> PointLight:
-        name = query.name
-        position = self._named_probe(name).position if name is not None else _position(query)
-        panorama, observed, digest = _prior(self.request.height)
-        return PointLight(Light(position, panorama, observed, 0.0), digest, NO_FRAME, name)
+    def _default_light(self, query: ProbeQuery) -> Light:
+        panorama, observed, etag = _default_panorama(self.request.height)
+        return Light(self._position(query), panorama, observed, 0.0, frame=NO_FRAME, name=query.name, etag=etag)
 
-    def _named_probe(self, name: str) -> _Named:
+    def _position(self, query: ProbeQuery) -> Position:
+        if query.name is not None:
+            return self._named_probe(query.name).position
+        assert query.position is not None
+        x, y, z = query.position
+        return x, y, z
+
+    def _named_probe(self, name: str) -> _NamedProbe:
         named = self._named.get(name)
         if named is None:
-            raise ProblemError("probe-not-found", f"this session tracks no probe {name!r}", field="name", value=name)
+            raise ProblemError("probe-not-found", f"the session has no probe {name!r}", field="name", value=name)
         return named
 
     @property
     def probes(self) -> dict[str, Position]:
-        """The named probes."""
+        """Positions of the named probes."""
         return {name: named.position for name, named in self._named.items()}
 
     @property
     def has_light(self) -> bool:
-        """Whether a frame was processed."""
+        """Whether a frame has been processed."""
         return self._light_frame != NO_FRAME
 
     def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
-        """Call `listener` after each frame (on the loop); returns how to stop it."""
+        """Call `listener` on the event loop after each frame and at the end; return a function that removes it."""
         self._listeners.add(listener)
         return lambda: self._listeners.discard(listener)
 
-    # --- its life ---------------------------------------------------------------------------------------------
+    # --- state and end ----------------------------------------------------------------------------------------
 
     def check_open(self) -> None:
-        """Raise ProblemError if the session has failed or was deleted."""
+        """Check that the session is usable.
+
+        Raises:
+            ProblemError: The session has failed or was closed.
+        """
         if self._ended is not None:
             raise self._ended
 
     @property
     def ended(self) -> ProblemError | None:
-        """Why the session is over, or None."""
+        """The reason why the session has ended, or None."""
         return self._ended
 
     def close(self) -> None:
-        """Deleted or expired: nobody is left waiting, and the engine's memory goes with its last frame."""
+        """End the session: answer all waiting requests and release the engine after its running frame."""
         self._end(ProblemError("session-closed", "the session was deleted or has expired"))
 
-    def _end(self, why: ProblemError) -> None:
-        self._ended = why
+    def _end(self, reason: ProblemError) -> None:
+        self._ended = reason
         self._engine = None
         self._lights.clear()
-        self._queue.abandon(why)
-        self._workers.tidy_up()
+        self._queue.abandon(reason)
+        self._workers.release_memory()
         for listener in tuple(self._listeners):
             listener()
 
@@ -345,21 +381,22 @@ class LiveSession:
 
     @property
     def bound_bytes(self) -> int:
-        """The most memory that the session can come to hold."""
-        part, keyframes = self._footprint, self._keyframe_capacity
-        full = part.held(keyframes=keyframes, probes=self._limits.max_probes, started=True)
-        return full + KEPT_LIGHTS * self._light_bytes
+        """Upper bound of the session's memory."""
+        keyframes, probes = self._keyframe_capacity, self._limits.max_probes
+        return self._footprint.total(keyframes=keyframes, probes=probes, started=True) + (
+            MAX_CACHED_LIGHTS * self._light_bytes
+        )
 
     @property
     def _light_bytes(self) -> int:
-        return 16 * 2 * self.request.height**2  # radiance and what was seen
+        return 16 * 2 * self.request.height**2  # float32 radiance and observed
 
     def state(self) -> SessionState:
-        """As it is now."""
+        """Return the current state."""
         engine = self._engine
         grid = None if engine is None else engine.grid
         keyframes = 0 if engine is None else engine.keyframes
-        held = self._footprint.held(keyframes=keyframes, probes=len(self._named), started=grid is not None)
+        held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=grid is not None)
         kept = held + len(self._lights) * self._light_bytes
         volume = None
         if grid is not None:
@@ -379,31 +416,25 @@ class LiveSession:
         )
 
 
-async def _probing(work: Awaitable[_R]) -> _R:
-    """A question to the engine: a position that is none is the client's, memory that is not there the server's."""
+async def _convert_errors(work: Awaitable[_R]) -> _R:
+    """Await an engine call for a probe; an unusable position is a client error (422), any other failure a 500."""
     try:
         return await work
     except ProbeError as error:
         raise ProblemError("invalid", str(error), field="position", rule=str(error)) from error
-    except Exception as error:  # nothing was changed: probes are made whole before they enter the session
+    except Exception as error:  # the session is unchanged: it adds a probe only when the probe is complete
         _log.exception("probe failed")
         raise ProblemError("engine-failed", f"the light could not be computed: {type(error).__name__}") from error
 
 
-def _position(query: ProbeQuery) -> Position:
-    assert query.position is not None
-    x, y, z = query.position
-    return x, y, z
-
-
 @lru_cache(maxsize=4)
-def _prior(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], str]:
-    """Panorama, what was observed of it (nothing), and its digest."""
+def _default_panorama(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], str]:
+    """Return panorama, `observed` (all zero) and digest of the default light, which is used before the first frame."""
     panorama = prior_panorama(height)
     observed = np.zeros(panorama.shape[:2], np.float32)
-    return panorama, observed, _digest(Light((0.0, 0.0, 0.0), panorama, observed, 0.0))
+    return panorama, observed, _digest(panorama, observed)
 
 
-def _digest(light: Light) -> str:
-    """The light's identity: the same numbers, the same digest. 0.3 ms at a height of 120."""
-    return hashlib.sha256(light.panorama.tobytes() + light.observed.tobytes()).hexdigest()[:24]
+def _digest(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"]) -> str:
+    """Return the identity of a light: equal values have equal digests. 0.3 ms at a height of 120."""
+    return hashlib.sha256(panorama.tobytes() + observed.tobytes()).hexdigest()[:24]

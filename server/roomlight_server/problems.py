@@ -1,4 +1,4 @@
-"""Refusals as RFC 9457 problems: `application/problem+json` with the field, the value and the rule."""
+"""Error responses as problem details (RFC 9457): `application/problem+json` with field, value and rule."""
 
 import re
 from collections.abc import Mapping
@@ -11,43 +11,44 @@ from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
 from roomlight.errors import WireError
-from roomlight.wire.frame_message import rule_of
+from roomlight.wire.frame_message import rule_text
 from roomlight.wire.messages import Problem
 
 MEDIA_TYPE: Final = "application/problem+json"
+INTERNAL_DETAIL: Final = "unexpected error; the log of the server has the traceback"
 TYPE_PREFIX: Final = "urn:roomlight:problem:"
 
 TITLES: Final[Mapping[str, tuple[int, str]]] = {
-    "unauthorized": (401, "A valid bearer token is needed"),
-    "forbidden-origin": (403, "This web origin is not allowed"),
-    "not-found": (404, "There is no such thing here"),
-    "session-not-found": (404, "There is no such session"),
-    "probe-not-found": (404, "There is no such probe"),
-    "method-not-allowed": (405, "This address does not take the method"),
-    "body-timeout": (408, "The body did not arrive in time"),
-    "frame-conflict": (409, "The index was used already"),
-    "session-conflict": (409, "The session exists with other options"),
-    "session-failed": (409, "The session failed and must be opened anew"),
-    "model-not-here": (409, "This server has no weights of the model"),
-    "too-many-probes": (409, "The session tracks as many probes as it may"),
-    "session-closed": (410, "The session was deleted meanwhile"),
-    "too-large": (413, "The message is larger than this server takes"),
-    "bad-request": (400, "The request cannot be read"),
-    "bad-frame": (422, "The frame is not valid"),
-    "invalid": (422, "The request is not valid"),
-    "session-full": (429, "The session has its hands full"),
-    "engine-failed": (500, "The engine failed on this frame"),
-    "internal": (500, "An error of the server"),
-    "server-full": (503, "The server holds as many sessions as it may"),
-    "stopping": (503, "The server is stopping"),
+    "unauthorized": (401, "A valid bearer token is required"),
+    "forbidden-origin": (403, "Web origin is not allowed"),
+    "not-found": (404, "Path not found"),
+    "session-not-found": (404, "Session not found"),
+    "probe-not-found": (404, "Probe not found"),
+    "method-not-allowed": (405, "Method not allowed"),
+    "body-timeout": (408, "Request body timed out"),
+    "frame-conflict": (409, "Frame index was already used"),
+    "session-conflict": (409, "Session exists with other options"),
+    "session-failed": (409, "Session has failed"),
+    "model-not-here": (409, "Model is not available"),
+    "too-many-probes": (409, "Probe limit reached"),
+    "session-closed": (410, "Session was closed"),
+    "too-large": (413, "Message is too large"),
+    "bad-request": (400, "Request cannot be parsed"),
+    "bad-frame": (422, "Frame is invalid"),
+    "invalid": (422, "Request is invalid"),
+    "session-full": (429, "Session queue is full"),
+    "engine-failed": (500, "Engine failed"),
+    "internal": (500, "Internal server error"),
+    "server-full": (503, "Session limit reached"),
+    "stopping": (503, "Server is stopping"),
 }
-"""Status and title of every type of problem."""
-BODY_REFUSALS: Final = ("bad-request", "body-timeout", "too-large")
-"""What may be wrong with any request that has a body."""
+"""Status and title of each kind of problem; the kind is the end of the problem's `type`."""
+BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large")
+"""Kinds of problem of any request with a body."""
 
 
 class ProblemError(Exception):
-    """A refusal on its way out. `retry_after_s` becomes the header of that name."""
+    """An error that is answered with a problem. `retry_after_s` becomes the header `Retry-After`."""
 
     def __init__(
         self,
@@ -59,7 +60,7 @@ class ProblemError(Exception):
         rule: str | None = None,
         retry_after_s: int | None = None,
     ) -> None:
-        """Of a kind in `TITLES`."""
+        """Create an error of a kind in `TITLES`; `value` is shortened to 120 characters."""
         super().__init__(detail)
         self.kind, self.retry_after_s = kind, retry_after_s
         status, title = TITLES[kind]
@@ -70,13 +71,13 @@ class ProblemError(Exception):
 
     @classmethod
     def from_wire(cls, error: WireError) -> "ProblemError":
-        """The refusal of a message that does not parse or decode."""
+        """Convert the error of a message that does not parse or decode."""
         kind = error.kind if error.kind in TITLES else "invalid"
         return cls(kind, str(error), field=error.field or None, value=error.value, rule=error.rule)
 
 
 def problem_response(error: ProblemError) -> JSONResponse:
-    """The response for a refusal."""
+    """Return the response for an error."""
     headers: dict[str, str] = {}
     if error.retry_after_s is not None:
         headers["Retry-After"] = str(error.retry_after_s)
@@ -87,24 +88,24 @@ def problem_response(error: ProblemError) -> JSONResponse:
 
 
 async def on_problem(_: Request, error: Exception) -> JSONResponse:
-    """FastAPI's handler for `ProblemError`."""
+    """Handle `ProblemError` for FastAPI."""
     assert isinstance(error, ProblemError)
     return problem_response(error)
 
 
 async def on_invalid(_: Request, error: Exception) -> JSONResponse:
-    """FastAPI's handler for parameters and bodies that do not fit their model."""
+    """Handle parameters and bodies that fail validation for FastAPI."""
     assert isinstance(error, RequestValidationError)
     first: dict[str, Any] = error.errors()[0]
-    where = [str(part) for part in first["loc"]]
-    field = ".".join(where[1:]) if len(where) > 1 else where[0]
-    rule = rule_of(str(first["msg"]))
-    given = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
-    return problem_response(ProblemError("invalid", f"{field}: {rule}", field=field, value=given, rule=rule))
+    location = [str(part) for part in first["loc"]]
+    field = ".".join(location[1:]) if len(location) > 1 else location[0]
+    rule = rule_text(str(first["msg"]))
+    value = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
+    return problem_response(ProblemError("invalid", f"{field}: {rule}", field=field, value=value, rule=rule))
 
 
 async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
-    """FastAPI's handler for what the framework itself refuses."""
+    """Handle errors raised by the framework and the middleware."""
     assert isinstance(error, HTTPException)
     kind = {404: "not-found", 405: "method-not-allowed", 408: "body-timeout", 413: "too-large"}.get(
         error.status_code, "bad-request"
@@ -112,13 +113,13 @@ async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
     detail = str(error.detail) or HTTPStatus(error.status_code).phrase
     response = problem_response(ProblemError(kind, detail))
     response.headers.update(error.headers or {})
-    if error.status_code == 405:  # Starlette names the methods of the first route alone
+    if error.status_code == 405:  # Starlette lists the methods of the first matching route only
         response.headers["Allow"] = ", ".join(sorted(_methods_at(request)))
     return response
 
 
 def _methods_at(request: Request) -> set[str]:
-    """What the address does take."""
+    """Return the methods of all routes at the path of the request."""
     methods: set[str] = set()
     for path, operations in request.app.openapi()["paths"].items():
         pattern = "[^/]+".join(re.escape(part) for part in re.split(r"\{[^}]+\}", path))
@@ -128,13 +129,13 @@ def _methods_at(request: Request) -> set[str]:
 
 
 async def on_error(_: Request, error: Exception) -> JSONResponse:
-    """The last handler: what happened goes to the log, not to the client."""
+    """Handle any other exception: its details go to the log, not to the client."""
     del error
-    return problem_response(ProblemError("internal", "the server's log says more"))
+    return problem_response(ProblemError("internal", INTERNAL_DETAIL))
 
 
 def documented(*kinds: str) -> dict[int | str, dict[str, Any]]:
-    """OpenAPI's responses for these kinds of problem."""
+    """Return the OpenAPI responses for these kinds of problem."""
     responses: dict[int | str, dict[str, Any]] = {}
     for kind in kinds:
         status, title = TITLES[kind]

@@ -1,5 +1,6 @@
-"""The sessions of a server, by owner and id: how many there may be, and when idle ones go."""
+"""The sessions of a server by owner and id: their limit, and the expiry of idle ones."""
 
+import json
 import logging
 import math
 from collections.abc import Callable, Generator
@@ -8,7 +9,7 @@ from dataclasses import replace
 
 from roomlight.engine.memory import Footprint
 from roomlight.engine.session import Session
-from roomlight.errors import ModelError
+from roomlight.errors import ModelError, OptionError
 from roomlight.wire.messages import SessionRequest
 from roomlight_server.live_session import Limits, LiveSession
 from roomlight_server.metrics import Metrics
@@ -18,14 +19,14 @@ from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
 Clock = Callable[[], float]
-"""Seconds that only go forward."""
+"""A monotonic clock, in seconds."""
 
 
 class Registry:
-    """Sessions that are held. Ids of different owners do not meet: another's session is not found."""
+    """The open sessions. Each owner has a separate set of ids and cannot find the sessions of others."""
 
     def __init__(self, settings: ServerSettings, workers: Workers, metrics: Metrics, clock: Clock) -> None:
-        """Empty."""
+        """Create an empty registry."""
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
         self._limits = Limits(
@@ -41,22 +42,28 @@ class Registry:
         )
 
     async def open(self, owner: str, name: str, request: SessionRequest) -> tuple[LiveSession, bool]:
-        """The session, and whether it is new. Raises ProblemError: other options, no room, no such weights."""
-        held = self._current(owner, name)
-        if held is not None:
-            return self._same(held, request), False
+        """Open a session, or return the open session of this id if its options are equal.
+
+        Returns:
+            The session, and whether it is new.
+
+        Raises:
+            ProblemError: The session exists with other options (409), the model is not available (409), the session
+                limit is reached (503), or the session could need too much memory (422).
+        """
+        existing = self._current(owner, name)
+        if existing is not None:
+            return self._reopen(existing, request), False
         try:
             graphs = await self._workers.graphs_of(request.mode)
-        except ModelError as error:
-            rule = (
-                "`auto` takes what the server was started with, else trained networks if it has any, else `classical`"
-            )
-            detail = f"the server cannot serve it: {error}"
+        except (ModelError, OptionError) as error:
+            rule = "must be a model of the server; `auto` is its default model"
+            detail = f"the server has no weights of the model: {error}"
             raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
-        held = self._current(owner, name)  # another request may have made it meanwhile
-        if held is not None:
-            return self._same(held, request), False
-        self._check_room()
+        existing = self._current(owner, name)  # another request may have opened it in the meantime
+        if existing is not None:
+            return self._reopen(existing, request), False
+        self._check_capacity()
         base = self._workers.base_options
         options = replace(
             base,
@@ -73,16 +80,11 @@ class Registry:
             limits=self._limits,
             metrics=self._metrics,
         )
-        most = self._settings.max_session_bytes
-        if live.bound_bytes > most:
-            rule = f"a session may come to {most} bytes at most; a lower height takes less"
-            raise ProblemError(
-                "invalid",
-                f"with these options it could hold {live.bound_bytes} bytes",
-                field="height",
-                value=request.height,
-                rule=rule,
-            )
+        limit = self._settings.max_session_bytes
+        if live.bound_bytes > limit:
+            detail = f"a session with these options could need {live.bound_bytes} bytes"
+            rule = f"at most {limit} bytes per session; a lower height needs less"
+            raise ProblemError("invalid", detail, field="height", value=request.height, rule=rule)
         live.last_used_s = self._clock()
         self._sessions[owner, name] = live
         _log.info("session opened", extra={"session": name, "model": live.state().model})
@@ -90,12 +92,15 @@ class Registry:
 
     @contextmanager
     def use(self, owner: str, name: str) -> Generator[LiveSession]:
-        """The session, which does not expire meanwhile. Raises ProblemError (404)."""
+        """Return the session; it does not expire inside the context.
+
+        Raises:
+            ProblemError: There is no session of this id (404).
+        """
         live = self._current(owner, name)
         if live is None:
-            raise ProblemError(
-                "session-not-found", "there is no session of this id; PUT it first", field="id", value=name
-            )
+            detail = "there is no session of this id; it may have expired; open it with PUT"
+            raise ProblemError("session-not-found", detail, field="id", value=name)
         live.users += 1
         try:
             yield live
@@ -104,23 +109,27 @@ class Registry:
             live.last_used_s = self._clock()
 
     def delete(self, owner: str, name: str) -> None:
-        """End a session. Raises ProblemError (404)."""
+        """End a session.
+
+        Raises:
+            ProblemError: There is no session of this id (404).
+        """
         with self.use(owner, name) as live:
             del self._sessions[owner, name]
             live.close()
-            self._ended(name, "deleted")
+            self._record_end(name, "deleted")
 
     def expire(self) -> None:
-        """End the sessions that nobody used for too long."""
+        """End all sessions that are idle for too long."""
         limit = self._clock() - self._settings.idle_expiry_s
         for key, live in tuple(self._sessions.items()):
             if live.users == 0 and live.last_used_s < limit:
                 del self._sessions[key]
                 live.close()
-                self._ended(live.name, "expired")
+                self._record_end(live.name, "expired")
 
     def close(self) -> None:
-        """End all."""
+        """End all sessions."""
         for live in self._sessions.values():
             live.close()
         self._sessions.clear()
@@ -129,34 +138,44 @@ class Registry:
         self.expire()
         return self._sessions.get((owner, name))
 
-    def _ended(self, name: str, reason: str) -> None:
+    def _record_end(self, name: str, reason: str) -> None:
         self._metrics.sessions_ended.labels(reason).inc()
         _log.info("session ended", extra={"session": name, "reason": reason})
 
-    def _same(self, live: LiveSession, request: SessionRequest) -> LiveSession:
+    def _reopen(self, live: LiveSession, request: SessionRequest) -> LiveSession:
         if live.request != request:
-            raise ProblemError(
-                "session-conflict",
-                "it was opened with other options; DELETE it first, or use another id",
-                field="options",
-                value=live.request.model_dump_json(),
-                rule="the same options as before",
-            )
+            raise _conflict(live.request, request)
         live.last_used_s = self._clock()
         return live
 
-    def _check_room(self) -> None:
+    def _check_capacity(self) -> None:
         if self.stopping:
             raise ProblemError("stopping", "the server is stopping", retry_after_s=5)
-        most = self._settings.max_sessions
-        if len(self._sessions) < most:
+        limit = self._settings.max_sessions
+        if len(self._sessions) < limit:
             return
-        # the first that could expire; busy ones may well outlive it
+        # the earliest time at which a session could expire; it stays longer if it is used
         oldest = min(live.last_used_s for live in self._sessions.values())
         wait_s = oldest + self._settings.idle_expiry_s - self._clock()
         raise ProblemError(
             "server-full",
-            f"{most} sessions are open; DELETE one that is no longer needed, or try later",
-            rule=f"at most {most} sessions",
+            f"{limit} sessions are open; delete one that is no longer needed, or retry later",
+            rule=f"at most {limit} sessions",
             retry_after_s=max(1, min(60, math.ceil(wait_s))),
         )
+
+
+def _conflict(existing: SessionRequest, request: SessionRequest) -> ProblemError:
+    """Return the error that names each differing option with both values; `field` is the first one."""
+    old = {name: json.dumps(value) for name, value in existing.model_dump().items()}
+    new = {name: json.dumps(value) for name, value in request.model_dump().items()}
+    differing = [name for name in old if old[name] != new[name]]
+    first = differing[0]
+    listed = ", ".join(f"{name} {old[name]} (requested: {new[name]})" for name in differing)
+    return ProblemError(
+        "session-conflict",
+        f"the session exists with {listed}; join it with GET, delete it first, or use another id",
+        field=first,
+        value=new[first],
+        rule=f"must be {old[first]}, as when the session was opened",
+    )

@@ -1,4 +1,4 @@
-"""Run a server until it is told to stop: uvicorn, structured logs, a stop that finishes the frame in work."""
+"""Running a server: uvicorn, structured logs, a graceful stop."""
 
 import gc
 import json
@@ -19,20 +19,21 @@ from roomlight_server.context import Context
 from roomlight_server.settings import ServerSettings
 
 GRACE_S: Final = 20
-"""For requests on their way when the server is told to stop; a frame takes a tenth of a second."""
+"""Time to finish running requests when the server stops; a frame takes a tenth of a second."""
 KEEP_ALIVE_S: Final = 75
-"""An idle connection is kept so long: a phone that pauses need not shake hands anew."""
+"""Time that an idle connection is kept open, so that a phone that pauses need not reconnect."""
 SWITCH_S: Final = 0.001
-"""How long a computing thread may keep Python's lock when the event loop wants it. Against the default of 0.005 the
-median of `/healthz` beside a working engine halves (1.9 to 2.4 ms before, 1.1 to 1.3 after); frames take as long."""
+"""Interval after which a computing thread releases Python's global lock to the event loop. Compared with the default of
+0.005 it halves the median of `/healthz` beside a running engine (1.9 to 2.4 ms before, 1.1 to 1.3 after); the time of a
+frame stays the same."""
 _STANDARD: Final = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", "color_message", "taskName"}
 
 
 class JsonLines(logging.Formatter):
-    """One record, one line of JSON: time, level, event, and whatever the record was given as `extra`."""
+    """Formats a record as one line of JSON: time, level, event, and the fields passed as `extra`."""
 
     def format(self, record: logging.LogRecord) -> str:
-        """Never more than one line: line breaks are escaped by JSON."""
+        """Return one line; JSON escapes line breaks."""
         stamp = time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(record.created))
         line: dict[str, object] = {
             "time": f"{stamp}.{int(record.msecs):03d}Z",
@@ -46,14 +47,14 @@ class JsonLines(logging.Formatter):
 
 
 def configure_logging(level: str) -> None:
-    """Everything to standard error, as `JsonLines`."""
+    """Send all logs to standard error, formatted by `JsonLines`."""
     handler = logging.StreamHandler(sys.stderr)
     handler.setFormatter(JsonLines())
     logging.basicConfig(handlers=[handler], level=level.upper(), force=True)
 
 
-def server_of(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
-    """A uvicorn server, not yet started."""
+def make_server(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
+    """Return a uvicorn server that is not started yet."""
     return uvicorn.Server(
         uvicorn.Config(
             app,
@@ -72,52 +73,63 @@ def server_of(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
 
 
 def listen(settings: ServerSettings) -> socket.socket:
-    """A socket bound to the address of the settings; port 0 becomes one that is free. Raises ServerError."""
+    """Return a socket that listens on the address of the settings; port 0 takes a free port.
+
+    Raises:
+        ServerError: The host is not an address of this machine, or the port is in use.
+    """
     host = settings.host.strip("[]")
     try:
         found = socket.getaddrinfo(host, settings.port, type=socket.SOCK_STREAM)
-        # `localhost` may name both families' addresses: clients try 127.0.0.1 in any case
+        # `localhost` may have addresses of both families; every client tries 127.0.0.1
         family, kind, protocol, _, address = min(found, key=lambda each: each[0] != socket.AF_INET)
         bound = socket.socket(family, kind, protocol)
     except OSError as error:
-        raise ServerError(f"host: {settings.host!r} is no address of this machine ({error.strerror})") from error
+        raise ServerError(f"host: {settings.host!r} is not an address of this machine ({error.strerror})") from error
     bound.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
         bound.bind(address)
-        bound.listen()  # two sockets may be bound to one address, but only one listens: the error comes here, not later
+        bound.listen()  # two sockets can bind to one address but only one can listen: report that here
     except OSError as error:
         bound.close()
         raise ServerError(
-            f"port: cannot listen on {settings.host}:{settings.port} ({os.strerror(error.errno or 0)}); stop what "
-            "listens there, or choose another --port"
+            f"port: cannot listen on {settings.host}:{settings.port} ({os.strerror(error.errno or 0)}); stop the "
+            "process that listens there, or choose another --port"
         ) from error
     return bound
 
 
-def settle() -> None:
-    """Let the garbage collector pass over what stays for good (kernels, models, routes): 0.18 million objects, for
-    which it stopped everything for 0.1 to 0.3 s whenever it looked at them all.
+def freeze_garbage_collector() -> None:
+    """Exclude permanent objects (kernels, models, routes) from garbage collection.
+
+    There are 180,000; each full collection of them paused the process for 0.1 to 0.3 s.
     """
     gc.collect()
     gc.freeze()
 
 
 def address_of(settings: ServerSettings, bound: socket.socket) -> str:
-    """The address to give to clients on this machine."""
+    """Return the URL of the server for clients on this machine."""
     host = settings.host.strip("[]")
     return f"http://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
 
 
 def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> None:
-    """Serve until SIGINT or SIGTERM. `listening` is told the address before anything is answered.
+    """Serve until SIGINT or SIGTERM.
 
-    Raises ModelError where the weights that are asked for cannot be loaded, ServerError where the address is taken.
+    Args:
+        settings: Settings of the server.
+        listening: Called with the URL of the server before the first request is answered.
+
+    Raises:
+        ModelError: The weights of the default model cannot be loaded.
+        ServerError: The server cannot listen on the address.
     """
     configure_logging(settings.log_level)
     sys.setswitchinterval(SWITCH_S)
-    app = create_app(settings, when_ready=settle)
+    app = create_app(settings, when_ready=freeze_garbage_collector)
     context: Context = app.state.context
     context.workers.load()
     with listen(settings) as bound:
         listening(address_of(settings, bound))
-        server_of(settings, app).run(sockets=[bound])
+        make_server(settings, app).run(sockets=[bound])

@@ -1,4 +1,4 @@
-"""`/v1/sessions/{id}`: open, look at, delete; and its frames."""
+"""Routes of sessions, `/v1/sessions/{id}`: open, state, delete, and frames."""
 
 import asyncio
 from typing import Annotated, Any, Final
@@ -8,8 +8,8 @@ from fastapi import APIRouter, Body, Header, Path, Request, Response
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_server.bodies import read_frame
-from roomlight_server.context import In, Live, Owner, SessionId
-from roomlight_server.problems import BODY_REFUSALS, documented
+from roomlight_server.context import ContextDep, OwnerDep, SessionDep, SessionId
+from roomlight_server.problems import BODY_PROBLEMS, documented
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
 router = APIRouter(prefix="/v1/sessions/{session_id}")
@@ -17,8 +17,8 @@ router = APIRouter(prefix="/v1/sessions/{session_id}")
 _FRAME_BODY: Final[dict[str, Any]] = {
     "requestBody": {
         "required": True,
-        "description": "A frame message (server/WIRE.md): `RLF1`, header length, JSON header, then colour, depth, "
-        "confidence. As multipart: the parts `header` (the JSON, without lengths), `colour`, `depth`, `confidence`.",
+        "description": "A frame message (see the wire format): `RLF1`, header length, JSON header, colour, depth, "
+        "confidence. Multipart: the parts `header` (the JSON, without lengths), `colour`, `depth`, `confidence`.",
         "content": {
             FRAME_MEDIA_TYPE: {"schema": {"type": "string", "format": "binary"}},
             "application/octet-stream": {"schema": {"type": "string", "format": "binary"}},
@@ -39,9 +39,9 @@ _FRAME_BODY: Final[dict[str, Any]] = {
     }
 }
 _OPTIONS: Final[dict[str, Any]] = {
-    "defaults": {"summary": "The best model there is, the first frame's exposure", "value": {}},
+    "defaults": {"summary": "The server's default model, the exposure of the first frame", "value": {}},
     "replay": {
-        "summary": "As `roomlight replay` does it",
+        "summary": "The options of `roomlight replay`",
         "value": {"mode": "classical", "height": 120, "reference_exposure": 1.0},
     },
 }
@@ -60,19 +60,23 @@ _PROCESSED: Final[dict[str, Any]] = {
     tags=["sessions"],
     summary="Open a session",
     response_model=SessionState,
-    responses={201: {"model": SessionState, "description": "Opened"}}
+    responses={201: {"model": SessionState, "description": "A new session is open"}}
     | documented(
-        *BODY_REFUSALS, "unauthorized", "session-conflict", "model-not-here", "invalid", "server-full", "stopping"
+        *BODY_PROBLEMS, "unauthorized", "session-conflict", "model-not-here", "invalid", "server-full", "stopping"
     ),
 )
 async def open_session(
     session_id: SessionId,
-    context: In,
-    owner: Owner,
+    context: ContextDep,
+    owner: OwnerDep,
     response: Response,
     request: Annotated[SessionRequest | None, Body(openapi_examples=_OPTIONS)] = None,
 ) -> SessionState:
-    """Open a session under an id of the client's making. Again with the same options: 200, nothing changes."""
+    """Open a session under an id chosen by the client.
+
+    If the session exists with the same options, it is unchanged and the status is 200. If it exists with other options,
+    the problem (409) names the first option that differs. `GET` joins an existing session without knowing its options.
+    """
     live, new = await context.registry.open(owner, session_id, request or SessionRequest())
     response.status_code = 201 if new else 200
     return live.state()
@@ -81,11 +85,14 @@ async def open_session(
 @router.get(
     "",
     tags=["sessions"],
-    summary="A session's state",
+    summary="State of a session",
     responses=documented("unauthorized", "session-not-found", "invalid"),
 )
-async def session_state(live: Live) -> SessionState:
-    """Frames accepted, dropped and missing, memory, model, probes with their coverage, the volume."""
+async def session_state(live: SessionDep) -> SessionState:
+    """Return options, model, frame counts, named probes with their coverage, memory and volume of a session.
+
+    A client joins an existing session with this request: it needs only the id.
+    """
     return live.state()
 
 
@@ -96,8 +103,8 @@ async def session_state(live: Live) -> SessionState:
     status_code=204,
     responses=documented("unauthorized", "session-not-found", "invalid"),
 )
-async def delete_session(session_id: SessionId, context: In, owner: Owner) -> None:
-    """End it; frames on their way get 410."""
+async def delete_session(session_id: SessionId, context: ContextDep, owner: OwnerDep) -> None:
+    """End a session; frames in flight are answered with 410."""
     context.registry.delete(owner, session_id)
 
 
@@ -109,29 +116,29 @@ async def delete_session(session_id: SessionId, context: In, owner: Owner) -> No
     response_model=FrameResult,
     responses={
         200: {
-            "description": "processed, superseded by a newer frame, or skipped for its tracking state",
+            "description": "processed, superseded by a newer frame, or skipped because of its tracking state",
             "content": {"application/json": {"example": _PROCESSED}},
         },
-        202: {"model": FrameResult, "description": "queued (`Prefer: respond-async`)"},
+        202: {"model": FrameResult, "description": "accepted and queued (`Prefer: respond-async`)"},
     }
     | documented(
-        *(*BODY_REFUSALS, "unauthorized", "session-not-found", "frame-conflict", "session-failed", "session-closed"),
+        *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "frame-conflict", "session-failed", "session-closed"),
         *("bad-frame", "invalid", "session-full", "engine-failed"),
     ),
 )
 async def put_frame(
-    live: Live,
+    live: SessionDep,
     index: Annotated[int, Path(ge=0, le=MAX_INDEX)],
     request: Request,
     response: Response,
-    prefer: Annotated[str, Header(description="`respond-async`: 202 as soon as the frame is accepted.")] = "",
+    prefer: Annotated[str, Header(description="`respond-async`: answer 202 when the frame is accepted.")] = "",
 ) -> FrameResult:
-    """Send the next frame; the answer comes when it was processed, or a newer one took its place.
+    """Send a frame. The answer comes when the frame is processed or superseded by a newer one.
 
-    The same index and bytes again are a replay (200); an older index, or other bytes, a conflict (409). Gaps are
-    counted.
+    Repeating the last index with the same bytes is a replay (200). An older index, or the last one with other bytes, is
+    a conflict (409). Indices may leave gaps.
     """
-    async with live.room_for_frame():
+    async with live.frame_slot():
         entry = await live.accept(await read_frame(request), index)
         if "respond-async" in prefer.lower() and not entry.outcome.done():
             response.status_code = 202

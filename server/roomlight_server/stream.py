@@ -1,19 +1,23 @@
-"""`/v1/sessions/{id}/stream`: frames in, their fates and the light out, on one WebSocket (server/WIRE.md).
+"""`/v1/sessions/{id}/stream`: frames in, their outcomes and light out, on one WebSocket (format: server/WIRE.md).
 
-Where a client reads too slowly, its fates wait, then its frames (the connection is not read on), and of the lighting
-updates only the newest is kept. Nothing it sends ends the connection but what is no frame and no text at all.
+Back pressure: for a client that reads slowly, outcomes of frames wait, then its frames (the server stops reading), and
+only the newest lighting update is kept. A message that is rejected or fails is answered with a problem and the
+connection stays open. Only a message that is neither binary nor text closes the connection.
 """
 
 import asyncio
-from collections.abc import Sequence
-from typing import Final
+import logging
+from collections.abc import AsyncIterator, Generator, Sequence
+from contextlib import asynccontextmanager, contextmanager
+from typing import Final, NoReturn
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import TypeAdapter, ValidationError
 
-from roomlight.wire.frame_message import explain, stated_index
+from roomlight.wire.frame_message import stated_index, to_wire_error
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import (
+    MAX_PROBES,
     ClientMessage,
     FrameEvent,
     LightAnswer,
@@ -31,16 +35,22 @@ from roomlight.wire.messages import (
     is_id,
 )
 from roomlight_server.auth import SUBPROTOCOL
-from roomlight_server.bodies import JSON_BYTES
+from roomlight_server.bodies import MAX_JSON_BYTES
 from roomlight_server.context import Context
-from roomlight_server.light_routes import answer, check_size
+from roomlight_server.light_routes import check_size, encode_lights
 from roomlight_server.live_session import LiveSession
-from roomlight_server.problems import ProblemError
+from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
 
+_log = logging.getLogger("roomlight.server")
 router = APIRouter()
 _MESSAGES: Final[TypeAdapter[ClientMessage]] = TypeAdapter(ClientMessage)
-_CLOSE: Final = {"session-not-found": 4404, "invalid": 4422}
-"""Close codes: 4000 + the HTTP status that the same refusal has."""
+_CLOSE_CODES: Final = {"session-not-found": 4404, "invalid": 4422}
+"""Close codes: 4000 + the HTTP status of the problem."""
+_SESSION_ENDED: Final = 4410
+
+
+class _ConnectionEndedError(Exception):
+    """The connection is closed: raised in one of its tasks, it cancels the others."""
 
 
 @router.websocket("/v1/sessions/{session_id}/stream")
@@ -52,144 +62,181 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
     await websocket.accept(subprotocol=SUBPROTOCOL if SUBPROTOCOL in offered else None)
     try:
         if not is_id(session_id):
-            raise ProblemError("invalid", "a session id is A-Z a-z 0-9 _ -, up to 64", field="id", value=session_id)
+            rule = "must be 1 to 64 of A-Z a-z 0-9 _ -"
+            raise ProblemError("invalid", f"id: {rule}", field="id", value=session_id, rule=rule)
         with context.registry.use(owner, session_id) as live:
-            pass  # a connection alone keeps no session alive; its messages do
+            pass  # an open connection does not keep the session alive; its messages do
     except ProblemError as error:
         await websocket.send_text(ProblemEvent(problem=error.problem).model_dump_json(exclude_none=True))
-        await websocket.close(_CLOSE[error.kind], error.kind)
+        await websocket.close(_CLOSE_CODES[error.kind], error.kind)
         return
     with context.metrics.streams.track_inprogress():
         await _Connection(websocket, context, owner, live).run()
 
 
 class _Connection:
+    """One connection: a task that reads messages, a task that sends updates, and a task per frame in flight."""
+
     def __init__(self, websocket: WebSocket, context: Context, owner: str, live: LiveSession) -> None:
         self._websocket, self._context, self._owner, self._live = websocket, context, owner, live
-        self._forms: list[LightForm] = []
-        self._changed = asyncio.Event()
-        self._sending = asyncio.Lock()
-        self._frames: set[asyncio.Task[None]] = set()
+        self._subscribed_forms: list[LightForm] = []
+        self._update_due = asyncio.Event()
+        self._send_lock = asyncio.Lock()  # one message at a time; never held together with a lock of the session
+        self._tasks = asyncio.TaskGroup()
+        self._frame_tasks: set[asyncio.Task[None]] = set()
 
     async def run(self) -> None:
-        unlisten = self._live.listen(self._changed.set)
-        tasks = [asyncio.create_task(self._receive()), asyncio.create_task(self._update())]
+        """Run until the client disconnects or the session ends; then all tasks have ended."""
+        remove_listener = self._live.listen(self._update_due.set)
         try:
-            await asyncio.wait(tasks, return_when=asyncio.FIRST_COMPLETED)
+            async with self._tasks:
+                self._tasks.create_task(self._read_messages())
+                self._tasks.create_task(self._send_updates())
+        except* _ConnectionEndedError:
+            pass
         finally:
-            unlisten()
-            for task in (*tasks, *self._frames):
-                task.cancel()
-            done = await asyncio.gather(*tasks, *self._frames, return_exceptions=True)
-        for error in done:  # what is no disconnection is a mistake of ours, and is logged as one
-            if isinstance(error, Exception) and not isinstance(error, WebSocketDisconnect | RuntimeError):
-                raise error
+            remove_listener()
 
-    async def _receive(self) -> None:
+    async def _read_messages(self) -> None:
         while True:
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
-                return
+                raise _ConnectionEndedError
             data, text = message.get("bytes"), message.get("text")
-            try:
+            async with self._answering_errors(frame=data):
                 with self._context.registry.use(self._owner, self._live.name) as live:
                     live.check_open()
                     if live is not self._live:
-                        raise ProblemError("session-closed", "the session was deleted; connect anew")
+                        raise ProblemError("session-closed", "the session was deleted; connect again")
                     if data is not None:
-                        await self._frame(data)
+                        await self._start_frame(data)
                     elif text is not None:
-                        await self._text(text)
-            except ProblemError as error:
-                await self._problem(error, index=None if data is None else stated_index(data))
+                        await self._handle_text(text)
 
-    async def _frame(self, data: bytes) -> None:
-        """Take a frame in order, waiting for room (and so not reading on); its fate is told when it is known."""
+    @asynccontextmanager
+    async def _answering_errors(self, *, frame: bytes | None = None, request: str | None = None) -> AsyncIterator[None]:
+        """Answer an error inside the context with a problem, so that the connection goes on.
+
+        The problem names the index of the frame or the `request` of the message. An unexpected error is logged.
+        """
+        try:
+            yield
+        except _ConnectionEndedError:
+            raise
+        except ProblemError as error:
+            problem = error
+        except Exception:
+            index = None if frame is None else stated_index(frame)
+            _log.exception("unexpected error on a stream", extra={"session": self._live.name, "frame": index})
+            problem = ProblemError("internal", INTERNAL_DETAIL)
+        else:
+            return
+        index = None if frame is None else stated_index(frame)
+        await self._send(ProblemEvent(problem=problem.problem, index=index, request=request))
+
+    async def _start_frame(self, data: bytes) -> None:
+        """Start the task of a frame. Waiting here for a free slot stops the reading of further messages."""
         limit = self._context.settings.max_body_bytes
         if len(data) > limit:
-            raise ProblemError("too-large", f"the frame is {len(data)} bytes", rule=f"at most {limit} bytes")
-        room = self._live.room_for_frame(wait=True)
-        await room.__aenter__()
+            raise ProblemError("too-large", f"the frame has {len(data)} bytes", rule=f"at most {limit} bytes")
+        await self._live.acquire_frame_slot()
+        task = self._tasks.create_task(self._process_frame(data))
+        self._frame_tasks.add(task)
+        task.add_done_callback(self._end_frame)  # called even if the task is cancelled before it starts
 
-        async def take() -> None:
-            try:
-                entry = await self._live.accept(data, None)
-                result = await asyncio.shield(entry.outcome)
-                await self._send(FrameEvent(**result.model_dump()))
-            except ProblemError as error:
-                await self._problem(error, index=stated_index(data))
-            finally:
-                await room.__aexit__(None, None, None)
+    def _end_frame(self, task: asyncio.Task[None]) -> None:
+        self._frame_tasks.discard(task)
+        self._live.release_frame_slot()
 
-        task = asyncio.create_task(take())
-        self._frames.add(task)
-        task.add_done_callback(self._frames.discard)
+    async def _process_frame(self, data: bytes) -> None:
+        async with self._answering_errors(frame=data):
+            entry = await self._live.accept(data, None)
+            result = await asyncio.shield(entry.outcome)
+            await self._send(FrameEvent(**result.model_dump()))
 
-    async def _text(self, text: str) -> None:
-        if len(text) > JSON_BYTES:
-            raise ProblemError("too-large", f"the text is {len(text)} long", rule=f"at most {JSON_BYTES}")
+    async def _handle_text(self, text: str) -> None:
+        if len(text) > MAX_JSON_BYTES:
+            rule = f"at most {MAX_JSON_BYTES} characters"
+            raise ProblemError("too-large", f"the message has {len(text)} characters", rule=rule)
         try:
             message = _MESSAGES.validate_json(text)
         except ValidationError as error:
-            raise ProblemError.from_wire(explain(error, kind="invalid")) from error
+            raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
         if isinstance(message, LightCall):
-            try:
+            async with self._answering_errors(request=message.request):
                 check_size(message)
-                frame, results, parts = await self._lights(message.probes, message.forms)
-            except ProblemError as error:
-                await self._problem(error, request=message.request)
-            else:
+                frame, results, parts = await self._encoded_lights(message.probes, message.forms)
                 await self._send(LightAnswer(request=message.request, frame=frame, results=results), parts)
         elif isinstance(message, Subscribe):
-            named = [ProbeQuery(name="x")] * self._context.settings.max_probes
-            if message.forms:
-                check_size(LightRequest(probes=named[:64], forms=message.forms))
-            self._forms = message.forms
-            self._changed.set()
+            self._subscribe(message.forms)
         elif isinstance(message, Track):
             x, y, z = message.position
             await self._live.track(message.name, (x, y, z))
-            await self._tell_probes()
+            await self._send_probes()
         else:
             await self._live.untrack(message.name)
-            await self._tell_probes()
+            await self._send_probes()
 
-    async def _tell_probes(self) -> None:
+    def _subscribe(self, forms: list[LightForm]) -> None:
+        if forms:
+            probes = min(self._context.settings.max_probes, MAX_PROBES)
+            check_size(LightRequest(probes=[ProbeQuery(name="any")] * probes, forms=forms))
+        self._subscribed_forms = forms
+        self._update_due.set()
+
+    async def _send_probes(self) -> None:
         probes = {name: list(position) for name, position in self._live.probes.items()}
         await self._send(ProbesEvent(probes=probes))
 
-    async def _lights(
+    async def _encoded_lights(
         self, probes: Sequence[ProbeQuery], forms: list[LightForm]
     ) -> tuple[int, list[ProbeLight], list[bytes]]:
-        points = await self._live.lights(probes)
-        results, parts = await answer(self._context.workers, points, forms)
-        return points[0].frame, results, parts
+        lights = await self._live.lights(probes)
+        results, parts = await encode_lights(self._context.workers, lights, forms)
+        return lights[0].frame, results, parts
 
-    async def _update(self) -> None:
-        """After each frame, the newest light of the named probes; frames that come meanwhile count as one."""
+    async def _send_updates(self) -> None:
+        """Send the newest light of the named probes after each frame; frames during an update count as one."""
         while True:
-            await self._changed.wait()
-            self._changed.clear()
-            if self._live.ended is not None:
-                await self._problem(self._live.ended)
-                await self._websocket.close(4410, self._live.ended.kind)
-                return
+            await self._update_due.wait()
+            self._update_due.clear()
+            ended = self._live.ended
+            if ended is not None:
+                if self._frame_tasks:  # they have their outcomes now: send these first
+                    await asyncio.wait(tuple(self._frame_tasks))
+                await self._send(ProblemEvent(problem=ended.problem))
+                await self._close(_SESSION_ENDED, ended.kind)
             named = [ProbeQuery(name=name) for name in self._live.probes]
-            if not self._forms or not named:
-                continue
-            try:
-                frame, results, parts = await self._lights(named, self._forms)
-            except ProblemError:
-                continue  # a probe was given up meanwhile, or the session: the next turn knows
-            await self._send(LightingUpdate(frame=frame, results=results), parts)
+            if self._subscribed_forms and named:
+                async with self._answering_errors():
+                    await self._send_update(named)
 
-    async def _problem(self, error: ProblemError, *, index: int | None = None, request: str | None = None) -> None:
-        await self._send(ProblemEvent(problem=error.problem, index=index, request=request))
+    async def _send_update(self, named: list[ProbeQuery]) -> None:
+        try:
+            frame, results, parts = await self._encoded_lights(named, self._subscribed_forms)
+        except ProblemError:
+            return  # a probe was deleted in the meantime, or the session has ended, which is the next event
+        await self._send(LightingUpdate(frame=frame, results=results), parts)
 
     async def _send(self, message: WireModel, parts: Sequence[bytes] = ()) -> None:
-        """Text, or binary where there is data; one message at a time, each waiting for the client to take it."""
-        async with self._sending:
-            if parts and isinstance(message, LightAnswer | LightingUpdate):
-                await self._websocket.send_bytes(pack_light(message, parts))
-            else:
-                await self._websocket.send_text(message.model_dump_json(exclude_none=True))
+        """Send a message as text, or as binary if it has data, and wait until the client accepts it."""
+        async with self._send_lock:
+            with _ending_when_closed():
+                if parts and isinstance(message, LightAnswer | LightingUpdate):
+                    await self._websocket.send_bytes(pack_light(message, parts))
+                else:
+                    await self._websocket.send_text(message.model_dump_json(exclude_none=True))
+
+    async def _close(self, code: int, reason: str) -> NoReturn:
+        with _ending_when_closed():
+            await self._websocket.close(code, reason)
+        raise _ConnectionEndedError
+
+
+@contextmanager
+def _ending_when_closed() -> Generator[None]:
+    """Convert the errors of Starlette and uvicorn for sending on a closed connection."""
+    try:
+        yield
+    except (WebSocketDisconnect, RuntimeError) as error:
+        raise _ConnectionEndedError from error

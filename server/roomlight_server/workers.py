@@ -1,7 +1,7 @@
-"""Threads of a server: few for the engine, a few for decoding and encoding; the event loop only waits for them.
+"""Thread pools of a server: one for the engine, one for decoding and encoding. The event loop only awaits them.
 
-The engine's turns are given out on the loop, first come first served among sessions, and only when a thread is free: so
-a session's newest frame is taken at the last moment.
+The event loop assigns engine threads to sessions in the order of their requests, and only when a thread is free: a
+session then chooses its newest frame as late as possible.
 """
 
 import asyncio
@@ -12,7 +12,7 @@ from dataclasses import replace
 from typing import ParamSpec, TypeVar
 
 from roomlight.engine.graphs import LightingGraphs
-from roomlight.engine.memory import give_back
+from roomlight.engine.memory import release_free_memory
 from roomlight.engine.session import ModelName, SessionOptions, choose_graphs, warm_up
 from roomlight_server.settings import ServerSettings
 
@@ -21,13 +21,13 @@ _R = TypeVar("_R")
 
 
 class Workers:
-    """The thread pools, and the graphs that sessions share."""
+    """The thread pools, and the network graphs that sessions share."""
 
     def __init__(self, settings: ServerSettings) -> None:
-        """Threads start when they are first needed."""
+        """Create the pools; threads start when they are first used."""
         self._engine = ThreadPoolExecutor(settings.engine_threads, thread_name_prefix="engine")
         self._decode = ThreadPoolExecutor(settings.decode_threads, thread_name_prefix="decode")
-        self._turns = asyncio.Semaphore(settings.engine_threads)
+        self._engine_slots = asyncio.Semaphore(settings.engine_threads)
         self._base = SessionOptions(
             model=settings.model,
             weights=settings.weights,
@@ -36,62 +36,71 @@ class Workers:
             keyframes=settings.keyframes,
         )
         self._graphs: dict[ModelName, LightingGraphs | None] = {}
-        self._loading = asyncio.Lock()
+        self._loading_lock = asyncio.Lock()
 
     def load(self) -> None:
-        """Load what `auto` means, here and now. Raises ModelError."""
+        """Load the graphs of the default model, blocking.
+
+        Raises:
+            ModelError: The weights cannot be loaded.
+        """
         self._graphs[self._base.model] = choose_graphs(self._base)
 
     async def start(self) -> None:
-        """Load what `auto` means, if that is still to be done, and run it once, which compiles the kernels.
+        """Load the graphs of the default model if necessary and run them once, which compiles the kernels.
 
-        Raises ModelError.
+        Raises:
+            ModelError: The weights cannot be loaded.
         """
         graphs = await self.graphs_of(self._base.model)
         await asyncio.get_running_loop().run_in_executor(self._engine, warm_up, graphs)
 
     def stop(self) -> None:
-        """Finish what is being worked on; drop what has not begun."""
+        """Finish running work and drop work that has not started."""
         self._engine.shutdown(wait=True, cancel_futures=True)
         self._decode.shutdown(wait=True, cancel_futures=True)
 
     @property
     def base_options(self) -> SessionOptions:
-        """What every session's options begin with."""
+        """Options of the server on which the options of each session are based."""
         return self._base
 
-    async def graphs_of(self, mode: ModelName) -> LightingGraphs | None:
-        """The loaded graphs of a mode, None for classical; loaded once. Raises ModelError."""
-        mode = self._base.model if mode == "auto" else mode
-        async with self._loading:
-            if mode not in self._graphs:
-                options = replace(self._base, model=mode)
-                loop = asyncio.get_running_loop()
-                self._graphs[mode] = await loop.run_in_executor(self._decode, choose_graphs, options)
-        return self._graphs[mode]
+    async def graphs_of(self, model: ModelName) -> LightingGraphs | None:
+        """Return the graphs of a model, loaded once; None for the classical model.
 
-    def tidy_up(self) -> None:
-        """A session has gone: give its memory back, aside, once what it was working on is done."""
-        with suppress(RuntimeError):  # the pools have been shut down
-            self._engine.submit(give_back)
+        Raises:
+            ModelError: The weights cannot be loaded.
+        """
+        model = self._base.model if model == "auto" else model
+        async with self._loading_lock:
+            if model not in self._graphs:
+                options = replace(self._base, model=model)
+                loop = asyncio.get_running_loop()
+                self._graphs[model] = await loop.run_in_executor(self._decode, choose_graphs, options)
+        return self._graphs[model]
+
+    def release_memory(self) -> None:
+        """Return the memory of an ended session to the system, on an engine thread after its running work."""
+        with suppress(RuntimeError):  # the pools are shut down
+            self._engine.submit(release_free_memory)
 
     @asynccontextmanager
-    async def engine_turn(self) -> AsyncGenerator[None]:
-        """Wait for an engine thread; within, `on_engine` starts at once."""
-        async with self._turns:
+    async def engine_slot(self) -> AsyncGenerator[None]:
+        """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately."""
+        async with self._engine_slots:
             yield
 
-    async def on_engine(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run on an engine thread, inside a turn."""
-        return await _finished(self._engine, lambda: work(*args, **kwargs))
+    async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run on an engine thread; requires an `engine_slot`."""
+        return await _run_to_end(self._engine, lambda: work(*args, **kwargs))
 
-    async def aside(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+    async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on a decoding thread."""
-        return await _finished(self._decode, lambda: work(*args, **kwargs))
+        return await _run_to_end(self._decode, lambda: work(*args, **kwargs))
 
 
-async def _finished(pool: ThreadPoolExecutor, work: Callable[[], _R]) -> _R:
-    """The result. A caller that is cancelled still waits for the thread: nobody else may touch its session before."""
+async def _run_to_end(pool: ThreadPoolExecutor, work: Callable[[], _R]) -> _R:
+    """Return the result. A cancelled caller still waits for the thread, because the work uses its session."""
     future = asyncio.get_running_loop().run_in_executor(pool, work)
     try:
         return await asyncio.shield(future)

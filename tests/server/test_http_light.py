@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
-from roomlight.light.light import Light
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
+from roomlight.light.light import Light
 from roomlight.light.main_light import main_light
 from roomlight.light.prior import prior_panorama
 from roomlight.light.resample import panorama_to_cube
@@ -19,7 +19,6 @@ from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
 from roomlight.wire.messages import LightForm, LightResponse
 from roomlight_server import light_forms
-from roomlight_server.live_session import PointLight
 
 POINT = {"position": [0.2, 1.2, -0.2]}
 
@@ -261,5 +260,5 @@ def test_a_server_that_is_ready_has_made_the_usual_cubes():
     before = panorama_to_cube.cache_info().misses
     light = Light((0.0, 0.0, 0.0), prior_panorama(120), np.zeros((120, 240), np.float32), 0.0)
     for size in (16, 32, 64):
-        light_forms.encode(PointLight(light, "", 0), LightForm(format="cube", size=size))
+        light_forms.encode(light, LightForm(format="cube", size=size))
     assert panorama_to_cube.cache_info().misses == before

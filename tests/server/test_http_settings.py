@@ -112,7 +112,7 @@ def test_an_address_that_is_taken_or_none_is_named():
             listen(ServerSettings(port=port))
     with pytest.raises(ServerError, match=r"192\.0\.2\.1"):  # an address kept for documentation
         listen(ServerSettings(host="192.0.2.1", port=0))
-    with pytest.raises(ServerError, match="no address"):
+    with pytest.raises(ServerError, match="not an address"):
         listen(ServerSettings(host="no such host", port=0))
 
 

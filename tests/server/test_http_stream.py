@@ -8,8 +8,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from http_servers import HeldSession, RunningServer, frame
+from roomlight.engine.session import Session
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate
+from roomlight_server import live_session
 
 POINT = [0.2, 1.2, -0.2]
 TOKEN = "token-of-the-stream-test"
@@ -140,6 +142,80 @@ def test_a_refused_frame_is_named_wherever_its_header_can_be_read(server):
         assert index_of_refusal(frame(1, index=5)) == 5  # a conflict
         server.call("DELETE", "/v1/sessions/named")
         assert "index" not in stream.next("problem")  # the session's end, not a frame's
+
+
+def fail_once(function, error):
+    """The function, whose first call raises the error instead."""
+    errors = [error]
+
+    def wrapper(*args, **kwargs):
+        if errors:
+            raise errors.pop()
+        return function(*args, **kwargs)
+
+    return wrapper
+
+
+def test_an_unexpected_error_of_a_frame_is_answered(server, monkeypatch, caplog):
+    server.open("unexpected")
+    decode = fail_once(live_session.decode_to_size, RuntimeError("decoder broke"))
+    monkeypatch.setattr(live_session, "decode_to_size", decode)
+    with streaming(server, "unexpected") as stream:
+        stream.send(frame(0, index=3))
+        event = stream.next("problem")
+        assert (event["index"], event["problem"]["status"]) == (3, 500)
+        assert event["problem"]["type"] == "urn:roomlight:problem:internal"
+        assert "decoder broke" not in json.dumps(event)  # the log has it, the client does not
+        stream.send(frame(0, index=4))
+        assert stream.next("frame")["status"] == "processed"
+    logged = next(record for record in caplog.records if record.message == "unexpected error on a stream")
+    assert (logged.session, logged.frame, str(logged.exc_info[1])) == ("unexpected", 3, "decoder broke")
+
+
+def test_an_unexpected_error_of_a_light_is_answered(server, monkeypatch):
+    server.open("dim")
+    server.push(0, name="dim")
+    monkeypatch.setattr(Session, "light", fail_once(Session.light, RuntimeError("engine broke")))
+    with streaming(server, "dim") as stream:
+        stream.send({"type": "subscribe", "forms": [{"format": "sh"}]})
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        assert stream.next("problem")["problem"]["status"] == 500
+        stream.send({"type": "track", "name": "table", "position": POINT})
+        assert stream.next("probes")["probes"] == {"table": POINT}
+        stream.send(frame(1, index=1))
+        assert stream.next("lighting")["frame"] == 1
+
+
+def test_a_frame_is_answered_if_the_engine_breaks_after_it(monkeypatch):
+    """The report of a frame fails: the client is told, and the session has failed."""
+    monkeypatch.setattr(Session, "handles", property(lambda _: ["no such probe"]))
+    with RunningServer() as server:
+        server.open()
+        with streaming(server) as stream:
+            stream.send(frame(0, index=0))
+            event = stream.next("problem")
+            assert (event["index"], event["problem"]["type"]) == (0, "urn:roomlight:problem:engine-failed")
+            assert stream.next("problem")["problem"]["type"] == "urn:roomlight:problem:session-failed"
+            with pytest.raises(ConnectionClosed) as closed:
+                stream.receive()
+            assert closed.value.rcvd.code == 4410
+        assert server.state()["status"] == "failed"
+
+
+def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with RunningServer(frames_in_flight=2) as server:
+        server.open()
+        with streaming(server) as stream:
+            stream.send(frame(0, index=0))
+            stream.send(frame(1, index=1))
+            HeldSession.wait_entered()
+            stream.socket.socket.close()
+        HeldSession.release(3)
+        with streaming(server) as stream:
+            stream.send(frame(2, index=2))
+            assert stream.next("frame")["index"] == 2
 
 
 def test_the_newest_frame_wins_here_too(monkeypatch):
