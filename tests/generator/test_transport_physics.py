@@ -268,7 +268,7 @@ def test_a_closed_lamps_inside_does_not_shine_through_a_bulb_that_sticks_out_of_
     origin = np.tile(np.array([[0.2, 0.1, 0.3]], np.float32), (4000, 1))
     away = target - origin
     direction = (away / np.linalg.norm(away, axis=1, keepdims=True)).astype(np.float32)
-    face, _, reflected = light.cells._seen(origin, direction, 0)
+    face, _, reflected = light.irradiance_cache._seen(origin, direction, 0)
     assert face.min() >= 0
     # 0.25 were measured; what is inside would send 16.
     assert reflected.mean() < 0.5

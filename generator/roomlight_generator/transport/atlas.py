@@ -34,7 +34,7 @@ class Atlas(NamedTuple):
 
 
 def pyramid(texture: Texture) -> tuple[UInt16[np.ndarray, "_ _ 3"], ...]:
-    """The texture's levels, linear, finest first; kept as long as the texture lives, since rooms share furniture."""
+    """Return the texture's levels, linear, finest first; kept with the texture, since rooms share furniture."""
     known = _pyramids.get(texture)
     if known is not None:
         return known
@@ -56,7 +56,7 @@ def _halved(level: UInt16[np.ndarray, "h w 3"]) -> UInt16[np.ndarray, "h2 w2 3"]
 
 
 def build_atlas(textures: list[Texture]) -> Atlas:
-    """One atlas of the textures, in their order; levels past a texture's own last repeat the last."""
+    """Join the textures to one atlas, in their order; levels past a texture's own last repeat the last."""
     count = max(1, len(textures))
     start, width, height = (np.zeros((count, LEVELS), np.int64) for _ in range(3))
     parts: list[np.ndarray] = [np.full((1, 3), 65535, np.uint16)]
@@ -77,5 +77,5 @@ def build_atlas(textures: list[Texture]) -> Atlas:
 
 
 def mean_colour(texture: Texture) -> Float[np.ndarray, "3"]:
-    """Mean linear colour."""
+    """Return the texture's mean linear colour."""
     return (pyramid(texture)[-1].reshape(-1, 3).mean(0) / 65535).astype(np.float32)

@@ -20,8 +20,11 @@ _COSINES: Final = 65
 
 
 class CoatTable(NamedTuple):
-    """Rows for alpha = 0 to ROUGHEST, columns for cosine = 0 to 1, both even: the shares of light that the boundary
-    lets through and reflects; for each row the base's scale, and the mean share reflected of even light."""
+    """The shares of light that the boundary lets through and reflects, by alpha and cosine.
+
+    Rows are alpha = 0 to ROUGHEST, columns cosine = 0 to 1, both in even steps. For each row also the base's scale, and
+    the mean shares of even light that are reflected and let through.
+    """
 
     through: Float32[np.ndarray, "a c"]
     reflected: Float32[np.ndarray, "a c"]
@@ -31,7 +34,7 @@ class CoatTable(NamedTuple):
 
 
 def fresnel(cosine: Float[np.ndarray, "*n"], index: float) -> Float[np.ndarray, "*n"]:
-    """Unpolarised reflectance of a dielectric for light that arrives at a cosine; index is inside over outside."""
+    """Return the unpolarised reflectance of a dielectric for light at a cosine; index is inside over outside."""
     sine_sq = (1 - cosine**2) / index**2
     inner = np.sqrt(np.maximum(1 - sine_sq, 0))
     parallel = (index * cosine - inner) / (index * cosine + inner + 1e-12)
@@ -42,8 +45,10 @@ def fresnel(cosine: Float[np.ndarray, "*n"], index: float) -> Float[np.ndarray, 
 def boundary(
     alpha: float, cosines: Float[np.ndarray, " c"], index: float
 ) -> tuple[Float[np.ndarray, " c"], Float[np.ndarray, " c"]]:
-    """Shares of the light from each cosine that a GGX boundary reflects and lets through, by 48 x 48 points of
-    visible-normal sampling."""
+    """Return the shares of the light from each cosine that a GGX boundary reflects and lets through.
+
+    By 48 x 48 points of visible-normal sampling.
+    """
     nodes, weights = np.polynomial.legendre.leggauss(48)
     x, y = np.meshgrid((nodes + 1) / 2, (nodes + 1) / 2)
     share = np.outer(weights, weights) / 4
@@ -73,14 +78,14 @@ def boundary(
 
 
 def _unmasked(cosine: Float[np.ndarray, "*n"], alpha: float) -> Float[np.ndarray, "*n"]:
-    """Smith's G1 of GGX."""
+    """Return Smith's masking term G1 of GGX."""
     cosine = np.clip(cosine, 1e-4, 1)
     return 2 / (1 + np.sqrt(1 + alpha**2 * (1 - cosine**2) / cosine**2))
 
 
 @cache
 def coat_table() -> CoatTable:
-    """The table; 0.5 s when first asked for."""
+    """Return the table; the first call takes 0.5 s."""
     cosines = np.linspace(0, 1, _COSINES)
     nodes, weights = np.polynomial.legendre.leggauss(32)
     inner = (nodes + 1) / 2

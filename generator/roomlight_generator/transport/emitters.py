@@ -1,9 +1,9 @@
-"""What shines, in clusters small enough to be sampled from nearby: glowing triangles, openings to the sky, the sun.
+"""The lights of a room, in clusters small enough to be sampled from nearby: emitting triangles, openings to the sky.
 
 Frames: world, y up, metres; radiance in kcd/m2. Emitting triangles are cut until no side is longer than `PIECE_M` and
 gathered into clusters of that size; openings are cut likewise. A sample picks a cluster by its estimated contribution,
 then a point in it in proportion to luminance times area. Spots where the sun strikes a surface count as lights too
-(`transport.sun_spots`): they outshine all else that a gather ray may meet.
+(`transport.sun_spots`): they are the brightest surfaces that a gather ray may meet.
 """
 
 from dataclasses import dataclass, fields
@@ -14,17 +14,19 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight_generator.rooms.scene import Opening
+from roomlight_generator.transport.atlas import Atlas
 from roomlight_generator.transport.coat import coat_table
+from roomlight_generator.transport.kernels.structs import LightSurfaces
 from roomlight_generator.transport.kernels.surfaces import mean_over_pieces
 from roomlight_generator.transport.outdoors import Outdoors, build_outdoors
 from roomlight_generator.transport.sun_spots import NEAR_SPOT_M2, Spots, sun_spots
 from roomlight_generator.transport.tracer import Tracer
 
 PIECE_M: Final = 0.3
-"""Longest side of a piece. Half of it doubles the clusters; twice of it leaves spots on the ceiling beside panels."""
+"""Longest side of a piece. Half of it doubles the clusters; twice of it leaves spots on ceilings beside panels."""
 
 MOST_CLUSTERS: Final = 128
-"""Beyond it clusters are made larger: each shading point looks at every one of them."""
+"""With more, clusters are made larger: each shading point evaluates every one of them."""
 
 MOST_SPOT_CLUSTERS: Final = 40
 
@@ -39,16 +41,19 @@ SPOT: Final = 2
 class Lights(NamedTuple):
     """Pieces in the order of their clusters, then the clusters (those of sun spots last, from `real` on).
 
-    Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's place and its wound
-    and shading normals; 9 to 14 texture coordinates of the corners, or a spot's roughness (0: no coat) and the sun's
-    irradiance that its lobe reflects; 15 to 17 radiance (a spot's base's mean); 18 the area that `left_to_gathering`
-    takes; 19 the share of the cluster's samples for each square metre; 20 the cumulative share. kind: what a piece is,
-    and its texture (-1: none). A cluster's power is area times luminance, for openings toward the sky's upper and lower
-    half; coherence is 1 where all pieces face along `axis` and 0 where they close around something; thickness is half
-    its extent along the axis. lobe_power is area times the sun's irradiance on coats, lobe_alpha their roughness; sun
-    the direction toward it, coat_share what a coat lets out at a cosine over its mean (rows and columns of the coat's
-    table). The piece at (u, v) of a face cut in n is piece_at[face_first + 2 (i n + j) + upper]; near_area is column 18
-    of a face's pieces, 0 where it does not shine.
+    Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's position and its
+    geometric and shading normals; 9 to 14 texture coordinates of the corners, or a spot's roughness (0: no coat) and
+    the sun's irradiance that its lobe reflects; 15 to 17 radiance (a spot's base's mean); 18 the area for
+    `left_to_gathering`; 19 the share of the cluster's samples for each square metre; 20 the cumulative share. kind: one
+    of TRIANGLE, OPENING and SPOT, and the texture (-1: none).
+
+    A cluster's power is area times luminance, for openings toward the sky's upper and lower half; coherence is 1 where
+    all pieces face along `axis` and 0 where they enclose a volume; thickness is half its extent along the axis.
+    lobe_power is area times the sun's irradiance on coats, lobe_alpha their roughness; sun is the direction toward the
+    sun, coat_share what a coat lets out at a cosine over its mean (rows and columns of the coat's table).
+
+    The piece at (u, v) of a face cut in n is piece_at[face_first + 2 (i n + j) + upper]; near_area is column 18 of a
+    face's pieces, 0 where it does not emit.
     """
 
     piece: Float32[np.ndarray, "p 21"]
@@ -75,9 +80,17 @@ class Lights(NamedTuple):
     real: int
 
 
+class LightSources(NamedTuple):
+    """All of a scene that the kernels read of its lights."""
+
+    lights: Lights
+    outdoors: Outdoors
+    surfaces: LightSurfaces
+
+
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Rows to be gathered into clusters. ups scales the power toward the sky's halves; slot is the place in
+    """Pieces to be gathered into clusters. halves scales the power toward the sky's halves; slot is the index in
     `piece_at`."""
 
     shape: Float[np.ndarray, "p 9"]
@@ -88,14 +101,14 @@ class _Pieces:
     normal: Float[np.ndarray, "p 3"]
     area: Float[np.ndarray, " p"]
     luminance: Float[np.ndarray, " p"]
-    ups: Float[np.ndarray, "p 2"]
+    halves: Float[np.ndarray, "p 2"]
     kind: Int[np.ndarray, "p 2"]
     face: Int[np.ndarray, " p"]
     slot: Int[np.ndarray, " p"]
 
 
 def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
-    """All sources of the tracer's scene."""
+    """Collect the lights of the tracer's scene."""
     scene = tracer.scene
     glowing, face_cuts, face_first, slots = _glowing_pieces(tracer)
     openings, parts = _opening_pieces(scene.openings, scene.sky.panorama, slots)
@@ -106,8 +119,23 @@ def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
     return _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction), outdoors
 
 
+def light_sources(lights: Lights, outdoors: Outdoors, atlas: Atlas) -> LightSources:
+    """Join lights, outdoors and the textures of emitting surfaces into what the kernels take."""
+    surfaces = LightSurfaces(
+        lights.piece,
+        lights.kind,
+        outdoors.hole,
+        outdoors.parts,
+        outdoors.panorama,
+        atlas,
+        lights.coat_share,
+        lights.sun,
+    )
+    return LightSources(lights, outdoors, surfaces)
+
+
 def small_from(lights: Lights, point: Float[np.ndarray, "3"], angle: float) -> Bool[np.ndarray, " l"]:
-    """Whether each cluster is narrower than an angle (radians) as seen from a point."""
+    """Return whether each cluster is narrower than an angle (radians) as seen from a point."""
     distance = np.linalg.norm(lights.centre.T - point.astype(np.float32), axis=1)
     return 2 * lights.radius < angle * distance
 
@@ -118,7 +146,7 @@ def _joined(first: _Pieces, second: _Pieces) -> _Pieces:
 
 
 def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], Int32[np.ndarray, " f"], int]:
-    """Pieces of the glowing faces; each face's cuts and first slot; how many slots there are."""
+    """Cut the emitting faces into pieces; also returns each face's cuts and first slot, and the number of slots."""
     geometry, materials = tracer.geometry, tracer.materials
     faces = np.flatnonzero(materials.emission[geometry.material].max(1) > 0)
     faces = faces[faces < tracer.opaque_faces]
@@ -160,7 +188,7 @@ def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], I
         normal=across / np.maximum(length, 1e-30)[:, None],
         area=length / 2,
         luminance=luminance,
-        ups=np.ones((len(face), 2)),
+        halves=np.ones((len(face), 2)),
         kind=np.stack([np.full(len(face), TRIANGLE), texture], 1),
         face=face,
         slot=slot,
@@ -169,7 +197,7 @@ def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], I
 
 
 def _subdivision(cuts: int) -> tuple[Float[np.ndarray, "p 3 2"], Int[np.ndarray, " p"]]:
-    """Barycentric (u, v) of the corners of cuts^2 equal parts, and where each is listed: 2 (i cuts + j) + upper."""
+    """Return barycentric (u, v) of the corners of cuts^2 equal parts, and each one's slot: 2 (i cuts + j) + upper."""
     grid: list[list[tuple[float, float]]] = []
     slot: list[int] = []
     for i in range(cuts):
@@ -210,7 +238,7 @@ def _opening_pieces(
         normal=across / np.maximum(area, 1e-30)[:, None],
         area=area,
         luminance=np.full(count, mean),
-        ups=np.tile(halves / mean, (count, 1)),
+        halves=np.tile(halves / mean, (count, 1)),
         kind=np.tile(np.array([[OPENING, -1]]), (count, 1)),
         face=np.full(count, -1),
         slot=np.arange(first_slot, first_slot + count),
@@ -219,7 +247,7 @@ def _opening_pieces(
 
 
 def _sky_halves(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "2"]:
-    """Mean luminance of the upper and the lower half."""
+    """Return the mean luminance of the sky's upper and lower half."""
     height, width = panorama.shape[:2]
     if width != 2 * height or height < 2:
         return np.full(2, float(panorama.mean()))
@@ -240,7 +268,7 @@ def _spot_pieces(spots: Spots) -> _Pieces:
         normal=spots.normal.astype(np.float64),
         area=spots.area.astype(np.float64),
         luminance=np.maximum((spots.radiance + spots.lobe_mean).mean(1), 1e-12).astype(np.float64),
-        ups=np.ones((count, 2)),
+        halves=np.ones((count, 2)),
         kind=np.tile(np.array([[SPOT, -1]]), (count, 1)),
         face=np.full(count, -1),
         slot=np.full(count, -1),
@@ -248,7 +276,7 @@ def _spot_pieces(spots: Spots) -> _Pieces:
 
 
 def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
-    """The cluster of each piece; those of spots come last."""
+    """Assign each piece a cluster; those of spots come last."""
     count = len(pieces.area)
     kind = pieces.kind[:, 0]
     own = np.zeros(count, np.int64)
@@ -302,7 +330,7 @@ def _clustered(
     coated = np.where(kind == SPOT, pieces.uv[:, 0], 0)
     thrown = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
     coat = coat_table()
-    # Triangles of one cluster stand in for each other near a point, pieces of openings for themselves.
+    # Near a point, triangles of one cluster stand in for each other, pieces of openings only for themselves.
     near = np.where(kind == TRIANGLE, np.minimum(per(pieces.area)[own], PIECE_M**2), pieces.area)
     near[kind == SPOT] = NEAR_SPOT_M2
     near_area = np.zeros(len(face_cuts), np.float32)
@@ -340,8 +368,8 @@ def _clustered(
         pieces=np.bincount(own, minlength=clusters).astype(np.int32),
         centre=np.ascontiguousarray(centre.T, np.float32),
         radius=radius.astype(np.float32),
-        power_up=per(power * pieces.ups[:, 0]).astype(np.float32),
-        power_down=per(power * pieces.ups[:, 1]).astype(np.float32),
+        power_up=per(power * pieces.halves[:, 0]).astype(np.float32),
+        power_down=per(power * pieces.halves[:, 1]).astype(np.float32),
         axis=np.ascontiguousarray(axis.T, np.float32),
         coherence=coherence.astype(np.float32),
         thickness=thickness.astype(np.float32),

@@ -10,14 +10,14 @@ from roomlight_generator.transport.kernels import patches as kernels
 from roomlight_generator.transport.tables import Table
 
 PRIOR_RAYS: Final = 4.0
-"""What the surroundings say counts as so many rays of a patch's own."""
+"""The share in a patch's surroundings counts as so many rays of its own."""
 
 
 class LightVisibility:
     """How often each patch tried each light with shadow rays, and saw it.
 
-    There are more lights than a patch has rays: what it tried too seldom is told by its surroundings, what these tried
-    too seldom by the whole room.
+    There are more lights than a patch has rays: for lights that it tried too seldom its surroundings decide, and for
+    those that these tried too seldom the whole room.
     """
 
     def __init__(
@@ -29,32 +29,24 @@ class LightVisibility:
         lights: int,
         materials: int,
     ) -> None:
-        """Take the patches' points, of which so many are used, and what they are made of; nothing is tried yet."""
+        """Take the patches' points, how many of each are used, and the patches' materials; no light is tried yet."""
         count = len(used)
         self.tried, self.seen = np.zeros((count, lights), np.uint16), np.zeros((count, lights), np.uint16)
         self.coarse = Table(count)
         self.owner = np.empty(count, np.int32)
         self.material, self.materials = material, materials
-        self.wide = kernels.fill_coarse(
-            position,
-            used,
-            material,
-            self.coarse.keys,
-            self.coarse.values,
-            0,
-            self.owner,
-        )
+        self.wide = kernels.fill_coarse(position, used, material, self.coarse.arrays, self.owner)
 
     def counting(self, patch: Int32[np.ndarray, " n"]) -> OnRays:
-        """What counts the shadow rays of points that belong to these patches."""
+        """Return an `OnRays` that counts the shadow rays of points that belong to these patches."""
 
         def count(start: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], written: int) -> None:
-            kernels.visibility(rays.owner, rays.cluster, seen, written, patch[start:], self.tried, self.seen)
+            kernels.count_visible(rays, seen, written, patch[start:], self.tried, self.seen)
 
         return count
 
     def visibility(self) -> UInt8[np.ndarray, "rows l"]:
-        """The share of a light that each row of the cache sees, in 255ths: `RoomCache`'s rows."""
+        """Return the share of each light that each row of the `RoomCache` sees, in 255ths."""
         whole = (self.seen.sum(0) + 1.0) / (self.tried.sum(0) + 1.5)
         around = self._share(self.owner, self.wide, whole)
         alike = self._share(self.material, self.materials, whole)

@@ -15,8 +15,8 @@ from roomlight_generator.transport.tracer import Tracer
 class Outdoors(NamedTuple):
     """Openings, the sky's panorama and the sun.
 
-    Columns of `hole`: corner, two sides, the unit normal away from the room, then u.u, u.v, v.v. parts: of each, the
-    number of its first piece (`Lights.piece_at`) and how often its sides are cut.
+    Columns of `hole`: corner, sides u and v, the unit normal away from the room, then u.u, u.v, v.v. parts: each
+    opening's first slot in `Lights.piece_at`, and into how many parts its sides are cut.
     """
 
     hole: Float32[np.ndarray, "o 15"]
@@ -28,7 +28,7 @@ class Outdoors(NamedTuple):
 
 
 def build_outdoors(tracer: Tracer, parts: Int32[np.ndarray, "o 3"]) -> Outdoors:
-    """That of the tracer's scene."""
+    """Collect the openings, sky and sun of the tracer's scene."""
     sky = tracer.scene.sky
     sun = sky.sun
     return Outdoors(

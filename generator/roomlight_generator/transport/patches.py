@@ -1,7 +1,7 @@
 """The room's cache: radiance that every lit surface sends out, solved once by rays between patches.
 
 Frames: world, y up, metres; radiance in kcd/m2. Rays from the lights find the first patches, rays from patches the
-others, until no new ones turn up. Every patch then has its direct light, and what it gathers is summed bounce by
+others, until no new ones are found. Each patch then gets its direct light, and what it gathers is summed bounce by
 bounce. Emitted light is not in the cache: shadow rays bring it to every point.
 """
 
@@ -9,11 +9,23 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Float32, Int32, UInt8
+from jaxtyping import Bool, Float, Float32, Int32
 
 from roomlight_generator.transport.direct import DirectLight, Points, Received
 from roomlight_generator.transport.emitters import OPENING, TRIANGLE
 from roomlight_generator.transport.kernels import patches as kernels
+from roomlight_generator.transport.kernels.structs import (
+    Fineness,
+    GatherPaths,
+    PatchColumns,
+    PatchLinks,
+    PatchPoints,
+    PatchRays,
+    PatchTable,
+    RayEnds,
+    ReceivedLight,
+    SentLight,
+)
 from roomlight_generator.transport.light_visibility import LightVisibility
 from roomlight_generator.transport.sun_spots import NEAR_SPOT_M2
 from roomlight_generator.transport.tables import Table, grown
@@ -22,14 +34,15 @@ from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 GATHER_RAYS: Final = 32
 MOST_BOUNCES: Final = 60
 SETTLED: Final = 2e-3
-"""Bounces stop when one adds less than this share of all light: 8 in a room of albedo 0.5, 25 in a white one."""
+"""Bounces stop when one adds less than this share of all light: after 8 in a room of albedo 0.5, 25 in a white one."""
 
 FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
-"""Patches are halved so often so near to lamps, and told apart by face at level 3; openings have level 1 only."""
+"""(Halvings, distance): patches this near to lamps are halved so often, at level 3 one a face; openings 1."""
 
 ENCLOSED_M: Final = 0.3
-"""Where all rays from a point near a lamp end on lamps within this, it is inside of a closed one: its light gets
-nowhere. A bulb that sticks out of its shade has faces partly in there, a thousand times as bright as outside."""
+"""A point near a lamp is inside of a closed lamp if all its rays end on lamps within this: its light does not leave.
+
+A bulb that sticks out of its shade has faces partly inside, a thousand times as bright there as outside."""
 
 _ENCLOSED_RAYS: Final = 24
 SEED_RAYS: Final = 32768
@@ -39,7 +52,7 @@ _RAYS_AT_ONCE: Final = 1 << 16
 
 
 class Arrivals(NamedTuple):
-    """Ends of gather rays after mirrors: hits, last directions, share left by mirrors, light beside reflected light."""
+    """Gather rays after mirrors: hits, last directions, lengths, share left by mirrors, emitted light (`arriving`)."""
 
     face: Int32[np.ndarray, " n"]
     u: Float32[np.ndarray, " n"]
@@ -53,12 +66,12 @@ class Arrivals(NamedTuple):
 def follow(
     tracer: Tracer, light: DirectLight, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"]
 ) -> Arrivals:
-    """Trace rays to the first surface that is no mirror, over two mirrors at most (a third swallows the ray)."""
+    """Trace rays over at most two mirrors to the first other surface; a third mirror absorbs the ray."""
     hits = tracer.trace(origin, direction)
     count = len(origin)
     factor = np.ones(count, np.float32)
     face, u, v, distance = hits
-    turned = np.zeros(count, bool)
+    mirrored = np.zeros(count, bool)
     if tracer.has_mirrors:
         at = np.flatnonzero(_on_mirror(tracer, face))
         if len(at):
@@ -67,47 +80,22 @@ def follow(
             if len(at) == 0:
                 break
             begin, along, share = origin[at], direction[at], factor[at]
-            kernels.mirrored(tracer.geometry, tracer.materials, face[at], u[at], v[at], begin, along, share)
+            ends = RayEnds(face[at], u[at], v[at], along)
+            kernels.mirror_rays(tracer.geometry, tracer.materials, ends, begin, share)
             again = tracer.trace(begin, along)
-            origin[at], direction[at], factor[at], turned[at] = begin, along, share, True
+            origin[at], direction[at], factor[at], mirrored[at] = begin, along, share, True
             face[at], u[at], v[at] = again.face, again.u, again.v
             distance[at] += again.distance_m
             at = at[_on_mirror(tracer, again.face)]
         factor[at] = 0
     radiance = np.empty((count, 3), np.float32)
-    kernels.arriving(
-        tracer.geometry,
-        tracer.materials,
-        tracer.atlas,
-        light.lights,
-        light.outdoors,
-        face,
-        u,
-        v,
-        distance,
-        origin,
-        direction,
-        turned,
-        factor,
-        radiance,
-    )
+    paths = GatherPaths(origin, distance, mirrored, factor)
+    kernels.arriving(tracer.arrays, light.sources, RayEnds(face, u, v, direction), paths, radiance)
     return Arrivals(face, u, v, direction, distance, factor, radiance)
 
 
 def _on_mirror(tracer: Tracer, face: Int32[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     return (face >= 0) & (tracer.materials.mirror > 0)[tracer.geometry.material[face]]
-
-
-class Fineness(NamedTuple):
-    """How often patches are halved: level[i, j, k] in cells of cell_m from the corner `low` on, 0 outside.
-
-    A lampshade is bright inside and dark outside, a window frame in the sun likewise, and both have faces of one
-    direction and material a few centimetres apart: patches of the usual size would leak.
-    """
-
-    level: UInt8[np.ndarray, "x y z"]
-    low: Float32[np.ndarray, "3"]
-    cell_m: float
 
 
 def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
@@ -129,8 +117,8 @@ def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
     return Fineness(level, low, cell)
 
 
-class _Found:
-    """Patches as they turn up."""
+class _PatchSet:
+    """Patches while they are found: columns with a row a patch (`PatchColumns`), of which `count` are in use."""
 
     def __init__(self, tracer: Tracer, fineness: Fineness) -> None:
         self.tracer = tracer
@@ -138,35 +126,31 @@ class _Found:
         self.table = Table()
         self.count = 0
         shape = 0, kernels.POINTS, 3
-        self.position, self.normal, self.wound, self.albedo = (np.empty(shape, np.float32) for _ in range(4))
+        self.position, self.normal, self.geometric_normal, self.albedo = (np.empty(shape, np.float32) for _ in range(4))
         self.used, self.visits, self.material = (np.zeros(0, np.int32) for _ in range(3))
 
     def visit(self, ends: Arrivals) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-        """Patch of each hit (-1 without one) and the cosine that its ray leaves it at."""
+        """Find or add each hit's patch (-1 without a hit); also returns the cosine at which the ray leaves it."""
         count = len(ends.face)
-        for name in ("position", "normal", "wound", "albedo", "used", "visits", "material"):
+        for name in ("position", "normal", "geometric_normal", "albedo", "used", "visits", "material"):
             setattr(self, name, grown(getattr(self, name), self.count, self.count + count))
         self.table.reserve(self.count + count)
         patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
         self.count = kernels.visit(
-            self.tracer.geometry,
-            self.tracer.materials,
-            self.tracer.atlas,
+            self.tracer.arrays,
             self.fineness,
-            ends.face,
-            ends.u,
-            ends.v,
-            ends.direction,
-            self.table.keys,
-            self.table.values,
+            RayEnds(ends.face, ends.u, ends.v, ends.direction),
+            self.table.arrays,
+            PatchColumns(
+                self.position,
+                self.normal,
+                self.geometric_normal,
+                self.albedo,
+                self.used,
+                self.visits,
+                self.material,
+            ),
             self.count,
-            self.position,
-            self.normal,
-            self.wound,
-            self.albedo,
-            self.used,
-            self.visits,
-            self.material,
             patch,
             cosine,
         )
@@ -175,16 +159,16 @@ class _Found:
 
 @dataclass(frozen=True, eq=False)
 class RoomCache:
-    """What patches send out and receive. Rows: patches, then wider surroundings, then whole materials,
-    then one of nothing (the last, so that -1 finds it).
+    """What patches send out and receive.
 
-    base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat reflects;
-    sun_base and sun_lobe what of both is the sun's direct light, which spots stand for; indirect and indirect_coated
-    the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen from beyond `ENCLOSED_M`:
-    what a ray from there meets is a part of theirs outside, of which nothing is known.
+    Rows: patches, then wider surroundings, then whole materials, then a row of zeros (the last, so that index -1 finds
+    it). base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat
+    reflects; sun_base and sun_lobe are the parts of both due to the sun's direct light, for which spots stand; indirect
+    and indirect_coated are the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen
+    from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside, whose light is unknown.
     """
 
-    table: tuple[Fineness, np.ndarray, np.ndarray, np.ndarray, np.ndarray, int, int]
+    table: PatchTable
     patches: int
     base: Float32[np.ndarray, "rows 3"]
     lobe: Float32[np.ndarray, "rows 3"]
@@ -194,18 +178,18 @@ class RoomCache:
     indirect_coated: Float32[np.ndarray, "rows 3"]
     enclosed: Bool[np.ndarray, " rows"]
 
-    def seen(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-        """The rows, -1 in place of what cannot be seen from so far."""
+    def visible(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+        """Return the rows, with -1 in place of those that cannot be seen from so far."""
         return np.where(self.enclosed[row] & (distance_m > ENCLOSED_M), np.int32(-1), row)
 
 
 def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
-    """Find the patches, light them and let the light bounce; fills `light.vis` for each row of the cache."""
+    """Find the patches, light them and let the light bounce; sets `light.visibility` to a row for each of the cache."""
     fineness = _fineness(tracer, light)
-    lit = _Found(tracer, fineness)
+    lit = _PatchSet(tracer, fineness)
     lit.visit(_seed_rays(tracer, light, seed))
-    # What the lights see is no fair sample of a patch that is half in shadow: start from what that sees.
-    found = _Found(tracer, fineness)
+    # The lights see only the lit part of a patch that is half in shadow: start over from what those patches see.
+    found = _PatchSet(tracer, fineness)
     step = _RAYS_AT_ONCE // FIRST_RAYS
     for start in range(0, lit.count, step):
         found.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
@@ -221,7 +205,7 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
             parts.append(_linked(found, rays))
         done = stop
     columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-    enclosed, changed = _opened(tracer, light, found, done, seed)
+    enclosed, changed = _drop_enclosed(tracer, light, found, done, seed)
     for start in range(0, len(changed), step):
         some = changed[start : start + step]
         again = _linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed, some=some))
@@ -231,39 +215,36 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
     return _bounced(tracer, light, found, done, columns, enclosed, seed)
 
 
-def _opened(
-    tracer: Tracer, light: DirectLight, found: _Found, count: int, seed: int
+def _drop_enclosed(
+    tracer: Tracer, light: DirectLight, found: _PatchSet, count: int, seed: int
 ) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
-    """Drop points inside of closed lamps from patches that are also outside. Returns which patches are inside
-    altogether, and those that lost points."""
+    """Drop points inside of closed lamps from patches that also have points outside.
+
+    Returns which patches are entirely inside, and those that lost points.
+    """
     enclosed = np.zeros(count, bool)
     near = found.table.values[found.table.keys >= 1 << 62]
     near = np.sort(near[near < count])
     used = found.used[near]
     owner = np.repeat(np.arange(len(near)), used)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
-    position, normal, wound = (
-        column[near[owner], place][:, None] for column in (found.position, found.normal, found.wound)
+    position, normal, geometric_normal = (
+        column[near[owner], place][:, None] for column in (found.position, found.normal, found.geometric_normal)
     )
     points = len(owner)
     if not points:
         return enclosed, np.zeros(0, np.int32)
-    origin, direction = (np.empty((points * _ENCLOSED_RAYS, 3), np.float32) for _ in range(2))
-    kernels.gather_rays(
+    casting = PatchPoints(
         position,
         normal,
-        wound,
-        np.zeros(points, np.float32),
-        light.coat.through,
+        geometric_normal,
         np.ones(points, np.int32),
+        np.zeros(points, np.float32),
         np.arange(points, dtype=np.int64),
-        _ENCLOSED_RAYS,
-        seed + 5,
-        origin,
-        direction,
-        np.empty(len(origin), np.float32),
     )
-    hits = tracer.trace(origin, direction)
+    rays = PatchRays.empty(points * _ENCLOSED_RAYS)
+    kernels.patch_rays(casting, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
+    hits = tracer.trace(rays.origin, rays.direction)
     items, shown = tracer.geometry.item, tracer.geometry.material
     lamp = np.zeros(int(items.max()) + 1, bool)
     lamp[items[tracer.materials.emission[shown].max(1) > 0]] = True
@@ -276,14 +257,14 @@ def _opened(
     last = np.cumsum(used)
     for which in changed.tolist():
         patch, kept = near[which], np.flatnonzero(keep[last[which] - used[which] : last[which]])
-        for column in (found.position, found.normal, found.wound, found.albedo):
+        for column in (found.position, found.normal, found.geometric_normal, found.albedo):
             column[patch, : len(kept)] = column[patch, kept]
         found.used[patch] = len(kept)
     return enclosed, near[changed]
 
 
 def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
-    """Rays out of the lights and from hits of those, so that dark corners of a lit room are found too."""
+    """Trace rays from the lights in all directions, evenly over clusters, so that dark corners are found too."""
     rng = np.random.default_rng([seed, 1])
     lights = light.lights
     if len(lights.piece) == 0:
@@ -306,7 +287,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
 
 
 class _Rays(NamedTuple):
-    """Gather rays' ends, what a coat lets through of each where it arrives, and how many each patch has."""
+    """Where gather rays ended, what the patch's coat lets through of each, and how many rays each patch has."""
 
     ends: Arrivals
     passed: Float32[np.ndarray, " n"]
@@ -316,7 +297,7 @@ class _Rays(NamedTuple):
 def _gather(
     tracer: Tracer,
     light: DirectLight,
-    found: _Found,
+    found: _PatchSet,
     start: int,
     stop: int,
     rays: int,
@@ -324,32 +305,25 @@ def _gather(
     *,
     some: Int32[np.ndarray, " c"] | None = None,
 ) -> _Rays:
-    """Cosine-weighted rays of the patches from `start` to `stop`, or of some."""
-    numbers = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
-    some_or_all = slice(start, stop) if some is None else some
-    count = len(numbers) * rays
-    origin, direction = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
-    passed = np.empty(count, np.float32)
-    kernels.gather_rays(
-        found.position[some_or_all],
-        found.normal[some_or_all],
-        found.wound[some_or_all],
-        tracer.materials.roughness[found.material[some_or_all]],
-        light.coat.through,
-        found.used[some_or_all],
-        numbers,
-        rays,
-        seed,
-        origin,
-        direction,
-        passed,
+    """Trace cosine-weighted rays of the patches from `start` to before `stop`, or of `some`."""
+    streams = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
+    rows = slice(start, stop) if some is None else some
+    points = PatchPoints(
+        found.position[rows],
+        found.normal[rows],
+        found.geometric_normal[rows],
+        found.used[rows],
+        tracer.materials.roughness[found.material[rows]],
+        streams,
     )
-    return _Rays(follow(tracer, light, origin, direction), passed, rays)
+    sent = PatchRays.empty(len(streams) * rays)
+    kernels.patch_rays(points, light.coat.through, rays, seed, sent)
+    return _Rays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
 
 
-def _linked(found: _Found, rays: _Rays) -> tuple[np.ndarray, ...]:
-    """Target patch, cosine there, mirrors' factor, length, share passed here; and irradiance that comes from no
-    patch."""
+def _linked(found: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
+    """Return of each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
+    patch the irradiance that comes from no patch, plain and as let through by its coat."""
     ends = rays.ends
     target, cosine = found.visit(ends)
     radiance = ends.radiance.reshape(-1, rays.each, 3)
@@ -359,17 +333,20 @@ def _linked(found: _Found, rays: _Rays) -> tuple[np.ndarray, ...]:
     return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
 
 
-def _direct(tracer: Tracer, light: DirectLight, found: _Found, sightings: LightVisibility, seed: int) -> Received:
-    """Mean over each patch's points of direct light. First a round that only finds out which lights are seen from
-    where, then one that knows; `light.vis` holds what both found."""
-    count = len(sightings.owner)
+def _direct(tracer: Tracer, light: DirectLight, found: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
+    """Compute each patch's direct light, the mean over its points, in two rounds.
+
+    The first only measures which lights each patch sees; the second samples by that. `light.visibility` holds the
+    counts of both.
+    """
+    count = len(visibility.owner)
     used = found.used[:count]
     owner = np.repeat(np.arange(count, dtype=np.int32), used)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
     points = Points(
         found.position[owner, place],
         found.normal[owner, place],
-        found.wound[owner, place],
+        found.geometric_normal[owner, place],
         tracer.materials.roughness[found.material[owner]],
         np.full(len(owner), -1, np.int32),
         np.arange(len(owner), dtype=np.int64),
@@ -377,11 +354,11 @@ def _direct(tracer: Tracer, light: DirectLight, found: _Found, sightings: LightV
 
     alone = place == 0
     first = Points(*(column[alone] for column in points))
-    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=sightings.counting(owner[alone]))
-    light.vis = sightings.visibility()
+    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=visibility.counting(owner[alone]))
+    light.visibility = visibility.visibility()
     known = points._replace(row=owner)
-    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=sightings.counting(owner))
-    light.vis = sightings.visibility()
+    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=visibility.counting(owner))
+    light.visibility = visibility.visibility()
     weight = (1 / used[owner]).astype(np.float32)
     means = (
         np.stack([np.bincount(owner, part[:, k] * weight, count) for k in range(3)], 1).astype(np.float32)
@@ -393,69 +370,68 @@ def _direct(tracer: Tracer, light: DirectLight, found: _Found, sightings: LightV
 def _bounced(
     tracer: Tracer,
     light: DirectLight,
-    found: _Found,
+    found: _PatchSet,
     count: int,
     columns: tuple[np.ndarray, ...],
     enclosed: Bool[np.ndarray, " p"],
     seed: int,
 ) -> RoomCache:
+    """Sum the bounces of light between the patches; columns are those of `_linked`."""
     materials, coat = tracer.materials, light.coat
     material = found.material[:count].copy()
     alpha = materials.roughness[material]
     point = np.arange(kernels.POINTS) < found.used[:count, None]
     albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
-    sightings = LightVisibility(
+    visibility = LightVisibility(
         found.position[:count],
         found.used[:count],
         found.material[:count],
         lights=max(1, len(light.lights.start)),
         materials=len(materials.mirror),
     )
-    direct = _direct(tracer, light, found, sightings, seed)
+    direct = _direct(tracer, light, found, visibility, seed)
     target, cosine, factor, distance, passed, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
     target[enclosed[target] & (distance > ENCLOSED_M)] = -1
-    base_link, lobe_link = np.empty(len(target), np.float32), np.empty(len(target), np.float32)
-    kernels.links(target, cosine, factor, material, materials, coat.through, coat.reflected, base_link, lobe_link)
+    shares = np.empty(len(target), np.float32), np.empty(len(target), np.float32)
+    links = PatchLinks(target, *shares, passed, distance, factor)
+    kernels.link_shares(links, cosine, alpha, coat)
     base, lobe, sun_base, sun_lobe, bounced, bounced_coated = (np.zeros((count, 3), np.float32) for _ in range(6))
-    surface = albedo, alpha, coat.scale, coat.mean_through
+    sent, sun, gathered = SentLight(base, lobe), SentLight(sun_base, sun_lobe), ReceivedLight(bounced, bounced_coated)
     if len(light.lights.start) > light.lights.real:
-        kernels.outgoing(*surface, direct.sun, direct.sun_coated, sun_base, sun_lobe)
-        kernels.without_spots(
-            target, base_link, lobe_link, passed, distance, factor, sun_base, sun_lobe, NEAR_SPOT_M2, GATHER_RAYS,
-            bounced, bounced_coated,
-        )  # fmt: skip
+        kernels.outgoing(albedo, alpha, coat, ReceivedLight(direct.sun, direct.sun_coated), sun)
+        kernels.spots_gathered(links, sun, NEAR_SPOT_M2, GATHER_RAYS, gathered)
         beside -= bounced
         beside_coated -= bounced_coated
         bounced[:], bounced_coated[:] = 0, 0
     total = 0.0
     for _ in range(MOST_BOUNCES):
-        arriving = direct.irradiance + beside + bounced, direct.coated + beside_coated + bounced_coated
-        kernels.outgoing(*surface, *arriving, base, lobe)
+        received = ReceivedLight(direct.irradiance + beside + bounced, direct.coated + beside_coated + bounced_coated)
+        kernels.outgoing(albedo, alpha, coat, received, sent)
         before, total = total, float(base.sum() + lobe.sum())
         if total - before <= SETTLED * total:
             break
-        kernels.gathered(target, base_link, lobe_link, passed, base, lobe, GATHER_RAYS, bounced, bounced_coated)
+        kernels.bounce(links, sent, GATHER_RAYS, gathered)
     solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated
-    return _with_fallbacks(found, sightings, solved, enclosed)
+    return _with_fallbacks(found, visibility, solved, enclosed)
 
 
 def _with_fallbacks(
-    found: _Found, sightings: LightVisibility, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
+    found: _PatchSet, visibility: LightVisibility, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
 ) -> RoomCache:
-    """Append means over wider cells and over materials to the rows."""
-    table, count, wide = found.table, len(sightings.owner), sightings.wide
-    table.keys[table.values >= count] = -2  # of the last wave: -2 is no key, and no empty place either
+    """Append to the rows the means over wider cells and over materials, and a row of zeros."""
+    table, count, wide = found.table, len(visibility.owner), visibility.wide
+    table.keys[table.values >= count] = -2  # of the last wave, unlit: -2 is neither a key nor an empty place
     tables: list[np.ndarray] = []
     for column in columns:
-        around = _means(column, sightings.owner, count=wide)
-        whole = _means(column, sightings.material, count=sightings.materials, fill=True)
+        around = _means(column, visibility.owner, count=wide)
+        whole = _means(column, visibility.material, count=visibility.materials, fill=True)
         nothing = np.zeros((1, column.shape[1]), np.float32)
         tables.append(np.concatenate([column, around, whole, nothing]).astype(np.float32))
     base, lobe, sun_base, sun_lobe, indirect, indirect_coated = tables
-    coarse = sightings.coarse
+    coarse = visibility.coarse
     return RoomCache(
-        (found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
+        PatchTable(found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
         count,
         base,
         lobe,
@@ -474,7 +450,7 @@ def _means(
     count: int,
     fill: bool = False,
 ) -> Float[np.ndarray, "_ c"]:
-    """Mean of the rows of each owner; those that own nothing get the mean of all where `fill` says so."""
+    """Average the rows of each owner; owners without rows get zeros, or the mean of all rows if `fill`."""
     number = np.bincount(owner, minlength=count)
     total = np.stack([np.bincount(owner, column[:, k], count) for k in range(column.shape[1])], 1)
     mean = total / np.maximum(number, 1)[:, None]

@@ -10,21 +10,25 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, ORDINARY
-from roomlight_generator.transport.kernels.glossy import pane_shares
-from roomlight_generator.transport.kernels.patches import mirrored
+from roomlight_generator.transport.kernels.glossy import pane_rays
+from roomlight_generator.transport.kernels.patches import mirror_rays
+from roomlight_generator.transport.kernels.structs import PaneRays, RayEnds, SurfacePoints
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
 MIRRORS: Final = 3
-"""Mirrors seen in mirrors; what is behind the last is black."""
+"""Mirrors that a path follows; what the last one shows is black."""
 
 PANES: Final = 4
+"""Panes that a path passes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Surface points that rays ended on, and the rays' numbers. view is the unit direction back along the ray; foot_m
-    the width there of what the ray stands for."""
+    """Surface points on which rays ended, and the rays' indices.
+
+    view is the unit direction back along the ray, foot_m the ray's width there. Positions and normals as in `Points`.
+    """
 
     ray: Int32[np.ndarray, " m"]
     face: Int32[np.ndarray, " m"]
@@ -33,7 +37,7 @@ class Surfaces:
     material: Int32[np.ndarray, " m"]
     position: Float32[np.ndarray, "m 3"]
     normal: Float32[np.ndarray, "m 3"]
-    wound: Float32[np.ndarray, "m 3"]
+    geometric_normal: Float32[np.ndarray, "m 3"]
     view: Float32[np.ndarray, "m 3"]
     albedo: Float32[np.ndarray, "m 3"]
     emission: Float32[np.ndarray, "m 3"]
@@ -42,11 +46,11 @@ class Surfaces:
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Rays followed to their ends, numbered as they came.
+    """Rays followed to their ends, in the order in which they were given.
 
-    share is what panes and mirrors leave; distance_m to the first surface of any kind (inf without), `surface` its
-    class; face the last hit (-1: the sky along `direction`). panes are reflections still to be looked up: ray, origin,
-    direction, share, distance so far.
+    share is what panes and mirrors leave; distance_m leads to the first surface of any kind (inf without), `surface` is
+    its class; face is the last hit (-1: the sky along `direction`). The panes' columns are reflections still to be
+    traced: index of the ray, origin, direction, share, distance so far.
     """
 
     share: Float32[np.ndarray, " n"]
@@ -66,7 +70,7 @@ class Paths:
 
 
 def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Paths:
-    """Trace rays of a view to their ends."""
+    """Trace rays (unit directions) of a view to their ends."""
     materials, material_of = tracer.materials, tracer.geometry.material
     hits = tracer.trace(origins, directions)
     count = len(origins)
@@ -89,15 +93,15 @@ def follow_view(tracer: Tracer, origins: Float32[np.ndarray, "n 3"], directions:
     if tracer.has_mirrors:
         at = np.flatnonzero((face >= 0) & (materials.mirror[shown] > 0))
         begin = origins[at].copy()
-        for turn in range(MIRRORS):
+        for bounce in range(MIRRORS):
             if len(at) == 0:
                 break
             along, left = direction[at], share[at]
-            mirrored(tracer.geometry, materials, face[at], u[at], v[at], begin, along, left)
+            mirror_rays(tracer.geometry, materials, RayEnds(face[at], u[at], v[at], along), begin, left)
             again = tracer.trace(begin, along)
             face[at], u[at], v[at], direction[at], share[at] = again.face, again.u, again.v, along, left
             length[at] += again.distance_m
-            mirrors[at] = turn + 1
+            mirrors[at] = bounce + 1
             on = (again.face >= 0) & (materials.mirror[material_of[again.face]] > 0)
             at, begin = at[on], begin[on]
         share[at] = 0
@@ -111,30 +115,29 @@ def _through_panes(
     distance: Float32[np.ndarray, " n"],
     share: Float32[np.ndarray, " n"],
 ) -> tuple[np.ndarray, ...]:
-    """Lower `share` for each pane before the first surface; returns the reflections of the first panes."""
+    """Lower `share` by each pane before the first surface; returns the reflections of the first panes (`Paths`)."""
     empty = np.zeros(0, np.int32), *(np.zeros((0, 3), np.float32) for _ in range(2))
     result = *empty, np.zeros(0, np.float32), np.zeros(0, np.float32)
     if not tracer.has_glass:
         return result
     at = np.arange(len(origins), dtype=np.int32)
-    gone = np.zeros(len(origins), np.float32)
+    travelled = np.zeros(len(origins), np.float32)
     begin = origins
     for number in range(PANES):
         hits = tracer.trace_glass(begin, directions[at])
-        on = (hits.face >= 0) & (gone[at] + hits.distance_m < distance[at])
+        on = (hits.face >= 0) & (travelled[at] + hits.distance_m < distance[at])
         if not on.any():
             break
-        at, face = at[on], hits.face[on]
-        u, v = hits.u[on], hits.v[on]
-        reflected, turned, through = (np.empty((len(at), 3), np.float32) for _ in range(3))
-        part = np.empty(len(at), np.float32)
-        pane_shares(tracer.geometry, face, u, v, directions[at], reflected, turned, through, part)
-        gone[at] += hits.distance_m[on]
+        at = at[on]
+        three = (np.empty((len(at), 3), np.float32) for _ in range(3))
+        panes = PaneRays(*three, np.empty(len(at), np.float32))
+        pane_rays(tracer.geometry, RayEnds(hits.face[on], hits.u[on], hits.v[on], directions[at]), panes)
+        travelled[at] += hits.distance_m[on]
         if number == 0:
-            result = at.copy(), reflected, turned, part, gone[at]
-        share[at] *= 1 - part
-        begin = through
-        gone[at] += np.float32(OFFSET_M)  # the kernel's start beyond the pane
+            result = at.copy(), panes.reflected, panes.direction, panes.share, travelled[at]
+        share[at] *= 1 - panes.share
+        begin = panes.through
+        travelled[at] += np.float32(OFFSET_M)  # the kernel's start beyond the pane
     return result
 
 
@@ -146,21 +149,29 @@ def surfaces_of(
     direction: Float32[np.ndarray, "n 3"],
     foot_m: Float32[np.ndarray, " n"],
 ) -> Surfaces:
-    """The surface points of those rays that hit something; foot_m is their width where they end."""
+    """Compute the surface points of the rays that hit a face; foot_m is the rays' width where they end."""
     ray = np.flatnonzero(face >= 0).astype(np.int32)
     face, u, v, foot = face[ray], u[ray], v[ray], foot_m[ray]
     along = direction[ray]
-    position, normal, wound, albedo, emission = (np.empty((len(ray), 3), np.float32) for _ in range(5))
-    surface_points(
-        tracer.geometry, tracer.materials, tracer.atlas, face, u, v, along, foot, position, normal, wound, albedo,
-        emission,
-    )  # fmt: skip
+    points = SurfacePoints.empty(len(ray))
+    surface_points(tracer.arrays, RayEnds(face, u, v, along), foot, points)
     return Surfaces(
-        ray, face, u, v, tracer.geometry.material[face], position, normal, wound, -along, albedo, emission, foot
+        ray=ray,
+        face=face,
+        u=u,
+        v=v,
+        material=tracer.geometry.material[face],
+        position=points.position,
+        normal=points.normal,
+        geometric_normal=points.geometric_normal,
+        view=-along,
+        albedo=points.albedo,
+        emission=points.emission,
+        foot_m=foot,
     )
 
 
 def unit_rows(vectors: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
-    """Each divided by its length."""
+    """Divide each row by its length."""
     length = np.sqrt(np.einsum("ij,ij->i", vectors, vectors))
     return (vectors / length[:, None]).astype(np.float32)

@@ -12,7 +12,7 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
-from roomlight_generator.transport.direct import DirectLight, Points
+from roomlight_generator.transport.direct import DirectLight, Points, ShadowRays
 from roomlight_generator.transport.emitters import small_from
 from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
@@ -22,20 +22,28 @@ from roomlight_generator.transport.tracer import FAR_M, OFFSET_M, Tracer
 from roomlight_generator.transport.view import Camera, Viewer
 
 FINER: Final = 2
-"""A panorama is drawn at so many times its height and averaged."""
+"""A panorama is rendered at so many times its height and averaged."""
 
 SMALL_PIXELS: Final = 3.0
-"""Lights narrower than so many pixels of a panorama are put into it by samples of their own: rays would miss them."""
+"""Lights narrower than so many pixels of a panorama are added by samples of their own: rays would miss them."""
 
 SPLAT_SAMPLES: Final = 512
+"""Samples of a small light's cluster in a panorama."""
+
 SUN_SAMPLES: Final = 64
+"""Samples of the sun's disc in a panorama."""
+
 TEST_RAYS: Final = 1024
+"""Gather rays of a point of `RoomLight.irradiance`."""
 
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """What a camera sees: radiance (mean over each pixel), exact z-depth at the pixel centres in metres (0: nothing;
-    panes, mirrors and lamps count where they stand) and what the surface is (`roomlight.dataset.recording`)."""
+    """What a camera sees: radiance, exact depth, and the surface's class (`roomlight.dataset.recording`).
+
+    Radiance is the mean over each pixel; depth is z-depth at the pixel centres in metres (0: nothing), to the nearest
+    surface, panes, mirrors and lamps included.
+    """
 
     radiance: Float32[np.ndarray, "h w 3"]
     depth_m: Float32[np.ndarray, "h w"]
@@ -45,24 +53,24 @@ class FrameView:
 class RoomLight:
     """A room with its light solved.
 
-    The irradiance cache fills as views ask for it and later views share it, so a view's noise (not its mean) depends
-    on those before it: the same calls in the same order give the same bytes.
+    Views fill the irradiance cache and later views share it, so a view's noise (not its mean) depends on the views
+    before it: the same calls in the same order give the same bytes.
     """
 
-    def __init__(self, tracer: Tracer, light: DirectLight, cells: IrradianceCache) -> None:
-        """Use `solve`."""
-        self.tracer, self.light, self.cells = tracer, light, cells
-        self._viewer = Viewer(tracer, light, cells)
+    def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
+        """Take the parts of a solved room; use `solve` to make one."""
+        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
+        self._viewer = Viewer(tracer, light, irradiance_cache)
 
     @classmethod
     def solve(cls, tracer: Tracer, rng_seed: int) -> "RoomLight":
-        """Solve the room's interreflection."""
+        """Solve the room's interreflection; the same seed gives the same bytes."""
         light = DirectLight(tracer)
         cache = solve_room(tracer, light, seed=rng_seed)
         return cls(tracer, light, IrradianceCache(tracer, light, cache, seed=rng_seed))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
-        """What a pinhole camera sees."""
+        """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
         rotation = camera_to_world[:3, :3].astype(np.float32)
 
         def rays_at(row: Float[np.ndarray, " n"], column: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "n 3"]:
@@ -76,7 +84,7 @@ class RoomLight:
         return FrameView(picture.radiance, depth, picture.surface)
 
     def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
-        """The depth of `frame` alone."""
+        """Compute the depth of `frame` alone."""
         rays = intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
         origins = np.broadcast_to(camera_to_world[:3, 3], rays.shape)
         return _depth(intrinsics, self.tracer.distances(origins, unit_rows(rays)))
@@ -84,9 +92,9 @@ class RoomLight:
     def panorama(
         self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
     ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
-        """Radiance that arrives at a point from all sides, the mean over each pixel.
+        """Render the radiance that arrives at a point from all sides, the mean over each pixel.
 
-        Small lights and the sun's disc are put in by samples of their own and carry their right energy.
+        Small lights and the sun's disc are added by samples of their own, with their exact energy in the mean.
         """
         fine = FINER * height
 
@@ -98,7 +106,7 @@ class RoomLight:
         shown = small[lights.cluster] & (lights.face >= 0)
         dark = np.zeros(len(lights.face_cuts), bool)
         dark[lights.face[shown]] = True
-        # A face that is cut between a small and a large cluster is seen by rays.
+        # A face that belongs to a small and a large cluster is rendered by rays.
         dark[lights.face[(lights.face >= 0) & ~shown]] = False
         shown &= dark[np.maximum(lights.face, 0)]
         camera = Camera(position, rays_at, (fine, 2 * fine), 1.5 * np.pi / fine, dark_faces=dark, show_sun=False)
@@ -117,23 +125,10 @@ class RoomLight:
         """Add small lights and the sun to a panorama, where the point sees them."""
         light, tracer = self.light, self.tracer
         count = SPLAT_SAMPLES * max(1, len(light.lights.start)) + SUN_SAMPLES
-        origin, direction, carried = (np.empty((count, 3), np.float32) for _ in range(3))
-        reach = np.empty(count, np.float32)
-        written = glossy.splat_rays(
-            light.lights,
-            light.outdoors,
-            tracer.atlas,
-            shown,
-            SPLAT_SAMPLES,
-            float(position[0]),
-            float(position[1]),
-            float(position[2]),
-            seed,
-            origin,
-            direction,
-            reach,
-            carried,
-        )
+        rays = ShadowRays.empty(count)
+        x, y, z = position.tolist()
+        written = glossy.splat_rays(light.sources, shown, SPLAT_SAMPLES, (x, y, z), seed, rays)
+        origin, direction, reach, carried = rays.origin, rays.direction, rays.reach, rays.weight
         outdoors = light.outdoors
         if outdoors.sun_irradiance.max() > 0:
             rng = np.random.default_rng([seed, 6])
@@ -153,18 +148,18 @@ class RoomLight:
     def irradiance(
         self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Irradiance (kcd/m2 times steradians) on small planes in free space or on surfaces, by many rays each."""
+        """Compute irradiance (kcd/m2 times steradians) on small planes in space or on surfaces, by many rays each."""
         count = len(points)
         normal = unit_rows(normals)
         position = (points + OFFSET_M * normal).astype(np.float32)
-        row = np.full(count, -1, np.int32)  # of no surface: nothing is known of what it sees
+        row = np.full(count, -1, np.int32)  # on no surface: its visibility is unknown
         samples = Points(position, normal, normal, np.zeros(count, np.float32), row, np.arange(count, dtype=np.int64))
         direct = self.light.received(samples, candidates=512, picks=128, sun_picks=64, seed=1)
-        return direct.irradiance + self.cells.gathered(samples, rays=TEST_RAYS, first=0)[0]
+        return direct.irradiance + self.irradiance_cache.gathered(samples, rays=TEST_RAYS, first=0)[0]
 
 
 def _depth(intrinsics: Intrinsics, distance_m: Float[np.ndarray, " n"]) -> Float32[np.ndarray, "h w"]:
-    """z-depth from distances along the rays of the pixel centres; 0 where they are infinite."""
+    """Convert distances along the rays of the pixel centres to z-depth; 0 where they are infinite."""
     shape = intrinsics.height, intrinsics.width
     slant = np.linalg.norm(intrinsics.rays(), axis=2)
     distance = np.where(np.isfinite(distance_m), distance_m, 0).reshape(shape)

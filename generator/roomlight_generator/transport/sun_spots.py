@@ -1,8 +1,8 @@
-"""Where sunbeams strike: sample points of all sunlit surfaces in a room, which then serve as lights.
+"""Sun spots: sample points of all sunlit surfaces in a room, which then serve as lights.
 
-Frames: world, y up, metres; radiance in kcd/m2. A sunlit patch of floor is a thousand times as bright as the rest of a
-room and small: rays that meet it by chance leave blotches on every wall. Rays sent in through the openings along the
-sun's direction find it evenly instead.
+Frames: world, y up, metres; radiance in kcd/m2. A sunlit patch of floor is small and a thousand times as bright as the
+rest of a room: rays that meet it by chance leave blotches on every wall. Rays sent in through the openings along the
+sun's direction sample it evenly instead.
 """
 
 from typing import Final, NamedTuple
@@ -12,27 +12,27 @@ from jaxtyping import Float32
 
 from roomlight_generator.transport.coat import coat_table
 from roomlight_generator.transport.kernels.lights import crossing_counts
+from roomlight_generator.transport.kernels.structs import RayEnds, SurfacePoints
 from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.outdoors import Outdoors
 from roomlight_generator.transport.tracer import FAR_M, Tracer
 
 SPOTS: Final = 3072
-"""Rays over all openings: a beam of 2 m2 gets one for each 2.5 cm."""
+"""Rays over all openings: in a beam of 2 m2 they are 2.5 cm apart."""
 
 NEAR_SPOT_M2: Final = 0.06
-"""The area that `left_to_gathering` takes for spots: gather rays bring most of their light within 0.2 m."""
-
+"""The spots' area for `left_to_gathering`: gather rays bring most of their light within 0.2 m."""
 
 LEAST_ALPHA: Final = 0.06
-"""Of the lobe that spots send out: too few of them would meet a sharper one. It blurs reflections by 3 degrees."""
+"""Least roughness of the spots' lobes: too few spots would meet a sharper one. It blurs reflections by 3 degrees."""
 
 
 class Spots(NamedTuple):
-    """Points off sunlit surfaces, the side that is lit, and what they send out of the sun's direct light.
+    """Points off sunlit surfaces, and what they send out of the sun's direct light.
 
-    radiance is that of the base, a coat's mean over directions; alpha the roughness of the coat's lobe about `facing`
-    (0: no coat), `lobe` the sun's irradiance that it reflects, lobe_mean the lobe's mean radiance; area what each
-    stands for.
+    normal is the geometric normal on the lit side, `facing` the shading normal. radiance is the base's, under a coat
+    its mean over directions; alpha is the roughness of the coat's lobe about `facing` (0: no coat), `lobe` the sun's
+    irradiance that it reflects, lobe_mean the lobe's mean radiance; area is the lit area that a spot stands for.
     """
 
     position: Float32[np.ndarray, "n 3"]
@@ -46,7 +46,7 @@ class Spots(NamedTuple):
 
 
 def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
-    """Spots of the sun that comes through the scene's openings."""
+    """Sample the surfaces lit by the sun through the scene's openings."""
     openings = tracer.scene.openings
     if not openings or outdoors.sun_irradiance.max() <= 0:
         nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
@@ -72,34 +72,43 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
     materials = tracer.materials
     struck = np.flatnonzero((hits.face >= 0) & (materials.mirror[tracer.geometry.material[hits.face]] == 0))
     along, area = np.ascontiguousarray(along[struck]), area[struck]
-    position, normal, wound, albedo, emission = (np.empty((len(struck), 3), np.float32) for _ in range(5))
+    points = SurfacePoints.empty(len(struck))
     foot = np.sqrt(area).astype(np.float32)
-    surface_points(
-        tracer.geometry, materials, tracer.atlas, hits.face[struck], hits.u[struck], hits.v[struck], along, foot,
-        position, normal, wound, albedo, emission,
-    )  # fmt: skip
+    ends = RayEnds(hits.face[struck], hits.u[struck], hits.v[struck], along)
+    surface_points(tracer.arrays, ends, foot, points)
     passed = np.empty(len(struck), np.int32)
-    crossing_counts(outdoors.hole, outdoors.parts, position, -along, passed)
-    cosine = np.clip(-(normal * along).sum(1), 0, 1)
-    slope = np.clip(-(wound * along).sum(1), 0.02, 1)
+    crossing_counts(outdoors.hole, outdoors.parts, points.position, -along, passed)
+    cosine = np.clip(-(points.normal * along).sum(1), 0, 1)
+    slope = np.clip(-(points.geometric_normal * along).sum(1), 0.02, 1)
     alpha = materials.roughness[tracer.geometry.material[hits.face[struck]]]
     base, lobe = _coat_gain(alpha, cosine)
     arriving = outdoors.sun_irradiance * cosine[:, None]
-    radiance = albedo / np.pi * base[:, None] * arriving
+    radiance = points.albedo / np.pi * base[:, None] * arriving
     lobe_alpha = np.where(alpha > 0, np.maximum(alpha, LEAST_ALPHA), 0)
-    thrown = np.where(alpha[:, None] > 0, outdoors.sun_irradiance, 0)
+    on_coat = np.where(alpha[:, None] > 0, outdoors.sun_irradiance, 0)
     # A beam through two openings is found from both.
     own = area / slope / np.maximum(passed, 1)
     keep = (cosine > 0) & (passed > 0)
-    columns = position, wound, normal, radiance, lobe_alpha, thrown, lobe[:, None] * arriving, own
+    columns = Spots(
+        position=points.position,
+        normal=points.geometric_normal,
+        facing=points.normal,
+        radiance=radiance,
+        alpha=lobe_alpha,
+        lobe=on_coat,
+        lobe_mean=lobe[:, None] * arriving,
+        area=own,
+    )
     return Spots(*(column[keep].astype(np.float32) for column in columns))
 
 
 def _coat_gain(
     alpha: Float32[np.ndarray, " n"], cosine: Float32[np.ndarray, " n"]
 ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """What a coat makes of sunlight from a cosine: a factor on the base's radiance, and the lobe's mean radiance for
-    each unit of irradiance, both as means over all directions."""
+    """Compute what a coat does to sunlight that arrives at a cosine, as means over all directions.
+
+    Returns a factor on the base's radiance (1 without a coat), and the lobe's mean radiance a unit of irradiance.
+    """
     coat = coat_table()
     row = alpha / 0.64 * (len(coat.scale) - 1)
     low = np.minimum(row.astype(np.int64), len(coat.scale) - 2)

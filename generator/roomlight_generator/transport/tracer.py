@@ -1,7 +1,7 @@
-"""A room flattened into arrays, and the rays shot at it.
+"""A room flattened into arrays, and the rays traced through it.
 
 Frames: world, y up, metres; radiance in kcd/m2. Two trees: one of everything opaque (mirrors too), one of the glass
-panes, which stop no light. embreex checks nothing: shapes and dtypes are settled here.
+panes, which stop no light. embreex checks no argument: shapes and dtypes are settled here.
 """
 
 from collections.abc import Callable
@@ -23,12 +23,14 @@ FAR_M: Final = 1e4
 """Longer than any room: the reach of a ray toward the sky."""
 
 _BLOCK: Final = 1 << 16
-"""Rays a call from one thread: more gain nothing, fewer waste the pool."""
+"""Rays a call from one thread: more are no faster, fewer leave threads idle."""
 
 
 class Geometry(NamedTuple):
-    """Triangles as the kernels read them: corner data by face, so that a hit is one read; faces of both trees, opaque
-    first."""
+    """Triangles as the kernels read them: the faces of both trees, opaque first.
+
+    Corner data is stored by face, so that a hit is one read.
+    """
 
     corners: Float32[np.ndarray, "f 3 3"]
     normals: Float32[np.ndarray, "f 3 3"]
@@ -38,7 +40,7 @@ class Geometry(NamedTuple):
 
 
 class Materials(NamedTuple):
-    """One row a material. roughness 0 is Lambertian, texture -1 is none."""
+    """One row a material: roughness 0 is Lambertian, texture -1 is none, mirror is the reflectance."""
 
     albedo: Float32[np.ndarray, "m 3"]
     emission: Float32[np.ndarray, "m 3"]
@@ -46,6 +48,14 @@ class Materials(NamedTuple):
     mirror: Float32[np.ndarray, " m"]
     texture: Int32[np.ndarray, " m"]
     textured_emission: Bool[np.ndarray, " m"]
+
+
+class SceneArrays(NamedTuple):
+    """All of a scene that the kernels read of its surfaces."""
+
+    geometry: Geometry
+    materials: Materials
+    atlas: Atlas
 
 
 class Hits(NamedTuple):
@@ -58,7 +68,7 @@ class Hits(NamedTuple):
 
 
 class Tracer:
-    """Geometry, materials, textures and trees of a scene; any number of threads may ask at once."""
+    """Geometry, materials, textures and trees of a scene; safe to use from several threads at once."""
 
     scene: Scene
     geometry: Geometry
@@ -67,8 +77,11 @@ class Tracer:
     opaque_faces: int
 
     def __init__(self, scene: Scene) -> None:
-        """Flatten the scene and build its trees; ValueError where it holds nothing to hit or coordinates that are no
-        numbers."""
+        """Flatten the scene and build its trees.
+
+        Raises:
+            ValueError: if the scene holds no opaque triangle, or a coordinate that is not finite.
+        """
         self.scene = scene
         geometry, materials = _flatten(scene)
         if not np.isfinite(geometry.corners).all():
@@ -90,6 +103,11 @@ class Tracer:
         self._glass = _tree(self.geometry.corners[self.opaque_faces :]) if glass.any() else None
 
     @property
+    def arrays(self) -> SceneArrays:
+        """Geometry, materials and textures together, as the kernels take them."""
+        return SceneArrays(self.geometry, self.materials, self.atlas)
+
+    @property
     def has_glass(self) -> bool:
         """Whether there is any pane."""
         return self._glass is not None
@@ -100,11 +118,11 @@ class Tracer:
         return bool(self.materials.mirror.max() > 0)
 
     def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
-        """The nearest opaque surface along each ray (unit directions)."""
+        """Find the nearest opaque surface along each ray (unit directions)."""
         return _trace(self._opaque, origins, directions, 0)
 
     def trace_glass(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> Hits:
-        """The nearest pane along each ray; faces count on after the opaque ones."""
+        """Find the nearest pane along each ray; panes' faces are numbered after the opaque ones."""
         if self._glass is None:
             count = len(origins)
             nothing = np.zeros(count, np.float32)
@@ -117,7 +135,7 @@ class Tracer:
         directions: Float32[np.ndarray, "n 3"],
         reach_m: Float32[np.ndarray, " n"],
     ) -> Bool[np.ndarray, " n"]:
-        """Whether no opaque surface stands in the way within reach (panes let light through)."""
+        """Return whether each ray is free of opaque surfaces within reach (panes let light through)."""
         count = len(origins)
         seen = np.ones(count, bool)
         if count == 0:
@@ -134,7 +152,7 @@ class Tracer:
     def distances(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, " n"]:
-        """Distance in metres to the nearest surface of any kind, panes too; inf where there is none."""
+        """Return the distance in metres to the nearest surface of any kind, panes too; inf where there is none."""
         begin, along = (np.ascontiguousarray(part, np.float32) for part in (origins, directions))
         hits = self.trace(begin, along)
         out = np.where(hits.face >= 0, hits.distance_m, np.float32(np.inf))
@@ -158,9 +176,8 @@ def _flatten(scene: Scene) -> tuple[Geometry, list[Material]]:
         faces = mesh.faces
         corners = mesh.vertices[faces].astype(np.float32)
         area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        keep = ~(
-            area <= 1e-11
-        )  # a box rounded to nothing has faces without an area; what is no number is refused later
+        # A box rounded to nothing has faces without an area. NaN is kept here and refused later.
+        keep = ~(area <= 1e-11)
         faces = faces[keep]
         parts.append(
             Geometry(
@@ -217,7 +234,7 @@ def _trace(
 
 
 def _in_blocks(work: Callable[[int, int], object], count: int) -> None:
-    """Calls work over range(count) in blocks on the threads; a ray's answer does not depend on its block."""
+    """Call work over range(count) in blocks on the threads; a ray's result does not depend on its block."""
     blocks = -(-count // _BLOCK)
 
     def run(start: int, stop: int) -> None:

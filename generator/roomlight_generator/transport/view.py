@@ -1,8 +1,7 @@
-"""Pictures of a room from one point: a grid of rays, shaded from the cells, smoothed within surfaces, with extra rays
-at edges.
+"""Pictures of a room from one point: rays lit from the irradiance cache, smoothed within surfaces, more at edges.
 
-Frames: world, y up, metres; radiance in kcd/m2. The sun's own light is the only one with edges sharper than a cell: it
-has a shadow ray for every ray of the picture.
+Frames: world, y up, metres; radiance in kcd/m2. Only the sun's own light has edges sharper than a cell of the cache: it
+gets a shadow ray for every ray of the picture.
 """
 
 from collections.abc import Callable
@@ -25,17 +24,17 @@ EXTRA_RAYS: Final = 3
 """Rays added in pixels on edges."""
 
 _EXTRA_PLACES: Final = np.array([[-0.33, 0.1], [0.1, -0.33], [0.27, 0.27]])
-"""Where in the pixel: with its middle, one in each row and column of thirds, nearly."""
+"""Where in the pixel (row, column, from its middle): with the middle, nearly one in each row and column of thirds."""
 
 RaysAt = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float32[np.ndarray, "n 3"]]
-"""Unit world directions through places (row, column) of a picture; pixel centres are at half integers."""
+"""Returns unit world directions through places (row, column) of a picture; pixel centres are at half integers."""
 
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """Where a picture is seen from: its rays, a pixel's width in radians.
+    """A picture's viewpoint: its origin (world, metres), rays, shape (height, width), and a pixel's width in radians.
 
-    dark_faces are seen without their emission (but not in mirrors); the sun's disc only where show_sun says so.
+    dark_faces are shown without their emission (but not in mirrors); the sun's disc is shown if show_sun.
     """
 
     origin: Float[np.ndarray, "3"]
@@ -48,7 +47,7 @@ class Camera:
 
 @dataclass(frozen=True, eq=False)
 class Picture:
-    """Radiance, distance to the first surface (inf without) and its class, pane and mirror included."""
+    """Radiance, distance to the first surface (inf without) and its class, panes and mirrors included."""
 
     radiance: Float32[np.ndarray, "h w 3"]
     distance_m: Float32[np.ndarray, "h w"]
@@ -56,20 +55,19 @@ class Picture:
 
 
 class Viewer:
-    """Draws pictures of one room."""
+    """Renders pictures of one room."""
 
-    def __init__(self, tracer: Tracer, light: DirectLight, cells: IrradianceCache) -> None:
+    def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
         """Take a solved room."""
-        self.tracer, self.light, self.cells = tracer, light, cells
-        self.reflections = Reflections(tracer, light, cells)
-        self._coat = tuple(light.coat)
+        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
+        self.reflections = Reflections(tracer, light, irradiance_cache)
         self._roughness = tracer.materials.roughness
 
     def picture(self, camera: Camera, *, seed: int) -> Picture:
-        """A picture of height x width rays and more at edges."""
+        """Render a picture of height x width rays and more at edges."""
         height, width = camera.shape
         row, column = np.divmod(np.arange(height * width), width)
-        paths, points = self._looked(camera, row + 0.5, column + 0.5)
+        paths, points = self._surfaces(camera, row + 0.5, column + 0.5)
         alpha = self._roughness[points.material]
         grid = Grid(camera.shape, points, self._kinds(points, paths.mirrors), alpha)
         received = grid.smooth_received(self._received(points))
@@ -97,12 +95,12 @@ class Viewer:
         camera: Camera,
         seed: int,
     ) -> Float32[np.ndarray, "h w 3"]:
-        """The picture with more rays in some pixels, each given `EXTRA_RAYS` times, at jittered places."""
+        """Add rays to the picture at jittered places in some pixels, each of which is listed `EXTRA_RAYS` times."""
         height, width = camera.shape
         row, column = np.divmod(pixel, width)
         rng = np.random.default_rng([seed, 5])
         place = np.tile(_EXTRA_PLACES, (len(pixel) // EXTRA_RAYS, 1)) + rng.uniform(-0.16, 0.16, (len(pixel), 2))
-        paths, points = self._looked(camera, row + 0.5 + place[:, 0], column + 0.5 + place[:, 1])
+        paths, points = self._surfaces(camera, row + 0.5 + place[:, 0], column + 0.5 + place[:, 1])
         kinds = self._kinds(points, paths.mirrors)
         received, lobe, found = grid.borrowed(points, kinds, row[points.ray], column[points.ray])
         alone = np.flatnonzero(~found)
@@ -114,9 +112,10 @@ class Viewer:
         images.add_rays(total, weight, pixel, radiance)
         return (total / weight[:, None]).reshape(height, width, 3)
 
-    def _looked(
+    def _surfaces(
         self, camera: Camera, row: Float[np.ndarray, " n"], column: Float[np.ndarray, " n"]
     ) -> tuple[Paths, Surfaces]:
+        """Trace rays through places of the picture to the surfaces that they show."""
         directions = camera.rays_at(row, column)
         origins = np.broadcast_to(np.asarray(camera.origin, np.float32), directions.shape).copy()
         paths = follow_view(self.tracer, origins, directions)
@@ -124,23 +123,26 @@ class Viewer:
         return paths, surfaces_of(self.tracer, paths.face, paths.u, paths.v, paths.direction, foot)
 
     def _received(self, points: Surfaces, some: Int64[np.ndarray, " k"] | None = None) -> Float32[np.ndarray, "_ 3"]:
-        """Irradiance of points but for what comes straight from the sun."""
+        """Return the irradiance of points, without what comes straight from the sun."""
         at = slice(None) if some is None else some
-        received, sun = self.cells.irradiance(
-            points.position[at], points.normal[at], points.wound[at], points.face[at], foot_m=points.foot_m[at]
+        received, sun = self.irradiance_cache.irradiance(
+            points.position[at],
+            points.normal[at],
+            points.geometric_normal[at],
+            points.face[at],
+            foot_m=points.foot_m[at],
         )
         return received - sun
 
     def _sunlight(self, points: Surfaces, seed: int) -> Float32[np.ndarray, "m 3"]:
         alpha = self._roughness[points.material]
-        nowhere = np.full(len(alpha), -1, np.int32)
-        lit = Points(
-            points.position, points.normal, points.wound, alpha, nowhere, np.arange(len(alpha), dtype=np.int64)
-        )
+        unknown = np.full(len(alpha), -1, np.int32)
+        stream = np.arange(len(alpha), dtype=np.int64)
+        lit = Points(points.position, points.normal, points.geometric_normal, alpha, unknown, stream)
         return self.light.sunlight(lit, seed=seed)
 
     def _kinds(self, points: Surfaces, mirrors: UInt8[np.ndarray, " n"]) -> Int32[np.ndarray, " m"]:
-        """What must be equal for two pixels to show one surface: material and mirrors on the way."""
+        """Combine material and mirrors on the way into a number, equal for pixels that show one surface."""
         return points.material + mirrors[points.ray].astype(np.int32) * np.int32(len(self._roughness))
 
     def _emission(self, points: Surfaces, paths: Paths, camera: Camera) -> Float32[np.ndarray, "m 3"]:
@@ -159,11 +161,11 @@ class Viewer:
         even_lobe: Bool[np.ndarray, " m"],
         camera: Camera,
     ) -> Float32[np.ndarray, "n 3"]:
-        """Radiance of each ray: surface or sky, less what panes and mirrors take, plus what panes reflect."""
+        """Sum each ray's radiance: surface or sky, less what panes and mirrors take, plus what panes reflect."""
         alpha = self._roughness[points.material]
         cosine = np.clip((points.normal * points.view).sum(1), glossy.LEAST_COSINE, 1)
         light = np.empty_like(received)
-        diffuse_light(received, points.albedo, alpha, cosine, self._coat, even_lobe, light)
+        diffuse_light(received, points.albedo, alpha, cosine, self.light.coat, even_lobe, light)
         out = np.zeros((len(paths.face), 3), np.float32)
         out[points.ray] = light + lobe + emission
         sky = np.flatnonzero(paths.face < 0)
@@ -177,5 +179,5 @@ class Viewer:
 def _sparse(
     row: Int64[np.ndarray, " n"], column: Int64[np.ndarray, " n"], alpha: Float32[np.ndarray, " n"]
 ) -> Bool[np.ndarray, " n"]:
-    """Pixels whose lobes are worked out: half of the sharp ones, a quarter of the rough; smoothing fills in others."""
+    """Select the pixels whose lobes are sampled: half of the sharp ones, a quarter of the rough; smoothing fills in."""
     return np.where(alpha < SHARP, (row + column) % 2 == 0, (column + 2 * row) % 4 == 0)

@@ -12,18 +12,18 @@ from jaxtyping import Bool, Float32, Int64
 from roomlight_generator.transport.direct import ShadowRays
 
 _FEW: Final = 0.5
-"""Rays' worth of light that a point is credited with, so that one whose rays all failed is not taken for a dark one."""
+"""A point is credited with the light of so many rays, so that one whose rays all failed does not count as dark."""
 
 
 class VisibilityVariance:
-    """Hears the shadow rays of `DirectLight.received`."""
+    """The variance of points' direct light, estimated from the shadow rays of `DirectLight.received`."""
 
     def __init__(self, count: int) -> None:
-        """For so many points."""
+        """Start without rays, for so many points."""
         self._sent, self._seen, self._squares, self._rays = (np.zeros(count) for _ in range(4))
 
-    def hear(self, first: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], count: int) -> None:
-        """As `OnRays`: these rays belong to points from `first` on."""
+    def add(self, first: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], count: int) -> None:
+        """Add the first `count` rays, which belong to points from `first` on (an `OnRays`); the sun's do not count."""
         lamps = rays.cluster[:count] >= 0
         owner = rays.owner[:count][lamps] + first
         if not len(owner):
@@ -37,8 +37,11 @@ class VisibilityVariance:
         self._squares[start:stop] += np.bincount(owner, weight * weight, size)
         self._rays[start:stop] += np.bincount(owner, minlength=size)
 
-    def about(self, rest: Float32[np.ndarray, " n"], share: float) -> Int64[np.ndarray, " m"]:
-        """Points whose standard deviation is more than a share of all their light; `rest` is what comes otherwise."""
+    def select(self, rest: Float32[np.ndarray, " n"], share: float) -> Int64[np.ndarray, " m"]:
+        """Select the points whose standard deviation exceeds a share of all their light.
+
+        rest is each point's irradiance (mean over the channels) from elsewhere.
+        """
         arrived = self._seen + _FEW * self._sent / np.maximum(self._rays, 1)
         p = np.clip(arrived / np.maximum(self._sent, 1e-30), 0, 1)
         deviation = np.sqrt(p * (1 - p) * self._squares)

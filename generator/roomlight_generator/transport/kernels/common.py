@@ -1,5 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""What every kernel uses: hashed random numbers, frames about a normal, keys of directions, the coat's tables."""
+"""What every kernel uses: hashed random numbers, frames about a normal, keys of directions, the coat's tables.
+
+Directions and points that are passed on their own are tuples (x, y, z) in world axes, y up, metres.
+"""
 
 import math
 from typing import Any
@@ -10,19 +13,19 @@ from numba import njit
 ALLOCATING: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
 """For kernels that make arrays of their own."""
 JIT: dict[str, Any] = {**ALLOCATING, "_nrt": False}
-"""For all others: without it each call counts references to every array that it is given, at 5 ns a piece."""
+"""For all others: with reference counting on, each call counts a reference to every array argument, 5 ns each."""
 
 _G1 = np.uint64(0x9E3779B97F4A7C15)
 _G2 = np.uint64(0xBF58476D1CE4E5B9)
 _G3 = np.uint64(0x94D049BB133111EB)
 PHI1 = 0.7548776662466927  # R2 sequence (Roberts): 1 / plastic number, and its square
 PHI2 = 0.5698402909980532
-LEAST_COSINE = 0.02  # of the viewer to a shading normal that leans away from it
+LEAST_COSINE = 0.02  # between the viewer and a shading normal that leans away from it
 
 
 @njit(**JIT)
 def mixed(value):
-    """A 64-bit hash (splitmix64's finaliser)."""
+    """Hash to 64 bits (splitmix64's finaliser)."""
     x = np.uint64(value) + _G1
     x = (x ^ (x >> np.uint64(30))) * _G2
     x = (x ^ (x >> np.uint64(27))) * _G3
@@ -31,19 +34,19 @@ def mixed(value):
 
 @njit(**JIT)
 def unit(value):
-    """Uniform in [0, 1) from a hash."""
+    """Turn a hash into a uniform number in [0, 1)."""
     return np.float64(value >> np.uint64(11)) * (1.0 / 9007199254740992.0)
 
 
 @njit(**JIT)
 def fraction(value):
-    """Of a number that is not negative."""
+    """Return the fractional part of a number that is not negative."""
     return value - np.floor(value)
 
 
 @njit(**JIT)
 def tangents(x, y, z):
-    """Two unit vectors at right angles to a unit vector (Duff et al. 2017)."""
+    """Return two unit vectors at right angles to a unit vector (Duff et al. 2017)."""
     sign = 1.0 if z >= 0 else -1.0
     a = -1.0 / (sign + z)
     b = x * y * a
@@ -52,7 +55,7 @@ def tangents(x, y, z):
 
 @njit(**JIT)
 def cosine_direction(nx, ny, nz, r1, r2):
-    """A direction about a normal in proportion to its cosine, which comes fourth."""
+    """Draw a direction about a normal in proportion to its cosine; the fourth value is the cosine."""
     ax, ay, az, bx, by, bz = tangents(nx, ny, nz)
     radius, angle = math.sqrt(r1), 2 * math.pi * r2
     s, t, c = radius * math.cos(angle), radius * math.sin(angle), math.sqrt(max(1 - r1, 1e-9))
@@ -61,7 +64,7 @@ def cosine_direction(nx, ny, nz, r1, r2):
 
 @njit(**JIT)
 def direction_bucket(x, y, z, half):
-    """An octahedral grid's node next to a direction; (2 half + 1)^2 of them, the axes among them.
+    """Find the node of an octahedral grid that is nearest to a direction, of (2 half + 1)^2, the axes among them.
 
     Nodes, not cells: walls' normals lie on the axes and must not flicker between neighbours.
     """
@@ -75,7 +78,7 @@ def direction_bucket(x, y, z, half):
 
 @njit(**JIT)
 def slot_of(keys, key):
-    """Where a key is, or the empty place (-1) where it would go, in a table of a power of two places."""
+    """Find a key, or the empty place (-1) where it would go, in a table of a power of two places."""
     mask = np.int64(len(keys) - 1)
     at = np.int64(mixed(np.uint64(key)) & np.uint64(mask))
     while keys[at] != key and keys[at] != -1:
@@ -94,7 +97,7 @@ def rehash(old_keys, old_values, keys, values):
 
 @njit(**JIT)
 def in_table(table, alpha, cosine):
-    """Bilinear look-up of a coat table, whose rows reach alpha = 0.64 (`coat.ROUGHEST`)."""
+    """Interpolate a coat table bilinearly; its rows reach alpha = 0.64 (`coat.ROUGHEST`)."""
     row = min(alpha / 0.64, 0.999999) * (table.shape[0] - 1)
     column = min(max(cosine, 0.0), 0.999999) * (table.shape[1] - 1)
     i, j = np.int64(row), np.int64(column)
@@ -105,7 +108,7 @@ def in_table(table, alpha, cosine):
 
 @njit(**JIT)
 def in_row(row, alpha):
-    """Linear look-up of a value for each alpha."""
+    """Interpolate linearly a table that has one value for each alpha."""
     at = min(alpha / 0.64, 0.999999) * (len(row) - 1)
     i = np.int64(at)
     return row[i] * (1 - (at - i)) + row[i + 1] * (at - i)
@@ -113,7 +116,7 @@ def in_row(row, alpha):
 
 @njit(**JIT)
 def fresnel(cosine):
-    """Reflectance of a dielectric of index 1.5 seen from outside."""
+    """Return the reflectance of a dielectric of index 1.5, seen from outside."""
     sine_sq = (1 - cosine * cosine) / 2.25
     inner = math.sqrt(max(1 - sine_sq, 0.0))
     parallel = (1.5 * cosine - inner) / (1.5 * cosine + inner)
@@ -123,14 +126,17 @@ def fresnel(cosine):
 
 @njit(**JIT)
 def unmasked(cosine, alpha):
-    """Smith's G1."""
+    """Return Smith's masking term G1."""
     c_sq = cosine * cosine
     return 2 / (1 + math.sqrt(1 + alpha * alpha * (1 - c_sq) / c_sq))
 
 
 @njit(**JIT)
-def lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, alpha):
-    """The lobe's BRDF times the light's cosine, and its density by visible normals, for a light direction."""
+def lobe(normal, view, light, alpha):
+    """Return the lobe's BRDF times the light's cosine, and its density by visible normals, for a light direction."""
+    nx, ny, nz = normal
+    vx, vy, vz = view
+    lx, ly, lz = light
     cos_l = nx * lx + ny * ly + nz * lz
     if cos_l <= 0:
         return 0.0, 0.0
@@ -151,7 +157,7 @@ def lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, alpha):
 
 @njit(**JIT)
 def sky_radiance(panorama, x, y, z):
-    """Bilinear look-up of an equirectangular panorama in the project's convention."""
+    """Interpolate bilinearly an equirectangular panorama in the project's convention."""
     height, width = panorama.shape[0], panorama.shape[1]
     column = (0.5 + math.atan2(z, x) / (2 * math.pi)) * width - 0.5
     row = math.acos(min(max(y, -1.0), 1.0)) / math.pi * height - 0.5

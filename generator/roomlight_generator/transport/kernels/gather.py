@@ -1,8 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""Gather rays of the records: by cosine, and into cones about the lights, where the brightest surfaces are.
+"""Gather rays of the records of indirect light: by cosine, and into cones about the lights.
 
-A lamp's housing and a window's reveals are small, and a hundred times as bright as the walls: by cosine alone they are
-met by chance. Both kinds of rays are weighted by the balance heuristic.
+A lamp's housing and a window's reveals are small and a hundred times as bright as the walls: rays by cosine alone
+would meet them by chance. Both kinds of rays are weighted by the balance heuristic.
 """
 
 import math
@@ -24,15 +24,15 @@ from roomlight_generator.transport.kernels.common import (
 )
 from roomlight_generator.transport.kernels.lights import estimates
 
-LEAST_SEEN = 40  # 255ths: what light a patch never saw straight may still shine on things that it sees
+LEAST_SEEN = 40  # 255ths: a light that a patch never saw may still shine on surfaces that the patch sees
 WIDER = 1.25
-WIDER_M = 0.03  # a light's cone takes in so much about its cluster
+WIDER_M = 0.03  # a light's cone is so much wider than its cluster
 _ZERO = np.float32(0)
 
 
 @njit(**JIT)
 def _within(cone, cones, x, y, z):
-    """Sum of the densities of the cones that a direction lies in."""
+    """Sum the densities of the cones that contain a direction."""
     density = _ZERO
     for j in range(cones):
         inside = x * cone[0, j] + y * cone[1, j] + z * cone[2, j] > cone[3, j]
@@ -41,12 +41,11 @@ def _within(cone, cones, x, y, z):
 
 
 @njit(**ALLOCATING)
-def gather_rays(
-    lights, vis, position, normal, wound, alpha, row, number, through, cosine_rays, cone_rays, seed,
-    origin, direction, weight, passed,
-):  # fmt: skip
-    """Write cosine_rays + cone_rays rays for each point. weight turns radiance into irradiance (the sum over a
-    point's rays), passed is what a coat lets through of each."""
+def gather_rays(lights, visibility, points, through, sampling, out):
+    """Write the rays (`GatherRays`) of each point (`Points`); through is the coat's table."""
+    position, normal, geometric_normal, alpha, row, stream = points
+    cosine_rays, cone_rays, seed = sampling
+    origin, direction, weight, passed = out
     rays = cosine_rays + cone_rays
     clusters = lights.real
     each = np.empty(max(clusters, 1), np.float32)
@@ -55,9 +54,9 @@ def gather_rays(
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
         cones, total = 0, 0.0
-        estimates(lights, clusters, vis, row[i], LEAST_SEEN, px, py, pz, nx, ny, nz, each)
+        estimates(lights, clusters, visibility, row[i], LEAST_SEEN, (px, py, pz), (nx, ny, nz), each)
         for which in range(clusters):
             share = np.float64(each[which])
             x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
@@ -76,21 +75,21 @@ def gather_rays(
         for k in range(cones):
             cone[4, k] /= total
         plain = rays - guided
-        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
-        turn1 = unit(state)
+        state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
+        shift1 = unit(state)
         state = mixed(state)
-        turn2 = unit(state)
-        turn3 = unit(mixed(state))
+        shift2 = unit(state)
+        shift3 = unit(mixed(state))
         which, running = 0, 0.0
         if cones > 0:
             running = chance[0]
         for k in range(rays):
             at = i * rays + k
-            r1, r2 = fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k)
+            r1, r2 = fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k)
             if k < plain:
                 x, y, z, _ = cosine_direction(nx, ny, nz, r1, r2)
             else:
-                aim = (k - plain + turn3) / guided * total
+                aim = (k - plain + shift3) / guided * total
                 while which < cones - 1 and running <= aim:
                     which += 1
                     running += chance[which]
@@ -104,7 +103,7 @@ def gather_rays(
                 z = cosine * az + s * uz + t * vz
             under = x * gx + y * gy + z * gz
             if under < 0 and k < plain:
-                # A shading normal leans so far that the ray starts into its own surface: it is turned up about it.
+                # The shading normal leans so far that the ray starts into its own surface: mirror it out.
                 x, y, z = x - 2 * under * gx, y - 2 * under * gy, z - 2 * under * gz
             cosine = x * nx + y * ny + z * nz
             for c in range(3):
@@ -120,8 +119,9 @@ def gather_rays(
 
 
 @njit(**JIT)
-def gather_sum(radiance, weight, passed, face, distance, rays, irradiance, clear):
-    """Irradiance of each point from its rays, and the harmonic mean of the distances to what it sees."""
+def gather_sum(sent, radiance, face, distance, rays, irradiance, clear):
+    """Sum each point's irradiance over its `rays` rays (`sent`); clear is the harmonic mean of their lengths."""
+    weight, passed = sent.weight, sent.passed
     for p in range(len(clear)):
         red, green, blue, near, total = 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(p * rays, (p + 1) * rays):

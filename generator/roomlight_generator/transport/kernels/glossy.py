@@ -1,8 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""Kernels of the coat's specular lobe: GGX, sampled by visible normals and by the lights, joined by the balance
-heuristic.
+"""Kernels of the coat's specular lobe (GGX, sampled by visible normals and by the lights), panes and small lights.
 
-view is the unit direction toward the viewer; normals are on its side.
+Both samples of the lobe are joined by the balance heuristic. view is the unit direction toward the viewer; normals are
+on its side. Frames: world, y up, metres; radiance in kcd/m2.
 """
 
 import math
@@ -27,8 +27,8 @@ from roomlight_generator.transport.kernels.common import (
 from roomlight_generator.transport.kernels.lights import (
     FAR,
     candidate,
-    chosen_by,
     crossings,
+    cumulate_estimates,
     estimate,
     pick_piece,
     point_on,
@@ -37,32 +37,34 @@ from roomlight_generator.transport.kernels.lights import (
 )
 from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal
 
-SPOT_M = 0.06  # spots stand for sunlit surfaces where a lobe is wider than this
+SPOT_M = 0.06  # where a lobe is wider than this, samples of spots stand for sunlit surfaces
 
 
 @njit(**JIT)
 def spot_share(alpha, distance):
-    """How much of a sunlit spot's light in a lobe its samples bring, not reflected rays."""
+    """Return the share of a sunlit spot's light in a lobe that samples of the spot bring, not reflected rays."""
     width = alpha * distance
     return width * width / (width * width + SPOT_M * SPOT_M)
 
 
 @njit(**JIT)
 def spot_shares(alpha, distance, rays, out):
-    """`spot_share` for `rays` rays of each point, by the length of each."""
+    """Write `spot_share` for `rays` rays of each point, by the length of each."""
     for k in range(len(distance)):
         out[k] = spot_share(alpha[k // rays], distance[k])
 
 
 @njit(**JIT)
-def lobe_rays(normal, wound, view, alpha, number, rays, seed, direction, weight, density):
-    """`rays` reflections of each point by visible normals (Heitz 2018): direction, lobe over density, density.
+def lobe_rays(points, rays, seed, out):
+    """Write `rays` reflections (`LobeRays`) of each point (`LobePoints`) by visible normals (Heitz 2018).
 
     A reflection into the surface has weight 0 and the direction of the geometric normal.
     """
+    _, normal, geometric_normal, view, alpha, _, stream = points
+    direction, weight, density = out
     for i in range(len(alpha)):
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
         ax, ay, az, bx, by, bz = tangents(nx, ny, nz)
         vx, vy, vz = view[i, 0], view[i, 1], view[i, 2]
         a = alpha[i]
@@ -77,12 +79,12 @@ def lobe_rays(normal, wound, view, alpha, number, rays, seed, direction, weight,
         if across > 1e-6:
             t1x, t1y, t1z = -sy / across, sx / across, 0.0
             t2x, t2y, t2z = sy * t1z - sz * t1y, sz * t1x - sx * t1z, sx * t1y - sy * t1x
-        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
-        turn1 = unit(state)
-        turn2 = unit(mixed(state))
+        state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
+        shift1 = unit(state)
+        shift2 = unit(mixed(state))
         for k in range(rays):
-            r = math.sqrt(fraction(turn1 + PHI1 * k))
-            angle = 2 * math.pi * fraction(turn2 + PHI2 * k)
+            r = math.sqrt(fraction(shift1 + PHI1 * k))
+            angle = 2 * math.pi * fraction(shift2 + PHI2 * k)
             p, q = r * math.cos(angle), r * math.sin(angle)
             mix = 0.5 * (1 + sz)
             q = (1 - mix) * math.sqrt(max(1 - p * p, 0.0)) + mix * q
@@ -101,23 +103,26 @@ def lobe_rays(normal, wound, view, alpha, number, rays, seed, direction, weight,
                 weight[at], density[at] = 0.0, 1.0
                 continue
             direction[at, 0], direction[at, 1], direction[at, 2] = lx, ly, lz
-            value, chance = lobe(nx, ny, nz, vx, vy, vz, lx, ly, lz, a)
+            value, chance = lobe((nx, ny, nz), (vx, vy, vz), (lx, ly, lz), a)
             weight[at] = value / chance if chance > 0 else 0.0
             density[at] = chance
 
 
 @njit(**ALLOCATING)
-def lobe_lights(
-    lights, outdoors, atlas, position, normal, wound, view, alpha, row, number, vis,
-    rays, candidates, picks, seed, owner, origin, direction, reach, weight, totals,
-):  # fmt: skip
-    """Shadow rays for the lobe, as `lights.propose`; totals keeps each point's sum of estimates for `lobe_share`."""
-    table, kind = lights.piece, lights.kind
-    hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
-    coat_share, toward_sun = lights.coat_share, lights.sun
+def lobe_lights(sources, points, visibility, sampling, shadow, totals):
+    """Write the lobe's shadow rays (`ShadowRays`, but for passed and cluster) of all points; returns how many.
+
+    totals gets each point's sum of estimates, for `lobe_share`.
+    """
+    lights, outdoors, surfaces = sources
+    kind = surfaces.kind
+    position, normal, geometric_normal, view, alpha, row, stream = points
+    rays, candidates, picks, seed = sampling
+    owner, origin, direction, reach, weight, _, _ = shadow
+    hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
     each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
-    aim = np.empty((candidates, 8))
+    drawn = np.empty((candidates, 8))
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
@@ -125,29 +130,28 @@ def lobe_lights(
     for i in range(len(alpha)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
+        gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
         vx, vy, vz = view[i, 0], view[i, 1], view[i, 2]
-        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed) + np.uint64(1)))
-        turn1 = unit(state)
+        state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed) + np.uint64(1)))
+        shift1 = unit(state)
         state = mixed(state)
-        turn2 = unit(state)
+        shift2 = unit(state)
         state = mixed(state)
-        turn3 = unit(state)
+        shift3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
+            total = cumulate_estimates(lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), each, running)
         totals[i] = total
         if total > 0:
             which, live = 0, 0
             for k in range(candidates):
-                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
+                which, piece, density = candidate(lights, running, total, (k + shift3) / candidates * total, which)
                 dx, dy, dz, far, red, green, blue, spread, _ = point_on(
-                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
-                    fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
-                )  # fmt: skip
+                    surfaces, piece, fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k), (px, py, pz)
+                )
                 if far <= 0 or gx * dx + gy * dy + gz * dz <= 0:
                     continue
-                value, by_lobe = lobe(nx, ny, nz, vx, vy, vz, dx, dy, dz, alpha[i])
+                value, by_lobe = lobe((nx, ny, nz), (vx, vy, vz), (dx, dy, dz), alpha[i])
                 scale = value * spread / (density * candidates)
                 if kind[piece, 0] == 2:
                     scale *= spot_share(alpha[i], far)
@@ -157,26 +161,31 @@ def lobe_lights(
                 q = (red + green + blue) * scale
                 if not q > 0:
                     continue
-                aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
-                aim[live, 4], aim[live, 5], aim[live, 6], aim[live, 7] = red * scale, green * scale, blue * scale, q
+                drawn[live, 0], drawn[live, 1], drawn[live, 2], drawn[live, 3] = dx, dy, dz, far
+                drawn[live, 4], drawn[live, 5], drawn[live, 6], drawn[live, 7] = (
+                    red * scale,
+                    green * scale,
+                    blue * scale,
+                    q,
+                )
                 live += 1
-            resample(aim, 7, live, picks, unit(mixed(state)))
+            resample(drawn, 7, live, picks, unit(mixed(state)))
             for k in range(live):
-                if aim[k, 7] == 0:
+                if drawn[k, 7] == 0:
                     continue
                 owner[written] = i
                 for c in range(3):
                     origin[written, c] = position[i, c]
-                    direction[written, c] = aim[k, c]
-                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
-                reach[written] = aim[k, 3]
+                    direction[written, c] = drawn[k, c]
+                    weight[written, c] = drawn[k, 4 + c] * drawn[k, 7]
+                reach[written] = drawn[k, 3]
                 written += 1
         if sun and gx * sx + gy * sy + gz * sz > 0:
-            radius, angle = outdoors.sun_radius * math.sqrt(turn1), 2 * math.pi * turn2
+            radius, angle = outdoors.sun_radius * math.sqrt(shift1), 2 * math.pi * shift2
             s, t = radius * math.cos(angle), radius * math.sin(angle)
             dx, dy, dz = sx + s * tax + t * tbx, sy + s * tay + t * tby, sz + s * taz + t * tbz
-            value, _ = lobe(nx, ny, nz, vx, vy, vz, sx, sy, sz, alpha[i])
-            if value > 0 and sun_may_reach(hole, parts, px, py, pz, dx, dy, dz) > 0:
+            value, _ = lobe((nx, ny, nz), (vx, vy, vz), (sx, sy, sz), alpha[i])
+            if value > 0 and sun_may_reach(hole, parts, (px, py, pz), (dx, dy, dz)) > 0:
                 length = math.sqrt(dx * dx + dy * dy + dz * dz)
                 owner[written] = i
                 for c in range(3):
@@ -193,22 +202,27 @@ def lobe_lights(
 
 
 @njit(**JIT)
-def lobe_share(
-    lights, outdoors, vis, row, position, normal, totals, rays, candidates, face, u, v, distance, direction,
-    density, turned, share,
-):  # fmt: skip
-    """Share of emitted light that each reflection keeps, given that the lights are sampled too."""
+def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, share):
+    """Write the share of emitted light that each reflected ray keeps, given that the lights are sampled too.
+
+    reflected are the rays (`LobeRays`), ends where they ended (`LobeEnds`); after a mirror the share is 1.
+    """
+    lights, outdoors, _ = sources
+    position, normal, row = points.position, points.normal, points.row
+    rays, candidates, _, _ = sampling
+    direction, density = reflected.direction, reflected.density
+    face, u, v, distance, mirrored = ends
     for at in range(len(face)):
         i = at // rays
         share[at] = 1.0
-        if turned[at] or totals[i] <= 0:
+        if mirrored[at] or totals[i] <= 0:
             continue
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         dx, dy, dz = direction[at, 0], direction[at, 1], direction[at, 2]
         f = face[at]
         slot, d = -1, np.float64(distance[at])
         if f < 0:
-            found, slot, _ = crossings(outdoors.hole, outdoors.parts, px, py, pz, dx, dy, dz)
+            found, slot, _ = crossings(outdoors.hole, outdoors.parts, (px, py, pz), (dx, dy, dz))
             if found == 0:
                 continue
         else:
@@ -233,17 +247,18 @@ def lobe_share(
             along = mx * (c[0] - px) + my * (c[1] - py) + mz * (c[2] - pz)
             d = along / length / slope if abs(slope) > 1e-9 else 1e9
         which = lights.cluster[piece]
-        chance = estimate(lights, which, px, py, pz, normal[i, 0], normal[i, 1], normal[i, 2])
+        chance = estimate(lights, which, (px, py, pz), (normal[i, 0], normal[i, 1], normal[i, 2]))
         if row[i] >= 0:
-            chance *= max(vis[row[i], which], 20) / 255.0
+            chance *= max(visibility[row[i], which], 20) / 255.0
         by_area = chance / totals[i] * c[19]
         spread = abs(slope) / (d * d)
         share[at] = rays * density[at] * spread / (rays * density[at] * spread + candidates * by_area)
 
 
 @njit(**JIT)
-def scattered(owner, weight, seen, count, out):
-    """Add visible rays to their points."""
+def add_scattered(shadow, seen, count, out):
+    """Add the first `count` shadow rays, where visible, to their points' radiance."""
+    owner, weight = shadow.owner, shadow.weight
     for k in range(count):
         if seen[k]:
             for c in range(3):
@@ -251,8 +266,10 @@ def scattered(owner, weight, seen, count, out):
 
 
 @njit(**JIT)
-def pane_shares(geometry, face, u, v, direction, reflected, turned, through, share):
-    """Where rays that met a thin pane go on, mirrored and straight; the share that both its faces reflect."""
+def pane_rays(geometry, ends, out):
+    """Write how rays that met a thin pane go on (`PaneRays`): mirrored by both its faces, and straight."""
+    face, u, v, direction = ends
+    reflected, mirrored, through, share = out
     for i in range(len(face)):
         corner = geometry.corners[face[i]]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
@@ -260,7 +277,7 @@ def pane_shares(geometry, face, u, v, direction, reflected, turned, through, sha
         slope = dx * gx + dy * gy + dz * gz
         f = fresnel(min(-slope, 1.0))
         share[i] = 2 * f / (1 + f)
-        turned[i, 0], turned[i, 1], turned[i, 2] = dx - 2 * slope * gx, dy - 2 * slope * gy, dz - 2 * slope * gz
+        mirrored[i, 0], mirrored[i, 1], mirrored[i, 2] = dx - 2 * slope * gx, dy - 2 * slope * gy, dz - 2 * slope * gz
         s, t = u[i], v[i]
         w = 1 - s - t
         for c in range(3):
@@ -272,11 +289,15 @@ def pane_shares(geometry, face, u, v, direction, reflected, turned, through, sha
 
 
 @njit(**JIT)
-def splat_rays(lights, outdoors, atlas, shown, samples, x, y, z, seed, origin, direction, reach, light):
-    """Rays from a point to `samples` points on each shown cluster, and what each brings in radiance times solid angle.
+def splat_rays(sources, shown, samples, point, seed, rays):
+    """Write rays from a point to `samples` points on each shown cluster; returns how many.
 
-    Pieces that are not `shown` send nothing. Returns how many rays there are.
+    Of the rays (`ShadowRays`) origin, direction, reach and weight are written; weight is radiance times solid angle.
+    Pieces that are not `shown` send nothing.
     """
+    lights, _, surfaces = sources
+    x, y, z = point
+    _, origin, direction, reach, light, _, _ = rays
     written = 0
     for which in range(len(lights.start)):
         first, pieces = lights.start[which], lights.pieces[which]
@@ -286,16 +307,15 @@ def splat_rays(lights, outdoors, atlas, shown, samples, x, y, z, seed, origin, d
         if not any_shown:
             continue
         state = mixed(np.uint64(which) ^ mixed(np.uint64(seed)))
-        turn1 = unit(state)
-        turn2 = unit(mixed(state))
+        shift1 = unit(state)
+        shift2 = unit(mixed(state))
         for k in range(samples):
             piece = pick_piece(lights.piece, first, pieces, (k + 0.5) / samples)
             if not shown[piece]:
                 continue
             dx, dy, dz, far, r, g, b, spread, _ = point_on(
-                lights.piece, lights.kind, outdoors.hole, outdoors.parts, outdoors.panorama, atlas, lights.coat_share,
-                lights.sun, piece, fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), x, y, z,
-            )  # fmt: skip
+                surfaces, piece, fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k), point
+            )
             if far <= 0:
                 continue
             scale = spread / (lights.piece[piece, 19] * samples)
@@ -308,8 +328,8 @@ def splat_rays(lights, outdoors, atlas, shown, samples, x, y, z, seed, origin, d
 
 
 @njit(**JIT)
-def sky_seen(panorama, direction, share, out):
-    """Add the sky along rays, times each one's share."""
+def add_sky(panorama, direction, share, out):
+    """Add the sky's radiance along rays, times each one's share."""
     for i in range(len(share)):
         r, g, b = sky_radiance(panorama, direction[i, 0], direction[i, 1], direction[i, 2])
         out[i, 0] += r * share[i]

@@ -1,5 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""Kernels over pixel grids: smoothing within surfaces, edges that want more rays, what such rays take from pixels."""
+"""Kernels over pixel grids: smoothing within surfaces, edges that need more rays, what such rays take from pixels.
+
+A pixel's kind is a number that is equal for pixels of one surface, or -1 where the pixel shows none.
+"""
 
 import math
 
@@ -8,16 +11,19 @@ from numba import njit
 
 from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
 
-REACH = 4  # pixels about one in which it is an outlier or not: 80 of them, of which a quarter are known in rough coats
-FEW = 8  # an outlier has fewer than one in so many pixels about it that are like it
-ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise passes, a shadow's edge does not
+REACH = 4  # pixels to each side that decide whether one is an outlier: 80, of which a quarter are known in rough coats
+FEW = 8  # an outlier has fewer similar pixels about it than one in so many
+ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise is smoothed, a shadow's edge is kept
 
 
 @njit(**ALLOCATING)
-def smooth(image, position, normal, kind, foot, known, spread, step, out):
-    """A bilateral mean over 5 x 5 pixels `step` apart: same kind, one plane, one direction, alike in brightness (within
-    the pixel's spread times `ALIKE`). Only known pixels count; known is set where out then has a value. kind -1 is left
-    out."""
+def smooth(grid, image, known, spread, step, out):
+    """Write a bilateral mean over 5 x 5 pixels that lie `step` apart.
+
+    Pixels count that are known, of the same kind, in one plane, of one direction and alike in brightness (within the
+    pixel's spread times `ALIKE`). known is set where out then has a value. Pixels of kind -1 are copied.
+    """
+    kind, position, normal, foot = grid
     had = known.copy()
     height, width = kind.shape
     radius, count = 2, 5
@@ -71,8 +77,11 @@ def smooth(image, position, normal, kind, foot, known, spread, step, out):
 
 @njit(**ALLOCATING)
 def tame(image, kind, known, most):
-    """Darken known pixels that outshine `most` times the mean of the known ones of their kind within `REACH` pixels,
-    where hardly any of those are half as bright: what few rays found by chance. Those that are do not count."""
+    """Darken outliers: known pixels brighter than `most` times the mean of their surroundings.
+
+    The surroundings are the known pixels of the same kind within `REACH` pixels that are less than half as bright. Only
+    where nearly all are is the pixel an outlier, which few rays found by chance.
+    """
     height, width = kind.shape
     total = np.zeros((height, width))
     for y in range(height):
@@ -93,7 +102,7 @@ def tame(image, kind, known, most):
                             bright += 1
                         else:
                             dim += total[j, i]
-            # A cell is two pixels wide or three: a ray's luck is a block of 4 to 9 pixels out of 81.
+            # A cell is two or three pixels wide: one that a rare ray hit is a block of 4 to 9 pixels out of 81.
             if count < 6 or bright * FEW > count + FEW:
                 continue
             limit = most * dim / (count - bright)
@@ -103,7 +112,8 @@ def tame(image, kind, known, most):
 
 
 @njit(**JIT)
-def _differ(kind, position, normal, foot, y, x, j, i):
+def _differ(grid, y, x, j, i):
+    kind, position, normal, foot = grid
     if kind[y, x] != kind[j, i]:
         return True
     if kind[y, x] < 0:
@@ -119,9 +129,9 @@ def _differ(kind, position, normal, foot, y, x, j, i):
 
 
 @njit(**JIT)
-def edges(kind, position, normal, foot, image, out):
-    """Mark pixels at whose right or lower neighbour another thing begins, or brightness jumps threefold; and these."""
-    height, width = kind.shape
+def edges(grid, image, out):
+    """Mark neighbouring pixels that show different surfaces, or whose brightness differs threefold."""
+    height, width = grid.kind.shape
     for y in range(height):
         for x in range(width):
             for k in range(2):
@@ -131,16 +141,17 @@ def edges(kind, position, normal, foot, image, out):
                 here = image[y, x, 0] + image[y, x, 1] + image[y, x, 2] + 1e-6
                 there = image[j, i, 0] + image[j, i, 1] + image[j, i, 2] + 1e-6
                 jump = here > 3 * there or there > 3 * here
-                if jump or _differ(kind, position, normal, foot, y, x, j, i):
+                if jump or _differ(grid, y, x, j, i):
                     out[y, x] = True
                     out[j, i] = True
 
 
 @njit(**JIT)
-def borrow(
-    kind, position, normal, foot, first, second, pixel_y, pixel_x, kinds, positions, normals, a_out, b_out, found
-):
-    """For extra rays in pixels: the two images' values at the nearest of 3 x 3 pixels that shows the same surface."""
+def borrow(grid, received, lobe, rays, out):
+    """Copy to extra rays (`ExtraRays`) what both images hold at the nearest of 3 x 3 pixels of the same surface."""
+    kind, position, normal, foot = grid
+    pixel_y, pixel_x, kinds, positions, normals = rays
+    received_out, lobe_out, found = out
     height, width = kind.shape
     for r in range(len(kinds)):
         found[r] = False
@@ -164,13 +175,13 @@ def borrow(
                     best = d_sq
                     found[r] = True
                     for c in range(3):
-                        a_out[r, c] = first[j, i, c]
-                        b_out[r, c] = second[j, i, c]
+                        received_out[r, c] = received[j, i, c]
+                        lobe_out[r, c] = lobe[j, i, c]
 
 
 @njit(**JIT)
 def add_rays(image, weight, pixel, radiance):
-    """Add the rays' radiance to their pixels, and count them."""
+    """Add the rays' radiance to their pixels, and count the rays of each."""
     for r in range(len(pixel)):
         weight[pixel[r]] += 1
         for c in range(3):

@@ -1,5 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""Kernels of the irradiance cells: keys, records of indirect light and their interpolation."""
+"""Kernels of the irradiance cache: cells' keys, records of indirect light and their interpolation.
+
+Frames: world, y up, metres; irradiance in kcd/m2 times steradians.
+"""
 
 import math
 
@@ -9,22 +12,24 @@ from numba import njit
 from roomlight_generator.transport.kernels.common import JIT, direction_bucket, in_row, in_table, slot_of
 from roomlight_generator.transport.kernels.lights import left_to_gathering
 
-CELL_PIXELS = 1.9  # a cell is a power of two in metres, nearest to so many pixels' footprint
+CELL_PIXELS = 1.9  # a cell's width is the power of two in metres nearest to so many pixels' footprint
 LOWEST_LEVEL = -12
-NORMAL_AGREES = 0.8  # records count for normals within 37 degrees, in full at 0
-BLEND = 1.6  # a record counts to so many times its reach: more of them share out their noise
-COVERED = 0.35  # a point with less weight of records about it wants one of its own
+NORMAL_AGREES = 0.8  # cosine: records count for normals within 37 degrees, in full at 0
+BLEND = 1.6  # a record counts up to so many times its reach: the mean of more records has less noise
+COVERED = 0.35  # a point that the records about it weigh less than this gets a record of its own
 
 
 @njit(**JIT)
 def coat_bucket(alpha):
-    """0 without a coat, else 1 to 7 by its roughness."""
+    """Return 0 without a coat, else 1 to 7 by its roughness."""
     return 0 if alpha <= 0 else 1 + min(np.int64(alpha * 10), 6)
 
 
 @njit(**JIT)
-def cell_key(x, y, z, nx, ny, nz, alpha, foot):
-    """4 bits for the level, 15 an axis, 9 for the normal (11 degrees), 3 for the coat."""
+def cell_key(point, normal, alpha, foot):
+    """Pack a cell's key: 4 bits for the level, 15 an axis, 9 for the normal (11 degrees), 3 for the coat."""
+    x, y, z = point
+    nx, ny, nz = normal
     level = np.int64(np.floor(math.log2(CELL_PIXELS * foot) + 0.5))
     level = min(max(level, LOWEST_LEVEL), LOWEST_LEVEL + 15)
     scale = 2.0 ** (-level)
@@ -36,13 +41,19 @@ def cell_key(x, y, z, nx, ny, nz, alpha, foot):
 
 
 @njit(**JIT)
-def claim(position, normal, alpha, foot, keys, values, known, cell, fresh):
-    """The cell of each point; new cells get the next numbers and the first point in them. Returns how many are new."""
+def claim(points, table, known, cell, fresh):
+    """Write each point's cell; new cells get the numbers from `known` on. Returns how many are new.
+
+    fresh gets the first point (`CachePoints`) in each new cell.
+    """
+    position, normal, alpha, foot = points
+    keys, values = table
     new = 0
     for i in range(len(foot)):
         key = cell_key(
-            position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2], alpha[i], foot[i]
-        )
+            (position[i, 0], position[i, 1], position[i, 2]), (normal[i, 0], normal[i, 1], normal[i, 2]),
+            alpha[i], foot[i],
+        )  # fmt: skip
         at = slot_of(keys, key)
         if keys[at] == -1:
             keys[at], values[at] = key, known + new
@@ -54,15 +65,16 @@ def claim(position, normal, alpha, foot, keys, values, known, cell, fresh):
 
 @njit(**JIT)
 def record_key(level, i, j, k):
-    """6 bits for the level, 18 an axis."""
+    """Pack the key of a grid cell of records: 6 bits for the level, 18 an axis."""
     return ((np.int64(level) & 63) << 18 | (i & 262143)) << 36 | (j & 262143) << 18 | (k & 262143)
 
 
 @njit(**JIT)
-def insert(records, which, keys, heads, entry_record, entry_next, entries, levels):
-    """List a record in every cell of its level that its reach touches; returns how many entries there are."""
-    position, _, _, _, reach, _ = records
-    r = BLEND * reach[which]
+def insert(records, lists, which, entries):
+    """List a record in every grid cell of its level that its reach touches; returns how many entries there are."""
+    keys, heads, entry_record, entry_next, levels = lists
+    position = records.position
+    r = BLEND * records.reach[which]
     level = np.int64(np.ceil(math.log2(2 * r)))
     levels[level + 32] = 1
     scale = 2.0 ** (-level)
@@ -81,10 +93,16 @@ def insert(records, which, keys, heads, entry_record, entry_next, entries, level
 
 
 @njit(**JIT)
-def about(records, keys, heads, entry_record, entry_next, levels, smallest, x, y, z, nx, ny, nz, bucket, foot):
-    """Sum of the weights of the records about a point within their reach, sum within `BLEND` times their reach, and
-    their irradiance weighted by the latter."""
+def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
+    """Weigh the records about a point by distance and normal.
+
+    Returns the sum of the weights within their reach, the sum within `BLEND` times their reach, and red, green and blue
+    irradiance weighted by the latter.
+    """
     position, normal, coat, clear, reach, irradiance = records
+    keys, heads, entry_record, entry_next, levels = lists
+    x, y, z = point
+    nx, ny, nz = point_normal
     cover, total, red, green, blue = 0.0, 0.0, 0.0, 0.0, 0.0
     for at_level in range(64):
         if levels[at_level] == 0:
@@ -129,20 +147,21 @@ def about(records, keys, heads, entry_record, entry_next, levels, smallest, x, y
 
 
 @njit(**JIT)
-def choose_records(
-    position, normal, alpha, foot, reach_pixels, every, smallest, farthest,
-    records, keys, heads, entry_record, entry_next, levels, known, entries, fresh,
-):  # fmt: skip
-    """Found a record at each point that too few lie about, one after the other, counting those just founded at their
-    full reach. Returns how many records and entries there are; fresh gets the points' numbers."""
+def choose_records(points, spacing, records, lists, known, entries, fresh):
+    """Add a record at each point (`CachePoints`) that the records so far do not cover, one after the other.
+
+    New records count at their full reach. Returns how many records and list entries there are; fresh gets the index of
+    each new record's point.
+    """
+    position, normal, alpha, foot = points
+    reach_pixels, every, smallest, farthest = spacing
     r_position, r_normal, r_coat, r_clear, r_reach, r_irradiance = records
     new = 0
     for i in range(0, len(foot), every):
         bucket = coat_bucket(alpha[i])
-        x, y, z = position[i, 0], position[i, 1], position[i, 2]
-        cover, _, _, _, _ = about(
-            records, keys, heads, entry_record, entry_next, levels, smallest,
-            x, y, z, normal[i, 0], normal[i, 1], normal[i, 2], bucket, foot[i],
+        cover, _, _, _, _ = weigh_records(
+            records, lists, smallest, (position[i, 0], position[i, 1], position[i, 2]),
+            (normal[i, 0], normal[i, 1], normal[i, 2]), bucket, foot[i],
         )  # fmt: skip
         if cover >= COVERED:
             continue
@@ -155,20 +174,18 @@ def choose_records(
         r_reach[which] = min(reach_pixels * foot[i], farthest)
         fresh[new] = i
         new += 1
-        entries = insert(records, which, keys, heads, entry_record, entry_next, entries, levels)
+        entries = insert(records, lists, which, entries)
     return known + new, entries
 
 
 @njit(**JIT)
-def interpolate(
-    position, normal, alpha, foot, smallest, records, keys, heads, entry_record, entry_next, levels, fallback, out
-):
-    """Indirect irradiance of each point from the records about it; the fallback where there are none."""
+def interpolate(points, smallest, records, lists, fallback, out):
+    """Interpolate the indirect irradiance of each point from the records about it; the fallback without any."""
+    position, normal, alpha, foot = points
     for i in range(len(foot)):
-        _, total, red, green, blue = about(
-            records, keys, heads, entry_record, entry_next, levels, smallest,
-            position[i, 0], position[i, 1], position[i, 2], normal[i, 0], normal[i, 1], normal[i, 2],
-            coat_bucket(alpha[i]), foot[i],
+        _, total, red, green, blue = weigh_records(
+            records, lists, smallest, (position[i, 0], position[i, 1], position[i, 2]),
+            (normal[i, 0], normal[i, 1], normal[i, 2]), coat_bucket(alpha[i]), foot[i],
         )  # fmt: skip
         if total > 1e-6:
             out[i, 0], out[i, 1], out[i, 2] = red / total, green / total, blue / total
@@ -177,10 +194,15 @@ def interpolate(
 
 
 @njit(**JIT)
-def leaving(row, cosine, alpha, distance, coat, base, lobe, sun_base, sun_lobe, area, factor, radiance):
-    """Add the cached radiance of the hit patches (by row, -1 none) to what rays bring, but of sunlit spots only what
-    `left_to_gathering` leaves them (all over a mirror, where factor is not 1)."""
-    through, reflected, _, _, _ = coat
+def add_cached(hits, coat, cached, area, radiance):
+    """Add the cached radiance of the surfaces that rays hit (`CacheHits`) to what the rays bring.
+
+    Of sunlit spots only the share is added that `left_to_gathering` leaves to rays; after a mirror, where factor is not
+    1, all of it.
+    """
+    row, cosine, alpha, distance, factor = hits
+    base, lobe, sun_base, sun_lobe = cached
+    through, reflected = coat.through, coat.reflected
     for i in range(len(row)):
         p = row[i]
         if p < 0:
@@ -195,8 +217,8 @@ def leaving(row, cosine, alpha, distance, coat, base, lobe, sun_base, sun_lobe, 
 
 
 @njit(**JIT)
-def lessened(light, sun, distance, area):
-    """Take off points' irradiance what the sun gives beyond what `left_to_gathering` leaves to rays from so far."""
+def subtract_spots(light, sun, distance, area):
+    """Subtract from irradiance the sunlight beyond the share that `left_to_gathering` leaves to rays that long."""
     for i in range(len(distance)):
         away = 1 - left_to_gathering(distance[i] * distance[i], area)
         for c in range(3):
@@ -205,7 +227,10 @@ def lessened(light, sun, distance, area):
 
 @njit(**JIT)
 def reflected_light(irradiance, coated, albedo, alpha, cosine, coat, out):
-    """Radiance that surfaces send along rays that leave at a cosine, a coat's lobe taken as even."""
+    """Write the radiance that surfaces send along rays that leave at a cosine, as if a coat's lobe were even.
+
+    coated is the irradiance that the coat lets through.
+    """
     through, reflected, scale, _, mean_through = coat
     for i in range(len(alpha)):
         if alpha[i] > 0:
@@ -220,9 +245,9 @@ def reflected_light(irradiance, coated, albedo, alpha, cosine, coat, out):
 
 @njit(**JIT)
 def diffuse_light(received, albedo, alpha, cosine, coat, with_lobe, out):
-    """Radiance that surfaces send out, from what their cells received (let through by the coat where there is one).
+    """Write the radiance that surfaces send out, from the irradiance received (as let through by a coat, if any).
 
-    with_lobe adds the coat's own reflection as if light came evenly.
+    with_lobe adds the coat's own reflection as if light arrived evenly from all sides.
     """
     through, reflected, scale, _, mean_through = coat
     for i in range(len(alpha)):

@@ -1,10 +1,12 @@
 # pyright: reportMissingParameterType=false
-"""Samples of direct light: candidates from the clusters, resampled by what they would give unshadowed.
+"""Samples of direct light: candidates from the clusters, resampled by their unshadowed contribution.
 
-Each shading point draws `candidates` points on the lights (a cluster in proportion to its estimated contribution times
-the visibility that the room's cache has measured for it, then a piece, then a place), works out what each would give
-if nothing stood between, and picks `picks` of them in proportion for a shadow ray (resampled importance sampling,
-Talbot et al. 2005, with systematic picks): what is left to chance is mostly the shadow.
+Each shading point draws `candidates` points on the lights: a cluster in proportion to its estimated contribution times
+the visibility that the room's cache has measured for it, then a piece, then a place. It works out what each would give
+unshadowed, and picks `picks` of them in proportion for a shadow ray (resampled importance sampling, Talbot et al. 2005,
+with systematic picks). Most of the noise left is then the shadow's.
+
+Frames: world, y up, metres; radiance in kcd/m2, irradiance in kcd/m2 times steradians.
 """
 
 import math
@@ -29,26 +31,31 @@ from roomlight_generator.transport.kernels.common import (
 from roomlight_generator.transport.kernels.surfaces import texel, uv_of
 
 FAR = 1e4  # `tracer.FAR_M`
-SHORT = 1e-4  # shadow rays stop so far before a light: the skin of a lampshade may lie a millimetre before it
+SHORT = 1e-4  # shadow rays stop so far before a light: a lampshade's skin may lie a millimetre before it
 LEAST_SEEN = 8  # 255ths: a light that a patch never saw may still be seen from a corner of it
-NEAR_SQ = 1e-8  # a light's squared distance is held off zero: a millimetre's hundredth
+NEAR_SQ = 1e-8  # least squared distance of a light, (0.1 mm)^2: keeps it off zero
 _ZERO, _QUARTER, _ONE, _NEAR, _PER_255 = (np.float32(value) for value in (0, 0.25, 1, 1e-9, 1 / 255))
 
 
 @njit(**JIT)
 def left_to_gathering(distance_sq, area):
-    """Share of a light's contribution from nearby that gather rays bring, not shadow rays.
+    """Return the share of a light's contribution that gather rays bring, not shadow rays.
 
-    The squared distance makes a rare sample close to a surface outshine all others; a function of the geometry alone
-    splits the light between the two estimators without bias. area is that of the light's cluster.
+    Division by the squared distance makes a rare sample close to a surface outshine all others. A share that depends on
+    the geometry alone splits the light between the two estimators without bias. area is that of the light's cluster.
     """
     return area / (area + 2 * distance_sq)
 
 
 @njit(**JIT)
-def crossings(hole, parts, px, py, pz, dx, dy, dz):
-    """How many openings a ray passes, the piece's number of the last, and how much of the sky seen through them is
-    left to gather rays."""
+def crossings(hole, parts, point, direction):
+    """Count the openings that a ray passes.
+
+    Also returns the slot of the last one's piece (-1: none) and the share of the sky seen through them that is left to
+    gather rays.
+    """
+    px, py, pz = point
+    dx, dy, dz = direction
     found, slot, near = 0, -1, 0.0
     for o in range(len(hole)):
         h = hole[o]
@@ -74,18 +81,19 @@ def crossings(hole, parts, px, py, pz, dx, dy, dz):
 
 @njit(**JIT)
 def crossing_counts(hole, parts, position, direction, out):
-    """How many openings each ray passes."""
+    """Count the openings that each ray passes."""
     for i in range(len(position)):
         out[i], _, _ = crossings(
-            hole, parts, position[i, 0], position[i, 1], position[i, 2],
-            direction[i, 0], direction[i, 1], direction[i, 2],
+            hole, parts, (position[i, 0], position[i, 1], position[i, 2]),
+            (direction[i, 0], direction[i, 1], direction[i, 2]),
         )  # fmt: skip
 
 
 @njit(**JIT)
-def sun_may_reach(hole, parts, px, py, pz, dx, dy, dz):
-    """1 where the ray toward the sun passes an opening, 2 where it starts outside of one (a sill, a reveal), else 0."""
-    found, _, _ = crossings(hole, parts, px, py, pz, dx, dy, dz)
+def sun_may_reach(hole, parts, point, direction):
+    """Return 1 if the ray to the sun passes an opening, 2 if it starts outside of one (a sill, a reveal), else 0."""
+    px, py, pz = point
+    found, _, _ = crossings(hole, parts, point, direction)
     if found > 0:
         return 1
     for o in range(len(hole)):
@@ -100,11 +108,13 @@ def sun_may_reach(hole, parts, px, py, pz, dx, dy, dz):
 
 
 @njit(**JIT)
-def estimate(lights, which, px, py, pz, nx, ny, nz):
-    """A cluster's contribution to a point if nothing stood between, roughly, and nothing only where it is surely so.
+def estimate(lights, which, point, normal):
+    """Estimate a cluster's unshadowed contribution to a point; zero only where it surely contributes nothing.
 
     In single precision and without branches: a loop over clusters becomes vector instructions, and is 30 times as fast.
     """
+    px, py, pz = point
+    nx, ny, nz = normal
     x, y, z = lights.centre[0, which] - px, lights.centre[1, which] - py, lights.centre[2, which] - pz
     d_sq = x * x + y * y + z * z
     per_d = _ONE / (np.sqrt(d_sq) + _NEAR)
@@ -122,20 +132,24 @@ def estimate(lights, which, px, py, pz, nx, ny, nz):
 
 
 @njit(**JIT)
-def estimates(lights, clusters, vis, row, least, px, py, pz, nx, ny, nz, out):
-    """`estimate` for the first clusters, times their visibility where it was measured (row >= 0), at least `least` of
-    its 255ths."""
+def estimates(lights, clusters, visibility, row, least, point, normal, out):
+    """Write `estimate` for the first clusters, times their visibility where it was measured (row >= 0).
+
+    Visibilities of less than `least` 255ths count as `least`.
+    """
     for which in range(clusters):
-        out[which] = estimate(lights, which, px, py, pz, nx, ny, nz)
+        out[which] = estimate(lights, which, point, normal)
     if row >= 0:
         floor = np.float32(least)
         for which in range(clusters):
-            out[which] *= max(np.float32(vis[row, which]), floor) * _PER_255
+            out[which] *= max(np.float32(visibility[row, which]), floor) * _PER_255
 
 
 @njit(**JIT)
-def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, out):
-    """Add to the estimates what sunlit coats throw toward a point."""
+def add_lobes(lights, clusters, visibility, row, point, normal, out):
+    """Add to the estimates what sunlit coats reflect toward a point."""
+    px, py, pz = point
+    nx, ny, nz = normal
     sx, sy, sz = lights.sun[0], lights.sun[1], lights.sun[2]
     for which in range(lights.real, clusters):
         if lights.lobe_power[which] > 0:
@@ -149,19 +163,19 @@ def add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, out):
             if facing > 0 and toward > -r / d:
                 # Half vectors turn half as far as directions do over the cluster's width.
                 alpha = min(math.sqrt(lights.lobe_alpha[which] ** 2 + 0.25 * r * r / max(d_sq, r * r)), 0.9)
-                value, _ = lobe(ax, ay, az, -x / d, -y / d, -z / d, sx, sy, sz, alpha)
+                value, _ = lobe((ax, ay, az), (-x / d, -y / d, -z / d), (sx, sy, sz), alpha)
                 share = lights.lobe_power[which] * value * max(toward, LEAST_COSINE) * facing / max(d_sq, r * r)
                 if row >= 0:
-                    share *= max(vis[row, which], LEAST_SEEN) / 255.0
+                    share *= max(visibility[row, which], LEAST_SEEN) / 255.0
                 out[which] += np.float32(share)
 
 
 @njit(**JIT)
-def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each, running):
-    """The first clusters' estimates times their measured visibility, and their running sum; returns the total."""
-    estimates(lights, clusters, vis, row, LEAST_SEEN, px, py, pz, nx, ny, nz, each)
+def cumulate_estimates(lights, clusters, visibility, row, point, normal, each, running):
+    """Write the first clusters' estimates times their visibility, and their running sum; returns the total."""
+    estimates(lights, clusters, visibility, row, LEAST_SEEN, point, normal, each)
     if clusters > lights.real:
-        add_lobes(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each)
+        add_lobes(lights, clusters, visibility, row, point, normal, each)
     total = 0.0
     for which in range(clusters):
         total += each[which]
@@ -170,21 +184,27 @@ def chosen_by(lights, clusters, vis, row, px, py, pz, nx, ny, nz, each, running)
 
 
 @njit(**JIT)
-def emission_at(geometry, materials, atlas, face, u, v):
-    """Radiance that a face sends out at a place, its texture at full size."""
+def emission_at(scene, face, u, v):
+    """Return the radiance that a face emits at a place, its texture at full size."""
+    geometry, materials = scene.geometry, scene.materials
     m = geometry.material[face]
     e = materials.emission[m]
     if not materials.textured_emission[m]:
         return np.float64(e[0]), np.float64(e[1]), np.float64(e[2])
     s, t = uv_of(geometry, face, u, v)
-    red, green, blue = texel(atlas, materials.texture[m], 0, s, t)
+    red, green, blue = texel(scene.atlas, materials.texture[m], 0, s, t)
     return e[0] * red, e[1] * green, e[2] * blue
 
 
 @njit(**JIT)
-def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, r1, r2, px, py, pz):
-    """A point of a piece seen from p, uniform over its area: direction, reach, radiance, the light's cosine over the
-    squared distance, and the share of it that is left to gather rays."""
+def point_on(surfaces, piece, r1, r2, point):
+    """Draw a point of a piece (of `LightSurfaces`), uniform over its area, and work out how it is seen from `point`.
+
+    Returns direction (x, y, z), reach, radiance (red, green, blue), the light's cosine over the squared distance, and
+    the share of it that is left to gather rays.
+    """
+    table, kind, hole, parts, panorama, atlas, coat_share, sun = surfaces
+    px, py, pz = point
     c = table[piece]
     what = kind[piece, 0]
     if what == 2:
@@ -195,10 +215,10 @@ def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, 
         cosine = max(-(dx * c[3] + dy * c[4] + dz * c[5]), 0.0)
         red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
         if c[9] > 0 and cosine > 0:
-            # A coat lets its base's light out by the cosine, and throws the sun's on about the mirrored direction.
+            # A coat lets its base's light out by the cosine, and reflects the sun's about the mirrored direction.
             nx, ny, nz = c[6], c[7], c[8]
             out = in_table(coat_share, c[9], -(dx * nx + dy * ny + dz * nz))
-            value, _ = lobe(nx, ny, nz, -dx, -dy, -dz, sun[0], sun[1], sun[2], c[9])
+            value, _ = lobe((nx, ny, nz), (-dx, -dy, -dz), (sun[0], sun[1], sun[2]), c[9])
             red, green, blue = out * red + value * c[10], out * green + value * c[11], out * blue + value * c[12]
         return dx, dy, dz, d - SHORT, red, green, blue, cosine / d_sq, left_to_gathering(d_sq, c[18])
     if what == 1:
@@ -218,7 +238,7 @@ def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, 
     if what == 1:
         red, green, blue = sky_radiance(panorama, dx, dy, dz)
         if len(hole) > 1:
-            found, _, _ = crossings(hole, parts, px, py, pz, dx, dy, dz)
+            found, _, _ = crossings(hole, parts, (px, py, pz), (dx, dy, dz))
             share = 1.0 / max(found, 1)
             red, green, blue = red * share, green * share, blue * share
         return dx, dy, dz, FAR, red, green, blue, cosine / d_sq, near
@@ -233,7 +253,7 @@ def point_on(table, kind, hole, parts, panorama, atlas, coat_share, sun, piece, 
 
 @njit(**JIT)
 def pick_piece(table, low, pieces, remainder):
-    """The piece, of some from `low` on, in whose share of [0, 1) a number falls."""
+    """Find the piece, of so many from `low` on, in whose share of [0, 1) the remainder falls."""
     high = low + pieces - 1
     while low < high:
         middle = (low + high) // 2
@@ -246,8 +266,7 @@ def pick_piece(table, low, pieces, remainder):
 
 @njit(**JIT)
 def candidate(lights, running, total, at, which):
-    """The cluster, piece and density over the piece's area that belong to a place in the running sum, at or after
-    cluster `which`."""
+    """Find the cluster (at or after `which`) and piece at a place in the running sum, and the density over its area."""
     while which < len(running) - 1 and running[which] <= at:
         which += 1
     low = running[which - 1] if which > 0 else 0.0
@@ -258,16 +277,19 @@ def candidate(lights, running, total, at, which):
 
 
 @njit(**JIT)
-def resample(aim, column, live, picks, turn):
-    """Turn a column of the candidates, what each would give, into the factor on its weight: all are sent, or where
-    there are more than `picks`, so many of them in proportion (systematic), others' factor 0. turn is in [0, 1)."""
+def resample(drawn, column, live, picks, shift):
+    """Replace a column of the candidates, their contributions, by the factors on their weights.
+
+    Up to `picks` candidates are all kept (factor 1). Of more, so many are picked in proportion (systematic, with a
+    shift in [0, 1)); the others' factor is 0.
+    """
     total = 0.0
     for k in range(live):
-        total += aim[k, column]
+        total += drawn[k, column]
     step = total / picks
-    at, passed = turn * step, 0.0
+    at, passed = shift * step, 0.0
     for k in range(live):
-        given = aim[k, column]
+        given = drawn[k, column]
         passed += given
         times = 1.0
         if live > picks:
@@ -275,28 +297,25 @@ def resample(aim, column, live, picks, turn):
             while at < passed:
                 times += step / given
                 at += step
-        aim[k, column] = times
+        drawn[k, column] = times
 
 
 @njit(**ALLOCATING)
-def propose(
-    lights, outdoors, atlas, through, points, vis, candidates, picks, sun_picks, seed,
-    owner, origin, direction, reach, weight, passed, cluster,
-):  # fmt: skip
-    """Write the shadow rays of all points; returns how many.
+def shadow_rays(sources, through, points, visibility, sampling, rays):
+    """Write the shadow rays (`ShadowRays`) of all points (`Points`); returns how many.
 
-    points: (position, normal, wound, alpha, row, number): row is the visibility row or -1, number what the random
-    numbers hang on. weight is radiance times cosine over density (so that its sum over visible rays is irradiance),
-    passed the share that a coat lets through from there (1 without), cluster the light (-1: the sun through an
-    opening, -2: the sun outside).
+    through is the coat's table. weight is radiance times cosine over density (so that its sum over visible rays is
+    irradiance), passed the share that a coat lets through from there (1 without), cluster the light (-1: the sun
+    through an opening, -2: the sun outside).
     """
-    position, normal, wound, alpha, row, number = points
-    table, kind = lights.piece, lights.kind
-    hole, parts, panorama = outdoors.hole, outdoors.parts, outdoors.panorama
-    coat_share, toward_sun = lights.coat_share, lights.sun
+    lights, outdoors, surfaces = sources
+    position, normal, geometric_normal, alpha, row, stream = points
+    candidates, picks, sun_picks, seed = sampling
+    owner, origin, direction, reach, weight, passed, cluster = rays
+    hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
     each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
-    aim = np.empty((candidates, 9))
+    drawn = np.empty((candidates, 9))
     light = np.empty(candidates, np.int32)
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
@@ -305,24 +324,23 @@ def propose(
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
-        gx, gy, gz = wound[i, 0], wound[i, 1], wound[i, 2]
-        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
-        turn1 = unit(state)
+        gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
+        state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
+        shift1 = unit(state)
         state = mixed(state)
-        turn2 = unit(state)
+        shift2 = unit(state)
         state = mixed(state)
-        turn3 = unit(state)
+        shift3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = chosen_by(lights, clusters, vis, row[i], px, py, pz, nx, ny, nz, each, running)
+            total = cumulate_estimates(lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), each, running)
         if total > 0:
             which, live = 0, 0
             for k in range(candidates):
-                which, piece, density = candidate(lights, running, total, (k + turn3) / candidates * total, which)
+                which, piece, density = candidate(lights, running, total, (k + shift3) / candidates * total, which)
                 dx, dy, dz, far, red, green, blue, spread, near = point_on(
-                    table, kind, hole, parts, panorama, atlas, coat_share, toward_sun, piece,
-                    fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k), px, py, pz,
-                )  # fmt: skip
+                    surfaces, piece, fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k), (px, py, pz)
+                )
                 cosine = nx * dx + ny * dy + nz * dz
                 if cosine <= 0 or gx * dx + gy * dy + gz * dz <= 0 or far <= 0:
                     continue
@@ -331,32 +349,32 @@ def propose(
                 if not q > 0:
                     continue
                 if row[i] >= 0:
-                    q *= max(vis[row[i], which], LEAST_SEEN) / 255.0
-                aim[live, 0], aim[live, 1], aim[live, 2], aim[live, 3] = dx, dy, dz, far
-                aim[live, 4], aim[live, 5], aim[live, 6] = red * scale, green * scale, blue * scale
-                aim[live, 7], aim[live, 8] = q, cosine
+                    q *= max(visibility[row[i], which], LEAST_SEEN) / 255.0
+                drawn[live, 0], drawn[live, 1], drawn[live, 2], drawn[live, 3] = dx, dy, dz, far
+                drawn[live, 4], drawn[live, 5], drawn[live, 6] = red * scale, green * scale, blue * scale
+                drawn[live, 7], drawn[live, 8] = q, cosine
                 light[live] = which
                 live += 1
-            resample(aim, 7, live, picks, unit(mixed(state)))
+            resample(drawn, 7, live, picks, unit(mixed(state)))
             for k in range(live):
-                if aim[k, 7] == 0:
+                if drawn[k, 7] == 0:
                     continue
                 owner[written] = i
                 for c in range(3):
                     origin[written, c] = position[i, c]
-                    direction[written, c] = aim[k, c]
-                    weight[written, c] = aim[k, 4 + c] * aim[k, 7]
-                reach[written] = aim[k, 3]
-                passed[written] = in_table(through, alpha[i], aim[k, 8]) if alpha[i] > 0 else 1.0
+                    direction[written, c] = drawn[k, c]
+                    weight[written, c] = drawn[k, 4 + c] * drawn[k, 7]
+                reach[written] = drawn[k, 3]
+                passed[written] = in_table(through, alpha[i], drawn[k, 8]) if alpha[i] > 0 else 1.0
                 cluster[written] = light[k]
                 written += 1
         if sun and nx * sx + ny * sy + nz * sz > 0 and gx * sx + gy * sy + gz * sz > 0:
             for k in range(sun_picks):
-                radius = outdoors.sun_radius * math.sqrt(fraction(turn2 + PHI1 * k))
-                angle = 2 * math.pi * fraction(turn3 + PHI2 * k)
+                radius = outdoors.sun_radius * math.sqrt(fraction(shift2 + PHI1 * k))
+                angle = 2 * math.pi * fraction(shift3 + PHI2 * k)
                 s, t = radius * math.cos(angle), radius * math.sin(angle)
                 dx, dy, dz = sx + s * tax + t * tbx, sy + s * tay + t * tby, sz + s * taz + t * tbz
-                how = sun_may_reach(hole, parts, px, py, pz, dx, dy, dz)
+                how = sun_may_reach(hole, parts, (px, py, pz), (dx, dy, dz))
                 if how == 0:
                     continue
                 length = math.sqrt(dx * dx + dy * dy + dz * dz)
@@ -375,9 +393,13 @@ def propose(
 
 
 @njit(**JIT)
-def received(owner, weight, passed, cluster, seen, count, outside, irradiance, coated, sun, sun_coated):
-    """Add the visible rays to each point's irradiance, and what of it a coat lets through; of both, what came straight
-    from the sun through an opening, or also outside of any."""
+def add_visible(rays, seen, count, outside, out):
+    """Add the first `count` shadow rays, where visible, to their points' light (`Received`).
+
+    What comes straight from the sun through an opening counts with the sun's, and if `outside` also what passed none.
+    """
+    owner, _, _, _, weight, passed, cluster = rays
+    irradiance, coated, sun, sun_coated = out
     for k in range(count):
         if seen[k]:
             i = owner[k]
@@ -390,23 +412,28 @@ def received(owner, weight, passed, cluster, seen, count, outside, irradiance, c
 
 
 @njit(**JIT)
-def sun_rays(outdoors, through, position, normal, wound, alpha, number, seed, owner, origin, direction, weight):
-    """One shadow ray toward the sun's disc from each point that it may reach; returns how many. weight is what the
-    point's coat then lets through."""
+def sun_rays(outdoors, through, points, seed, rays):
+    """Write one shadow ray toward the sun's disc for each point that it may reach; returns how many.
+
+    weight is the irradiance that the point's coat lets through. reach, passed and cluster of the rays are not written.
+    """
+    position, normal, geometric_normal, alpha, _, stream = points
+    owner, origin, direction, _, weight, _, _ = rays
     hole, parts = outdoors.hole, outdoors.parts
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     ax, ay, az, bx, by, bz = tangents(sx, sy, sz)
     written = 0
     for i in range(len(position)):
         cosine = normal[i, 0] * sx + normal[i, 1] * sy + normal[i, 2] * sz
-        if cosine <= 0 or wound[i, 0] * sx + wound[i, 1] * sy + wound[i, 2] * sz <= 0:
+        gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
+        if cosine <= 0 or gx * sx + gy * sy + gz * sz <= 0:
             continue
-        state = mixed(np.uint64(number[i]) ^ mixed(np.uint64(seed)))
+        state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
         radius = outdoors.sun_radius * math.sqrt(unit(state))
         angle = 2 * math.pi * unit(mixed(state))
         s, t = radius * math.cos(angle), radius * math.sin(angle)
         dx, dy, dz = sx + s * ax + t * bx, sy + s * ay + t * by, sz + s * az + t * bz
-        if sun_may_reach(hole, parts, position[i, 0], position[i, 1], position[i, 2], dx, dy, dz) == 0:
+        if sun_may_reach(hole, parts, (position[i, 0], position[i, 1], position[i, 2]), (dx, dy, dz)) == 0:
             continue
         length = math.sqrt(dx * dx + dy * dy + dz * dz)
         passed = in_table(through, alpha[i], cosine) if alpha[i] > 0 else 1.0

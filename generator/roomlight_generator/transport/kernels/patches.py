@@ -1,9 +1,9 @@
 # pyright: reportMissingParameterType=false
-"""Kernels of the room's cache: surface cells as patches, rays between them, bounces.
+"""Kernels of the room's cache: patches of the surfaces, rays between them, bounces.
 
-A patch is what lies in one cell of `CELL_M` (a half or a quarter of it near lights and openings) with one material and
-one bucket of face normals. Hits create patches, so that only what light reaches has one; each keeps up to `POINTS` of
-the places where it was hit.
+A patch is the surface in one cell of `CELL_M` (a half or a quarter of it near lights and openings) with one material
+and one bucket of face normals. Hits create patches, so only surfaces that light reaches have one; each keeps up to
+`POINTS` of the places where it was hit. Frames: world, y up, metres; radiance in kcd/m2.
 """
 
 import math
@@ -30,14 +30,18 @@ from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal, 
 
 CELL_M = 0.08
 POINTS = 4
-COARSE = 3  # the fallback's cells are so many times as wide, of any normal
+COARSE = 3  # the fallback's cells are so many times as wide, and hold all normals
 FOOT_M = 0.04  # textures are averaged over this at each of a patch's points
 
 
 @njit(**JIT)
-def patch_key(fine, x, y, z, gx, gy, gz, material, face):
-    """11 bits an axis (30 m at least), 7 for the normal, 2 for the fineness, 20 for the material; at level 3, the
-    face stands for normal and material: a lampshade's two skins are a millimetre apart."""
+def patch_key(fine, point, geometric_normal, material, face):
+    """Pack a patch's key: 11 bits an axis (30 m at least), 7 for the normal, 2 for the fineness, 20 for the material.
+
+    At level 3 the face stands for normal and material: a lampshade's two skins are a millimetre apart.
+    """
+    x, y, z = point
+    gx, gy, gz = geometric_normal
     level = 0
     i = np.int64(np.floor((x - fine.low[0]) / fine.cell_m))
     j = np.int64(np.floor((y - fine.low[1]) / fine.cell_m))
@@ -57,7 +61,7 @@ def patch_key(fine, x, y, z, gx, gy, gz, material, face):
 
 @njit(**JIT)
 def coarse_key(x, y, z, material):
-    """The same for the fallback."""
+    """Pack the key of a fallback cell: 10 bits an axis, 20 for the material."""
     i = np.int64(np.floor(x / (COARSE * CELL_M) + 0.37)) & 1023
     j = np.int64(np.floor(y / (COARSE * CELL_M) + 0.37)) & 1023
     k = np.int64(np.floor(z / (COARSE * CELL_M) + 0.37)) & 1023
@@ -65,15 +69,15 @@ def coarse_key(x, y, z, material):
 
 
 @njit(**JIT)
-def visit(
-    geometry, materials, atlas, fine, face, u, v, directions, keys, values, known, position, normal, wound, albedo,
-    used, visits, material, patch, cosine,
-):  # fmt: skip
-    """Patch and cosine of the leaving ray for each hit (-1 without a face); new ones are appended after `known`.
+def visit(scene, fine, ends, table, patches, known, patch, cosine):
+    """Write each hit's patch (-1 without a face) and the cosine at which its ray leaves the surface.
 
-    Returns how many there are now. position, normal, wound, albedo: [patches, POINTS, 3]; used: points of each, visits:
-    hits.
+    New patches (`PatchColumns`, keys in `table`) are appended after the `known` ones. Returns how many there are now.
     """
+    geometry, materials = scene.geometry, scene.materials
+    face, u, v, directions = ends
+    keys, values = table
+    position, normal, geometric_normal, albedo, used, visits, material = patches
     for i in range(len(face)):
         f = face[i]
         patch[i] = -1
@@ -90,7 +94,7 @@ def visit(
         m = geometry.material[f]
         nx, ny, nz = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
         cosine[i] = max(-(nx * dx + ny * dy + nz * dz), 0.0)
-        key = patch_key(fine, x, y, z, gx, gy, gz, m, f)
+        key = patch_key(fine, (x, y, z), (gx, gy, gz), m, f)
         at = slot_of(keys, key)
         if keys[at] == -1:
             keys[at], values[at] = key, known
@@ -108,10 +112,10 @@ def visit(
             used[p] = max(used[p], n + 1)
             position[p, n, 0], position[p, n, 1], position[p, n, 2] = x + OFFSET * gx, y + OFFSET * gy, z + OFFSET * gz
             normal[p, n, 0], normal[p, n, 1], normal[p, n, 2] = nx, ny, nz
-            wound[p, n, 0], wound[p, n, 1], wound[p, n, 2] = gx, gy, gz
+            geometric_normal[p, n, 0], geometric_normal[p, n, 1], geometric_normal[p, n, 2] = gx, gy, gz
             r, g, b = 1.0, 1.0, 1.0
             if materials.texture[m] >= 0:
-                r, g, b = texture_at(geometry, atlas, materials.texture[m], f, s, t, -gx, -gy, -gz, gx, gy, gz, FOOT_M)
+                r, g, b = texture_at(scene, materials.texture[m], f, s, t, (-gx, -gy, -gz), (gx, gy, gz), FOOT_M)
             albedo[p, n, 0] = materials.albedo[m, 0] * r
             albedo[p, n, 1] = materials.albedo[m, 1] * g
             albedo[p, n, 2] = materials.albedo[m, 2] * b
@@ -119,22 +123,25 @@ def visit(
 
 
 @njit(**JIT)
-def gather_rays(position, normal, wound, alpha, through, used, number, rays, seed, origin, direction, passed):
-    """`rays` cosine-weighted rays from each patch, spread over its points, and what a coat would let through of each.
+def patch_rays(points, through, rays, seed, out):
+    """Write `rays` cosine-weighted rays (`PatchRays`) from each patch (`PatchPoints`), spread over its points.
 
-    Shading normals may lean so far that a ray starts into its own surface: it is turned up about that surface.
+    through is the coat's table. A shading normal may lean so far that a ray starts into its own surface: such a ray is
+    mirrored out of the surface.
     """
+    position, normal, geometric_normal, used, alpha, stream = points
+    origin, direction, passed = out
     for p in range(len(used)):
-        state = mixed(np.uint64(number[p]) ^ mixed(np.uint64(seed)))
-        turn1 = unit(state)
-        turn2 = unit(mixed(state))
+        state = mixed(np.uint64(stream[p]) ^ mixed(np.uint64(seed)))
+        shift1 = unit(state)
+        shift2 = unit(mixed(state))
         for k in range(rays):
             n = k % used[p]
             x, y, z, c = cosine_direction(
                 normal[p, n, 0], normal[p, n, 1], normal[p, n, 2],
-                fraction(turn1 + PHI1 * k), fraction(turn2 + PHI2 * k),
+                fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k),
             )  # fmt: skip
-            gx, gy, gz = wound[p, n, 0], wound[p, n, 1], wound[p, n, 2]
+            gx, gy, gz = geometric_normal[p, n, 0], geometric_normal[p, n, 1], geometric_normal[p, n, 2]
             under = x * gx + y * gy + z * gz
             if under < 0:
                 x, y, z = x - 2 * under * gx, y - 2 * under * gy, z - 2 * under * gz
@@ -146,8 +153,9 @@ def gather_rays(position, normal, wound, alpha, through, used, number, rays, see
 
 
 @njit(**JIT)
-def mirrored(geometry, materials, face, u, v, origin, direction, factor):
-    """Turn rays that met a mirror: in place, new origin, direction, and the factor by its reflectance."""
+def mirror_rays(geometry, materials, ends, origin, factor):
+    """Reflect rays that met a mirror, in place: origin, direction (of `ends`), and factor times its reflectance."""
+    face, u, v, direction = ends
     for i in range(len(face)):
         corner = geometry.corners[face[i]]
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
@@ -168,46 +176,59 @@ def mirrored(geometry, materials, face, u, v, origin, direction, factor):
 
 
 @njit(**JIT)
-def arriving(
-    geometry, materials, atlas, lights, outdoors, face, u, v, distance, origin, direction, turned, factor, radiance
-):
-    """What rays bring beside reflected light, because shadow rays do not: sky past no opening, lights seen in a mirror,
-    and a share of very near lights."""
+def arriving(scene, sources, ends, paths, radiance):
+    """Write the emitted light that gather rays (`GatherPaths`) bring because shadow rays do not.
+
+    These are the sky past no opening, lights seen in a mirror, and a share of very near lights.
+    """
+    lights, outdoors, _ = sources
+    face, u, v, direction = ends
+    origin, distance, mirrored, factor = paths
     for i in range(len(face)):
         r, g, b, share = 0.0, 0.0, 0.0, factor[i]
         if face[i] < 0:
             dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
-            if not turned[i]:
+            if not mirrored[i]:
                 found, _, near = crossings(
-                    outdoors.hole, outdoors.parts, origin[i, 0], origin[i, 1], origin[i, 2], dx, dy, dz
+                    outdoors.hole, outdoors.parts, (origin[i, 0], origin[i, 1], origin[i, 2]), (dx, dy, dz)
                 )
                 if found > 0:
                     share *= near
             r, g, b = sky_radiance(outdoors.panorama, dx, dy, dz)
         elif lights.near_area[face[i]] > 0:
-            if not turned[i]:
+            if not mirrored[i]:
                 share *= left_to_gathering(distance[i] * distance[i], lights.near_area[face[i]])
-            r, g, b = emission_at(geometry, materials, atlas, face[i], u[i], v[i])
+            r, g, b = emission_at(scene, face[i], u[i], v[i])
         radiance[i, 0], radiance[i, 1], radiance[i, 2] = r * share, g * share, b * share
 
 
 @njit(**JIT)
-def links(target, cosine, factor, material, materials, through, reflected, base, lobe):
-    """How much of its patch's base and lobe each ray sees."""
+def link_shares(links, cosine, alpha, coat):
+    """Write the shares of its target's base and lobe that each ray (`PatchLinks`) sees.
+
+    cosine is each ray's at its target, alpha each patch's roughness.
+    """
+    target, base, lobe, _, _, factor = links
     for i in range(len(target)):
         base[i], lobe[i] = 0.0, 0.0
         if target[i] >= 0:
-            alpha = materials.roughness[material[target[i]]]
-            if alpha > 0:
-                base[i] = factor[i] * in_table(through, alpha, cosine[i])
-                lobe[i] = factor[i] * in_table(reflected, alpha, cosine[i])
+            rough = alpha[target[i]]
+            if rough > 0:
+                base[i] = factor[i] * in_table(coat.through, rough, cosine[i])
+                lobe[i] = factor[i] * in_table(coat.reflected, rough, cosine[i])
             else:
                 base[i] = factor[i]
 
 
 @njit(**JIT)
-def without_spots(target, base, lobe, passed, distance, factor, sun_base, sun_lobe, area, rays, irradiance, coated):
-    """What rays bring of sunlit spots beyond what `left_to_gathering` leaves them: to be taken off."""
+def spots_gathered(links, sun, area, rays, out):
+    """Write the light of sunlit spots (`SentLight`) that rays bring beyond the share that `left_to_gathering` leaves.
+
+    It is to be subtracted from what the patches gather.
+    """
+    target, base, lobe, passed, distance, factor = links
+    sun_base, sun_lobe = sun
+    irradiance, coated = out
     for p in range(len(irradiance)):
         scale = math.pi / rays
         for c in range(3):
@@ -224,8 +245,11 @@ def without_spots(target, base, lobe, passed, distance, factor, sun_base, sun_lo
 
 
 @njit(**JIT)
-def gathered(target, base, lobe, passed, base_radiance, lobe_radiance, rays, irradiance, coated):
-    """One bounce: irradiance of each patch from its rays, plain and as let through by its coat."""
+def bounce(links, sent, rays, out):
+    """Write the irradiance (`ReceivedLight`) of each patch from its rays, `rays` each: one bounce."""
+    target, base, lobe, passed, _, _ = links
+    base_radiance, lobe_radiance = sent
+    irradiance, coated = out
     for p in range(len(irradiance)):
         a0, a1, a2, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(p * rays, (p + 1) * rays):
@@ -243,12 +267,14 @@ def gathered(target, base, lobe, passed, base_radiance, lobe_radiance, rays, irr
 
 
 @njit(**JIT)
-def outgoing(albedo, alpha, coat_scale, mean_through, irradiance, coated, base_radiance, lobe_radiance):
-    """Radiance of each patch's base (before its coat lets it out) and the mean radiance that its lobe reflects."""
+def outgoing(albedo, alpha, coat, received, sent):
+    """Write the radiance of each patch's base (before its coat lets it out) and the mean radiance of its lobe."""
+    irradiance, coated = received
+    base_radiance, lobe_radiance = sent
     for p in range(len(alpha)):
         if alpha[p] > 0:
-            scale = in_row(coat_scale, alpha[p]) / math.pi
-            kept = 1 / (math.pi * (1 - in_row(mean_through, alpha[p])))
+            scale = in_row(coat.scale, alpha[p]) / math.pi
+            kept = 1 / (math.pi * (1 - in_row(coat.mean_through, alpha[p])))
             for c in range(3):
                 base_radiance[p, c] = albedo[p, c] * scale * coated[p, c]
                 lobe_radiance[p, c] = kept * max(irradiance[p, c] - coated[p, c], 0.0)
@@ -259,8 +285,9 @@ def outgoing(albedo, alpha, coat_scale, mean_through, irradiance, coated, base_r
 
 
 @njit(**JIT)
-def visibility(owner, cluster, seen, count, row, tried, found):
-    """Count each patch's shadow rays and the visible ones by light."""
+def count_visible(rays, seen, count, row, tried, found):
+    """Count by light each patch's first `count` shadow rays (`ShadowRays`) and the visible ones; row is its patch."""
+    owner, cluster = rays.owner, rays.cluster
     for k in range(count):
         if cluster[k] >= 0:
             tried[row[owner[k]], cluster[k]] += 1
@@ -270,7 +297,7 @@ def visibility(owner, cluster, seen, count, row, tried, found):
 
 @njit(**JIT)
 def add_counts(tried, found, owner, tried_sum, found_sum):
-    """Sums of the patches' counts over each owner."""
+    """Sum the patches' counts over each owner."""
     for p in range(len(owner)):
         for k in range(tried.shape[1]):
             tried_sum[owner[p], k] += tried[p, k]
@@ -279,7 +306,7 @@ def add_counts(tried, found, owner, tried_sum, found_sum):
 
 @njit(**JIT)
 def shares(tried, found, owner, around, prior, out):
-    """The share of each light that patches see, in 255ths; their owner's share counts as so many rays."""
+    """Write the share of each light that patches see, in 255ths; their owner's share counts as `prior` rays."""
     for p in range(len(owner)):
         for k in range(tried.shape[1]):
             share = (found[p, k] + prior * around[owner[p], k]) / (tried[p, k] + prior)
@@ -287,8 +314,10 @@ def shares(tried, found, owner, around, prior, out):
 
 
 @njit(**JIT)
-def fill_coarse(position, used, material, keys, values, known, owner):
-    """Give each patch its place in the fallback's table; returns how many places there are."""
+def fill_coarse(position, used, material, table, owner):
+    """Give each patch its cell in the fallback's table, which is empty; returns how many cells there are."""
+    keys, values = table
+    known = 0
     for p in range(len(used)):
         key = coarse_key(position[p, 0, 0], position[p, 0, 1], position[p, 0, 2], material[p])
         at = slot_of(keys, key)
@@ -300,12 +329,15 @@ def fill_coarse(position, used, material, keys, values, known, owner):
 
 
 @njit(**JIT)
-def look_up(
-    fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material, x, y, z, gx, gy, gz, material, face
-):
-    """Row of the patch at a place, else of its surroundings of that material, else of that material's mean; inside of
-    lamps, where neighbours tell nothing, -1."""
-    key = patch_key(fine, x, y, z, gx, gy, gz, material, face)
+def look_up(table, point, geometric_normal, material, face):
+    """Find the row (`PatchTable`) of the patch at a place.
+
+    Without a patch, the row of its surroundings of that material, else of that material's mean; inside of lamps, where
+    neighbours say nothing about a place, -1.
+    """
+    fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material = table
+    x, y, z = point
+    key = patch_key(fine, point, geometric_normal, material, face)
     at = slot_of(keys, key)
     if keys[at] != -1:
         return values[at]
@@ -318,9 +350,9 @@ def look_up(
 
 
 @njit(**JIT)
-def find(geometry, table, face, u, v, directions, row, cosine):
-    """Row of the tables of radiance for each hit (-1 without a face), and the cosine of the leaving ray."""
-    fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material = table
+def find_hits(geometry, table, ends, row, cosine):
+    """Write the row of the room's cache for each hit (-1 without a face), and the cosine of the leaving ray."""
+    face, u, v, directions = ends
     for i in range(len(face)):
         f = face[i]
         row[i] = -1
@@ -334,21 +366,26 @@ def find(geometry, table, face, u, v, directions, row, cosine):
         nx, ny, nz = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
         cosine[i] = max(-(nx * dx + ny * dy + nz * dz), 0.0)
         row[i] = look_up(
-            fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material,
-            w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0],
-            w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1],
-            w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2],
-            gx, gy, gz, geometry.material[f], f,
-        )  # fmt: skip
+            table,
+            (
+                w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0],
+                w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1],
+                w * corner[0, 2] + s * corner[1, 2] + t * corner[2, 2],
+            ),
+            (gx, gy, gz),
+            geometry.material[f],
+            f,
+        )
 
 
 @njit(**JIT)
-def find_points(table, position, wound, material, face, row):
-    """Row of the tables for surface points."""
-    fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material = table
+def find_points(table, position, geometric_normal, material, face, row):
+    """Write the row of the room's cache for surface points."""
     for i in range(len(material)):
         row[i] = look_up(
-            fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material,
-            position[i, 0], position[i, 1], position[i, 2], wound[i, 0], wound[i, 1], wound[i, 2],
-            material[i], face[i],
-        )  # fmt: skip
+            table,
+            (position[i, 0], position[i, 1], position[i, 2]),
+            (geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]),
+            material[i],
+            face[i],
+        )

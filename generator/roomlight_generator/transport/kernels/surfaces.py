@@ -1,5 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""What rays hit: position, normals, reflectance and emission there, textures averaged over the ray's footprint."""
+"""What rays hit: position, normals, reflectance and emission there, textures averaged over the ray's footprint.
+
+Frames: world, y up, metres; emission in kcd/m2.
+"""
 
 import math
 
@@ -13,7 +16,7 @@ OFFSET = 1e-4  # `tracer.OFFSET_M`
 
 @njit(**JIT)
 def texel(atlas, texture, level, u, v):
-    """Bilinear, wrapped look-up in one level; u and v in repeats, v down the rows."""
+    """Interpolate one level of a texture bilinearly, wrapped; u and v in repeats, v down the rows."""
     width, height = atlas.width[texture, level], atlas.height[texture, level]
     x, y = u * width - 0.5, v * height - 0.5
     fx, fy = np.floor(x), np.floor(y)
@@ -35,8 +38,10 @@ def texel(atlas, texture, level, u, v):
 
 @njit(**JIT)
 def texture_mean(atlas, texture, u, v, au, av, bu, bv):
-    """Mean over the parallelogram about (u, v) with sides a and b (in repeats): up to 8 x 8 taps of a level whose
-    texels are half its shorter side."""
+    """Average a texture over the parallelogram about (u, v) with sides a and b (in repeats).
+
+    Up to 8 x 8 taps of a level whose texels are half the parallelogram's shorter side.
+    """
     width, height = atlas.width[texture, 0], atlas.height[texture, 0]
     long_a = math.sqrt((au * width) ** 2 + (av * height) ** 2)
     long_b = math.sqrt((bu * width) ** 2 + (bv * height) ** 2)
@@ -60,15 +65,18 @@ def texture_mean(atlas, texture, u, v, au, av, bu, bv):
 
 @njit(**JIT)
 def uv_of(geometry, face, u, v):
-    """Texture coordinates at a hit."""
+    """Return the texture coordinates at a hit."""
     w = 1 - u - v
     at = geometry.uvs[face]
     return w * at[0, 0] + u * at[1, 0] + v * at[2, 0], w * at[0, 1] + u * at[1, 1] + v * at[2, 1]
 
 
 @njit(**JIT)
-def texture_at(geometry, atlas, texture, face, u, v, dx, dy, dz, gx, gy, gz, foot):
-    """Mean of a texture over the footprint of a ray of that direction and width on a face of that normal."""
+def texture_at(scene, texture, face, u, v, direction, geometric_normal, foot):
+    """Average a texture over the footprint on a face of a ray of that direction and width (`foot`)."""
+    dx, dy, dz = direction
+    gx, gy, gz = geometric_normal
+    geometry = scene.geometry
     uv = geometry.uvs[face]
     corner = geometry.corners[face]
     s, t = uv_of(geometry, face, u, v)
@@ -97,13 +105,13 @@ def texture_at(geometry, atlas, texture, face, u, v, dx, dy, dz, gx, gy, gz, foo
     u1, v1 = uv[1, 0] - uv[0, 0], uv[1, 1] - uv[0, 1]
     u2, v2 = uv[2, 0] - uv[0, 0], uv[2, 1] - uv[0, 1]
     return texture_mean(
-        atlas, texture, s, t, sa * u1 + ta * u2, sa * v1 + ta * v2, sb * u1 + tb * u2, sb * v1 + tb * v2
+        scene.atlas, texture, s, t, sa * u1 + ta * u2, sa * v1 + ta * v2, sb * u1 + tb * u2, sb * v1 + tb * v2
     )
 
 
 @njit(**JIT)
 def face_normal(corner, dx, dy, dz):
-    """Unit normal of a triangle on the side that a ray of that direction meets."""
+    """Return the unit normal of a triangle on the side that a ray of that direction meets."""
     e1x, e1y, e1z = corner[1, 0] - corner[0, 0], corner[1, 1] - corner[0, 1], corner[1, 2] - corner[0, 2]
     e2x, e2y, e2z = corner[2, 0] - corner[0, 0], corner[2, 1] - corner[0, 1], corner[2, 2] - corner[0, 2]
     x, y, z = e1y * e2z - e1z * e2y, e1z * e2x - e1x * e2z, e1x * e2y - e1y * e2x
@@ -115,7 +123,7 @@ def face_normal(corner, dx, dy, dz):
 
 @njit(**JIT)
 def shading_normal(normals, u, v, gx, gy, gz):
-    """Unit interpolated normal on the side of the geometric one, which stands in where it has no length."""
+    """Interpolate the corners' normals, on the side of the geometric normal, which stands in for one without length."""
     w = 1 - u - v
     x = w * normals[0, 0] + u * normals[1, 0] + v * normals[2, 0]
     y = w * normals[0, 1] + u * normals[1, 1] + v * normals[2, 1]
@@ -130,16 +138,21 @@ def shading_normal(normals, u, v, gx, gy, gz):
 
 
 @njit(**JIT)
-def surface_points(geometry, materials, atlas, face, u, v, directions, foot, position, normal, wound, albedo, emission):
-    """Fill the last five arrays for hits that all have a face. Positions stand off the surface, toward the ray."""
-    for i in range(len(face)):
-        f = face[i]
+def surface_points(scene, ends, foot, out):
+    """Write the surface points (`SurfacePoints`) at rays' ends, all of which have a face.
+
+    foot is the width of each ray there. Positions stand off the surface, toward the ray.
+    """
+    geometry, materials, directions = scene.geometry, scene.materials, ends.direction
+    position, normal, geometric_normal, albedo, emission = out
+    for i in range(len(ends.face)):
+        f = ends.face[i]
         corner = geometry.corners[f]
-        s, t = u[i], v[i]
+        s, t = ends.u[i], ends.v[i]
         w = 1 - s - t
         dx, dy, dz = directions[i, 0], directions[i, 1], directions[i, 2]
         gx, gy, gz = face_normal(corner, dx, dy, dz)
-        wound[i, 0], wound[i, 1], wound[i, 2] = gx, gy, gz
+        geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2] = gx, gy, gz
         normal[i, 0], normal[i, 1], normal[i, 2] = shading_normal(geometry.normals[f], s, t, gx, gy, gz)
         position[i, 0] = w * corner[0, 0] + s * corner[1, 0] + t * corner[2, 0] + OFFSET * gx
         position[i, 1] = w * corner[0, 1] + s * corner[1, 1] + t * corner[2, 1] + OFFSET * gy
@@ -147,7 +160,7 @@ def surface_points(geometry, materials, atlas, face, u, v, directions, foot, pos
         m = geometry.material[f]
         r, g, b = 1.0, 1.0, 1.0
         if materials.texture[m] >= 0:
-            r, g, b = texture_at(geometry, atlas, materials.texture[m], f, s, t, dx, dy, dz, gx, gy, gz, foot[i])
+            r, g, b = texture_at(scene, materials.texture[m], f, s, t, (dx, dy, dz), (gx, gy, gz), foot[i])
         albedo[i, 0] = materials.albedo[m, 0] * r
         albedo[i, 1] = materials.albedo[m, 1] * g
         albedo[i, 2] = materials.albedo[m, 2] * b
@@ -160,7 +173,7 @@ def surface_points(geometry, materials, atlas, face, u, v, directions, foot, pos
 
 @njit(**ALLOCATING)
 def mean_over_pieces(emission, atlas, texture, uvs):
-    """Mean luminance of textured emission over triangles given by their corners' texture coordinates: 64 points."""
+    """Average textured emission over triangles given by their corners' texture coordinates, at 64 points of each."""
     out = np.zeros(len(texture))
     for i in range(len(texture)):
         q = uvs[i]
