@@ -4,10 +4,16 @@ Installed before any import of the project. Packages called `kernels` are left o
 functions from their own source and takes no wrapper. And networks that are tiny, exported once a run.
 """
 
+import os
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 from jaxtyping import install_import_hook
+
+settings.register_profile("ci", deadline=None, derandomize=True, print_blob=True)
+settings.register_profile("default", deadline=None)
+settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 _ROOT = Path(__file__).parent.parent
 _SOURCES = [

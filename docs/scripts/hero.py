@@ -124,7 +124,7 @@ def render(scene: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
 def nearest_truth(capture: Capture, position: np.ndarray) -> np.ndarray:
     """Return the capture's ground-truth panorama nearest to a point."""
     probes = capture.probes
-    return min(probes, key=lambda probe: np.linalg.norm(np.asarray(probe.position) - position)).panorama
+    return min(probes, key=lambda probe: np.linalg.norm(np.asarray(probe.position) - position)).panorama()
 
 
 def sheet(photo: Image.Image, estimate: np.ndarray, truth: np.ndarray) -> Image.Image:
