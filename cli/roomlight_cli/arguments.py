@@ -1,7 +1,7 @@
-"""Arguments that several commands share, as typer annotations, and what they build."""
+"""Arguments and options that several commands share, as typer annotations, and what is built from them."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final, Literal
 
 import typer
 
@@ -12,70 +12,120 @@ from roomlight.depth import UnknownDepth
 from roomlight.engine.providers import Provider
 from roomlight.engine.session import ModelName, SessionOptions
 
-_CAPTURE = "How to read the capture"
-_MODEL = "How to estimate the light"
+CAPTURE_PANEL: Final = "How to read the capture"
+MODEL_PANEL: Final = "How to estimate the light"
+POINTS_PANEL: Final = "Where to light"
+
+TrainingStage = Literal["single-sglv", "single-blend", "single-joint"]
+Resolution = Literal["half", "full"]
 
 Format = Annotated[
     str | None,
-    typer.Option("--format", rich_help_panel=_CAPTURE, help=f"Force a reader: {', '.join(sorted(FORMATS))}."),
+    typer.Option("--format", rich_help_panel=CAPTURE_PANEL, help=f"Force a reader: {', '.join(sorted(FORMATS))}."),
 ]
 DepthKey = Annotated[
     str | None,
-    typer.Option(rich_help_panel=_CAPTURE, help="Which depth map of a transforms.json, e.g. depth_lidar_file_path."),
+    typer.Option(
+        rich_help_panel=CAPTURE_PANEL, help="Which depth map of a transforms.json to read, e.g. depth_lidar_file_path."
+    ),
 ]
 DepthUnit = Annotated[
-    float | None, typer.Option("--depth-unit", rich_help_panel=_CAPTURE, help="Metres for one stored unit of depth.")
+    float | None,
+    typer.Option("--depth-unit", rich_help_panel=CAPTURE_PANEL, help="Metres per stored unit of depth."),
 ]
 MinConfidence = Annotated[
     int | None,
-    typer.Option(min=0, max=255, rich_help_panel=_CAPTURE, help="Depth with a lower confidence than this is removed."),
+    typer.Option(min=0, max=255, rich_help_panel=CAPTURE_PANEL, help="Drop depth with a lower confidence than this."),
 ]
 CameraAxes = Annotated[
     CameraConvention | None,
-    typer.Option("--camera-convention", rich_help_panel=_CAPTURE, help="Camera axes of the stored poses."),
+    typer.Option("--camera-convention", rich_help_panel=CAPTURE_PANEL, help="Camera axes of the stored poses."),
 ]
 PoseMaps = Annotated[
-    PoseDirection | None, typer.Option("--pose-direction", rich_help_panel=_CAPTURE, help="What the stored poses map.")
+    PoseDirection | None,
+    typer.Option("--pose-direction", rich_help_panel=CAPTURE_PANEL, help="Direction in which the stored poses map."),
 ]
 WorldUp = Annotated[
     str | None,
-    typer.Option(rich_help_panel=_CAPTURE, help="The stored world's up: x, y, z, -x, -y, -z, or three numbers X,Y,Z."),
+    typer.Option(
+        rich_help_panel=CAPTURE_PANEL,
+        help="Up direction of the stored world: x, y, z, -x, -y, -z, or three numbers X,Y,Z.",
+    ),
 ]
-MaxFrames = Annotated[int | None, typer.Option(min=1, rich_help_panel=_CAPTURE, help="Use at most so many frames.")]
+MaxFrames = Annotated[
+    int | None, typer.Option(min=1, rich_help_panel=CAPTURE_PANEL, help="Use at most this many frames.")
+]
 
 Model = Annotated[
     ModelName,
-    typer.Option(rich_help_panel=_MODEL, help="auto: the trained weights that come with it, else classical."),
+    typer.Option(
+        rich_help_panel=MODEL_PANEL, help="auto: the trained networks that come with RoomLight, else classical."
+    ),
 ]
 Weights = Annotated[
     Path | None,
-    typer.Option(rich_help_panel=_MODEL, help="A model folder of `roomlight export` instead of the shipped one."),
+    typer.Option(
+        rich_help_panel=MODEL_PANEL, help="A model folder that `roomlight export` wrote, instead of the shipped one."
+    ),
 ]
 AllowUntrained = Annotated[
-    bool, typer.Option("--allow-untrained", rich_help_panel=_MODEL, help="Accept weights that were never trained.")
+    bool, typer.Option("--allow-untrained", rich_help_panel=MODEL_PANEL, help="Accept weights that were never trained.")
 ]
-Runtime = Annotated[
-    Provider, typer.Option("--provider", rich_help_panel=_MODEL, help="Where networks run: auto, cpu, openvino.")
-]
+Runtime = Annotated[Provider, typer.Option("--provider", rich_help_panel=MODEL_PANEL, help="Where the networks run.")]
 UnknownDepthOption = Annotated[
     UnknownDepth,
-    typer.Option("--unknown-depth", rich_help_panel=_MODEL, help="Where pixels without depth are taken to be."),
+    typer.Option(
+        "--unknown-depth",
+        rich_help_panel=MODEL_PANEL,
+        help="Pixels without depth: at the depth around them (rim), at the volume's far side (far), or unused (drop).",
+    ),
 ]
+
+Pixels = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--pixel",
+        metavar="U,V",
+        rich_help_panel=POINTS_PANEL,
+        help="Light a point above the surface that this pixel of the first colour image shows: column U, row V from "
+        "the top left. Repeatable.",
+    ),
+]
+Above = Annotated[
+    float,
+    typer.Option(
+        min=0, max=10, rich_help_panel=POINTS_PANEL, help="Distance in metres of --pixel points from their surface."
+    ),
+]
+
+Device = Annotated[
+    Literal["auto", "cpu", "cuda"], typer.Option(help="Where PyTorch runs; auto: a GPU if there is one.")
+]
+FiguresJson = Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")]
 
 
 def parse_position(text: str) -> Position:
-    """X,Y,Z in metres; typer's own error otherwise."""
+    """Parse X,Y,Z in metres. Raises typer.BadParameter for other text."""
     return _three(text, "a position is X,Y,Z in metres, e.g. 0.2,-0.1,-1.5")
 
 
+def parse_pixel(text: str) -> tuple[float, float]:
+    """Parse U,V: column and row of a pixel. Raises typer.BadParameter for other text."""
+    try:
+        column, row = (float(part) for part in text.split(","))
+    except ValueError:
+        raise typer.BadParameter(f"a pixel is U,V: column and row, e.g. 960,540; got {text!r}") from None
+    return column, row
+
+
 def parse_world_up(text: str | None) -> str | Position | None:
-    """An axis name as it is, or three numbers."""
+    """Parse three numbers X,Y,Z; return an axis name as it is. Raises typer.BadParameter for other lists."""
     return _three(text, "world up is an axis (x, -z, ...) or three numbers X,Y,Z") if text and "," in text else text
 
 
 def parse_counts(text: str) -> tuple[int, ...]:
-    """1,4,16: whole numbers from 1 to 1000; typer's own error otherwise."""
-    rule = f"numbers of sessions are whole, 1 to 1000, with commas: 1,4,16; got {text!r}"
+    """Parse whole numbers from 1 to 1000, e.g. 1,4,16. Raises typer.BadParameter for other text."""
+    rule = f"numbers of sessions are whole, 1 to 1000, separated by commas: 1,4,16; got {text!r}"
     try:
         counts = tuple(int(part) for part in text.split(","))
     except ValueError:
@@ -105,7 +155,7 @@ def capture_options(
     max_frames: int | None,
     every: int = 1,
 ) -> CaptureOptions:
-    """The reader's options from the command line."""
+    """Build the reader's options from the command line's."""
     return CaptureOptions(
         format=format_name,
         camera_convention=camera_convention,
@@ -128,10 +178,10 @@ def session_options(
     unknown_depth: UnknownDepth,
     height: int,
 ) -> SessionOptions:
-    """The engine's options from the command line; typer's own error for weights that would not be used."""
+    """Build the engine's options from the command line's. Raises typer.BadParameter for weights that go unused."""
     if model == "classical" and weights is not None:
         raise typer.BadParameter(
-            f"--model classical uses no networks: leave out --weights {weights}, or choose --model"
+            f"--model classical uses no networks: leave out --weights {weights}, or choose another --model"
         )
     return SessionOptions(
         model=model,

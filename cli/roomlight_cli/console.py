@@ -1,26 +1,101 @@
-"""Where commands print, and how they end: errors of RoomLight are one line on standard error and exit code 1."""
+"""Where commands print, and how they end: an error of RoomLight is one line on standard error and exit code 1."""
 
+import re
 import sys
+from typing import Final, NoReturn
 
 import typer
-from rich.console import Console
+from rich.console import Console, RenderableType
 from rich.markup import escape
+from rich.measure import Measurement
 
-from roomlight.errors import RoomLightError
+from roomlight.errors import OptionError, RoomLightError
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
 
+EXTRAS: Final = {"torch": "train", "onnx": "train", "onnxscript": "train", "tensorboard": "train"}
+"""Which extra of the package installs a module that a command needs."""
+
+FLAGS: Final = {
+    "above_m": "--above",
+    "allow_untrained": "--allow-untrained",
+    "camera_convention": "--camera-convention",
+    "depth_key": "--depth-key",
+    "depth_orientation": "--depth-orientation",
+    "depth_unit_m": "--depth-unit",
+    "device": "--device",
+    "every": "--every",
+    "format": "--format",
+    "fov_deg": "--fov",
+    "fps": "--fps",
+    "height": "--height",
+    "in_flight": "--in-flight",
+    "max_frames": "--max-frames",
+    "min_confidence": "--min-confidence",
+    "model": "--model",
+    "pixel": "--pixel",
+    "pose_direction": "--pose-direction",
+    "provider": "--provider",
+    "unknown_depth": "--unknown-depth",
+    "weights": "--weights",
+    "world_up": "--world-up",
+}
+"""Flags of the options that the library's messages name as Python does."""
+
 
 def say(text: str) -> None:
-    """A line that names files: as it is, neither wrapped nor read as markup."""
+    """Print a line as it is, neither wrapped nor read as markup: it may name files."""
     out.print(text, soft_wrap=True, markup=False)
 
 
 def run(app: typer.Typer) -> None:
-    """Run an application of commands as the process's own."""
+    """Run an application on `sys.argv` and end the process.
+
+    This is the one place where errors of RoomLight and missing extras become a line on standard error.
+    """
     try:
         app()
     except RoomLightError as error:
-        err.print(f"[red]error:[/] {escape(str(error))}", soft_wrap=True)
-        sys.exit(1)
+        _fail(with_flags(error))
+    except ModuleNotFoundError as error:
+        module = (error.name or "").partition(".")[0]
+        if module not in EXTRAS:
+            raise
+        _fail(f"this command needs {module}: pip install 'roomlight[{EXTRAS[module]}]'")
+
+
+def with_flags(error: RoomLightError) -> str:
+    """Return the error's message with the command line's flags for Python's options.
+
+    Names with an underscore, and names before "=", are replaced wherever they stand ("allow_untrained=True" becomes
+    "--allow-untrained"). A name that is the first word of an OptionError is replaced too.
+    """
+    message = str(error)
+    if isinstance(error, OptionError):
+        first, space, rest = message.partition(" ")
+        message = FLAGS.get(first, first) + space + rest
+    names = "|".join(FLAGS)
+
+    def flag(match: re.Match[str]) -> str:
+        name, value = match.groups()
+        if not value and "_" not in name:
+            return match.group()
+        return FLAGS[name] + (" " if value == "=" else "")
+
+    return re.sub(rf"(?<![\w./-])({names})\b(=True\b|=)?(?![\w./-])", flag, message)
+
+
+def print_table(console: Console, table: RenderableType) -> None:
+    """Print a table at the width that it needs.
+
+    Rich cuts a table to the terminal's width, and to 80 columns in a pipe: numbers would become dots.
+    """
+    unlimited = console.options.update(max_width=1000)
+    console.width = max(console.width, Measurement.get(console, unlimited, table).minimum)
+    console.print(table)
+
+
+def _fail(message: str) -> NoReturn:
+    err.print(f"[red]error:[/] {escape(message)}", soft_wrap=True)
+    sys.exit(1)

@@ -2,7 +2,7 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Final
+from typing import Annotated, Final
 
 import cv2
 import numpy as np
@@ -13,52 +13,55 @@ from rich.console import Console
 from rich.table import Table
 
 from roomlight.dataset.recording import Split
-from roomlight.drawing import HEADING, Canvas
+from roomlight.drawing import HEADING, LABEL, LABEL_ROWS, Canvas
 from roomlight.errors import DatasetError
 from roomlight.images import write_png
 from roomlight_cli import console
 from roomlight_cli.console import say
-
-if TYPE_CHECKING:
-    from roomlight_generator.verification.check import CheckReport, ProbeDeviation, RoomCheck, SurfaceDeviation, View
+from roomlight_generator.verification.check import (
+    JUDGED_NOISE,
+    CheckReport,
+    ProbeDeviation,
+    RoomCheck,
+    SurfaceDeviation,
+    View,
+    check_rooms,
+)
 
 DIFFUSE_TARGET: Final = 0.05
 PROBE_TARGET: Final = 0.03
 
 _SHOWN_ERROR: Final = 0.25
-"""The relative error that is shown in full colour: red where ours is brighter, blue where it is darker."""
+"""The relative error that is shown in full colour: red where RoomLight is brighter, blue where it is darker."""
 _TILE: Final = (480, 360)
 _PROBE: Final = (480, 240)
-_MARGIN: Final = 8
-_LABEL: Final = 20
+_MARGIN: Final = 12
 
 
 def check(
-    rooms: Annotated[int, typer.Option(min=1, help="How many rooms.")] = 12,
+    rooms: Annotated[int, typer.Option(min=1, help="Number of rooms.")] = 12,
     seed: Annotated[int, typer.Option(min=0, help="The dataset's seed.")] = 0,
     first: Annotated[int, typer.Option(min=0, help="Number of the first room.")] = 0,
     split: Annotated[Split, typer.Option(help="Which split's rooms.")] = "train",
-    samples: Annotated[int, typer.Option(min=2, help="Paths a pixel of the reference's frame and probe.")] = 64,
+    samples: Annotated[int, typer.Option(min=2, help="Paths per pixel of the reference's frame and probe.")] = 64,
     paths: Annotated[
-        int, typer.Option(min=1000, help="Paths for a room's points, at which surfaces are compared, at the most.")
+        int, typer.Option(min=1000, help="Most paths for the points of a room at which surfaces are compared.")
     ] = 12_000_000,
     furniture: Annotated[
-        Path | None, typer.Option(help="A .sh3f library, or the cache of several, instead of the installed ones.")
+        Path | None, typer.Option(help="A .sh3f library, or a cache of several; default: the installed libraries.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder for pictures: ours, the reference, the signed error.")
+        Path | None, typer.Option(help="Folder for pictures: RoomLight, the reference, the signed error.")
     ] = None,
 ) -> None:
-    """Compare rooms with Mitsuba's path tracer (a development dependency): errors of frames and probes."""
+    """Compare generated rooms with the path tracer Mitsuba: errors of frames and probes."""
     if find_spec("mitsuba") is None:
         raise DatasetError("the check needs the path tracer Mitsuba: pip install mitsuba")
-    from roomlight_generator.verification.check import check_rooms
-
     done = 0
 
     with console.err.status(f"room 1 of {rooms}") as status:
 
-        def progress(room: "RoomCheck") -> None:
+        def progress(room: RoomCheck) -> None:
             nonlocal done
             done += 1
             if out:
@@ -71,15 +74,14 @@ def check(
         )
     print_check(console.out, report)
     if out:
-        say(f"pictures in {out}")
+        say(f"Pictures: {out}")
 
 
-def print_check(terminal: Console, report: "CheckReport") -> None:
-    """Surfaces and probes, a row a room, and what they are against the two targets.
+def print_check(terminal: Console, report: CheckReport) -> None:
+    """Print errors of surfaces and probes, a row per room, and compare the means with the two targets.
 
-    Beside each error stands what the reference's noise alone would give; rms is our error with it taken out."""
-    from roomlight_generator.verification.check import JUDGED_NOISE, CheckReport
-
+    Beside each error stands what the reference's noise alone would give; rms is the error without that noise.
+    """
     diffuse, coated, probe = report.diffuse(), report.coated(), report.probe()
     for title, parts, total in (
         ("Diffuse surfaces in frames", [room.diffuse for room in report.rooms], diffuse),
@@ -92,13 +94,13 @@ def print_check(terminal: Console, report: "CheckReport") -> None:
         surfaces.add_row("all", *_surface(total))
         terminal.print(surfaces)
     probes = _table(
-        "Probes: relative error of irradiance in %; seconds for all; paths a point in frames",
-        ("mean", "noise", "bias", "log-L2", "ours", "reference", "paths"),
+        "Probes: relative error of irradiance in %; seconds of computing; paths per point of the frames",
+        ("mean", "noise", "bias", "log-L2", "RoomLight", "reference", "paths"),
     )
     for room in report.rooms:
-        spent = room.frame.reference_s + room.panorama.reference_s + room.points_s
-        own = room.solve_s + room.frame.ours_s + room.panorama.ours_s
-        probes.add_row(room.name, *_probe(room.probe), f"{own:.1f}", f"{spent:.0f}", str(room.paths))
+        reference_s = room.frame.reference_s + room.panorama.reference_s + room.points_s
+        own_s = room.solve_s + room.frame.ours_s + room.panorama.ours_s
+        probes.add_row(room.name, *_probe(room.probe), f"{own_s:.1f}", f"{reference_s:.0f}", str(room.paths))
     probes.add_section()
     probes.add_row("all", *_probe(probe))
     terminal.print(probes)
@@ -132,17 +134,26 @@ def print_check(terminal: Console, report: "CheckReport") -> None:
     )
 
 
-def compose_check(room: "RoomCheck") -> UInt8[np.ndarray, "h w 3"]:
-    """Frame and probe: ours, the reference, the signed error."""
+def compose_check(room: RoomCheck) -> UInt8[np.ndarray, "h w 3"]:
+    """Return a picture, 8-bit sRGB, of frame and probe: RoomLight, the reference, the signed error."""
     width = 3 * (_TILE[0] + _MARGIN) + _MARGIN
-    canvas = Canvas(width, 2 * _LABEL + _TILE[1] + _PROBE[1] + 4 * _MARGIN)
-    canvas.text((_MARGIN, 6), _line(room), grey=HEADING, width=width - 2 * _MARGIN)
-    canvas.text(
-        (_MARGIN, 6 + _LABEL),
-        f"ours, reference, error: red where ours is brighter, blue where darker, full at {_SHOWN_ERROR:.0%}; "
-        "dark where neither diffuse nor coated, or an edge",
+    canvas = Canvas(width, 4 * LABEL_ROWS + _TILE[1] + _PROBE[1] + 3 * _MARGIN)
+    lines = (
+        (_line(room), HEADING),
+        (
+            f"Error: red where RoomLight is brighter, blue where it is darker, full colour at {100 * _SHOWN_ERROR:.0f} %; "
+            "dimmed at edges and on surfaces that are neither diffuse nor coated",
+            LABEL,
+        ),
     )
-    top = 2 * _LABEL + _MARGIN
+    top = _MARGIN
+    for line, grey in lines:
+        canvas.text((_MARGIN, top), line, grey=grey, width=width - 2 * _MARGIN)
+        top += LABEL_ROWS
+    top += LABEL_ROWS // 2
+    for k, title in enumerate(("RoomLight", "Reference (Mitsuba)", "Error")):
+        canvas.text((_MARGIN + k * (_TILE[0] + _MARGIN), top), title)
+    top += LABEL_ROWS
     judged = room.kinds.diffuse | room.kinds.coated
     gain = 0.6 / max(float(np.percentile(room.frame.reference, 90)), 1e-9)
     for view, size, shown in ((room.frame, _TILE, judged), (room.panorama, _PROBE, None)):
@@ -156,8 +167,11 @@ def compose_check(room: "RoomCheck") -> UInt8[np.ndarray, "h w 3"]:
     return canvas.image
 
 
-def _error_colours(view: "View") -> Float[np.ndarray, "h w 3"]:
-    """White where equal. Both are averaged over 4 x 4 pixels first: the reference's picture is noisy."""
+def _error_colours(view: View) -> Float[np.ndarray, "h w 3"]:
+    """Return the signed error as linear RGB, white where both are equal.
+
+    Both are averaged over 4 x 4 pixels first: the reference's picture is noisy.
+    """
     ours, reference = (cv2.blur(image.mean(-1), (4, 4)) for image in (view.ours, view.reference))
     share = (ours - reference) / np.maximum(reference, 1e-3 * float(reference.mean()) + 1e-12) / _SHOWN_ERROR
     share = np.clip(share, -1, 1)
@@ -165,7 +179,7 @@ def _error_colours(view: "View") -> Float[np.ndarray, "h w 3"]:
     return np.stack([red, 1 - np.abs(share), blue], -1).astype(np.float32)
 
 
-def _line(room: "RoomCheck") -> str:
+def _line(room: RoomCheck) -> str:
     parts = [f"{room.name}, {room.about}:"]
     for name, part in (("diffuse", room.diffuse), ("coated", room.coated)):
         if part is not None:
@@ -186,14 +200,14 @@ def _table(title: str, headings: tuple[str, ...]) -> Table:
     return table
 
 
-def _surface(part: "SurfaceDeviation | None") -> tuple[str, ...]:
+def _surface(part: SurfaceDeviation | None) -> tuple[str, ...]:
     if part is None:
         return ("-",) * 6
     figures = (part.pixels.mean, part.pixels.noise, part.blocks.mean, part.blocks.noise, part.blocks.rms)
     return (*(_percent(value) for value in figures), _signed(part.bias))
 
 
-def _probe(probe: "ProbeDeviation") -> tuple[str, str, str, str]:
+def _probe(probe: ProbeDeviation) -> tuple[str, str, str, str]:
     return _percent(probe.irradiance), _percent(probe.noise), _signed(probe.bias), f"{probe.log_l2:.4f}"
 
 

@@ -1,4 +1,4 @@
-"""How a run of `roomlight dataset generate` looks: a bar on a terminal, a line now and then elsewhere."""
+"""Progress of `roomlight dataset generate`: a bar on a terminal, a line every 30 seconds elsewhere."""
 
 import time
 from collections.abc import Sequence
@@ -14,14 +14,13 @@ from rich.progress import Progress as Bars
 from roomlight_generator.generate import Progress
 
 LINE_EVERY_S: Final = 30.0
-"""Between plain lines: a log of a night has 1,000 of them."""
+"""Seconds between plain lines: the log of a night has 1,000 of them."""
 
 
-class ProgressShown:
-    """Call it with each `Progress`; use it in a `with` statement."""
+class ProgressDisplay:
+    """A progress callback of the generator, for use in a `with` statement."""
 
     def __init__(self, console: Console, *, line_every_s: float = LINE_EVERY_S) -> None:
-        """A bar if the console is a terminal."""
         self._console = console
         self._line_every_s = line_every_s
         self._last_line_s = -float("inf")
@@ -34,8 +33,7 @@ class ProgressShown:
         self._bars = Bars(*columns, console=console, transient=True) if console.is_terminal else None
         self._task = self._bars.add_task("", total=None, more="") if self._bars else None
 
-    def __enter__(self) -> "ProgressShown":
-        """Show the bar."""
+    def __enter__(self) -> "ProgressDisplay":
         if self._bars:
             self._bars.start()
         return self
@@ -43,12 +41,11 @@ class ProgressShown:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take the bar away."""
         if self._bars:
             self._bars.stop()
 
     def __call__(self, progress: Progress) -> None:
-        """The run stands here."""
+        """Show the run's state."""
         if progress.news:
             self._console.print(f"[yellow]note:[/] {escape(progress.news)}", soft_wrap=True)
         if self._bars and self._task is not None:
@@ -62,23 +59,23 @@ class ProgressShown:
 
 
 def describe(progress: Progress) -> str:
-    """Size, rate, cost and time left, as far as they are known."""
+    """Return size, rate, time left and cost, as far as they are known."""
     parts = [f"{progress.bytes / 1e6:.0f} MB"]
     if progress.per_hour is not None and progress.left_s is not None:
-        parts.append(f"{progress.per_hour:.0f} an hour, {duration(progress.left_s)} left")
+        parts.append(f"{progress.per_hour:.0f} per hour, {duration(progress.left_s)} left")
         parts.append(f"{progress.core_s / progress.made:.1f} core-seconds each")
     return ", ".join(parts)
 
 
 def duration(seconds: float) -> str:
-    """3:07:05 or 7:05."""
+    """Format seconds as 3:07:05 or 7:05."""
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
 
 
-def costs(core_s: Sequence[float]) -> str:
-    """What sequences cost, and whether the later ones cost more than the first."""
+def cost_text(core_s: Sequence[float]) -> str:
+    """Return the mean cost of sequences, and that of each half: it shows whether costs grow."""
     half = len(core_s) // 2
     text = f"{fmean(core_s):.1f} core-seconds each"
     return text + (f" (first half {fmean(core_s[:half]):.1f}, second {fmean(core_s[half:]):.1f})" if half else "")

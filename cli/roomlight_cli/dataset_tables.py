@@ -1,5 +1,7 @@
 """The statistics of a dataset as tables for a terminal."""
 
+from typing import Final
+
 from rich import box
 from rich.console import Console
 from rich.markup import escape
@@ -7,12 +9,12 @@ from rich.table import Table
 
 from roomlight_generator.stats import DatasetStats, Spread
 
-_MOST: int = 14
-"""Kinds of furniture listed; the JSON has all."""
+_LISTED: Final = 14
+"""Most kinds listed per line; the JSON has all."""
 
 
 def print_stats(console: Console, stats: DatasetStats) -> None:
-    """Measures with their spread, counts by kind, and bytes by part."""
+    """Print measures with their spread, counts by kind, and bytes by part."""
     table = Table(
         title=f"{stats.sequences} sequences, {stats.rooms} rooms",
         title_justify="left",
@@ -27,11 +29,11 @@ def print_stats(console: Console, stats: DatasetStats) -> None:
     console.print(table)
     for title, counts in stats.counts.items():
         shown = [f"{escape(kind)} {count}" for kind, count in counts.items()]
-        more = f", and {len(shown) - _MOST} more kinds" if len(shown) > _MOST else ""
-        console.print(f"[bold]{title}[/]: {', '.join(shown[:_MOST]) or 'none told'}{more}", soft_wrap=True)
+        more = f", and {len(shown) - _LISTED} more kinds" if len(shown) > _LISTED else ""
+        console.print(f"[bold]{escape(title)}[/]: {', '.join(shown[:_LISTED]) or 'unknown'}{more}", soft_wrap=True)
     total = sum(stats.mean_bytes.values())
     parts = ", ".join(f"{part} {size / 1e3:.0f}" for part, size in stats.mean_bytes.items())
-    console.print(f"[bold]kB a sequence[/]: {total / 1e3:.0f} ({parts})", soft_wrap=True)
+    console.print(f"[bold]kB per sequence[/]: {total / 1e3:.0f} ({parts})", soft_wrap=True)
     if stats.probes_at_half_limit:
         console.print(f"{stats.probes_at_half_limit} probe pixels are dimmed to the largest half float (65504)")
 
@@ -41,5 +43,5 @@ def _values(spread: Spread) -> tuple[float, ...]:
 
 
 def _short(value: float) -> str:
-    """Three digits."""
+    """Format with three significant digits."""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"

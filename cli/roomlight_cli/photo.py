@@ -1,94 +1,145 @@
 """Light from one photograph with depth: no capture, no poses, no stream.
 
-The camera stands at the origin and is level: x right, y up, z backward, so that what it looks at has negative z.
-Positions and panoramas are in these axes, metres.
+The camera stands at the origin and is level: x right, y up, z backward, so that points in front of it have negative z.
+Positions and panoramas are in these axes, in metres. "Upright" is the photograph as viewers show it, rotated by its
+EXIF orientation.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final, Literal
 
 import numpy as np
+from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.conventions import Position
-from roomlight.drawing import Canvas
+from roomlight.drawing import LABEL_ROWS, Canvas
 from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import FrameError
+from roomlight.errors import FrameError, OptionError
 from roomlight.files import write_json
-from roomlight.frame import Frame
-from roomlight.images import read_bytes, read_colour, write_exr, write_png
+from roomlight.frame import ASPECT_TOLERANCE, Frame
+from roomlight.images import decode_colour, exif_camera, read_bytes, write_exr, write_png
 from roomlight.light.light import Light
-from roomlight.light.main_light import MainLight, main_light
+from roomlight.placement import ABOVE_M, point_at_pixel
 from roomlight.spheres import SphereRenderer, view_toward
 
-MILLIMETRE_M = 0.001
-_BALL = 256
-_GAP = 16
-_FARTHEST_M = 1000.0
-"""A photograph's depth past this is in another unit."""
+DepthOrientation = Literal["auto", "upright", "stored"]
+"""Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
+FovSource = Literal["option", "exif", "default"]
+
+MILLIMETRE_M: Final = 0.001
+DEFAULT_FOV_DEG: Final = 60.0
+"""Horizontal field of view without any better knowledge: a phone's main camera held level has 65 to 70 degrees, upright
+about 52."""
+_FARTHEST_M: Final = 1000.0
+"""A median depth past this is in another unit."""
+_SPHERE: Final = 256
+_GAP: Final = 16
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photograph as a frame, and where its field of view came from.
+
+    Attributes:
+        frame: The upright photograph with its depth; the camera's pose is the identity.
+        fov_deg: Horizontal field of view of the upright photograph, in degrees.
+        fov_source: The caller's option, the photo's EXIF, or `DEFAULT_FOV_DEG`.
+        focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
+    """
+
+    frame: Frame
+    fov_deg: float
+    fov_source: FovSource
+    focal_35mm: float | None = None
 
 
 @dataclass(frozen=True)
 class PhotoLight:
-    """What was found at one position; files are names in the output folder."""
+    """The light at one position.
+
+    Attributes:
+        position: Metres from the camera.
+        light: The light in all its forms.
+        inside_volume: Whether the position lies in the lighting volume; outside, only distant light is known.
+        files: Names in the output folder: panorama (EXR), picture of it (PNG), picture of spheres (PNG).
+    """
 
     position: Position
     light: Light
-    main: MainLight
-    inside: bool
-    """Whether the position lies in the lighting volume; outside, only distant light is known."""
+    inside_volume: bool
     files: tuple[str, str, str]
 
     @property
+    def behind_camera(self) -> bool:
+        """Whether the position lies behind the camera, where the photograph shows nothing around it."""
+        return self.position[2] > 0
+
+    @property
     def heading(self) -> tuple[float, float]:
-        """(elevation, azimuth) of the main light in degrees; azimuth 0 is where the camera looks, 90 its right."""
-        x, y, z = self.main.direction.tolist()
+        """(elevation, azimuth) of the main light in degrees; azimuth 0 is the camera's view, 90 its right."""
+        x, y, z = self.light.main_light.direction.tolist()
         return math.degrees(math.asin(max(-1.0, min(1.0, y)))), math.degrees(math.atan2(x, -z))
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         elevation, azimuth = self.heading
         return {
             "position": list(self.position),
             "files": dict(zip(("panorama", "picture", "spheres"), self.files, strict=True)),
             "seen_share": self.light.coverage,
-            "inside_volume": self.inside,
+            "inside_volume": self.inside_volume,
             "main_light": {
-                "direction": self.main.direction.tolist(),
-                "intensity": self.main.intensity.tolist(),
+                "direction": self.light.main_light.direction.tolist(),
+                "intensity": self.light.main_light.intensity.tolist(),
                 "elevation_deg": elevation,
                 "azimuth_deg": azimuth,
             },
         }
 
 
-def read_photo(image: Path, depth: Path, *, fov_deg: float, depth_unit_m: float | None = None) -> Frame:
-    """The photograph as a frame.
+def read_photo(
+    image: Path,
+    depth: Path,
+    *,
+    fov_deg: float | None = None,
+    depth_unit_m: float | None = None,
+    depth_orientation: DepthOrientation = "auto",
+) -> Photo:
+    """Read a photograph and its depth; both come out upright.
 
-    fov_deg is horizontal. depth is a 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres;
-    `depth_unit_m` says otherwise for PNG and .npy. ImageError and FrameError name the file.
+    Args:
+        image: JPEG, PNG, or linear EXR. Its EXIF orientation is applied.
+        depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres.
+        fov_deg: Horizontal field of view of the upright photograph; None takes EXIF's focal length, else
+            `DEFAULT_FOV_DEG`.
+        depth_unit_m: Metres per stored unit of a PNG or .npy, if it is another.
+        depth_orientation: Whether the depth map is upright or stored as the photo is. "auto" decides by the aspect,
+            which tells where EXIF rotates the photo by 90 degrees.
+
+    Raises:
+        ImageError: A file cannot be read.
+        FrameError: Depth and photo do not fit, or the depth is empty or in another unit.
+        OptionError: "auto" cannot decide, because the depth's aspect fits both orientations.
     """
-    colour, clipped = read_colour(image)
-    data = read_bytes(depth)
-    unit_m = depth_unit_m or (1.0 if data[:6] == b"\x93NUMPY" and _is_float(data) else MILLIMETRE_M)
-    depth_m = decode_depth_map(data, str(depth), unit_m=unit_m)
+    data = read_bytes(image)
+    colour, clipped = decode_colour(data, str(image))
+    exif = exif_camera(data, str(image))
     height, width = colour.shape[:2]
-    known = depth_m[depth_m > 0]
-    if known.size == 0:
-        raise FrameError(f"{depth}: no pixel has a depth, so nothing is known of where the light is")
-    middle_m = float(np.median(known))
-    if not 0.02 < middle_m < _FARTHEST_M:
-        raise FrameError(
-            f"{depth}: its median depth would be {middle_m:.3g} m, which is no room; say what one stored unit is "
-            f"with --depth-unit (it was taken to be {unit_m:g} m)"
-        )
+    depth_m = _read_depth(depth, depth_unit_m)
+    depth_m = _upright_depth(depth_m, exif.orientation, (width, height), depth_orientation, str(depth))
+    source: FovSource = "option"
+    if fov_deg is None:
+        fov_deg, source = exif.fov_deg(width, height), "exif"
+    if fov_deg is None:
+        fov_deg, source = DEFAULT_FOV_DEG, "default"
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
-    return Frame(
+    frame = Frame(
         index=0,
         image=colour,
         clipped=clipped,
@@ -97,6 +148,83 @@ def read_photo(image: Path, depth: Path, *, fov_deg: float, depth_unit_m: float 
         camera_to_world=np.eye(4),
         source=str(image),
     )
+    return Photo(frame, fov_deg, source, exif.focal_35mm)
+
+
+def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
+    """Return the depth in metres as stored. Raises ImageError, and FrameError for empty or mis-scaled depth."""
+    data = read_bytes(path)
+    unit_m = unit_m or (1.0 if data[:6] == b"\x93NUMPY" and _is_float(data) else MILLIMETRE_M)
+    depth_m = decode_depth_map(data, str(path), unit_m=unit_m)
+    known = depth_m[depth_m > 0]
+    if known.size == 0:
+        raise FrameError(f"{path}: no pixel has a depth; the light cannot be placed in the room without it")
+    median_m = float(np.median(known))
+    if not 0.02 < median_m < _FARTHEST_M:
+        raise FrameError(
+            f"{path}: its median depth would be {median_m:.3g} m, which no room has; state the metres per stored unit "
+            f"as depth_unit_m (it was taken to be {unit_m:g} m)"
+        )
+    return depth_m
+
+
+def _upright_depth(
+    depth_m: Float[np.ndarray, "h w"],
+    orientation: int,
+    photo_size: tuple[int, int],
+    depth_orientation: DepthOrientation,
+    name: str,
+) -> Float[np.ndarray, "uh uw"]:
+    """Rotate the depth as EXIF rotates the photo, if it is stored like the photo.
+
+    `orientation` is EXIF's, 1 to 8; `photo_size` is (width, height) of the upright photo. A depth map that fits
+    neither way is returned as it is, for `Frame` to refuse. Raises OptionError if "auto" cannot decide.
+    """
+    if orientation == 1 or depth_orientation == "upright":
+        return depth_m
+    if depth_orientation == "stored":
+        return oriented(depth_m, orientation)
+    fits_upright = _same_aspect(depth_m, photo_size)
+    fits_stored = _same_aspect(oriented(depth_m, orientation), photo_size)
+    if fits_upright and fits_stored:
+        raise OptionError(
+            f"{name}: the photo's EXIF orientation is {orientation}, and the depth's aspect does not show whether the "
+            "depth has it too; state depth_orientation as upright (as viewers show the photo) or stored"
+        )
+    return oriented(depth_m, orientation) if fits_stored else depth_m
+
+
+def oriented(pixels: Float[np.ndarray, "h w"], orientation: int) -> Float[np.ndarray, "uh uw"]:
+    """Return stored pixels upright, by EXIF's orientation tag (1 to 8)."""
+    if orientation >= 5:
+        pixels = pixels.T
+    flip_rows, flip_columns = orientation in (3, 4, 7, 8), orientation in (2, 3, 6, 7)
+    return np.ascontiguousarray(pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
+
+
+def _same_aspect(depth_m: Float[np.ndarray, "h w"], photo_size: tuple[int, int]) -> bool:
+    (height, width), (photo_width, photo_height) = depth_m.shape, photo_size
+    aspect = photo_width / photo_height
+    return abs(width / height - aspect) <= ASPECT_TOLERANCE * aspect
+
+
+def photo_positions(
+    frame: Frame,
+    positions: Sequence[Position],
+    pixels: Sequence[tuple[float, float]],
+    *,
+    above_m: float = ABOVE_M,
+) -> list[Position]:
+    """Return `positions`, and after them the points above the surfaces that `pixels` show.
+
+    Raises:
+        OptionError: A pixel lies outside the photo, or no point is given at all.
+        ProbeError: The photo has no depth at a pixel.
+    """
+    points = [*positions, *(point_at_pixel(frame, u, v, above_m=above_m) for u, v in pixels)]
+    if not points:
+        raise OptionError("no point to light: give positions or pixels")
+    return points
 
 
 def light_photo(
@@ -107,35 +235,41 @@ def light_photo(
     options: SessionOptions,
     graphs: LightingGraphs | None = None,
 ) -> list[PhotoLight]:
-    """Light at the positions, written to `out`: an EXR, a PNG and two spheres for each, and light.json for all.
+    """Estimate the light at the positions and write it to `out`: an EXR and two PNGs for each, light.json for all.
 
-    FrameError, ProbeError and ModelError as the session raises them; OutputError where `out` cannot be written.
+    Raises:
+        FrameError: The photograph cannot start a session.
+        ProbeError: A position cannot be used.
+        ModelError: The weights cannot be used.
+        OutputError: `out` cannot be written.
     """
     session = Session(options, graphs=graphs)
     session.push(frame)
     assert session.grid is not None
-    found: list[PhotoLight] = []
+    lights: list[PhotoLight] = []
     for number, position in enumerate(positions):
         light = session.light_at(position)
         files = (f"probe-{number:02d}.exr", f"probe-{number:02d}.png", f"probe-{number:02d}-spheres.png")
         write_exr(out / files[0], light.panorama)
         write_png(out / files[1], light.panorama)
         write_png(out / files[2], _spheres(light, view_toward(frame.camera_to_world, position)))
-        found.append(PhotoLight(position, light, main_light(light.panorama), session.grid.contains(position), files))
+        lights.append(PhotoLight(position, light, session.grid.contains(position), files))
     report = {"model": session.model, "source": frame.source, "intrinsics": asdict(frame.intrinsics)}
-    write_json(out / "light.json", report | {"probes": [one.to_json() for one in found]})
-    return found
+    write_json(out / "light.json", report | {"probes": [one.to_json() for one in lights]})
+    return lights
 
 
 def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:
-    canvas = Canvas(2 * _BALL + 3 * _GAP, _BALL + 2 * _GAP)
-    spheres = SphereRenderer(view, size=_BALL)
-    canvas.sphere((_GAP, _GAP), light.panorama, spheres, "mirror")
-    canvas.sphere((_BALL + 2 * _GAP, _GAP), light.panorama, spheres, "glossy")
+    """Draw a mirror and a glossy sphere under the light, labelled, as 8-bit sRGB."""
+    canvas = Canvas(2 * _SPHERE + 3 * _GAP, _SPHERE + 2 * _GAP + LABEL_ROWS)
+    spheres = SphereRenderer(view, size=_SPHERE)
+    for left, material in ((_GAP, "mirror"), (_SPHERE + 2 * _GAP, "glossy")):
+        canvas.text((left, _GAP), f"{material} sphere", width=_SPHERE)
+        canvas.sphere((left, _GAP + LABEL_ROWS), light.panorama, spheres, material)
     return canvas.image
 
 
 def _is_float(data: bytes) -> bool:
-    """Whether a .npy file's header names a float type; its text begins at byte 10 or 12."""
+    """Return whether a .npy file's header names a float type; its text begins at byte 10 or 12."""
     header = data[:256].decode("latin-1")
     return any(f"'descr': '{order}f" in header for order in "<>=|")

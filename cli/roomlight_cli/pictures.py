@@ -1,4 +1,4 @@
-"""What a replay shows for itself while it runs: the film, and the contact sheet at its end."""
+"""The pictures of a replay: a video while it runs, and a contact sheet at its end."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,18 +11,29 @@ from roomlight.conventions import Position
 from roomlight.engine.session import WORKING_SIZE
 from roomlight.frame import Frame
 from roomlight.spheres import view_toward
+from roomlight_cli.probe_notes import position_text
 from roomlight_cli.sheet import SheetColumn, sheet_times, write_contact_sheet
 from roomlight_cli.video import MAX_PROBES, ReplayPicture, VideoWriter
 
 SUMMARY: Final = "summary.png"
-FILM: Final = "replay.mp4"
+VIDEO: Final = "replay.mp4"
 _DEFAULT_RATE: Final = 10.0
 _RATES: Final = (2.0, 60.0)
-"""A film slower than 2 frames a second is a slide show, faster than 60 is not shown."""
+"""Bounds of the video's frames per second: players stumble below 2, screens do not show more than 60."""
 
 
 class ReplayPictures:
-    """Takes each frame with its panoramas; `close` finishes film and sheet, `abandon` removes the unfinished film."""
+    """Draws each frame with its panoramas; `close` finishes video and sheet, `abandon` removes the unfinished video.
+
+    Args:
+        out: The replay's folder.
+        positions: The probes, world metres.
+        first: The first frame; spheres are seen from its camera.
+        frame_count: Frames of the whole replay.
+        frames_per_second: The recording's rate; None if unknown.
+        truths: Measured panoramas of the probes where the capture has them: the sheet's last column.
+        heading: The sheet's title.
+    """
 
     def __init__(
         self,
@@ -35,10 +46,9 @@ class ReplayPictures:
         truths: Sequence[Float[np.ndarray, "th tw 3"] | None] = (),
         heading: str = "",
     ) -> None:
-        """`truths`: measured panoramas of the probes, where the capture has them, shown as the sheet's last column."""
         self._sheet = out / SUMMARY
         self._heading = heading
-        self._labels = [f"probe {n:02d} at ({x:.2f}, {y:.2f}, {z:.2f}) m" for n, (x, y, z) in enumerate(positions)]
+        self._labels = [f"Probe {n} at {position_text(position)}" for n, position in enumerate(positions)]
         self._shown = f", {MAX_PROBES} of {len(positions)} probes" if len(positions) > MAX_PROBES else ""
         self._views = [view_toward(first.camera_to_world, position) for position in positions]
         self._truths = tuple(truths)
@@ -48,26 +58,26 @@ class ReplayPictures:
         small = first.resized(*WORKING_SIZE).image
         self._picture = ReplayPicture(self._labels, views=self._views, frame_size=(small.shape[1], small.shape[0]))
         rate = min(max(frames_per_second or _DEFAULT_RATE, _RATES[0]), _RATES[1])
-        self._film = VideoWriter(out / FILM, frames_per_second=rate)
+        self._video = VideoWriter(out / VIDEO, frames_per_second=rate)
 
-    def add(self, frame: Frame, panoramas: Sequence[Float[np.ndarray, "..."]]) -> None:
-        """One more moment, in order."""
+    def add(self, frame: Frame, panoramas: Sequence[Float[np.ndarray, "..."]], coverage: Sequence[float] = ()) -> None:
+        """Draw the next frame; `coverage` is each probe's share of the sphere seen, if it is known."""
         image = frame.resized(*WORKING_SIZE).image
-        self._film.write(self._picture.compose(image, panoramas, label=f"frame {frame.index}{self._shown}"))
+        self._video.write(self._picture.compose(image, panoramas, label=f"Frame {frame.index}{self._shown}"))
         due = len(self._columns) < len(self._wanted) and self._taken >= self._wanted[len(self._columns)]
         if due:
             copies = tuple(panorama.copy() for panorama in panoramas)
-            self._columns.append(SheetColumn(f"frame {frame.index}", image, copies))
+            self._columns.append(SheetColumn(f"Frame {frame.index}", image, copies, tuple(coverage)))
         self._taken += 1
 
     def close(self) -> None:
-        """Finish the film and write the sheet."""
-        self._film.__exit__(None, None, None)
+        """Finish the video and write the sheet. Raises OutputError."""
+        self._video.__exit__(None, None, None)
         columns = list(self._columns)
         if any(truth is not None for truth in self._truths):
-            columns.append(SheetColumn("ground truth", None, self._truths))
+            columns.append(SheetColumn("Ground truth", None, self._truths))
         write_contact_sheet(self._sheet, columns, probes=self._labels, views=self._views, heading=self._heading)
 
     def abandon(self, error: BaseException) -> None:
-        """Remove the unfinished film; the sheet was not begun."""
-        self._film.__exit__(type(error), error, error.__traceback__)
+        """Remove the unfinished video; there is no sheet yet."""
+        self._video.__exit__(type(error), error, error.__traceback__)

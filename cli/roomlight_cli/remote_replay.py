@@ -1,43 +1,35 @@
-"""A replay whose session is behind a server: the same loop, and bit for bit the same panoramas.
+"""A replay whose session is on a server: the same loop, and bit for bit the same panoramas.
 
-Frames travel as linear floats at the engine's working size (`sdk.frames`, colour `exact`), so the server's engine sees
-the very numbers that one here would see; panoramas come back as the floats that it holds (form `npy`).
+Frames travel as linear floats at the engine's working size (frame encoding `exact`), so the server's engine sees the
+same numbers as one here would; panoramas come back as the floats that it holds (form `npy`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
-
-import numpy as np
-from jaxtyping import Float
+from typing import Final
 
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, SessionOptions
 from roomlight.engine.volume import VolumeGrid
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
-from roomlight_cli.replay import Progress, ReplayOptions, ReplayResult, replay
-from roomlight_client import BadReplyError, Client, InvalidError
+from roomlight_cli.replay import ProgressCallback, ReplayResult, replay
+from roomlight_cli.replay_options import ReplayOptions
+from roomlight_client import BadReplyError, Client, InvalidError, Light
 
-_AT_ONCE = 16
-"""Probes asked for in one call: 5 MB of floats at 120 rows."""
-
-
-@dataclass(frozen=True)
-class RemoteLight:
-    """The light at a probe: panorama [H, 2H, 3], linear RGB float32."""
-
-    position: Position
-    panorama: Float[np.ndarray, "h w 3"]
-    coverage: float
+_PROBES_PER_CALL: Final = 16
+"""5 MB of floats at 120 rows."""
 
 
 class RemoteSession:
-    """A server's session as a replay uses one. In a `with` statement it is deleted at the end, whatever happens."""
+    """A server's session as a replay uses one. A `with` statement deletes it at the end, after errors too.
+
+    Model, height and unknown depth are as the options say; the rest is as the server is set up.
+    """
 
     def __init__(self, client: Client, options: SessionOptions) -> None:
-        """Open it: model, height and unknown depth as the options say, the rest as the server is set up."""
         self._session = client.open(
             model=options.model,
             height=options.height,
@@ -49,13 +41,11 @@ class RemoteSession:
         self._grid: VolumeGrid | None = None
 
     def __enter__(self) -> "RemoteSession":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Delete the session."""
         self._session.__exit__(kind, error, trace)
 
     @property
@@ -65,12 +55,12 @@ class RemoteSession:
 
     @property
     def keyframes(self) -> int:
-        """Keyframes that the server holds."""
+        """Number of keyframes that the server holds."""
         return self._session.state().keyframes
 
     @property
     def grid(self) -> VolumeGrid | None:
-        """The volume's frame, which stands where the first camera stood; None before the first frame."""
+        """The lighting volume's place, which is that of the first camera; None before the first frame."""
         if self._grid is None and self._first is not None:
             volume = self._session.state().volume
             if volume is not None:
@@ -79,14 +69,19 @@ class RemoteSession:
         return self._grid
 
     def track(self, position: Position) -> int:
-        """Follow a position under a name made of its number; returns the number."""
+        """Estimate the light at a position from now on, under a name made of its number; return the number."""
         number = len(self._names)
         self._session.track(f"probe-{number:02d}", position)
         self._names.append(f"probe-{number:02d}")
         return number
 
     def push(self, frame: Frame) -> FrameReport:
-        """Send a frame and wait until it is processed. FrameError if the server refuses it; all goes on without it."""
+        """Send a frame and wait until it is processed.
+
+        Raises:
+            FrameError: The server refuses the frame; the session continues without it.
+            RemoteError: The server fails.
+        """
         try:
             result = self._session.push(frame)
         except WireError as error:
@@ -101,12 +96,12 @@ class RemoteSession:
         coverage = tuple(result.coverage.get(name, 0.0) for name in self._names)
         return FrameReport(frame.index, dict(result.stage_ms), bool(result.keyframe), coverage)
 
-    def lights(self) -> Sequence[RemoteLight]:
-        """The light at every tracked position, as the engine holds it."""
+    def lights(self) -> Sequence[Light]:
+        """Return the light at every tracked position, as the engine holds it."""
         return [
-            RemoteLight(light.position, light.panorama, light.coverage)
-            for start in range(0, len(self._names), _AT_ONCE)
-            for light in self._session.lights_at(self._names[start : start + _AT_ONCE], ("npy",))
+            light
+            for start in range(0, len(self._names), _PROBES_PER_CALL)
+            for light in self._session.lights_at(self._names[start : start + _PROBES_PER_CALL], ("npy",))
         ]
 
 
@@ -117,8 +112,12 @@ def replay_through(
     options: ReplayOptions,
     *,
     token: str | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ReplayResult:
-    """`replay` by the session of a server. Raises RoomLightError, RemoteError among them."""
+    """Replay a capture as `replay` does, with a new session on the server at this address.
+
+    Raises:
+        RoomLightError: As `replay` raises it; RemoteError if the server fails.
+    """
     with Client(server, token=token) as client, RemoteSession(client, options.session) as session:
         return replay(path, out, replace(options, server=server), session=session, progress=progress)

@@ -1,67 +1,35 @@
-"""Replay of a recorded capture through a session: one HDR panorama a frame at each probe, pictures and a report.
+"""Replay of a recorded capture through a session: one HDR panorama per frame at each probe, pictures and a report.
 
-The session is the engine here, or one behind a server (`remote_replay`): the loop is the same.
+The session is the engine here, or one on a server (`remote_replay`): the loop is the same.
 
-What is written: `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last
-of all, `report.json`: a folder without it is not whole. `replay.json` is written first, once a frame has proved usable,
-and says what the folder is for, so that the same command continues an interrupted replay and another one refuses to
-mix with it.
+It writes `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last of all,
+`report.json`: a folder without it is unfinished. `replay.json` is written as soon as a frame has proved usable and says
+what the folder is for (`replay_folder`): the same command continues an interrupted replay, and another one refuses to
+write there.
 """
 
-import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import Any, Final, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight import __version__
-from roomlight.captures import Capture, CaptureOptions, open_capture
+from roomlight.captures import Capture, open_capture
 from roomlight.conventions import Position
-from roomlight.engine.session import FrameReport, Session, SessionOptions
-from roomlight.engine.sglv import check_position
+from roomlight.engine.session import FrameReport, Session
 from roomlight.engine.volume import VolumeGrid
-from roomlight.errors import CaptureError, FrameError, OutputError
+from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
-from roomlight.placement import point_in_view
-from roomlight_cli.pictures import FILM, SUMMARY, ReplayPictures
-
-REPORT: Final = "report.json"
-INTENT: Final = "replay.json"
-
-
-@dataclass(frozen=True)
-class ReplayOptions:
-    """What to replay and how much of it.
-
-    probes:        world positions in metres; empty = the capture's own probes if `probes_from_capture`, else one point
-                   on the first frame's optical axis, at 60 % of its median depth.
-    every:         a session frame is every n-th of the capture.
-    interpolate:   also write the frames in between, linearly interpolated in radiance (paper, section 5.2).
-    overwrite:     replace what the output folder holds of another replay.
-    server:        the address that the session is behind; None: the engine here.
-    """
-
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-    session: SessionOptions = field(default_factory=SessionOptions)
-    probes: tuple[Position, ...] = ()
-    probes_from_capture: bool = False
-    every: int = 1
-    interpolate: bool = False
-    overwrite: bool = False
-    server: str | None = None
-
-    def __post_init__(self) -> None:
-        """Refuse steps that select nothing."""
-        if self.every < 1:
-            raise CaptureError(f"--every must be 1 or more, got {self.every}")
-        for position in self.probes:
-            check_position(position)
+from roomlight.placement import point_at_pixel, point_in_view
+from roomlight_cli.pictures import ReplayPictures
+from roomlight_cli.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
+from roomlight_cli.replay_options import ReplayOptions
 
 
 @dataclass(frozen=True)
@@ -72,22 +40,22 @@ class ReplayResult:
     report: dict[str, Any]
 
 
-Progress = Callable[[int, int], None]
+ProgressCallback = Callable[[int, int], None]
 """Called with (frames done, frames in all)."""
 
 
-@runtime_checkable  # so that a checker of annotations can look at it in the test run
+@runtime_checkable  # the test run checks annotations with isinstance
 class ReplayLight(Protocol):
-    """What is kept of the light at a probe; `roomlight.engine.session.Light` is one."""
+    """What a replay needs of the light at a probe; the engine's `Light` has it."""
 
     @property
     def position(self) -> Position:
-        """World metres."""
+        """Position in world metres."""
         ...
 
     @property
     def panorama(self) -> Float[np.ndarray, "h w 3"]:
-        """Linear RGB, float32."""
+        """Linear RGB radiance, float32."""
         ...
 
     @property
@@ -98,7 +66,7 @@ class ReplayLight(Protocol):
 
 @runtime_checkable
 class ReplaySession(Protocol):
-    """What a replay asks of a session; `roomlight.engine.session.Session` is one."""
+    """What a replay needs of a session; `roomlight.engine.session.Session` has it."""
 
     @property
     def model(self) -> str:
@@ -107,24 +75,24 @@ class ReplaySession(Protocol):
 
     @property
     def grid(self) -> VolumeGrid | None:
-        """The volume's frame, once there is one."""
+        """The lighting volume's place; None before the first frame."""
         ...
 
     @property
     def keyframes(self) -> int:
-        """Keyframes held."""
+        """Number of keyframes held."""
         ...
 
     def track(self, position: Position) -> int:
-        """Follow a position from now on."""
+        """Estimate the light at a position from now on; return its number."""
         ...
 
     def push(self, frame: Frame) -> FrameReport:
-        """Take the next frame; FrameError if it cannot be used."""
+        """Process the next frame. Raises FrameError if it cannot be used."""
         ...
 
     def lights(self) -> Sequence[ReplayLight]:
-        """The light at every tracked position."""
+        """Return the light at every tracked position."""
         ...
 
 
@@ -134,19 +102,28 @@ def replay(
     options: ReplayOptions,
     *,
     session: ReplaySession | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ReplayResult:
-    """Replay a capture into a folder, by the engine here or by a fresh `session`. Raises RoomLightError.
+    """Replay a capture into a folder, with the engine here or with a new `session`.
 
-    An interruption leaves what is written, without a report; the next call with the same arguments continues.
+    An interruption leaves what is written, without a report; the next call with the same arguments continues. A
+    finished replay is made again (`replay_folder.finished_report` tells beforehand that it would be the same).
+
+    Raises:
+        CaptureError: The capture cannot be read, or no frame of it can start a session.
+        OptionError: An option is out of range, or a pixel lies outside the first image.
+        ProbeError: There is no depth to place a point by.
+        ModelError: The weights cannot be used.
+        OutputError: `out` holds something else, or cannot be written.
+        RemoteError: The server of `session` fails or refuses.
     """
     read = options.capture
     stride = 1 if options.interpolate else options.every
     capture = open_capture(path, replace(read, every=read.every * stride))
     session = session or Session(options.session)
     positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
-    intent = _intent(path, session.model, options)
-    _refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
+    intent = describe_intent(path, session.model, options)
+    refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
 
     began = time.perf_counter()
     reports: list[FrameReport] = []
@@ -164,12 +141,12 @@ def replay(
             try:
                 if writer is None or pictures is None:
                     if not tracked:  # a frame that cannot start the session must not track its probes twice
-                        positions = positions or (point_in_view(frame),)
+                        positions = _all_positions(frame, positions, options)
                         for position in positions:
                             session.track(position)
                         tracked = True
                     report = session.push(frame)
-                    _claim(out, intent, overwrite=options.overwrite)  # not before: a mistaken command leaves nothing
+                    claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
                     writer = _Writer(out, len(positions))
                     pictures = ReplayPictures(
                         out,
@@ -178,7 +155,7 @@ def replay(
                         frame_count=capture.frame_count,
                         frames_per_second=capture.frames_per_second,
                         truths=_truths(capture, positions),
-                        heading=f"{path.name}: light by the {session.model} model",
+                        heading=f"{capture.path.name}: estimated light, model {session.model}",
                     )
                 else:
                     report = session.push(frame)
@@ -190,14 +167,14 @@ def replay(
                 pictures.add(between, mixed)
             waiting.clear()
             writer.write(frame, lights)
-            pictures.add(frame, [light.panorama for light in lights])
+            pictures.add(frame, [light.panorama for light in lights], [light.coverage for light in lights])
             reports.append(report)
             done = frame.index // (read.every * stride) + 1
             if progress:
                 progress(min(done, capture.frame_count), capture.frame_count)
         if writer is None or pictures is None:
             raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
-        for frame in waiting:  # after the last session frame: nothing to interpolate towards, the light stays
+        for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
             writer.hold(frame)
             pictures.add(frame, writer.held)
         pictures.close()
@@ -211,6 +188,7 @@ def replay(
     wall_s = time.perf_counter() - began
     interpolated = writer.count_interpolated
     report = _report(path, capture, session, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable)
+    report["fingerprint"] = fingerprint(capture.path, out, options)
     write_json(out / REPORT, report)
     return ReplayResult(out, report)
 
@@ -225,7 +203,7 @@ def _report(
     interpolated: int,
     unusable: list[dict[str, Any]],
 ) -> dict[str, Any]:
-    """What `report.json` says of a finished replay."""
+    """Return the values of `report.json`, without the fingerprint."""
     return {
         "complete": True,
         "roomlight": __version__,
@@ -254,7 +232,7 @@ def _report(
 
 
 class _Writer:
-    """Panoramas to EXR, one folder a probe; a file that is there already (an interrupted run's) is kept."""
+    """Writes panoramas as EXR, a folder per probe; files of an interrupted run are kept."""
 
     def __init__(self, out: Path, probes: int) -> None:
         self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
@@ -262,7 +240,7 @@ class _Writer:
         self.count_interpolated = 0
 
     def write(self, frame: Frame, lights: Sequence[ReplayLight]) -> None:
-        """One session frame."""
+        """Write the panoramas of one session frame."""
         self._before = (frame.index, [light.panorama for light in lights])
         for folder, light in zip(self._folders, lights, strict=True):
             coverage = f"{light.coverage:.4f}"
@@ -283,11 +261,11 @@ class _Writer:
 
     @property
     def held(self) -> list[Float[np.ndarray, "h w 3"]]:
-        """The last session frame's panoramas; none before the first."""
+        """Panoramas of the last session frame; empty before the first."""
         return self._before[1] if self._before is not None else []
 
     def hold(self, frame: Frame) -> None:
-        """A frame after the last session frame: the light stays as it was."""
+        """Write a frame after the last session frame, with that frame's light."""
         self._save_interpolated(frame.index, self.held)
 
     def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
@@ -304,69 +282,20 @@ class _Writer:
 
 def _capture_probes(capture: Capture) -> tuple[Position, ...]:
     if not capture.probes:
-        raise CaptureError(f"{capture.path}: --probes-from-capture, but it names no probes; give --probe X,Y,Z")
+        raise CaptureError(f"{capture.path}: has no probes of its own; place them with --probe or --pixel")
     return tuple(probe.position for probe in capture.probes)
 
 
+def _all_positions(first: Frame, positions: Sequence[Position], options: ReplayOptions) -> tuple[Position, ...]:
+    """`positions` and those that the options place by the first frame; at least one."""
+    picked = tuple(point_at_pixel(first, u, v, above_m=options.above_m) for u, v in options.pixels)
+    return (*positions, *picked) or (point_in_view(first),)
+
+
 def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.ndarray, "h w 3"] | None]:
-    """The capture's measured panoramas at these positions, None where it has none."""
+    """Return the capture's measured panoramas at these positions; None where it has none."""
     measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
     return [measured[position].panorama() if position in measured else None for position in positions]
-
-
-def _intent(path: Path, model: str, options: ReplayOptions) -> dict[str, Any]:
-    """What makes two replays the same: everything but where the output goes."""
-    described = {"roomlight": __version__, "capture": str(path.resolve()), "model": model}
-    settings = asdict(options)
-    settings.pop("overwrite")
-    return json.loads(json.dumps({**described, "options": settings}, default=str))
-
-
-def _refuse_foreign(out: Path, capture: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
-    """Raise OutputError if the folder holds something else, or cannot be looked into; changes nothing."""
-    try:
-        if out.exists() and not out.is_dir():
-            raise OutputError(f"{out}: is a file; --out wants a folder")
-        if out.resolve() == capture.resolve():
-            raise OutputError(f"{out}: is the capture itself; choose another --out")
-        if overwrite:
-            return
-        if (out / INTENT).is_file():
-            if _held(out) != intent:
-                raise OutputError(
-                    f"{out}: holds another replay (see {INTENT}); choose another --out, or --overwrite it"
-                )
-        elif out.is_dir() and any(out.iterdir()):
-            raise OutputError(f"{out}: is not empty and not a replay's; choose another --out, or --overwrite")
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
-
-
-def _claim(out: Path, intent: dict[str, Any], *, overwrite: bool) -> None:
-    """Take the folder for this replay: what an interrupted one of the same intent left stays, any other's files go.
-
-    A finished one goes too: what it was made of (frames, weights) may have changed under the same names.
-    """
-    try:
-        if overwrite or (out / REPORT).exists() or _held(out) != intent:
-            for panorama in out.glob("probe-[0-9][0-9]*/[0-9][0-9][0-9][0-9][0-9][0-9]*.exr"):
-                panorama.unlink()
-            for folder in out.glob("probe-[0-9][0-9]*"):
-                if folder.is_dir() and not any(folder.iterdir()):
-                    folder.rmdir()
-            for name in (REPORT, SUMMARY, FILM):
-                (out / name).unlink(missing_ok=True)
-    except OSError as error:
-        raise OutputError(f"{out}: cannot be used for output ({error.strerror or error})") from error
-    write_json(out / INTENT, intent)
-
-
-def _held(out: Path) -> Any:
-    """The intent of the replay in the folder; None without one, or without one that can be read."""
-    try:
-        return json.loads((out / INTENT).read_text())
-    except (OSError, ValueError):
-        return None
 
 
 def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:

@@ -1,7 +1,7 @@
 """The contact sheet of a replay: frames over time, and below them the light at each probe at the same times.
 
-Panoramas come with a mirror and a glossy sphere, seen from the same direction all along, so that what changes
-in them is the light. Tone mapping is `canvas`'s.
+Below each panorama are a mirror sphere and a glossy sphere. They are seen from the same direction at all times, so that
+changes in them are changes of the light. Tone mapping is that of `roomlight.drawing`.
 """
 
 from collections.abc import Sequence
@@ -12,35 +12,45 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from roomlight.drawing import HEADING, Canvas
+from roomlight.drawing import HEADING, LABEL_ROWS, Canvas
 from roomlight.images import write_png
 from roomlight.spheres import SphereRenderer
+from roomlight_cli.probe_notes import percent
 
 COLUMNS: Final = 6
-"""Times shown: enough to see a room filling up, few enough to see what is in each panorama."""
+"""Times shown: enough to see a room filling up, few enough to see details of each panorama."""
 
 _MARGIN: Final = 24
 _GAP: Final = 10
 _TILE: Final = 240
-_BALL: Final = 114
-_LABEL_ROWS: Final = 20
+_SPHERE: Final = 114
+_HEADING_SIZE: Final = 20
+_HEADING_ROWS: Final = 36
+_PROBE_SIZE: Final = 16
+_PROBE_ROWS: Final = 26
+_PROBE_GAP: Final = 22
+_INSET: Final = (_TILE // 2 - _SPHERE) // 2
 
 
 @dataclass(frozen=True)
 class SheetColumn:
-    """One moment: its label, the frame (linear; None for a column without, such as the truth), a panorama a
-    probe.
+    """One time of the sheet.
 
-    A probe without a panorama at this moment has None.
+    Attributes:
+        label: The column's title, above the frame; above the panoramas where there is no frame.
+        frame: The camera's picture, linear RGB; None for a column without one, such as the ground truth.
+        panoramas: A panorama for each probe; None for a probe without one at this time.
+        coverage: The share of the sphere seen at each probe, 0 to 1; empty if it is not to be shown.
     """
 
     label: str
     frame: Float[np.ndarray, "h w 3"] | None
     panoramas: tuple[Float[np.ndarray, "..."] | None, ...]
+    coverage: tuple[float, ...] = ()
 
 
 def sheet_times(frames: int, columns: int = COLUMNS) -> list[int]:
-    """Positions (from 0) of the frames to show: evenly spread, with the first and the last."""
+    """Return the numbers (from 0) of the frames to show: evenly spread, with the first and the last."""
     if frames <= 0:
         return []
     return sorted({round(position) for position in np.linspace(0, frames - 1, min(columns, frames)).tolist()})
@@ -54,9 +64,17 @@ def compose_sheet(
     heading: str = "",
     exposure_ev: float = 0.0,
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The sheet as 8-bit sRGB: a column a moment, a row a probe.
+    """Return the sheet as 8-bit sRGB: a column per time, a group of rows per probe.
 
-    `probes` are the rows' labels and `views` the directions their spheres are seen along (`spheres.view_toward`).
+    Args:
+        columns: The times, from the left.
+        probes: Labels of the probes.
+        views: World directions along which each probe's spheres are seen (`spheres.view_toward`).
+        heading: The sheet's title.
+        exposure_ev: Exposure in stops.
+
+    Raises:
+        ValueError: There is no column, or the numbers of probes, panoramas and views differ.
     """
     if not columns:
         raise ValueError("a contact sheet needs at least one column")
@@ -66,34 +84,51 @@ def compose_sheet(
     if len(views) != len(probes):
         raise ValueError(f"{len(probes)} probes need as many views, not {len(views)}")
     frame_rows = _frame_rows(columns)
-    top = _MARGIN + (30 if heading else 0)
-    probe_rows = _LABEL_ROWS + _TILE // 2 + _GAP + _BALL + 2 * _GAP
+    probe_rows = _PROBE_GAP + _PROBE_ROWS + LABEL_ROWS + _TILE // 2 + _GAP + LABEL_ROWS + _SPHERE
+    top = _MARGIN + (_HEADING_ROWS if heading else 0)
     width = 2 * _MARGIN + len(columns) * _TILE + (len(columns) - 1) * _GAP
-    height = top + _LABEL_ROWS + frame_rows + 2 * _GAP + len(probes) * probe_rows - 2 * _GAP + _MARGIN
+    height = top + LABEL_ROWS + frame_rows + len(probes) * probe_rows + _MARGIN
     canvas = Canvas(width, height, exposure_ev=exposure_ev)
-    canvas.text((_MARGIN, _MARGIN - 4), heading, cap_height=13, grey=HEADING, width=width - 2 * _MARGIN)
+    canvas.text((_MARGIN, _MARGIN - 4), heading, size=_HEADING_SIZE, grey=HEADING, width=width - 2 * _MARGIN)
     lefts = [_MARGIN + number * (_TILE + _GAP) for number in range(len(columns))]
     for left, column in zip(lefts, columns, strict=True):
-        canvas.text((left, top), column.label, width=_TILE)
         if column.frame is not None:
+            canvas.text((left, top), column.label, width=_TILE)
             size = (_TILE, round(_TILE * column.frame.shape[0] / column.frame.shape[1]))
-            canvas.picture((left, top + _LABEL_ROWS), column.frame, size=size)
-    row = top + _LABEL_ROWS + frame_rows + 2 * _GAP
-    inset = (_TILE // 2 - _BALL) // 2
+            canvas.picture((left, top + LABEL_ROWS), column.frame, size=size)
+    top += LABEL_ROWS + frame_rows
     for number, (label, view) in enumerate(zip(probes, views, strict=True)):
-        spheres = SphereRenderer(
-            view, size=_BALL
-        )  # its tables take 40 MB: one at a time, however many probes there are
-        canvas.text((_MARGIN, row), label, width=width - 2 * _MARGIN)
-        sphere_row = row + _LABEL_ROWS + _TILE // 2 + _GAP
-        for left, column in zip(lefts, columns, strict=True):
-            panorama = column.panoramas[number]
-            if panorama is not None:
-                canvas.picture((left, row + _LABEL_ROWS), panorama, size=(_TILE, _TILE // 2))
-                canvas.sphere((left + inset, sphere_row), panorama, spheres, "mirror")
-                canvas.sphere((left + _TILE // 2 + inset, sphere_row), panorama, spheres, "glossy")
-        row += probe_rows
+        top += _PROBE_GAP
+        canvas.text((_MARGIN, top), label, size=_PROBE_SIZE, grey=HEADING, width=width - 2 * _MARGIN)
+        top += _PROBE_ROWS
+        # a renderer's tables take 40 MB: one at a time, however many probes there are
+        _draw_probe(canvas, top, columns, lefts, number, SphereRenderer(view, size=_SPHERE))
+        top += probe_rows - _PROBE_GAP - _PROBE_ROWS
     return canvas.image
+
+
+def _draw_probe(
+    canvas: Canvas,
+    top: int,
+    columns: Sequence[SheetColumn],
+    lefts: Sequence[int],
+    number: int,
+    spheres: SphereRenderer,
+) -> None:
+    """Draw one probe's coverage, panoramas and spheres; the spheres' names stand in the first column."""
+    panorama_top = top + LABEL_ROWS
+    name_top = panorama_top + _TILE // 2 + _GAP
+    sphere_top = name_top + LABEL_ROWS
+    for side, material in enumerate(("mirror", "glossy")):
+        canvas.text((lefts[0] + side * _TILE // 2 + _INSET, name_top), f"{material} sphere", width=_SPHERE)
+    for left, column in zip(lefts, columns, strict=True):
+        panorama = column.panoramas[number]
+        if panorama is None:
+            continue
+        canvas.text((left, top), _panorama_label(column, number), width=_TILE)
+        canvas.picture((left, panorama_top), panorama, size=(_TILE, _TILE // 2))
+        canvas.sphere((left + _INSET, sphere_top), panorama, spheres, "mirror")
+        canvas.sphere((left + _TILE // 2 + _INSET, sphere_top), panorama, spheres, "glossy")
 
 
 def write_contact_sheet(
@@ -105,8 +140,15 @@ def write_contact_sheet(
     heading: str = "",
     exposure_ev: float = 0.0,
 ) -> None:
-    """`compose_sheet` into a PNG, whole or not at all; OutputError if it cannot be written."""
+    """Write `compose_sheet`'s picture as a PNG, atomically. Raises OutputError if it cannot be written."""
     write_png(path, compose_sheet(columns, probes, views=views, heading=heading, exposure_ev=exposure_ev))
+
+
+def _panorama_label(column: SheetColumn, number: int) -> str:
+    """Return what stands above a panorama: the coverage, or the title of a column that has no frame for it."""
+    if column.frame is None:
+        return column.label
+    return f"coverage {percent(column.coverage[number])}" if column.coverage else ""
 
 
 def _frame_rows(columns: Sequence[SheetColumn]) -> int:

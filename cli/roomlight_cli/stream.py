@@ -1,8 +1,8 @@
-"""A recording played to a server as a phone would stream it: at its real pace, newest frame first, light on the way.
+"""Playing a recording to a server as a phone would stream it: at its real pace, newest frame first.
 
-A frame that is due while enough others are on their way is dropped here, as the server drops one that a newer frame
-overtakes: what is late is worth nothing. Times are seconds of a clock that only goes forward; latencies are
-milliseconds from the moment a frame is handed over to the moment the light has it.
+A frame that is due while `in_flight` others are unanswered is dropped here, as the server drops a frame that a newer
+one overtakes: late frames are of no use. Times are seconds of a monotonic clock. Latencies are milliseconds from
+sending a frame to the answer that it is in the light.
 """
 
 import asyncio
@@ -18,9 +18,9 @@ import numpy as np
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
-from roomlight.errors import CaptureError, WireError
+from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
-from roomlight.placement import point_in_view
+from roomlight.placement import ABOVE_M, point_at_pixel, point_in_view
 from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import (
     AsyncClient,
@@ -34,26 +34,34 @@ from roomlight_client import (
 )
 
 DEFAULT_FPS: Final = 3.0
-"""Of a recording that has no times: about what two cores keep up with."""
+"""Pace of a recording without timestamps: about what two cores keep up with."""
 PROBE: Final = "stream"
+"""Name of the probe whose light is shown."""
 _WINDOW_S: Final = 5.0
-_LOST_AT_MOST: Final = 5
-"""Frames in a row without an answer: after them the server is gone."""
-_TOLD: Final = 5
+_LOST_IN_A_ROW: Final = 5
+"""Frames in a row without an answer after which the stream ends."""
+_REASONS: Final = 5
+"""Most reasons of refusal that are kept."""
 
 
 @dataclass(frozen=True)
 class StreamOptions:
     """What to play and how.
 
-    fps:         how many frames a second are sent; the recording keeps its own pace, and the frames in between are left
-                 out (the nearest rate that every n-th frame gives). Of a recording without times it is the pace itself.
-                 None: every frame.
-    colour:      how frames travel; jpeg is what a phone sends.
-    in_flight:   frames on their way at once: 2 upload one while the other is worked on.
-    probe:       the point whose light is shown; None: one in front of the first camera.
-    session_id:  play into this session; None: a new one.
-    keep:        leave the session to others at the end, e.g. to a page that shows it.
+    Attributes:
+        capture: How to read the recording.
+        fps: Frames sent per second. A recording with timestamps keeps its own pace and leaves frames out: the nearest
+            rate that every n-th frame gives. For one without, this is the pace. None sends every frame.
+        colour: How frames travel; jpeg is what a phone sends.
+        in_flight: Unanswered frames at the same time; 2 upload one while the other is processed.
+        probe: The point whose light is shown, world metres; None takes `pixel`.
+        pixel: (column, row) in the first frame's colour image: the point `above_m` metres above the surface there;
+            None takes a point in front of the first camera.
+        above_m: Distance of the `pixel` point from its surface.
+        session_id: Play into this session; None opens a new one.
+        keep: Leave the session on the server at the end, e.g. for a page that shows it.
+        model: The session's model.
+        height: Height of panoramas in pixels.
     """
 
     capture: CaptureOptions = field(default_factory=CaptureOptions)
@@ -61,32 +69,48 @@ class StreamOptions:
     colour: FrameEncoding = "jpeg"
     in_flight: int = 2
     probe: Position | None = None
+    pixel: tuple[float, float] | None = None
+    above_m: float = ABOVE_M
     session_id: str | None = None
     keep: bool = False
-    mode: ModelName = "auto"
+    model: ModelName = "auto"
     height: int = 120
 
     def __post_init__(self) -> None:
-        """Refuse rates and numbers of frames at which nothing is sent."""
+        """Check the rates. Raises OptionError."""
         if self.fps is not None and not 0.01 <= self.fps <= 1000:
-            raise CaptureError(f"--fps must be 0.01 to 1000 frames a second, got {self.fps:g}")
+            raise OptionError(f"fps is {self.fps:g}; it must be 0.01 to 1000 frames per second")
         if self.in_flight < 1:
-            raise CaptureError(f"--in-flight must be 1 or more, got {self.in_flight}")
+            raise OptionError(f"in_flight is {self.in_flight}; it must be 1 or more")
+
+    def probe_position(self, first: Frame) -> Position:
+        """Return the point whose light is shown. Raises OptionError and ProbeError as `point_at_pixel` does."""
+        if self.probe is not None:
+            return self.probe
+        if self.pixel is not None:
+            return point_at_pixel(first, *self.pixel, above_m=self.above_m)
+        return point_in_view(first)
 
 
 @dataclass
 class Tally:
-    """What became of the frames so far, and the light. Changed while the stream runs.
+    """Counts of frames by their outcome so far, and the light. It changes while the stream runs.
 
-    due = sent + dropped; sent = processed + superseded + busy + overtaken + refused + lost + those on their way.
+    due = sent + dropped; sent = processed + superseded + busy + overtaken + refused + lost + unanswered ones.
 
-    dropped:     not sent, because `in_flight` others were on their way.
-    superseded:  the server let a newer one go before.
-    busy:        the server had its hands full (429, 503).
-    overtaken:   arrived after a newer one.
-    refused:     not taken, with the first reasons in `reasons`; the recording's own bad frames are `unreadable`.
-    lost:        no answer.
-    pace:        1 = as recorded; less where reading the recording does not keep up.
+    Attributes:
+        frames: Frames of the recording.
+        due: Frames whose time has come.
+        sent: Frames sent.
+        processed: Frames in the light.
+        dropped: Not sent, because `in_flight` others were unanswered.
+        superseded: The server processed a newer frame instead.
+        busy: The server's queue was full (429, 503).
+        overtaken: Arrived after a newer frame.
+        refused: Refused by the server; `reasons` holds the first few reasons.
+        lost: Sent without an answer.
+        unreadable: Bad frames of the recording itself.
+        pace: 1 = as recorded; less where reading the recording does not keep up.
     """
 
     frames: int = 0
@@ -110,7 +134,7 @@ class Tally:
     _moments_s: deque[float] = field(default_factory=lambda: deque[float](maxlen=1000))
 
     def count(self, result: FrameResult, *, took_ms: float, now_s: float) -> None:
-        """An answer to a frame."""
+        """Count the answer to a frame."""
         if result.status == "superseded":
             self.superseded += 1
         elif result.status == "processed":
@@ -121,25 +145,25 @@ class Tally:
             self.refuse(f"frame {result.index} is {result.status}")
 
     def refuse(self, reason: str) -> None:
-        """A frame that was not taken."""
+        """Count a refused frame."""
         self.refused += 1
-        if len(self.reasons) < _TOLD:
+        if len(self.reasons) < _REASONS:
             self.reasons.append(reason)
 
     def rate(self, now_s: float) -> float:
-        """Frames processed a second, over the last 5 s."""
+        """Return frames processed per second, over the last 5 s."""
         recent = [moment for moment in self._moments_s if now_s - moment <= _WINDOW_S]
         return (len(recent) - 1) / (recent[-1] - recent[0]) if len(recent) > 1 and recent[-1] > recent[0] else 0.0
 
 
 def percentile_ms(values: list[float], share: float) -> float | None:
-    """The latency that this share of the answers stays under; None without an answer."""
+    """Return the latency that this share of the answers stays under; None without any answer."""
     return float(np.percentile(values, 100 * share)) if values else None
 
 
 @dataclass(frozen=True)
 class Clock:
-    """Time, so that tests need none: `now` in seconds, `sleep` for so many."""
+    """The time in seconds, and sleeping; tests replace it by virtual time."""
 
     now: Callable[[], float] = time.perf_counter
     sleep: Callable[[float], Awaitable[object]] = asyncio.sleep
@@ -154,14 +178,29 @@ async def stream(
     show: Callable[[Tally], object] | None = None,
     clock: Clock | None = None,
 ) -> Tally:
-    """Play a recording to a server. `show` is called whenever the tally has changed.
+    """Play a recording to a server, and delete the session at the end, after errors and cancellation too.
 
-    Cancelled, or after an error, it still deletes its session. Raises RoomLightError.
+    Args:
+        path: The recording.
+        client: The server.
+        options: What to play and how.
+        tally: Counts to continue; None starts new ones.
+        show: Called whenever the tally has changed.
+        clock: The time.
+
+    Returns:
+        The tally.
+
+    Raises:
+        CaptureError: The recording cannot be read.
+        OptionError: `pixel` lies outside the image.
+        ProbeError: There is no depth to place the probe by.
+        RemoteError: The server fails, or its session is gone.
     """
     tally = tally or Tally()
     async with AsyncExitStack() as stack:
         session = await client.open(
-            options.session_id, model=options.mode, height=options.height, reference_exposure=1.0
+            options.session_id, model=options.model, height=options.height, reference_exposure=1.0
         )
         if not options.keep:
             await stack.enter_async_context(session)
@@ -169,13 +208,13 @@ async def stream(
         player = _Player(session, options, tally, show or _ignore, clock or Clock())
         try:
             await player.play(path)
-        except ExceptionGroup as group:  # of a task group: the first that went wrong took the others with it
+        except ExceptionGroup as group:  # a task group's: the first error cancelled the other tasks
             raise group.exceptions[0] from None
     return tally
 
 
 class _Player:
-    """One recording on its way."""
+    """One run of a recording through a session."""
 
     def __init__(
         self,
@@ -186,12 +225,12 @@ class _Player:
         clock: Clock,
     ) -> None:
         self._session, self._options, self._tally, self._show, self._clock = session, options, tally, show, clock
-        self._before = session.next_index  # of a session that was there already
-        self._flying = self._lost_in_a_row = 0
+        self._index_offset = session.next_index  # above 0 if the session existed
+        self._unanswered = self._lost_in_a_row = 0
         self._light_task: asyncio.Task[None] | None = None
 
     async def play(self, path: Path) -> None:
-        """To the end, and until the last answer is there."""
+        """Send all frames, and wait for the last answer."""
         options, tally, clock = self._options, self._tally, self._clock
         rate = open_capture(path, options.capture).frames_per_second
         stride = max(1, round(rate / options.fps)) if rate is not None and options.fps is not None else 1
@@ -205,31 +244,31 @@ class _Player:
             while (frame := await asyncio.to_thread(next, frames, None)) is not None:
                 tally.unreadable = len(capture.skipped)
                 if first is None:
-                    await self._session.track(PROBE, options.probe or point_in_view(frame))
+                    await self._session.track(PROBE, options.probe_position(frame))
                     first, started_s, due_from_s = frame, (now_s := clock.now()), now_s
-                position_s = _since(first, frame, step_s * tally.due)
+                position_s = _seconds_since(first, frame, step_s * tally.due)
                 wait_s = due_from_s + position_s - clock.now()
-                if wait_s < 0:  # reading is slower than the recording: it plays slower, rather than in leaps
+                if wait_s < 0:  # reading is slower than the recording: play slower, not in leaps
                     due_from_s -= wait_s
                 await clock.sleep(max(0.0, wait_s))
                 tally.due += 1
                 tally.pace = position_s / max(position_s, clock.now() - started_s) if position_s else 1.0
-                if self._flying >= options.in_flight:
+                if self._unanswered >= options.in_flight:
                     tally.dropped += 1
                 else:
                     tally.sent += 1
-                    self._flying += 1
+                    self._unanswered += 1
                     tasks.create_task(self._send(frame, tasks))
                 self._show(tally)
             tally.unreadable = len(capture.skipped)
         if tally.processed:
-            await self._ask()
+            await self._fetch_light()
 
     async def _send(self, frame: Frame, tasks: asyncio.TaskGroup) -> None:
         tally, clock = self._tally, self._clock
         began_s = clock.now()
         try:
-            index = self._before + frame.index
+            index = self._index_offset + frame.index
             result = await self._session.push(frame, index, colour=self._options.colour, retry=False)
         except BusyError:
             tally.busy += 1
@@ -244,19 +283,19 @@ class _Player:
         except UnreachableError:
             tally.lost += 1
             self._lost_in_a_row += 1
-            if self._lost_in_a_row >= _LOST_AT_MOST:
+            if self._lost_in_a_row >= _LOST_IN_A_ROW:
                 raise
         else:
             self._lost_in_a_row = 0
             now_s = clock.now()
             tally.count(result, took_ms=1e3 * (now_s - began_s), now_s=now_s)
             if result.status == "processed" and (self._light_task is None or self._light_task.done()):
-                self._light_task = tasks.create_task(self._ask())
-        self._flying -= 1
+                self._light_task = tasks.create_task(self._fetch_light())
+        self._unanswered -= 1
         self._show(tally)
 
-    async def _ask(self) -> None:
-        """The light as of now; it may fail as a frame may."""
+    async def _fetch_light(self) -> None:
+        """Fetch the current light. A busy or silent server is no error here."""
         began_s = self._clock.now()
         try:
             self._tally.light = await self._session.light_at(PROBE, ("sh", "main_light"))
@@ -266,8 +305,8 @@ class _Player:
         self._show(self._tally)
 
 
-def _since(first: Frame, frame: Frame, otherwise_s: float) -> float:
-    """When a frame is due after the first, by the recording's clock if it has one that goes forward."""
+def _seconds_since(first: Frame, frame: Frame, otherwise_s: float) -> float:
+    """Return the seconds from the first frame to this one: the recording's, or `otherwise_s` without timestamps."""
     if first.timestamp_s is None or frame.timestamp_s is None:
         return otherwise_s
     return max(0.0, frame.timestamp_s - first.timestamp_s)

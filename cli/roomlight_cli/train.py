@@ -1,4 +1,4 @@
-"""`roomlight train`: a stage of training with its progress, curves and pictures."""
+"""A training stage on a terminal: progress, TensorBoard curves, pictures of held-out rooms, a clean stop."""
 
 import ctypes
 import signal
@@ -7,28 +7,31 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import cv2
+import torch
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from torch.utils.tensorboard import SummaryWriter
 
-from roomlight.errors import ModelError
-
-if TYPE_CHECKING:
-    from roomlight_model.training.examples import Recordings
-    from roomlight_model.training.options import TrainOptions
-    from roomlight_model.training.trainer import Trainer
+from roomlight.errors import OptionError
+from roomlight_export.importing import load_weights
+from roomlight_model.training.examples import Recordings
+from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.trainer import Trainer
+from roomlight_model.training.validation import Validation
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """glibc's numbers of two options (malloc.h)."""
 
 
 def train(
-    options: "TrainOptions",
-    training: "Recordings",
+    options: TrainOptions,
+    training: Recordings,
     out: Path,
     *,
-    held_out: "Recordings",
+    held_out: Recordings,
     device: str,
     start_from: Path | None,
     minutes: float | None,
@@ -37,22 +40,28 @@ def train(
     grow: Callable[[], int] = lambda: 0,
     data: Callable[[], list[dict[str, Any]]] = list,
 ) -> dict[str, Any]:
-    """Run a stage until its last step, for so many minutes, or until Ctrl-C; returns the card.
+    """Run a stage until its last step, for `minutes`, or until Ctrl-C; return the model card.
 
-    grow: called at every look at the held-out rooms; takes in sequences that were finished since, says how many.
-    data: what the model's card is to say of the sequences.
+    Args:
+        options: The stage and its hyperparameters.
+        training: Sequences to train on.
+        out: The run's folder; a run that is there already is continued.
+        held_out: Sequences that are scored every `every_steps` steps and not trained on.
+        device: auto, cpu or cuda.
+        start_from: A checkpoint or a model folder whose weights the stage starts from.
+        minutes: When to stop; None runs to the last step.
+        every_steps: Steps between two scores of the held-out sequences.
+        console: Where progress is printed.
+        grow: Called before each scoring; adds sequences that were finished meanwhile, returns how many.
+        data: Called for the model card's list of datasets.
+
+    Raises:
+        OptionError: The device is not there.
+        ModelError: The weights or the run's folder do not fit the options.
     """
-    import cv2
-    import torch
-    from torch.utils.tensorboard import SummaryWriter
-
-    from roomlight_export.importing import load_weights
-    from roomlight_model.training.trainer import Trainer
-    from roomlight_model.training.validation import Validation
-
     chosen = choose_device(device)
     _keep_freed_memory()
-    cv2.setNumThreads(1)  # examples are made on threads of our own already
+    cv2.setNumThreads(1)  # examples are made on the trainer's own threads already
     trainer = Trainer(
         options,
         training,
@@ -65,12 +74,12 @@ def train(
     curves = SummaryWriter(str(out / "tensorboard"), purge_step=trainer.step)
     console.print(f"{len(training)} sequences to train on, {len(held_out)} held out", highlight=False)
     if trainer.step:
-        console.print(f"going on from step {trainer.step} of {options.steps}", highlight=False)
+        console.print(f"continuing from step {trainer.step} of {options.steps}", highlight=False)
 
-    def look(now: "Trainer") -> None:
-        new = grow()
-        if new:
-            console.print(f"step {now.step}: {new} more sequences, {len(training)} in all", soft_wrap=True)
+    def validate(now: Trainer) -> None:
+        added = grow()
+        if added:
+            console.print(f"step {now.step}: {added} more sequences, {len(training)} in all", soft_wrap=True)
         if not len(held_out):
             return
         model = now.averaged()
@@ -79,13 +88,13 @@ def train(
             curves.add_scalar(f"held out/{name}", value, now.step)
         validation.draw(model, out / "pictures" / f"{now.step:07d}.png", device=now.device)
         best = now.keep_scored(validation.loss(scores), scores)
-        told = ", ".join(
+        listed = ", ".join(
             f"{name.removeprefix('log_l2_')} {value:.4f} ({scores[name.replace('log_l2', 'rendering')]:.4f})"
             for name, value in scores.items()
             if name.startswith("log_l2")
         )
         console.print(
-            f"step {now.step}: held-out log-L2 (rendering loss): {told}" + (", the best yet" if best else ""),
+            f"step {now.step}: held-out log-L2 (rendering loss): {listed}" + (", best so far" if best else ""),
             soft_wrap=True,
         )
 
@@ -102,44 +111,45 @@ def train(
             detail = f"loss {now.loss:.4f}  {now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
             bar.update(task, completed=now.step, detail=detail)
 
-        trainer.train(report=report, every=look, every_steps=every_steps, stop=stop)
-    look(trainer)
+        trainer.train(report=report, every=validate, every_steps=every_steps, stop=stop)
+    validate(trainer)
     curves.close()
     return trainer.card()
 
 
 def _keep_freed_memory() -> None:
-    """Have the C library (glibc) keep freed buffers for the next step instead of handing them back to the system, which
-    clears every page of them anew."""
+    """Have the C library (glibc) keep freed buffers for the next step.
+
+    Otherwise it returns them to the system, which clears every page again.
+    """
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None) if sys.platform == "linux" else None
     if mallopt is not None:
-        mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # the most it takes; a step's largest buffers are 7 MB
+        mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # glibc's maximum; a step's largest buffers are 7 MB
         mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
 def choose_device(device: str) -> str:
-    """`auto` made cpu or cuda; ModelError where there is no GPU to be had."""
-    import torch
-
+    """Resolve `auto` to cuda or cpu. Raises OptionError for cuda on a machine without a GPU."""
     if device == "auto":
         return "cuda" if torch.cuda.is_available() else "cpu"
     if device == "cuda" and not torch.cuda.is_available():
-        raise ModelError("no CUDA device is to be found; use --device cpu")
+        raise OptionError("device is 'cuda', but PyTorch finds no GPU; use 'cpu'")
     return device
 
 
 @contextmanager
 def _stopping(minutes: float | None) -> Generator[Any]:
-    """A function that says when to stop: after so many minutes, or at the first Ctrl-C or SIGTERM."""
-    asked: list[int] = []
+    """Yield a function that returns whether to stop: after `minutes`, or at the first Ctrl-C or SIGTERM."""
+    signals: list[int] = []
     began = time.monotonic()
 
     def stop() -> bool:
-        return bool(asked) or (minutes is not None and time.monotonic() - began > 60 * minutes)
+        return bool(signals) or (minutes is not None and time.monotonic() - began > 60 * minutes)
 
-    before = {
-        number: signal.signal(number, lambda got, _: asked.append(got)) for number in (signal.SIGINT, signal.SIGTERM)
-    }
+    def note(number: int, _: Any) -> None:
+        signals.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
         yield stop
     finally:

@@ -1,32 +1,39 @@
-"""A picture to compose results on: tone-mapped panoramas, spheres and small labels on dark grey.
+"""A canvas for pictures of results: tone-mapped panoramas, spheres and labels on dark grey.
 
-Tone mapping, stated once: radiance x 2^exposure_ev, clipped to [0, 1], sRGB-encoded. That is how the frames
-were shown too, so a panorama at exposure 0 looks as the room does in them, and what is brighter than white
-is white.
+Tone mapping: radiance x 2^exposure_ev, clipped to [0, 1], sRGB-encoded. Frames are encoded the same way, so a panorama
+at exposure 0 looks as the room does in them. Positions are (column, row) from the top left, in pixels.
 """
 
+import unicodedata
+from functools import lru_cache
 from typing import Final
 
 import cv2
 import numpy as np
 from jaxtyping import Float, UInt8
+from PIL import Image, ImageDraw, ImageFont
 
 from roomlight.conventions import linear_to_srgb
 from roomlight.spheres import Material, SphereRenderer
 
 BACKGROUND: Final = 0.11
-LABEL: Final = 0.72
-HEADING: Final = 0.92
-_TEXT_OVERSAMPLING: Final = 4  # OpenCV's stroke fonts are crude at label size and clean when drawn large
-_FONT: Final = cv2.FONT_HERSHEY_SIMPLEX
-_CAP_HEIGHT: Final = 21.0  # pixels of a capital letter of that font at scale 1
+LABEL: Final = 0.75
+"""Grey of labels, sRGB-encoded."""
+HEADING: Final = 0.95
+"""Grey of headings, sRGB-encoded."""
+LABEL_SIZE: Final = 14
+"""Font size of labels in pixels."""
+LABEL_ROWS: Final = 22
+"""Rows that a line of labels takes, with the gap to the picture below."""
+
+_OTHER_GLYPHS: Final = "\u2026\u00b0\u00b7\u00b1"
+"""Ellipsis, degree, middle dot, plus-minus: all that Pillow's built-in font has beyond ASCII."""
 
 
 class Canvas:
-    """An sRGB-encoded float picture [height, width, 3]; positions are (column, row) from the top left."""
+    """An sRGB-encoded picture [height, width, 3]; sizes are rounded up to even numbers, which video needs."""
 
     def __init__(self, width: int, height: int, *, exposure_ev: float = 0.0) -> None:
-        """Sizes are rounded up to even numbers, which video needs."""
         self._pixels = np.full((height + height % 2, width + width % 2, 3), BACKGROUND, np.float32)
         self._gain = np.float32(2.0**exposure_ev)
 
@@ -43,11 +50,15 @@ class Canvas:
         size: tuple[int, int],
         exposed: bool = True,
     ) -> None:
-        """A linear picture resampled to `size` (columns, rows); `exposed=False` leaves the exposure out."""
+        """Draw a linear picture resampled to `size` (columns, rows); `exposed=False` leaves the exposure out.
+
+        Raises:
+            ValueError: It does not fit the canvas.
+        """
         width, height = size
         if image.shape[:2] != (height, width):
             shrinks = height < image.shape[0]
-            # shrunk after clipping: one lamp pixel must not whiten all of its neighbours
+            # clipped before it is shrunk: one lamp pixel must not whiten all of its neighbours
             image = np.clip(image * (self._gain if exposed else 1), 0, 1).astype(np.float32)
             image = cv2.resize(image, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC)
         elif exposed:
@@ -61,7 +72,11 @@ class Canvas:
         spheres: SphereRenderer,
         material: Material,
     ) -> None:
-        """A sphere lit by the panorama, its rim blended into the background."""
+        """Draw a sphere lit by the panorama, its rim blended into the background.
+
+        Raises:
+            ValueError: It does not fit the canvas.
+        """
         part = self._part(at, (spheres.size, spheres.size))
         lit = linear_to_srgb(spheres.render(panorama, material) * self._gain)
         share = spheres.coverage[..., None]
@@ -72,29 +87,26 @@ class Canvas:
         at: tuple[int, int],
         text: str,
         *,
-        cap_height: int = 9,
+        size: int = LABEL_SIZE,
         grey: float = LABEL,
         width: int | None = None,
     ) -> None:
-        """Text whose capitals stand on row `at[1] + cap_height`; cut with dots where it would pass `width`.
+        """Draw a line of text whose top left corner is `at`; shortened with an ellipsis to fit `width`.
 
-        OpenCV's font has ASCII only: other characters are shown as "?".
+        Accents are dropped and other characters that the font lacks are drawn as "?". What falls off the canvas is cut.
         """
-        text = text.encode("ascii", "replace").decode()
+        text = _drawable(text)
         if width is not None:
-            text = fitted(text, width, cap_height=cap_height)
+            text = fitted(text, width, size=size)
         if not text:
             return
-        scale = cap_height / _CAP_HEIGHT * _TEXT_OVERSAMPLING
-        stroke = max(1, round(scale * 1.1))
-        (wide, tall), below = cv2.getTextSize(text, _FONT, scale, stroke)
-        many = _TEXT_OVERSAMPLING
-        rows, columns = -(-(tall + below + stroke) // many) + 1, -(-(wide + stroke) // many) + 1
-        large = np.zeros((rows * many, columns * many), np.uint8)
-        cv2.putText(large, text, (0, cap_height * many), _FONT, scale, 255, stroke, cv2.LINE_AA)
-        ink = cv2.resize(large, (columns, rows), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
+        font = _font(size)
+        ascent, descent = font.getmetrics()
+        mask = Image.new("L", (int(font.getlength(text)) + 2, ascent + descent))
+        ImageDraw.Draw(mask).text((0, 0), text, fill=255, font=font)
         left, top = at
-        part = self._pixels[top : top + rows, left : left + columns]
+        ink = np.asarray(mask, np.float32) / 255
+        part = self._pixels[top : top + ink.shape[0], left : left + ink.shape[1]]
         ink = ink[: part.shape[0], : part.shape[1], None]
         part[:] = ink * grey + (1 - ink) * part
 
@@ -106,16 +118,25 @@ class Canvas:
         return part
 
 
-def fitted(text: str, width: int, *, cap_height: int) -> str:
-    """The text, or as much of its start as fits `width` pixels, with ".." behind."""
-    scale = cap_height / _CAP_HEIGHT
-
-    def fits(candidate: str) -> bool:
-        return cv2.getTextSize(candidate, _FONT, scale, 1)[0][0] <= width
-
-    if fits(text):
+def fitted(text: str, width: int, *, size: int = LABEL_SIZE) -> str:
+    """Return the text, or as much of its start as fits `width` pixels with an ellipsis behind."""
+    length = _font(size).getlength
+    if length(text) <= width:
         return text
     kept = len(text)
-    while kept > 0 and not fits(text[:kept] + ".."):
+    while kept > 0 and length(text[:kept].rstrip() + "\u2026") > width:
         kept -= 1
-    return text[:kept] + ".." if kept else ""
+    return text[:kept].rstrip() + "\u2026" if kept else ""
+
+
+def _drawable(text: str) -> str:
+    """Return the text without what the font cannot draw."""
+    plain = (c for c in unicodedata.normalize("NFD", text) if not unicodedata.combining(c))
+    return "".join(c if (c.isascii() and c.isprintable()) or c in _OTHER_GLYPHS else "?" for c in plain)
+
+
+@lru_cache(maxsize=8)
+def _font(size: int) -> ImageFont.FreeTypeFont:
+    font = ImageFont.load_default(size)
+    assert isinstance(font, ImageFont.FreeTypeFont)  # Pillow's wheels all have FreeType
+    return font

@@ -1,52 +1,67 @@
-"""`roomlight dataset`: make, look at, measure, check and open datasets of path-traced rooms.
+"""`roomlight dataset`: generate, view, measure, check and extract datasets of path-traced rooms.
 
-`python -m roomlight_cli.commands.dataset` is the same without the rest of the client: it needs NumPy, numba,
-OpenCV, embreex, OpenEXR, jaxtyping, typer and rich, which is little to bring to a machine that only generates.
+`python -m roomlight_cli.commands.dataset` runs the same commands on a machine that only generates. It needs NumPy,
+numba, OpenCV, Pillow, embreex, OpenEXR, jaxtyping, typer and rich, and none of onnxruntime, PyAV, FastAPI and PyTorch.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from roomlight.dataset.extract import extract as extract_sequence
+from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
+from roomlight.dataset.verify import verify as verify_dataset
 from roomlight.errors import DatasetError, FurnitureError
+from roomlight.files import write_json
 from roomlight_cli import console
 from roomlight_cli.console import run, say
 from roomlight_cli.dataset_check import check
+from roomlight_cli.dataset_preview import write_previews
+from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
+from roomlight_cli.dataset_tables import print_stats
+from roomlight_cli.lazy import CONTEXT_SETTINGS
+from roomlight_generator.generate import GenerateOptions
+from roomlight_generator.generate import generate as run_generator
+from roomlight_generator.rooms.furniture import build_cache
+from roomlight_generator.rooms.furniture.catalogue import installed_libraries, library_files
+from roomlight_generator.sample import SEED, generate_sample
+from roomlight_generator.stats import collect
 
-if TYPE_CHECKING:
-    from roomlight.dataset.loader import Dataset
+app = typer.Typer(
+    help="Generate, view, measure and check datasets of path-traced rooms.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    context_settings=CONTEXT_SETTINGS,
+)
 
-app = typer.Typer(help="Make rooms to train and test on, and look at them.", no_args_is_help=True)
-
-Folder = Annotated[Path, typer.Argument(help="A dataset folder.")]
-Only = Annotated[Split | None, typer.Option(help="Of this split only.")]
+DatasetFolder = Annotated[Path, typer.Argument(help="A dataset folder.")]
+OnlySplit = Annotated[Split | None, typer.Option(help="Use this split only.")]
 
 
 @app.command()
 def generate(
-    out: Annotated[Path, typer.Option(help="Dataset folder: new, or one to go on with.")],
-    sequences: Annotated[int, typer.Option(min=1, help="How many there shall be in the end, earlier runs' included.")],
+    out: Annotated[Path, typer.Option(help="Dataset folder: a new one, or one to continue.")],
+    sequences: Annotated[
+        int, typer.Option(min=1, help="Sequences that the folder has in the end; those of earlier runs count.")
+    ],
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same rooms.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; a core each if not given.")] = None,
+    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
     split: Annotated[
-        Split, typer.Option(help="train and test share no room, no furniture model and no texture.")
+        Split, typer.Option(help="train and test have no room, no furniture model and no texture in common.")
     ] = "train",
     furniture: Annotated[
-        Path | None, typer.Option(help="A .sh3f library, or the cache of several, instead of the installed ones.")
+        Path | None,
+        typer.Option(help="A .sh3f library, or a cache of several; default: the installed libraries."),
     ] = None,
-    shard_size: Annotated[int, typer.Option(min=1, help="Sequences a file; a worker makes one file at a time.")] = 16,
-    sequences_per_room: Annotated[int, typer.Option(min=1, help="Walks through one room.")] = 4,
-    frames: Annotated[int, typer.Option(min=1, help="Frames a walk; 1 makes single views, four times as fast.")] = 31,
+    shard_size: Annotated[int, typer.Option(min=1, help="Sequences per file; a worker makes one file at a time.")] = 16,
+    sequences_per_room: Annotated[int, typer.Option(min=1, help="Walks through each room.")] = 4,
+    frames: Annotated[
+        int, typer.Option(min=1, help="Frames per walk; 1 makes single views and is four times as fast.")
+    ] = 31,
 ) -> None:
-    """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command goes on."""
-    from roomlight_cli.dataset_progress import ProgressShown, costs, duration
-    from roomlight_generator.generate import GenerateOptions
-    from roomlight_generator.generate import generate as run_generator
-
+    """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command continues."""
     options = GenerateOptions(
         sequences=sequences,
         seed=seed,
@@ -56,39 +71,35 @@ def generate(
         frames=frames,
         furniture=furniture,
     )
-    with ProgressShown(console.err) as shown:
+    with ProgressDisplay(console.err) as display:
         try:
-            report = run_generator(out, options, workers=workers, progress=shown)
+            report = run_generator(out, options, workers=workers, progress=display)
         except KeyboardInterrupt:
-            console.err.print(
-                "stopped; what is finished stays, and the same command goes on from there", soft_wrap=True
-            )
+            console.err.print("stopped; finished sequences are kept, and the same command continues", soft_wrap=True)
             raise typer.Exit(130) from None
     if not report.made:
-        say(f"{out} has its {report.sequences} {split} sequences already")
+        say(f"{out} already has its {report.sequences} {split} sequences")
         return
     say(
         f"{out}: {report.sequences} {split} sequences, {report.bytes / report.sequences / 1e6:.2f} MB each; "
-        f"{report.made} made in {duration(report.elapsed_s)}, {3600 * report.made / report.elapsed_s:.0f} an hour, "
-        f"{costs(report.core_s)}"
+        f"{report.made} made in {duration(report.elapsed_s)}, {3600 * report.made / report.elapsed_s:.0f} per hour, "
+        f"{cost_text(report.core_s)}"
     )
-    say(f"Look at them: roomlight dataset preview {out} --out preview")
+    say(f"View them: roomlight dataset preview {out} --out preview")
 
 
 @app.command()
 def preview(
-    folder: Folder,
-    out: Annotated[Path, typer.Option(help="Folder for the sheets.")] = Path("preview"),
-    rooms: Annotated[int, typer.Option(min=1, help="How many rooms, spread evenly; 8 a sheet.")] = 16,
-    split: Only = None,
+    folder: DatasetFolder,
+    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("preview"),
+    rooms: Annotated[int, typer.Option(min=1, help="Rooms to show, evenly spread; 8 per picture.")] = 16,
+    split: OnlySplit = None,
 ) -> None:
-    """Contact sheets as PNG: frames, depth, surfaces, and probes as they are and under-exposed."""
-    from roomlight_cli.dataset_preview import write_previews
-
-    dataset = _open(folder, split)
+    """Write contact sheets as PNG: frames, depth, surfaces, and probes in normal and low exposure."""
+    dataset = Dataset(folder, split)
     with console.err.status("drawing") as status:
         written = write_previews(
-            dataset, out, rooms=rooms, progress=lambda done, of: status.update(f"drawing room {done} of {of}")
+            dataset, out, rooms=rooms, progress=lambda done, total: status.update(f"drawing room {done} of {total}")
         )
     for path in written:
         say(str(path))
@@ -96,64 +107,60 @@ def preview(
 
 @app.command()
 def stats(
-    folder: Folder,
+    folder: DatasetFolder,
     sequences: Annotated[
-        int | None, typer.Option(min=1, help="Measure so many, spread evenly, instead of all.")
+        int | None, typer.Option(min=1, help="Measure this many, evenly spread; default: all.")
     ] = None,
-    split: Only = None,
+    split: OnlySplit = None,
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
 ) -> None:
-    """Motion, range, exposure, coverage, sizes, and what the rooms hold."""
-    from roomlight.files import write_json
-    from roomlight_cli.dataset_tables import print_stats
-    from roomlight_generator.stats import collect
-
-    dataset = _open(folder, split)
+    """Print figures of motion, range, exposure, coverage, sizes and room contents."""
+    dataset = Dataset(folder, split)
     with console.err.status("measuring") as status:
-        found = collect(
-            dataset, limit=sequences, progress=lambda done, of: status.update(f"measuring sequence {done} of {of}")
+        figures = collect(
+            dataset,
+            limit=sequences,
+            progress=lambda done, total: status.update(f"measuring sequence {done} of {total}"),
         )
-    print_stats(console.out, found)
+    print_stats(console.out, figures)
     if json_out:
-        write_json(json_out, found.to_json())
+        write_json(json_out, figures.to_json())
 
 
 @app.command()
 def verify(
-    folder: Folder,
+    folder: DatasetFolder,
     repair: Annotated[
-        bool, typer.Option("--repair", help="Take damaged sequences out, so that generate makes them again.")
+        bool, typer.Option("--repair", help="Remove damaged sequences, so that `generate` makes them again.")
     ] = False,
 ) -> None:
     """Compare every sequence with its checksum."""
-    from roomlight.dataset.verify import verify as check
-
     with console.err.status("verifying") as status:
-        report = check(
-            folder, repair=repair, progress=lambda done, of: status.update(f"verifying sequence {done} of {of}")
+        report = verify_dataset(
+            folder,
+            repair=repair,
+            progress=lambda done, total: status.update(f"verifying sequence {done} of {total}"),
         )
     for message in report.damaged:
         say(message)
     if not report.damaged:
-        say(f"{folder}: {report.whole} sequences, {report.bytes / 1e6:.0f} MB, all whole")
+        say(f"{folder}: {report.whole} sequences, {report.bytes / 1e6:.0f} MB, all intact")
     elif repair:
-        say(f"{folder}: {report.whole} sequences are whole; {len(report.damaged)} damaged ones were taken out")
-        say("generate with the settings it was made with makes them again")
+        say(f"{folder}: {report.whole} sequences are intact; {len(report.damaged)} damaged ones were removed")
+        say("`roomlight dataset generate` with the dataset's settings makes them again")
     else:
-        raise DatasetError(f"{folder}: {len(report.damaged)} damaged, {report.whole} whole")
+        raise DatasetError(f"{folder}: {len(report.damaged)} damaged, {report.whole} intact; --repair removes them")
 
 
 @app.command()
 def extract(
-    folder: Folder,
+    folder: DatasetFolder,
     name: Annotated[str, typer.Argument(help="The sequence, e.g. train-000012.")],
-    out: Annotated[Path, typer.Option(help="Capture folder to write; it must not exist or be empty.")],
+    out: Annotated[Path, typer.Option(help="Capture folder to write: a new or an empty one.")],
 ) -> None:
-    """Write one sequence as a capture of its own, for replay and eval."""
-    from roomlight.dataset.extract import extract as write
-
-    write(_open(folder, None), name, out)
-    say(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
+    """Write one sequence as a capture, for replay and eval."""
+    extract_sequence(Dataset(folder, None), name, out)
+    say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
 
 
 app.command()(check)
@@ -161,16 +168,14 @@ app.command()(check)
 
 @app.command()
 def furniture(
-    out: Annotated[Path, typer.Option(help="Cache file to write, for --furniture on another machine.")],
+    out: Annotated[Path, typer.Option(help="Cache file to write, for `generate --furniture` on another machine.")],
     library: Annotated[
-        list[Path] | None, typer.Option(help="A .sh3f library or a folder of them; the installed ones if not given.")
+        list[Path] | None,
+        typer.Option(help="A .sh3f library or a folder of them; default: the installed ones. Repeatable."),
     ] = None,
 ) -> None:
-    """Make one compact file of furniture libraries: meshes, textures, who made them. About a minute and a half."""
-    from roomlight_generator.rooms.furniture import build_cache
-    from roomlight_generator.rooms.furniture.catalogue import installed_libraries, library_files
-
-    sources = [file for given in library for file in library_files(given)] if library else installed_libraries()
+    """Pack furniture libraries into one compact file: meshes, textures, authors. It takes about 90 seconds."""
+    sources = [file for path in library for file in library_files(path)] if library else installed_libraries()
     if not sources:
         raise FurnitureError("no furniture library is installed: apt install sweethome3d-furniture, or give --library")
     with console.err.status("reading") as status:
@@ -178,28 +183,20 @@ def furniture(
             sources,
             out,
             warn=say,
-            progress=lambda done, of: status.update(f"reading model {done} of {of}"),
+            progress=lambda done, total: status.update(f"reading model {done} of {total}"),
         )
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
 
 
 @app.command()
 def sample(
-    out: Annotated[Path, typer.Option(help="Folder to write; it must not exist or be empty.")],
-    seed: Annotated[int | None, typer.Option(min=0, help="Another room than the one that is shipped.")] = None,
+    out: Annotated[Path, typer.Option(help="Capture folder to write: a new or an empty one.")],
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of another room; default: the shipped room's.")] = None,
 ) -> None:
-    """Make the sample capture again that the package ships, or another of its kind."""
-    from roomlight_generator.sample import SEED, generate_sample
-
-    with console.err.status("solving the room's light and filming"):
+    """Generate the sample capture that the package ships, or another room of its kind."""
+    with console.err.status("solving the room's light and rendering the frames"):
         generate_sample(out, seed=SEED if seed is None else seed)
-    say(f"written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
-
-
-def _open(folder: Path, split: Split | None) -> Dataset:
-    from roomlight.dataset.loader import Dataset
-
-    return Dataset(folder, split)
+    say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
 
 
 if __name__ == "__main__":

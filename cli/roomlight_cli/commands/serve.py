@@ -1,54 +1,74 @@
-"""`roomlight serve`: the session server, from flags and `ROOMLIGHT_*`. Registered by `cli`."""
+"""`roomlight serve`: the session server, from flags and `ROOMLIGHT_*` environment variables."""
 
-import os
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Final
 
 import typer
 
-from roomlight_cli import arguments as given
+from roomlight_cli import arguments
 from roomlight_cli.console import err
+from roomlight_cli.lazy import single_command_app
+from roomlight_server.serving import serve as run_server
+from roomlight_server.settings import load_settings
 
-_LIMITS = "Limits"
-_ACCESS = "Who may use it"
+app = single_command_app()
+
+_ACCESS: Final = "Who may use it"
+_LIMITS: Final = "Limits"
+_LOGS: Final = "Logs"
 
 
-def _flag(kind: str, text: str, **bounds: Any) -> Any:
-    return typer.Option(rich_help_panel=kind, help=text, show_default=False, **bounds)
+def _flag(panel: str, text: str, **bounds: Any) -> Any:
+    """Declare an option without a default: the environment variable or the server's default applies."""
+    return typer.Option(rich_help_panel=panel, help=text, show_default=False, **bounds)
 
 
+@app.command()
 def serve(
-    host: Annotated[str | None, _flag(_ACCESS, "Address to listen on [127.0.0.1]; others need a token.")] = None,
-    port: Annotated[int | None, _flag(_ACCESS, "Port [8090]; 0: any that is free.", min=0, max=65535)] = None,
-    token_file: Annotated[Path | None, _flag(_ACCESS, "Bearer tokens, one a line; or ROOMLIGHT_TOKENS.")] = None,
+    host: Annotated[
+        str | None, _flag(_ACCESS, "Address to listen on (default: 127.0.0.1). Any other needs a token.")
+    ] = None,
+    port: Annotated[int | None, _flag(_ACCESS, "Port (default: 8090); 0 takes any free one.", min=0, max=65535)] = None,
+    token_file: Annotated[
+        Path | None, _flag(_ACCESS, "File of bearer tokens, one per line. Or set ROOMLIGHT_TOKENS.")
+    ] = None,
     allow_origins: Annotated[
-        list[str] | None, _flag(_ACCESS, "Web origin whose pages may use the server; repeatable.")
+        list[str] | None, _flag(_ACCESS, "Web origin whose pages may use the server, or *. Repeatable.")
     ] = None,
-    model: Annotated[str | None, _flag("How to estimate the light", "What `mode: auto` means [auto].")] = None,
-    weights: given.Weights = None,
+    model: Annotated[
+        str | None,
+        _flag(
+            arguments.MODEL_PANEL,
+            "Model of sessions that ask for auto: auto, classical, single or video (default: auto).",
+        ),
+    ] = None,
+    weights: arguments.Weights = None,
     provider: Annotated[
-        str | None, _flag("How to estimate the light", "Where networks run: auto, cpu, openvino.")
+        str | None, _flag(arguments.MODEL_PANEL, "Where networks run: auto, cpu or openvino (default: auto).")
     ] = None,
-    allow_untrained: given.AllowUntrained = False,
-    keyframes: Annotated[int | None, _flag(_LIMITS, "Frames kept for probes asked late [24], 5.4 MB each.")] = None,
-    max_sessions: Annotated[int | None, _flag(_LIMITS, "Sessions at once [16].")] = None,
-    max_probes: Annotated[int | None, _flag(_LIMITS, "Named probes of a session [16].")] = None,
-    idle_expiry_s: Annotated[float | None, _flag(_LIMITS, "Seconds until an idle session is deleted [600].")] = None,
-    max_body_bytes: Annotated[int | None, _flag(_LIMITS, "Largest frame [16 MiB].")] = None,
-    engine_threads: Annotated[int | None, _flag(_LIMITS, "Sessions worked on at once [1].")] = None,
-    log_level: Annotated[str | None, _flag("Logs", "debug, info [default], warning or error.")] = None,
-    access_log: Annotated[bool, _flag("Logs", "A line for each request.")] = False,
+    allow_untrained: arguments.AllowUntrained = False,
+    keyframes: Annotated[
+        int | None, _flag(_LIMITS, "Frames kept per session for probes added later (default: 24), 5.4 MB each.")
+    ] = None,
+    max_sessions: Annotated[int | None, _flag(_LIMITS, "Sessions at the same time (default: 16).")] = None,
+    max_probes: Annotated[int | None, _flag(_LIMITS, "Named probes per session (default: 16).")] = None,
+    idle_expiry_s: Annotated[
+        float | None, _flag(_LIMITS, "Delete a session after so many seconds without a request (default: 600).")
+    ] = None,
+    max_body_bytes: Annotated[int | None, _flag(_LIMITS, "Largest frame in bytes (default: 16 MiB).")] = None,
+    engine_threads: Annotated[
+        int | None, _flag(_LIMITS, "Sessions whose frames are processed at the same time (default: 1).")
+    ] = None,
+    log_level: Annotated[str | None, _flag(_LOGS, "debug, info, warning or error (default: info).")] = None,
+    access_log: Annotated[bool, _flag(_LOGS, "Log a line for each request.")] = False,
 ) -> None:
-    """Serve sessions over HTTP and WebSocket: frames in, light out.
+    """Serve lighting sessions over HTTP and WebSocket: frames in, light out.
 
-    Every flag is also ROOMLIGHT_NAME in the environment, as are max_session_bytes, frames_in_flight, body_timeout_s,
+    Every flag can be set in the environment as ROOMLIGHT_NAME, for example ROOMLIGHT_MAX_SESSIONS; a flag wins over
+    its variable. These settings have a variable only: max_session_bytes, frames_in_flight, body_timeout_s,
     max_colour_pixels, max_depth_pixels and decode_threads.
     """
-    from roomlight_server.serving import serve as run_server
-    from roomlight_server.settings import load_settings
-
     settings = load_settings(
-        os.environ,
         host=host,
         port=port,
         token_file=token_file,
@@ -66,8 +86,8 @@ def serve(
         log_level=log_level,
         access_log=access_log or None,
     )
-    run_server(settings, listening=_tell)
+    run_server(settings, listening=_print_address)
 
 
-def _tell(address: str) -> None:
-    err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True)
+def _print_address(address: str) -> None:
+    err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True, markup=False)

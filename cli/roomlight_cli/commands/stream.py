@@ -1,42 +1,30 @@
-"""`roomlight stream`, and what a command needs to reach a server. Registered by `cli`."""
+"""`roomlight stream`: a recording played to a server, with rate, latency and light on the terminal."""
 
 import asyncio
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal
+from typing import Annotated, Literal
 
 import typer
+from rich.console import RenderableType
+from rich.live import Live
 from rich.markup import escape
+from rich.table import Table
 
 from roomlight.errors import RoomLightError
-from roomlight_cli import arguments as given
+from roomlight_cli import arguments
 from roomlight_cli.console import err, out, say
+from roomlight_cli.lazy import single_command_app
+from roomlight_cli.probe_notes import percent, probe_warnings
+from roomlight_cli.server_options import Token
+from roomlight_cli.stream import StreamOptions, Tally, percentile_ms
+from roomlight_cli.stream import stream as play
+from roomlight_client import AsyncClient
 
-if TYPE_CHECKING:
-    from rich.console import RenderableType
-
-    from roomlight.engine.session import SessionOptions
-    from roomlight_cli.stream import StreamOptions, Tally
-
-Server = Annotated[
-    str | None, typer.Option(metavar="URL", help="Let a `roomlight serve` there do the work, e.g. http://host:8090.")
-]
-Token = Annotated[
-    str | None,
-    typer.Option(
-        envvar="ROOMLIGHT_TOKEN", show_default=False, help="The server's bearer token; best as ROOMLIGHT_TOKEN."
-    ),
-]
+app = single_command_app()
 
 
-def refuse_local_model(server: str, session: "SessionOptions") -> None:
-    """Options of the engine here mean nothing to one elsewhere: typer's own error."""
-    if session.weights is not None or session.provider != "auto" or session.allow_untrained:
-        raise typer.BadParameter(
-            "--weights, --provider and --allow-untrained are the server's own: give them to the `roomlight serve` "
-            f"at {server}"
-        )
-
-
+@app.command()
 def stream(
     capture: Annotated[Path, typer.Argument(help="A recorded capture: a folder, or a Record3D .r3d file.")],
     server: Annotated[str, typer.Option(metavar="URL", help="The server's address.")] = "http://localhost:8090",
@@ -44,74 +32,87 @@ def stream(
     fps: Annotated[
         float | None,
         typer.Option(
-            help="Frames sent a second; the recording keeps its pace. Without times of its own this is the pace (3)."
+            help="Frames sent per second; the recording keeps its pace. For a recording without timestamps this is the "
+            "pace (default: 3)."
         ),
     ] = None,
     probe: Annotated[
-        str | None, typer.Option(help="A point X,Y,Z in world metres (y up) whose light is shown.")
+        str | None,
+        typer.Option(
+            metavar="X,Y,Z",
+            rich_help_panel=arguments.POINTS_PANEL,
+            help="Show the light at this point: world metres, y up. Default: one point in front of the first camera.",
+        ),
     ] = None,
+    pixel: Annotated[
+        str | None,
+        typer.Option(
+            metavar="U,V",
+            rich_help_panel=arguments.POINTS_PANEL,
+            help="Show the light above the surface that this pixel of the first colour image shows: column U, row V "
+            "from the top left.",
+        ),
+    ] = None,
+    above: arguments.Above = 0.1,
     colour: Annotated[
-        Literal["jpeg", "png", "exact"], typer.Option(help="How frames travel: as a phone's, lossless, or as floats.")
+        Literal["jpeg", "png", "exact"],
+        typer.Option(help="How frames travel: jpeg as from a phone, png without loss, exact as floats."),
     ] = "jpeg",
-    in_flight: Annotated[int, typer.Option(min=1, help="Frames on their way at once; others that are due drop.")] = 2,
+    in_flight: Annotated[
+        int, typer.Option(min=1, help="Unanswered frames at the same time; other frames that are due are dropped.")
+    ] = 2,
     session: Annotated[str | None, typer.Option(metavar="ID", help="Play into this session.")] = None,
     keep: Annotated[bool, typer.Option("--keep", help="Leave the session on the server at the end.")] = False,
-    mode: Annotated[Literal["auto", "classical", "single", "video"], typer.Option(help="The model.")] = "auto",
-    height: Annotated[int, typer.Option(min=16, max=512, help="Panorama height in pixels.")] = 120,
-    format_name: given.Format = None,
-    depth_key: given.DepthKey = None,
-    depth_unit: given.DepthUnit = None,
-    min_confidence: given.MinConfidence = None,
-    camera_convention: given.CameraAxes = None,
-    pose_direction: given.PoseMaps = None,
-    world_up: given.WorldUp = None,
-    max_frames: given.MaxFrames = None,
+    model: arguments.Model = "auto",
+    height: Annotated[
+        int, typer.Option(min=16, max=512, help="Panorama height in pixels; the width is twice that.")
+    ] = 120,
+    format_name: arguments.Format = None,
+    depth_key: arguments.DepthKey = None,
+    depth_unit: arguments.DepthUnit = None,
+    min_confidence: arguments.MinConfidence = None,
+    camera_convention: arguments.CameraAxes = None,
+    pose_direction: arguments.PoseMaps = None,
+    world_up: arguments.WorldUp = None,
+    max_frames: arguments.MaxFrames = None,
 ) -> None:
-    """Play a recording to a server at its real pace, as a phone would stream it, and show rate, latency and light."""
-    from roomlight_cli.stream import StreamOptions
-
-    _play(
-        capture,
-        server,
-        token,
-        StreamOptions(
-            capture=given.capture_options(
-                format_name=format_name,
-                depth_key=depth_key,
-                depth_unit=depth_unit,
-                min_confidence=min_confidence,
-                camera_convention=camera_convention,
-                pose_direction=pose_direction,
-                world_up=world_up,
-                max_frames=max_frames,
-            ),
-            fps=fps,
-            colour=colour,
-            in_flight=in_flight,
-            probe=given.parse_position(probe) if probe else None,
-            session_id=session,
-            keep=keep,
-            mode=mode,
-            height=height,
+    """Play a recording to a server as a phone would stream it; show rate, latency and light."""
+    if probe and pixel:
+        raise typer.BadParameter("a stream shows the light at one point: give --probe or --pixel, not both")
+    options = StreamOptions(
+        capture=arguments.capture_options(
+            format_name=format_name,
+            depth_key=depth_key,
+            depth_unit=depth_unit,
+            min_confidence=min_confidence,
+            camera_convention=camera_convention,
+            pose_direction=pose_direction,
+            world_up=world_up,
+            max_frames=max_frames,
         ),
+        fps=fps,
+        colour=colour,
+        in_flight=in_flight,
+        probe=arguments.parse_position(probe) if probe else None,
+        pixel=arguments.parse_pixel(pixel) if pixel else None,
+        above_m=above,
+        session_id=session,
+        keep=keep,
+        model=model,
+        height=height,
     )
+    _play(capture, server, token, options)
 
 
-def _play(path: Path, server: str, token: str | None, options: "StreamOptions") -> None:
-    from rich.live import Live
-
-    from roomlight_cli.stream import Tally
-    from roomlight_cli.stream import stream as play
-    from roomlight_client import AsyncClient
-
+def _play(path: Path, server: str, token: str | None, options: StreamOptions) -> None:
     tally = Tally()
 
     async def run(live: Live) -> None:
         async with AsyncClient(server, token=token) as client:
-            await play(path, client, options, tally=tally, show=lambda now: live.update(_picture(now)))
+            await play(path, client, options, tally=tally, show=lambda now: live.update(_live_table(now)))
 
     stopped = False
-    with Live(_picture(tally), console=err, transient=True, refresh_per_second=4) as live:
+    with Live(_live_table(tally), console=err, transient=True, refresh_per_second=4) as live:
         try:
             asyncio.run(run(live))
         except KeyboardInterrupt:
@@ -119,46 +120,42 @@ def _play(path: Path, server: str, token: str | None, options: "StreamOptions") 
         except RoomLightError:
             live.stop()
             if tally.sent:
-                _tell(tally, options)
+                _print_result(tally, options)
             raise
-    _tell(tally, options)
+    _print_result(tally, options)
     if stopped:
         err.print("stopped; " + ("the session stays" if options.keep else "the session is deleted"), soft_wrap=True)
         raise typer.Exit(130)
 
 
-def _picture(tally: "Tally") -> "RenderableType":
-    import time
-
-    from rich.table import Table
-
+def _live_table(tally: Tally) -> RenderableType:
     table = Table.grid(padding=(0, 2))
-    rows = [("frames", f"{tally.due} of {tally.frames}, {tally.rate(time.perf_counter()):.1f} a second"), *_rows(tally)]
-    for name, value in rows:
+    rate = f"{tally.due} of {tally.frames}, {tally.rate(time.perf_counter()):.1f} per second"
+    for name, value in (("frames", rate), *_rows(tally)):
         table.add_row(name, escape(value))
     return table
 
 
-def _tell(tally: "Tally", options: "StreamOptions") -> None:
-    out.print(f"{tally.sent} of {tally.frames} frames sent, {tally.processed} in the light", soft_wrap=True)
+def _print_result(tally: Tally, options: StreamOptions) -> None:
+    say(f"{tally.sent} of {tally.frames} frames sent, {tally.processed} in the light")
     for name, value in _rows(tally):
         say(f"  {name}: {value}")
+    for warning in probe_warnings(tally.light.coverage) if tally.light else ():
+        out.print(f"  [yellow]warning:[/] {escape(warning)}", soft_wrap=True)
     for reason in tally.reasons:
         err.print(f"[yellow]refused[/] {escape(reason)}", soft_wrap=True)
     if options.keep and tally.session_id:
         say(f"The session stays: {tally.session_id}")
 
 
-def _rows(tally: "Tally") -> list[tuple[str, str]]:
-    """What is worth saying by now, as (name, value)."""
-    from roomlight_cli.stream import percentile_ms
-
+def _rows(tally: Tally) -> list[tuple[str, str]]:
+    """Return what is known by now, as (name, value)."""
     rows: list[tuple[str, str]] = []
-    for name, values in (("latency", tally.frame_ms), ("light's latency", tally.light_ms)):
-        half, most = percentile_ms(values, 0.5), percentile_ms(values, 0.95)
-        if half is not None and most is not None:
-            rows.append((name, f"{half:.0f} ms (median), {most:.0f} ms (95 %)"))
-    fates = {
+    for name, values in (("frame latency", tally.frame_ms), ("light latency", tally.light_ms)):
+        median, high = percentile_ms(values, 0.5), percentile_ms(values, 0.95)
+        if median is not None and high is not None:
+            rows.append((name, f"{median:.0f} ms (median), {high:.0f} ms (95 %)"))
+    counts = {
         "dropped here": tally.dropped,
         "superseded": tally.superseded,
         "server busy": tally.busy,
@@ -167,7 +164,7 @@ def _rows(tally: "Tally") -> list[tuple[str, str]]:
         "lost": tally.lost,
         "unreadable": tally.unreadable,
     }
-    missing = ", ".join(f"{count} {fate}" for fate, count in fates.items() if count)
+    missing = ", ".join(f"{count} {outcome}" for outcome, count in counts.items() if count)
     rows.append(("not in the light", missing or "none"))
     if tally.pace < 0.95:
         rows.append(("pace", f"{tally.pace:.2f} of the recording's: reading it does not keep up"))
@@ -176,7 +173,9 @@ def _rows(tally: "Tally") -> list[tuple[str, str]]:
         main = light.main_light
         x, y, z = main.direction.tolist()
         red, green, blue = (light.harmonics.coefficients[0] * 0.2820948).tolist()  # the constant harmonic's value
-        rows.append(("light", f"{light.coverage:.0%} seen, mean ({red:.2f}, {green:.2f}, {blue:.2f})"))
+        rows.append(
+            ("light", f"{percent(light.coverage)} of the sphere seen, mean ({red:.2f}, {green:.2f}, {blue:.2f})")
+        )
         red, green, blue = main.intensity.tolist()
         rows.append(
             ("main light", f"({red:.2f}, {green:.2f}, {blue:.2f}) from direction ({x:+.2f}, {y:+.2f}, {z:+.2f})")

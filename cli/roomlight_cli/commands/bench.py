@@ -1,0 +1,35 @@
+"""`roomlight bench`: the benchmarks of the repository, each a command of its own."""
+
+from typing import Final
+
+from roomlight_cli.lazy import CommandEntry, lazy_app
+
+BENCHMARKS: Final = (
+    CommandEntry(
+        "stages",
+        "roomlight_cli.commands.bench_stages",
+        "Time each stage beside its reference, plain PyTorch, and this machine's roofline.",
+    ),
+    CommandEntry(
+        "server",
+        "roomlight_cli.commands.bench_server",
+        "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
+    ),
+    CommandEntry(
+        "widths",
+        "roomlight_cli.commands.bench_widths",
+        "Measure what each width of the networks costs (needs the `train` extra; minutes).",
+    ),
+    CommandEntry(
+        "train",
+        "roomlight_cli.commands.bench_train",
+        "Measure what a training step costs by part (needs the `train` extra).",
+    ),
+    CommandEntry(
+        "rendering",
+        "roomlight_cli.commands.bench_rendering",
+        "Compare importance sampling of the rendering layer with uniform directions (needs the `train` extra).",
+    ),
+)
+
+app = lazy_app(BENCHMARKS, help_text="Measure speed: every figure as a ratio within one run.")

@@ -1,0 +1,49 @@
+"""`roomlight bench train`: a training step, part by part."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from roomlight.engine.volume import VOLUME_SHAPE
+from roomlight.files import write_json
+from roomlight_bench.training import measure_training
+from roomlight_cli import arguments, console
+from roomlight_cli.lazy import single_command_app
+from roomlight_cli.train import choose_device
+from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.subsets import TrainingRooms
+
+app = single_command_app()
+
+
+@app.command("train")
+def bench_train(
+    data: Annotated[list[Path], typer.Argument(help="Dataset folders (roomlight dataset generate).")],
+    stage: Annotated[arguments.TrainingStage, typer.Option(help="The stage of training.")] = "single-sglv",
+    steps: Annotated[int, typer.Option(min=1, max=10_000, help="Steps to measure.")] = 20,
+    batch: Annotated[int, typer.Option(min=1, help="Examples per step.")] = 4,
+    volume: Annotated[arguments.Resolution, typer.Option(help="Resolution of the volume.")] = "half",
+    bf16: Annotated[bool, typer.Option("--bf16/--fp32", help="Number format of the networks.")] = True,
+    device: arguments.Device = "auto",
+    json_out: arguments.FiguresJson = None,
+) -> None:
+    """Measure what a training step costs by part (needs the `train` extra).
+
+    Parts: data, forward pass, rendering, backward pass, optimiser.
+    """
+    options = TrainOptions(stage=stage, batch=batch, bf16=bf16, steps=1_000_000)
+    if volume == "full":
+        options = replace(options, volume_shape=VOLUME_SHAPE)
+    with console.err.status("measuring") as status:
+        costs = measure_training(
+            options,
+            TrainingRooms(data).training,
+            steps=steps,
+            device=choose_device(device),
+            progress=status.update,
+        )
+    console.print_table(console.out, costs.table())
+    if json_out:
+        write_json(json_out, costs.to_json())

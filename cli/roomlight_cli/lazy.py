@@ -1,0 +1,71 @@
+"""Groups of commands whose modules are imported when a command runs, so that `--help` of the group is quick."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+from typer.main import get_command
+
+CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"]}
+
+
+@dataclass(frozen=True)
+class CommandEntry:
+    """A command as its group lists it.
+
+    name:     as typed.
+    module:   the module whose `app` (a `typer.Typer`) is the command.
+    summary:  the first paragraph of the command's own help; a test compares the two.
+    panel:    the heading under which the group's help lists the command.
+    """
+
+    name: str
+    module: str
+    summary: str
+    panel: str | None = None
+
+
+def lazy_app(entries: Sequence[CommandEntry], *, help_text: str, name: str | None = None) -> typer.Typer:
+    """Return an application that lists `entries` in their order and imports a command's module on first use.
+
+    Use is a run of the command, its own `--help`, or the shell's completion of its options.
+    """
+    modules = {entry.name: entry.module for entry in entries}
+
+    class LazyGroup(TyperGroup):
+        """Replaces the listed placeholder by the command itself once a command line names it."""
+
+        def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+            command_name, command, rest = super().resolve_command(ctx, args)
+            if command_name in modules:
+                command = load_command(modules[command_name])
+            return command_name, command, rest
+
+    app = typer.Typer(
+        name=name,
+        cls=LazyGroup,
+        help=help_text,
+        no_args_is_help=True,
+        pretty_exceptions_enable=False,
+        context_settings=CONTEXT_SETTINGS,
+    )
+    for entry in entries:
+        app.command(entry.name, help=entry.summary, rich_help_panel=entry.panel)(_placeholder)
+    return app
+
+
+def single_command_app() -> typer.Typer:
+    """Return the application of a module that defines one command."""
+    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=CONTEXT_SETTINGS)
+
+
+def load_command(module: str) -> Any:
+    """Import a command's module and return its click command. Raises ImportError as the import does."""
+    return get_command(import_module(module).app)
+
+
+def _placeholder() -> None:
+    raise AssertionError("a lazy command is replaced before it runs")

@@ -1,0 +1,33 @@
+"""Options of the commands that reach a server."""
+
+from typing import Annotated
+
+import typer
+
+from roomlight.engine.session import SessionOptions
+
+Server = Annotated[
+    str | None,
+    typer.Option(metavar="URL", help="Let the `roomlight serve` at this address do the work, e.g. http://host:8090."),
+]
+Token = Annotated[
+    str | None,
+    typer.Option(
+        envvar="ROOMLIGHT_TOKEN",
+        show_default=False,
+        help="The server's bearer token; better set as ROOMLIGHT_TOKEN, which other users of the machine cannot see.",
+    ),
+]
+
+
+def refuse_local_model(server: str, session: SessionOptions) -> None:
+    """Refuse options of the engine here for a session on a server.
+
+    Raises:
+        typer.BadParameter: Weights, provider or allow_untrained are set.
+    """
+    if session.weights is not None or session.provider != "auto" or session.allow_untrained:
+        raise typer.BadParameter(
+            "--weights, --provider and --allow-untrained are the server's own: give them to the `roomlight serve` "
+            f"at {server}"
+        )
