@@ -1,16 +1,15 @@
-"""The TypeScript client: its own tests under Node, then against a real server, from Node and from a page in Chromium.
+"""The TypeScript client: its own tests in Node, then against a real server, from Node and from a page in Chromium.
 
-Run by `pytest -m js`, which wants Node 20 or newer, `npm ci` in client/js, and Debian's chromium (or the path of
-another in CHROMIUM); plain `pytest` leaves them out.
+`pytest -m js` runs them. They need Node 20 or newer, `npm ci` in client/js, and Chromium at /usr/bin/chromium (or its
+path in CHROMIUM).
 """
 
 import json
 import os
-import subprocess
-from pathlib import Path
 
 import numpy as np
 import pytest
+from js_package import PACKAGE, run
 
 from http_servers import RunningServer
 from roomlight.wire.frame_header import FrameHeader
@@ -18,22 +17,13 @@ from roomlight.wire.frame_message import pack
 
 pytestmark = pytest.mark.js
 
-CLIENT = Path(__file__).parents[2] / "client/js"
 TOKEN = "a-token-for-the-js-tests"
 NODE = ["node", "--experimental-websocket"]
 TESTS = [*NODE, "--test", "--test-timeout=60000", "--test-reporter=spec"]
 
 
-def run(command, **more):
-    """Standard output of a command in client/js; what it wrote, if it fails."""
-    done = subprocess.run(command, cwd=CLIENT, capture_output=True, text=True, check=False, timeout=200, **more)
-    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout[-8000:]}\n{done.stderr[-4000:]}"
-    return done.stdout
-
-
 @pytest.fixture(scope="module")
-def built():
-    assert (CLIENT / "node_modules").is_dir(), "run `npm ci` in client/js first"
+def built() -> None:
     run(["npm", "run", "--silent", "build:tests"])
 
 
@@ -44,13 +34,13 @@ def server():
 
 
 @pytest.mark.usefixtures("built")
-def test_its_own_tests():
-    run([*TESTS, *sorted(path.relative_to(CLIENT) for path in CLIENT.glob("build/test/*.test.js"))])
+def test_the_tests_of_the_package():
+    run([*TESTS, *sorted(path.relative_to(PACKAGE) for path in PACKAGE.glob("build/test/*.test.js"))])
 
 
 @pytest.mark.usefixtures("built")
 @pytest.mark.parametrize("name", ["streaming", "browser"])
-def test_against_the_server(name, server):
+def test_against_a_real_server(name, server):
     run([*TESTS, f"build/test/real_server/{name}.test.js"], env=server)
 
 
@@ -67,15 +57,15 @@ for (const { colour, depth, ...rest } of JSON.parse(text)) {
 
 
 @pytest.mark.usefixtures("built")
-def test_any_number_is_written_as_python_writes_it():
+def test_random_numbers_are_written_as_python_writes_them():
     random = np.random.default_rng(5)
     headers = []
-    for at in range(200):
+    for index in range(200):
         numbers = random.normal(size=24) * 10.0 ** random.integers(-12, 9, 24)
-        numbers[: at % 8] = np.round(numbers[: at % 8])
+        numbers[: index % 8] = np.round(numbers[: index % 8])
         headers.append(
             {
-                "index": at,
+                "index": index,
                 "colour": {"encoding": "rgb8", "bytes": 12},
                 "depth": {"format": "uint16_mm", "width": 2, "height": 2, "bytes": 8},
                 "intrinsics": dict(zip(("fx", "fy", "cx", "cy"), numbers[:4].tolist(), strict=True))
@@ -85,13 +75,6 @@ def test_any_number_is_written_as_python_writes_it():
                 "exposure": float(np.float32(np.clip(abs(numbers[21]), 2e-6, 1e6))),
             }
         )
-    packed = run([*NODE, "--input-type=module", "--eval", PACK_EACH], input=json.dumps(headers)).split()
-    wanted = [pack(FrameHeader.model_validate_json(json.dumps(one)), bytes(12), bytes(8)).hex() for one in headers]
-    assert packed == wanted
-
-
-def test_the_lock_file_names_no_host_and_the_package_depends_on_nothing():
-    assert "resolved" not in (CLIENT / "package-lock.json").read_text()
-    package = json.loads((CLIENT / "package.json").read_text())
-    assert "dependencies" not in package
-    assert package["peerDependenciesMeta"] == {"three": {"optional": True}}
+    packed = run([*NODE, "--input-type=module", "--eval", PACK_EACH], text=json.dumps(headers)).split()
+    expected = [pack(FrameHeader.model_validate_json(json.dumps(one)), bytes(12), bytes(8)).hex() for one in headers]
+    assert packed == expected

@@ -1,5 +1,5 @@
-// A frame as bytes: "RLF1", the length of the header (u32, little-endian), the header in JSON, then colour, depth and,
-// if there is one, confidence. Typed arrays are sent as they stand in memory, which every browser keeps little-endian.
+// A frame as bytes: "RLF1", the length of the header (u32, little-endian), the header as JSON, then colour, depth and
+// optionally confidence. Typed arrays are sent as they are in memory; every browser stores them little-endian.
 
 import {
   DEPTH_BYTES,
@@ -12,14 +12,14 @@ import {
   type FrameHeader,
 } from "./wire.js";
 
-/** Bytes, from wherever a browser has them, or will have them: an image that is still being encoded. */
+/** Bytes in any form that a browser has; a promise of a Blob is an image that is still being encoded. */
 export type Binary = ArrayBuffer | ArrayBufferView | Blob | Promise<Blob>;
 
 /**
- * A frame to send: the header of the wire, its parts with their data in place of their lengths.
+ * A frame to send: the wire's header, whose parts have data instead of lengths.
  *
  * camera_to_world: 16 numbers, column by column: `XRRigidTransform.matrix`, or `Matrix4.elements` of three.js.
- * index:           left out, the session counts.
+ * index:           by default the session's next index.
  */
 export interface Frame extends Omit<FrameHeader, "version" | "colour" | "depth" | "confidence" | "camera_to_world"> {
   colour: Omit<ColourPart, "bytes"> & { data: Binary };
@@ -28,7 +28,7 @@ export interface Frame extends Omit<FrameHeader, "version" | "colour" | "depth" 
   camera_to_world: ArrayLike<number>;
 }
 
-/** The frame's message. RangeError for what the header's own numbers show to be wrong; the server checks the rest. */
+/** The message of a frame. Throws RangeError if the header's numbers contradict each other; the server checks more. */
 export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> {
   const { colour, depth, confidence, camera_to_world, ...rest } = frame;
   const parts = await Promise.all(
@@ -36,12 +36,12 @@ export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> 
   );
   const [colourBytes, depthBytes, confidenceBytes] = parts.map((part) => part.length);
   if (camera_to_world.length !== 16) {
-    throw new RangeError(`camera_to_world: 16 numbers, column by column, got ${camera_to_world.length}`);
+    throw new RangeError(`camera_to_world: must be 16 numbers, column by column, got ${camera_to_world.length}`);
   }
   const raw = depth.width * depth.height * DEPTH_BYTES[depth.format];
   if ((depth.encoding ?? "raw") === "raw" && depthBytes !== raw) {
     throw new RangeError(
-      `depth: ${depth.format} of ${depth.width} x ${depth.height} takes ${raw} bytes, got ${depthBytes}`,
+      `depth: ${depth.format} of ${depth.width} x ${depth.height} must be ${raw} bytes, got ${depthBytes}`,
     );
   }
   const header: FrameHeader = {
@@ -58,21 +58,29 @@ export async function packFrame(frame: Frame): Promise<Uint8Array<ArrayBuffer>> 
       bytes: depthBytes!,
     },
     camera_to_world: Array.from(camera_to_world),
+    ...(confidence
+      ? {
+          confidence: {
+            format: "uint8",
+            encoding: confidence.encoding ?? "raw",
+            width: confidence.width,
+            height: confidence.height,
+            bytes: confidenceBytes!,
+          },
+        }
+      : {}),
   };
-  if (confidence) {
-    const { width, height, encoding = "raw" } = confidence;
-    header.confidence = { format: "uint8", encoding, width, height, bytes: confidenceBytes! };
-  }
   const text = new TextEncoder().encode(canonicalJson(header));
   if (text.length > MAX_HEADER_BYTES) {
-    throw new RangeError(`the header takes ${text.length} bytes, at most ${MAX_HEADER_BYTES}`);
+    throw new RangeError(`the header must be at most ${MAX_HEADER_BYTES} bytes, got ${text.length}`);
   }
   return join([prefix(FRAME_MAGIC, text.length), text, ...parts]);
 }
 
 /**
- * JSON in the one way in which all clients write a header: keys sorted, no spaces, no nulls, whole numbers without a
- * point, others in their shortest form with an exponent below 0.0001. RangeError for numbers that are not finite.
+ * The canonical JSON of a header, the same in all clients: sorted keys, no spaces, no nulls, whole numbers without a
+ * decimal point, other numbers in their shortest form, with an exponent below 0.0001. Throws RangeError if a number is
+ * not finite.
  */
 export function canonicalJson(value: unknown): string {
   if (typeof value === "number") {
@@ -91,19 +99,19 @@ export function canonicalJson(value: unknown): string {
 
 function numberText(value: number): string {
   if (!Number.isFinite(value)) {
-    throw new RangeError(`a header holds finite numbers, got ${value}`);
+    throw new RangeError(`numbers of a header must be finite, got ${value}`);
   }
   if (Number.isSafeInteger(value)) {
-    return String(value + 0); // + 0: minus zero is written 0
+    return String(value + 0); // + 0: minus zero becomes 0
   }
-  const size = Math.abs(value);
-  if (size < 1e-4 || size >= 1e16) {
+  const magnitude = Math.abs(value);
+  if (magnitude < 1e-4 || magnitude >= 1e16) {
     return value.toExponential().replace(/e([+-])(\d)$/, "e$10$2"); // 1.5e-05, as Python and Swift write it
   }
   return Number.isInteger(value) ? `${value}.0` : String(value);
 }
 
-/** What these bytes are, without a copy where that can be. */
+/** The bytes of binary data, without a copy where possible. */
 export async function toBytes(data: Binary): Promise<Uint8Array<ArrayBuffer>> {
   if (ArrayBuffer.isView(data)) {
     return new Uint8Array(data.buffer as ArrayBuffer, data.byteOffset, data.byteLength);
@@ -119,11 +127,11 @@ function prefix(magic: string, length: number): Uint8Array<ArrayBuffer> {
 }
 
 function join(parts: readonly Uint8Array[]): Uint8Array<ArrayBuffer> {
-  const whole = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
-  let at = 0;
+  const joined = new Uint8Array(parts.reduce((sum, part) => sum + part.length, 0));
+  let offset = 0;
   for (const part of parts) {
-    whole.set(part, at);
-    at += part.length;
+    joined.set(part, offset);
+    offset += part.length;
   }
-  return whole;
+  return joined;
 }

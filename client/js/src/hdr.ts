@@ -1,4 +1,4 @@
-// Radiance HDR (RGBE) files, as the server writes them and as most others do.
+// Radiance HDR (RGBE) files with rows from the top, which the server and most other programs write.
 
 /** Linear RGB, row by row from the top (+Y), float32 [height, width, 3]. */
 export interface Panorama {
@@ -7,23 +7,23 @@ export interface Panorama {
   rgb: Float32Array<ArrayBuffer>;
 }
 
-/** The picture in a .hdr file. RangeError if it is none, or cut off. */
+/** The image of a .hdr file. Throws RangeError if the file is malformed or truncated. */
 export function parseHdr(data: Uint8Array): Panorama {
   const end = headerEnd(data);
   const header = new TextDecoder().decode(data.subarray(0, end));
   const size = /-Y (\d+) \+X (\d+)\n$/.exec(header);
   if (!header.startsWith("#?") || !header.includes("32-bit_rle_rgbe") || !size) {
-    throw new RangeError(`a file of ${data.length} bytes that is no Radiance HDR of rows from the top`);
+    throw new RangeError(`expected a Radiance HDR file with rows from the top, got ${data.length} other bytes`);
   }
   const [height, width] = [Number(size[1]), Number(size[2])];
   const rgb = new Float32Array(height * width * 3);
-  const line = new Uint8Array(width * 4); // the four channels one after the other
+  const line = new Uint8Array(width * 4); // planar: all red, green, blue, then exponents
   let at = end;
   for (let row = 0; row < height; row++) {
     at = readLine(data, at, line, width);
     for (let column = 0; column < width; column++) {
       const exponent = line[3 * width + column]!;
-      const scale = exponent === 0 ? 0 : 2 ** (exponent - 136); // 128 of the exponent's bias, 8 of the mantissa's bits
+      const scale = exponent === 0 ? 0 : 2 ** (exponent - 136); // bias 128, mantissa of 8 bits
       for (let channel = 0; channel < 3; channel++) {
         rgb[(row * width + column) * 3 + channel] = line[channel * width + column]! * scale;
       }
@@ -32,7 +32,7 @@ export function parseHdr(data: Uint8Array): Panorama {
   return { width, height, rgb };
 }
 
-/** Where the pixels begin: after the line of the size, which follows an empty one. */
+/** Offset of the pixels: after the line with the size, which follows an empty line. */
 function headerEnd(data: Uint8Array): number {
   const newline = 10;
   for (let at = 1; at < Math.min(data.length, 4096); at++) {
@@ -43,7 +43,7 @@ function headerEnd(data: Uint8Array): number {
   return 0;
 }
 
-/** One row into `line`, run-length coded or flat; returns where the next one begins. */
+/** Read one row, run-length coded or flat, into `line`; returns the offset of the next row. */
 function readLine(data: Uint8Array, at: number, line: Uint8Array, width: number): number {
   const coded =
     data[at] === 2 &&
@@ -53,7 +53,7 @@ function readLine(data: Uint8Array, at: number, line: Uint8Array, width: number)
     (data[at + 2]! << 8) + data[at + 3]! === width;
   if (!coded) {
     if (at + 4 * width > data.length) {
-      throw cutOff(data);
+      throw truncated(data);
     }
     for (let index = 0; index < 4 * width; index++) {
       line[(index % 4) * width + (index >> 2)] = data[at + index]!;
@@ -66,7 +66,7 @@ function readLine(data: Uint8Array, at: number, line: Uint8Array, width: number)
     const run = count > 128 ? count - 128 : count;
     const used = count > 128 ? 1 : run;
     if (run === 0 || to + run > 4 * width || at + used > data.length) {
-      throw cutOff(data);
+      throw truncated(data);
     }
     if (count > 128) {
       line.fill(data[at]!, to, to + run);
@@ -79,6 +79,6 @@ function readLine(data: Uint8Array, at: number, line: Uint8Array, width: number)
   return at;
 }
 
-function cutOff(data: Uint8Array): RangeError {
-  return new RangeError(`a Radiance HDR file of ${data.length} bytes whose rows are broken or cut off`);
+function truncated(data: Uint8Array): RangeError {
+  return new RangeError(`a Radiance HDR file of ${data.length} bytes has malformed or truncated rows`);
 }

@@ -1,23 +1,25 @@
-// Requests that are safe to send again, which all of the interface's are, with Retry-After, a time limit and AbortSignal.
+// HTTP requests with retries, Retry-After, a time limit and AbortSignal. All requests of the interface are idempotent.
 
 import { RoomLightError } from "./errors.js";
 import type { Problem } from "./wire.js";
 
-/** How a client reaches its server; every field may be left out. */
+/** How a client connects to its server. */
 export interface ClientOptions {
-  /** Sent as a bearer token; sessions belong to the token that made them. */
+  /** Sent as a bearer token. A session belongs to the token that opened it. */
   token?: string;
-  /** How often a request is sent again after 429, 502, 503, 504 or a lost connection: 3 times. */
+  /** Retries after 429, 502, 503, 504 and lost connections; default 3. */
   retries?: number;
-  /** For each try, 30 s. */
+  /** Time limit of each attempt; default 30 s. */
   timeout_s?: number;
-  /** A longer Retry-After than this, 10 s, is an error at once: a phone's frame is worth nothing by then. */
-  longestWait_s?: number;
+  /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
+  maxRetryAfter_s?: number;
+  /** Replaces the global `fetch`. */
   fetch?: typeof fetch;
+  /** Replaces the global `WebSocket`. */
   WebSocket?: typeof WebSocket;
 }
 
-export interface Call {
+export interface HttpRequest {
   method: "GET" | "PUT" | "POST" | "DELETE";
   path: string;
   body?: Uint8Array<ArrayBuffer> | string;
@@ -25,10 +27,10 @@ export interface Call {
   signal?: AbortSignal | undefined;
 }
 
-const AGAIN: ReadonlySet<number> = new Set([429, 502, 503, 504]);
-const FIRST_WAIT_S = 0.25; // doubled at each try, and jittered so that phones do not come back in step
+const RETRIED: ReadonlySet<number> = new Set([429, 502, 503, 504]);
+const FIRST_DELAY_S = 0.25; // doubled after each attempt, with jitter so that phones do not retry together
 
-/** One server. */
+/** The connection to one server. */
 export class Http {
   readonly base: URL;
   private readonly fetch: typeof fetch;
@@ -44,54 +46,54 @@ export class Http {
     this.fetch = options.fetch ?? globalThis.fetch.bind(globalThis);
   }
 
-  /** The address of a path under the server's own. */
+  /** The address of a path below the server's own. */
   address(path: string): URL {
     return new URL(path, this.base);
   }
 
-  /** The answer, of status 200 to 399. RoomLightError else; the signal's reason once it is aborted. */
-  async send(call: Call): Promise<Response> {
-    const { retries = 3, longestWait_s = 10 } = this.options;
+  /** Send a request. Throws RoomLightError for a status of 400 and above, the signal's reason once it is aborted. */
+  async send(request: HttpRequest): Promise<Response> {
+    const { retries = 3, maxRetryAfter_s = 10 } = this.options;
     for (let attempt = 0; ; attempt++) {
-      const failure = await this.attempt(call);
-      if (failure instanceof Response) {
-        return failure;
+      const outcome = await this.attempt(request);
+      if (outcome instanceof Response) {
+        return outcome;
       }
-      const [error, after_s] = failure;
-      if (call.method === "DELETE" && error.status === 404 && attempt > 0) {
-        return new Response(null, { status: 204 }); // an earlier try did it, its answer was lost
+      const [error, retryAfter_s] = outcome;
+      if (request.method === "DELETE" && error.status === 404 && attempt > 0) {
+        return new Response(null, { status: 204 }); // an earlier attempt deleted it, and its response was lost
       }
-      const wait_s = after_s ?? FIRST_WAIT_S * 2 ** attempt * (0.5 + Math.random());
-      if (attempt >= retries || !(error.status === 0 || AGAIN.has(error.status)) || wait_s > longestWait_s) {
+      const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + Math.random());
+      if (attempt >= retries || !(error.status === 0 || RETRIED.has(error.status)) || delay_s > maxRetryAfter_s) {
         throw error;
       }
-      await pause(wait_s, call.signal);
+      await delay(delay_s, request.signal);
     }
   }
 
-  /** An answer, or the error and the seconds that the server asks to wait. */
-  private async attempt(call: Call): Promise<Response | [RoomLightError, number | null]> {
-    call.signal?.throwIfAborted();
+  /** The response, or the error and the server's Retry-After in seconds. */
+  private async attempt(request: HttpRequest): Promise<Response | [RoomLightError, number | null]> {
+    request.signal?.throwIfAborted();
     const { token, timeout_s = 30 } = this.options;
-    const { method, path, body = null, signal } = call;
-    const headers = { ...call.headers, ...(token ? { authorization: `Bearer ${token}` } : {}) };
+    const { method, path, body = null, signal } = request;
+    const headers = { ...request.headers, ...(token ? { authorization: `Bearer ${token}` } : {}) };
     const limit = new AbortController();
     const abort = () => limit.abort(signal?.reason);
-    const late = new RoomLightError(`${method} ${path}: no answer in ${timeout_s} s`, 0);
-    const timer = setTimeout(() => limit.abort(late), timeout_s * 1000);
+    const timeout = new RoomLightError(`${method} ${path}: no answer in ${timeout_s} s`, 0);
+    const timer = setTimeout(() => limit.abort(timeout), timeout_s * 1000);
     signal?.addEventListener("abort", abort, { once: true });
     try {
-      const answer = await this.fetch(this.address(path), { method, body, headers, signal: limit.signal });
-      if (answer.ok || answer.status === 304) {
-        // The body is read under the same limit: a stalled one must not outlive it.
-        const read = answer.status === 304 || answer.status === 204 ? null : await answer.arrayBuffer();
-        return new Response(read, { status: answer.status, headers: answer.headers });
+      const response = await this.fetch(this.address(path), { method, body, headers, signal: limit.signal });
+      if (response.ok || response.status === 304) {
+        // Read the body under the same limit, because a stalled body must time out as well.
+        const read = response.status === 304 || response.status === 204 ? null : await response.arrayBuffer();
+        return new Response(read, { status: response.status, headers: response.headers });
       }
-      return [await refusal(answer, `${method} ${path}`), retryAfter_s(answer)];
+      return [await errorOf(response, `${method} ${path}`), parseRetryAfter_s(response)];
     } catch (cause) {
       signal?.throwIfAborted();
-      if (cause === late) {
-        return [late, null];
+      if (cause === timeout) {
+        return [timeout, null];
       }
       return [new RoomLightError(`${method} ${this.address(path)}: no connection`, 0, null, { cause }), null];
     } finally {
@@ -101,34 +103,34 @@ export class Http {
   }
 }
 
-async function refusal(answer: Response, what: string): Promise<RoomLightError> {
-  const text = await answer.text();
-  if (answer.headers.get("content-type")?.includes("json")) {
+async function errorOf(response: Response, request: string): Promise<RoomLightError> {
+  const text = await response.text();
+  if (response.headers.get("content-type")?.includes("json")) {
     try {
-      return RoomLightError.of({
-        title: what,
+      return RoomLightError.fromProblem({
+        title: request,
         detail: text.slice(0, 200),
         ...JSON.parse(text),
-        status: answer.status,
+        status: response.status,
       } as Problem);
     } catch {
-      // a proxy's page that calls itself JSON: told like any other
+      // a proxy's page with a wrong content type: reported as plain text
     }
   }
-  return new RoomLightError(`${what}: ${answer.status} ${text.slice(0, 200)}`, answer.status);
+  return new RoomLightError(`${request}: ${response.status} ${text.slice(0, 200)}`, response.status);
 }
 
-/** Seconds, or a date (RFC 9110). */
-function retryAfter_s(answer: Response): number | null {
-  const header = answer.headers.get("retry-after");
+/** The seconds of a Retry-After header, which is a number or a date (RFC 9110). */
+function parseRetryAfter_s(response: Response): number | null {
+  const header = response.headers.get("retry-after");
   if (header === null) {
     return null;
   }
-  const wait_s = /^\s*\d+(\.\d+)?\s*$/.test(header) ? Number(header) : (Date.parse(header) - Date.now()) / 1000;
-  return Number.isNaN(wait_s) ? null : Math.max(wait_s, 0);
+  const delay_s = /^\s*\d+(\.\d+)?\s*$/.test(header) ? Number(header) : (Date.parse(header) - Date.now()) / 1000;
+  return Number.isNaN(delay_s) ? null : Math.max(delay_s, 0);
 }
 
-function pause(seconds: number, signal: AbortSignal | undefined): Promise<void> {
+function delay(seconds: number, signal: AbortSignal | undefined): Promise<void> {
   return new Promise((resolve, reject) => {
     signal?.throwIfAborted();
     const stop = () => {

@@ -1,8 +1,8 @@
-// Light as it comes: JSON with base64, or "RLL1", the length of the JSON (u32, little-endian), the JSON, the parts.
+// Light messages: JSON with base64, or binary: "RLL1", length of the JSON (u32, little-endian), the JSON, the parts.
 
 import { LIGHT_MAGIC, type LightFormat, type EncodedLight, type LightResponse, type ProbeLight } from "./wire.js";
 
-/** One form of a probe's light: `values` for sh and main_light, `data` for the others. */
+/** One form of a probe's light: `values` for sh and main_light, `data` for the other formats. */
 export interface LightData extends Omit<EncodedLight, "data" | "bytes"> {
   data?: Uint8Array<ArrayBuffer>;
 }
@@ -12,42 +12,42 @@ export interface Light extends Omit<ProbeLight, "forms"> {
   forms: readonly LightData[];
 }
 
-/** Light after `frame`, in the order in which it was asked for; `frame` -1: no frame is in it, it is the prior. */
+/** Lights in the order of the request, after frame `frame`; -1 before the first frame: the default light. */
 export interface Lights extends Omit<LightResponse, "results"> {
   results: readonly Light[];
 }
 
-/** The first form of this format, if the light has one. */
-export function formOf(light: Light, ...formats: readonly LightFormat[]): LightData | undefined {
+/** The light's first form with one of these formats. */
+export function findForm(light: Light, ...formats: readonly LightFormat[]): LightData | undefined {
   return light.forms.find((form) => formats.includes(form.format));
 }
 
-/** Lights from the JSON of an answer. */
+/** Lights of a JSON message. */
 export function decodeLights<T extends LightResponse>(response: T): Omit<T, "results"> & Lights {
   return withData(response, (form) => (form.data == null ? undefined : fromBase64(form.data)));
 }
 
-/** Lights from a binary message. RangeError if it is not a whole one. */
+/** Lights of a binary message. Throws RangeError if it is malformed or truncated. */
 export function parseLights<T extends LightResponse>(body: ArrayBuffer): Omit<T, "results"> & Lights {
   const magic = new TextDecoder().decode(body.slice(0, 4));
   if (body.byteLength < 8 || magic !== LIGHT_MAGIC) {
-    throw new RangeError(`a light message of ${body.byteLength} bytes that does not begin with ${LIGHT_MAGIC}`);
+    throw new RangeError(`a light message must begin with ${LIGHT_MAGIC}, got ${body.byteLength} bytes that do not`);
   }
   const start = 8 + new DataView(body).getUint32(4, true);
   if (start > body.byteLength) {
-    throw new RangeError(`a light message whose JSON is cut off: ${body.byteLength} bytes of ${start}`);
+    throw new RangeError(`the JSON of a light message is truncated: ${body.byteLength} of ${start} bytes`);
   }
   const response = JSON.parse(new TextDecoder().decode(body.slice(8, start))) as T;
-  let at = start;
+  let offset = start;
   const lights = withData(response, (form) => {
     if (form.bytes == null) {
       return undefined;
     }
-    at += form.bytes;
-    return new Uint8Array(body.slice(at - form.bytes, at)); // copied: aligned for Float32Array, and free of the rest
+    offset += form.bytes;
+    return new Uint8Array(body.slice(offset - form.bytes, offset)); // a copy, aligned for Float32Array
   });
-  if (at !== body.byteLength) {
-    throw new RangeError(`a light message of ${body.byteLength} bytes that states ${at}`);
+  if (offset !== body.byteLength) {
+    throw new RangeError(`a light message states ${offset} bytes, got ${body.byteLength}`);
   }
   return lights;
 }

@@ -1,27 +1,36 @@
-// A session over HTTP: frames in, light out, points that are followed.
+// Sessions over HTTP: send frames, get light, track points.
 
 import { packFrame, type Frame } from "./frame.js";
-import { Http, type Call, type ClientOptions } from "./http.js";
+import { Http, type ClientOptions, type HttpRequest } from "./http.js";
 import { decodeLights, parseLights, type Light, type LightData, type Lights } from "./light.js";
 import { Stream, type StreamOptions } from "./stream.js";
 import {
+  FRAME_MEDIA_TYPE,
   LIGHT_MEDIA_TYPE,
-  type LightForm,
   type FrameResult,
+  type LightForm,
   type LightRequest,
   type LightResponse,
+  type ModelName,
   type Position,
   type SessionRequest,
   type SessionState,
 } from "./wire.js";
 
-const FRAME_MEDIA_TYPE = "application/vnd.roomlight.frame";
+/** Options of a session. The wire's name of `model` is `mode`. */
+export interface SessionOptions extends Omit<SessionRequest, "mode"> {
+  /** Which model estimates the light; "auto" (the default) is the server's default model. */
+  readonly model?: ModelName;
+}
 
-/** One form of the light at a point, and what to name it by when asking again. */
-export interface Probed {
+/** One form of the light at a point, as a file or as values. */
+export interface LightFile {
   form: LightData;
+  /** Identifies the light: pass it to the next request for the same point and form. */
   etag: string;
+  /** Fraction of the sphere that was observed, 0 to 1. */
   coverage: number;
+  /** Index of the last processed frame; -1 before the first one. */
   frame: number;
 }
 
@@ -37,119 +46,141 @@ export class RoomLight {
     this.http = new Http(url, options);
   }
 
-  /** Open a session, or find the one of this id with these same options; its id is made here if none is given. */
-  async open(options: SessionRequest & { id?: string } & CallOptions = {}): Promise<Session> {
-    const { id = newId(), signal, ...request } = options;
-    const session = new Session(this.http, id);
-    await send(this.http, { method: "PUT", path: session.path, signal }, request);
-    return session;
+  /**
+   * Open a session, or continue an existing one with the same id and options; the default id is random.
+   *
+   * Throws RoomLightError: with status 409 if the session exists with other options (`error.field` names the option).
+   */
+  async open(options: SessionOptions & { id?: string } & CallOptions = {}): Promise<Session> {
+    const { id = randomId(), signal, model, ...others } = options;
+    const request: SessionRequest = model === undefined ? others : { mode: model, ...others };
+    const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
+    return new Session(this.http, id, (await response.json()) as SessionState);
+  }
+
+  /**
+   * Continue an existing session, whatever its options.
+   *
+   * Throws RoomLightError: with status 404 if there is no such session.
+   */
+  async join(id: string, options: CallOptions = {}): Promise<Session> {
+    const response = await this.http.send({ method: "GET", path: pathOf(id), signal: options.signal });
+    return new Session(this.http, id, (await response.json()) as SessionState);
   }
 }
 
+/** One room on a server, made by `RoomLight.open` or `RoomLight.join`. Its methods throw RoomLightError. */
 export class Session {
-  /** The index that the next frame without one of its own gets. */
-  nextIndex = 0;
-  readonly path: string;
+  /** Index of the next frame that has none of its own: one above all indices sent. */
+  nextIndex: number;
+  /** The model that estimates the light. */
+  readonly model: SessionState["model"];
+  private readonly path: string;
 
   constructor(
     private readonly http: Http,
     readonly id: string,
+    state: SessionState,
   ) {
-    this.path = `v1/sessions/${encodeURIComponent(id)}`;
+    this.path = pathOf(id);
+    this.model = state.model;
+    this.nextIndex = (state.frames.last_index ?? -1) + 1;
   }
 
   /**
-   * Send a frame; resolves when its fate is known, or, with `wait: false`, once it is queued.
+   * Send a frame. Resolves when the frame is processed or dropped, or, with `wait: false`, when it is queued.
    *
-   * A frame may be pushed while earlier ones are on their way: the newest wins, and the others are `superseded`.
+   * Frames may be pushed before earlier ones are processed: the server processes the newest and answers `superseded`
+   * for the others.
    */
   async push(frame: Frame, options: CallOptions & { wait?: boolean } = {}): Promise<FrameResult> {
-    const numbered = number(frame, this);
-    const call: Call = {
+    const indexed = withIndex(frame, this);
+    const request: HttpRequest = {
       method: "PUT",
-      path: `${this.path}/frames/${numbered.index}`,
-      body: await packFrame(numbered),
+      path: `${this.path}/frames/${indexed.index}`,
+      body: await packFrame(indexed),
       headers: { "content-type": FRAME_MEDIA_TYPE, ...(options.wait === false ? { prefer: "respond-async" } : {}) },
       signal: options.signal,
     };
-    return (await (await this.http.send(call)).json()) as FrameResult;
+    return (await (await this.http.send(request)).json()) as FrameResult;
   }
 
-  /** Light at one point, a position or the name of a followed one, in some forms. */
+  /** Light at one point (a position or the name of a tracked point) in some forms. */
   async lightAt(point: Position | string, forms: readonly LightForm[], options: CallOptions = {}): Promise<Light> {
     const probe = typeof point === "string" ? { name: point } : { position: point };
     const { results } = await this.light({ probes: [probe], forms }, options);
     return results[0]!;
   }
 
-  /** Light at several points, all at one moment of the session. */
+  /** Light at several points, all after the same frame. */
   async light(request: LightRequest, options: CallOptions = {}): Promise<Lights> {
     const headers = { accept: `${LIGHT_MEDIA_TYPE}, application/json;q=0.9` };
-    const call: Call = { method: "POST", path: `${this.path}/probes`, headers, signal: options.signal };
-    const answer = await send(this.http, call, request);
-    if (answer.headers.get("content-type")?.startsWith(LIGHT_MEDIA_TYPE)) {
-      return parseLights<LightResponse>(await answer.arrayBuffer());
+    const http: HttpRequest = { method: "POST", path: `${this.path}/probes`, headers, signal: options.signal };
+    const response = await sendJson(this.http, http, request);
+    if (response.headers.get("content-type")?.startsWith(LIGHT_MEDIA_TYPE)) {
+      return parseLights<LightResponse>(await response.arrayBuffer());
     }
-    return decodeLights((await answer.json()) as LightResponse);
+    return decodeLights((await response.json()) as LightResponse);
   }
 
-  /** One form of the light at a point; null if the light that `etag`, of an earlier answer, names still stands there. */
+  /** One form of the light at a point. Null if the light still has the ETag `etag` of an earlier result. */
   async probe(
     point: Position | string,
     form: LightForm,
     options: CallOptions & { etag?: string } = {},
-  ): Promise<Probed | null> {
+  ): Promise<LightFile | null> {
     const query = new URLSearchParams();
-    const place = typeof point === "string" ? {} : { x: point[0], y: point[1], z: point[2] };
-    for (const [name, value] of Object.entries({ ...place, ...form })) {
+    const position = typeof point === "string" ? {} : { x: point[0], y: point[1], z: point[2] };
+    for (const [name, value] of Object.entries({ ...position, ...form })) {
       if (value != null) {
         query.set(name, String(value));
       }
     }
     const path = `${typeof point === "string" ? this.probePath(point) : `${this.path}/probe`}?${query}`;
     const headers: Record<string, string> = options.etag ? { "if-none-match": options.etag } : {};
-    const answer = await this.http.send({ method: "GET", path, headers, signal: options.signal });
-    if (answer.status === 304) {
+    const response = await this.http.send({ method: "GET", path, headers, signal: options.signal });
+    if (response.status === 304) {
       return null;
     }
-    const head = (name: string) => answer.headers.get(name) ?? "";
-    const media_type = head("content-type");
+    const header = (name: string) => response.headers.get(name) ?? "";
+    const media_type = header("content-type");
     const content = media_type.startsWith("application/json")
-      ? { values: (await answer.json()) as { readonly [name: string]: unknown } }
-      : { data: new Uint8Array(await answer.arrayBuffer()) };
+      ? { values: (await response.json()) as { readonly [name: string]: unknown } }
+      : { data: new Uint8Array(await response.arrayBuffer()) };
     return {
       form: { format: form.format, media_type, ...content },
-      etag: head("etag"),
-      coverage: Number(head("roomlight-coverage")),
-      frame: Number(head("roomlight-frame")),
+      etag: header("etag"),
+      coverage: Number(header("roomlight-coverage")),
+      frame: Number(header("roomlight-frame")),
     };
   }
 
-  /** Follow a point from frame to frame under a name; a name that is taken moves. */
+  /** Track a point under a name; an existing name moves to the position. */
   async track(name: string, position: Position, options: CallOptions = {}): Promise<void> {
-    await send(this.http, { method: "PUT", path: this.probePath(name), signal: options.signal }, { position });
+    await sendJson(this.http, { method: "PUT", path: this.probePath(name), signal: options.signal }, { position });
   }
 
-  /** No longer follow it. */
+  /** Stop tracking a point. */
   async untrack(name: string, options: CallOptions = {}): Promise<void> {
     await this.http.send({ method: "DELETE", path: this.probePath(name), signal: options.signal });
   }
 
+  /** Counts of frames, tracked points with their coverage, memory and the lighting volume. */
   async state(options: CallOptions = {}): Promise<SessionState> {
-    const answer = await this.http.send({ method: "GET", path: this.path, signal: options.signal });
-    return (await answer.json()) as SessionState;
+    const response = await this.http.send({ method: "GET", path: this.path, signal: options.signal });
+    return (await response.json()) as SessionState;
   }
 
-  /** End the session, and free what the server holds for it. */
+  /** Delete the session and everything that the server stores for it. */
   async delete(options: CallOptions = {}): Promise<void> {
     await this.http.send({ method: "DELETE", path: this.path, signal: options.signal });
   }
 
-  /** Open the session's WebSocket. Frames that it sends go on with this session's count. */
+  /** Open the session's WebSocket. It shares the session's frame index. */
   stream(options: StreamOptions = {}): Promise<Stream> {
     const address = this.http.address(`${this.path}/stream`);
     address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
-    return Stream.open(address, this.http.options, options, (frame) => number(frame, this));
+    return Stream.open(address, this.http.options, options, (frame) => withIndex(frame, this));
   }
 
   private probePath(name: string): string {
@@ -157,23 +188,27 @@ export class Session {
   }
 }
 
-/** The frame with its index; the count goes on from it. */
-function number(frame: Frame, session: Session): Frame & { index: number } {
+function pathOf(id: string): string {
+  return `v1/sessions/${encodeURIComponent(id)}`;
+}
+
+/** The frame with its own index or the session's next one, which becomes one above it. */
+function withIndex(frame: Frame, session: Session): Frame & { index: number } {
   const index = frame.index ?? session.nextIndex;
   session.nextIndex = Math.max(session.nextIndex, index + 1);
   return { ...frame, index };
 }
 
-function send(http: Http, call: Call, json: object): Promise<Response> {
+function sendJson(http: Http, request: HttpRequest, json: object): Promise<Response> {
   return http.send({
-    ...call,
+    ...request,
     body: JSON.stringify(json),
-    headers: { "content-type": "application/json", ...call.headers },
+    headers: { "content-type": "application/json", ...request.headers },
   });
 }
 
-/** 128 random bits; `crypto.randomUUID` is missing on pages without TLS, this is not. */
-function newId(): string {
+/** 128 random bits. `crypto.randomUUID` is not available on pages without TLS; `getRandomValues` is. */
+function randomId(): string {
   const bytes = crypto.getRandomValues(new Uint8Array(16));
   return Array.from(bytes, (byte) => byte.toString(16).padStart(2, "0")).join("");
 }

@@ -1,6 +1,6 @@
-// Light into a three.js scene. Signs, units and handedness are three.js's after this, and nothing is counted twice:
-// materials take the environment's light for both their diffuse and their specular part, so that harmonics and main
-// light beside an environment would light them again.
+// Light a three.js scene. The results have three.js's signs, units and handedness. No light is counted twice: an
+// environment already contributes to both the diffuse and the specular part of materials, so harmonics and main light
+// do not contribute next to one.
 
 import {
   Color,
@@ -19,12 +19,12 @@ import {
   type Scene,
   type Texture,
 } from "three";
-import { cubeOf } from "./cube.js";
+import { parseCube } from "./cube.js";
 import { Harmonics, type HarmonicsValues, type MainLightValues } from "./harmonics.js";
 import { parseHdr } from "./hdr.js";
-import { formOf, type Light, type LightData } from "./light.js";
+import { findForm, type Light, type LightData } from "./light.js";
 
-/** What `applyToScene` keeps in a scene; use `directional` for shadows. */
+/** The objects that `applyToScene` adds to a scene; use `directional` for shadows. */
 export interface SceneLights {
   probe: LightProbe;
   directional: DirectionalLight;
@@ -32,51 +32,51 @@ export interface SceneLights {
 }
 
 export interface ApplyOptions {
-  /** Multiplies all of the light: 1 shows radiance 1.0 as white without tone mapping. */
+  /** Factor for all light; with 1 and without tone mapping, radiance 1.0 is white. */
   intensity?: number;
-  /** How far from the probe the directional light stands, for its shadow camera: 5 m. */
+  /** Distance of the directional light from the probe, for its shadow camera; default 5 m. */
   distance_m?: number;
 }
 
-const scenes = new WeakMap<Scene, SceneLights & { shown: string }>();
-const HALF_ONE = 0x3c00;
-const LIGHTS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectTexture } as const;
+const scenes = new WeakMap<Scene, SceneLights & { appliedKey: string }>();
+const HALF_ONE = 0x3c00; // 1.0 as float16
+const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectTexture } as const;
 
 /**
- * Light a scene with the forms that the light has, and again with each newer light.
+ * Light a scene with the forms of a light. Call it again with each newer light.
  *
- * - `cube`, `ktx2` or `hdr`: `scene.environment`, which lights everything. The directional light of a `main_light` is
- *   then of intensity 0: it casts its shadow on a `ShadowMaterial` and sheds no light a second time.
- * - else `sh`: a `LightProbe`, and with `main_light` a `DirectionalLight` that is taken out of the harmonics.
+ * - `cube`, `ktx2` or `hdr`: sets `scene.environment`, which lights everything. The directional light of a `main_light`
+ *   then has intensity 0: it casts its shadow on a `ShadowMaterial` but adds no light.
+ * - otherwise `sh`: a `LightProbe`; with `main_light` also a `DirectionalLight`, subtracted from the harmonics.
  *
- * The same light again (by its ETag) costs nothing. What an earlier light put there and this one lacks is removed.
+ * Returns at once if the light is the same (by its ETag). Removes what an earlier light set and this one lacks.
  */
 export function applyToScene(scene: Scene, light: Light, options: ApplyOptions = {}): SceneLights {
   const { intensity = 1, distance_m = 5 } = options;
-  const lights = scenes.get(scene) ?? prepare(scene);
-  const shown = `${light.etag} ${light.forms.map((form) => form.format)} ${intensity} ${distance_m}`;
-  if (shown === lights.shown) {
+  const lights = scenes.get(scene) ?? addLights(scene);
+  const key = `${light.etag} ${light.forms.map((form) => form.format)} ${intensity} ${distance_m}`;
+  if (key === lights.appliedKey) {
     return lights;
   }
-  const form = formOf(light, "cube", "ktx2", "hdr");
+  const form = findForm(light, "cube", "ktx2", "hdr");
   const environment = form ? environmentTexture(form) : null;
   if (environment || scene.environment === lights.environment) {
-    scene.environment = environment; // with none to set, the app's own stays
+    scene.environment = environment; // without a new one, the app's own environment stays
     scene.environmentIntensity = intensity;
   }
   lights.environment?.dispose();
   lights.environment = environment;
 
-  const main = formOf(light, "main_light")?.values as unknown as MainLightValues | undefined;
+  const main = findForm(light, "main_light")?.values as unknown as MainLightValues | undefined;
   setDirectional(lights.directional, light, main, distance_m);
   setProbe(lights.probe, light, main);
   lights.directional.intensity *= environment ? 0 : intensity;
   lights.probe.intensity = environment ? 0 : intensity;
-  lights.shown = shown;
+  lights.appliedKey = key;
   return lights;
 }
 
-/** Take out of a scene what `applyToScene` put there, and free it. */
+/** Remove the objects of `applyToScene` from a scene and dispose of them. */
 export function removeFromScene(scene: Scene): void {
   const lights = scenes.get(scene);
   if (lights) {
@@ -90,26 +90,26 @@ export function removeFromScene(scene: Scene): void {
   }
 }
 
-/** A texture for `scene.environment`, `scene.background` or a material's `envMap`, of a form cube, ktx2 or hdr. */
+/** A texture of a form cube, ktx2 or hdr, for `scene.environment`, `scene.background` or a material's `envMap`. */
 export function environmentTexture(form: LightData): CubeTexture | DataTexture {
-  const make = LIGHTS[form.format as keyof typeof LIGHTS] as
+  const make = TEXTURE_MAKERS[form.format as keyof typeof TEXTURE_MAKERS] as
     ((form: LightData) => CubeTexture | DataTexture) | undefined;
   if (!make) {
-    throw new RangeError(`an environment is made of cube, ktx2 or hdr, not of ${form.format}`);
+    throw new RangeError(`an environment texture needs a form cube, ktx2 or hdr, got ${form.format}`);
   }
   return make(form);
 }
 
 /**
- * The prefiltered mips of a form `specular` as a cube texture, for shaders of one's own (`textureLod`). three.js's own
- * materials filter for themselves: give them a `cube`.
+ * The prefiltered mips of a form `specular` as a cube texture, for custom shaders (`textureLod`). three.js's materials
+ * do their own filtering: use a form `cube` for them.
  */
 export function specularTexture(form: LightData): CubeTexture {
   return cubeTexture(form);
 }
 
-function prepare(scene: Scene): SceneLights & { shown: string } {
-  const lights = { probe: new LightProbe(), directional: new DirectionalLight(), environment: null, shown: "" };
+function addLights(scene: Scene): SceneLights & { appliedKey: string } {
+  const lights = { probe: new LightProbe(), directional: new DirectionalLight(), environment: null, appliedKey: "" };
   scene.add(lights.probe, lights.directional, lights.directional.target);
   scenes.set(scene, lights);
   return lights;
@@ -123,7 +123,7 @@ function setDirectional(
 ): void {
   const [red, green, blue] = main?.intensity ?? [0, 0, 0];
   const strongest = Math.max(red, green, blue);
-  // Its intensity is irradiance in three.js too: a surface of albedo a that faces it gives back a / pi of it.
+  // In three.js, too, the intensity is an irradiance: a facing surface of albedo a reflects the radiance a / pi of it.
   directional.intensity = strongest;
   directional.color = new Color().setRGB(
     red / (strongest || 1),
@@ -137,30 +137,30 @@ function setDirectional(
 }
 
 function setProbe(probe: LightProbe, light: Light, main: MainLightValues | undefined): void {
-  const form = formOf(light, "sh");
+  const form = findForm(light, "sh");
   if (!form) {
     probe.sh.zero();
     return;
   }
   const all = Harmonics.of(form);
   const isTotal = (form.values as unknown as HarmonicsValues).kind === "total";
-  // three.js convolves with the cosine itself: a LightProbe holds radiance.
+  // A LightProbe stores radiance; three.js convolves it with the cosine lobe.
   const { coefficients } = main && isTotal ? all.without(main.direction, main.intensity) : all;
   probe.sh.fromArray(coefficients.flat());
 }
 
 /**
- * three.js looks a direction up in a cube texture with x negated, and WebGPU's renderer does so even for those that
- * have `isRenderTargetTexture`. So the cube is mirrored here: -X's faces stand for +X, and rows run the other way.
+ * Make a mirrored cube texture: three.js negates x when it samples a cube texture (its WebGPU renderer even those with
+ * `isRenderTargetTexture`). So the faces +X and -X are swapped, and the texels of each row are reversed.
  */
 function cubeTexture(form: LightData): CubeTexture {
-  const cube = cubeOf(form);
+  const cube = parseCube(form);
   const [base, ...mips] = cube.levels.map((faces, level) => {
     const side = Math.max(cube.size >> level, 1);
     const images = [1, 0, 2, 3, 4, 5].map((face) => faceTexture(faces[face]!, side));
     return configured(new CubeTexture(images));
   }) as [CubeTexture, ...CubeTexture[]];
-  base.mipmaps = mips as never[]; // three.js's uploads of uncompressed cubes take levels 1.. from here
+  base.mipmaps = mips as never[]; // three.js uploads levels 1 and above of uncompressed cubes from here
   base.minFilter = mips.length > 0 ? LinearMipmapLinearFilter : LinearFilter;
   base.needsUpdate = true;
   return base;
@@ -171,7 +171,7 @@ function faceTexture(face: Uint16Array<ArrayBuffer>, side: number): DataTexture 
   for (let texel = 0; texel < side * side; texel++) {
     const from = 4 * (texel - (texel % side) + side - 1 - (texel % side));
     mirrored.set(face.subarray(from, from + 3), 4 * texel);
-    mirrored[4 * texel + 3] = HALF_ONE; // alpha says how far the texel was observed; it is no transparency
+    mirrored[4 * texel + 3] = HALF_ONE; // the server's alpha is how well the texel was observed, not transparency
   }
   const texture = new DataTexture(mirrored, side, side, RGBAFormat, HalfFloatType);
   texture.needsUpdate = true;
@@ -183,7 +183,7 @@ function equirectTexture(form: LightData): DataTexture {
   const texels = new Uint16Array(width * height * 4).fill(HALF_ONE);
   for (let row = 0; row < height; row++) {
     for (let column = 0; column < width; column++) {
-      const to = ((height - 1 - row) * width + column) * 4; // a texture's first row is its lowest
+      const to = ((height - 1 - row) * width + column) * 4; // the first row of a texture is the lowest one
       for (let channel = 0; channel < 3; channel++) {
         texels[to + channel] = DataUtils.toHalfFloat(Math.min(rgb[(row * width + column) * 3 + channel]!, 65504));
       }

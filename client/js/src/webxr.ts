@@ -1,18 +1,18 @@
-// A frame of WebXR as a frame to send: view, CPU depth (depth-sensing) and camera image (camera-access). Types are the
-// parts of WebXR's that are read, so that no type package is needed; XRView and the others fit them.
+// Convert WebXR frames: view, CPU depth (depth-sensing) and camera image (camera-access) become a frame to send. The
+// interfaces are the parts of WebXR's types that are read here, so apps need no type package; XRView etc. satisfy them.
 
 import type { Frame } from "./frame.js";
 import type { WireIntrinsics } from "./wire.js";
 
 type Matrix = ArrayLike<number>; // 16 numbers, column by column
 
-/** `XRView`, in the reference space in which light is wanted (`local`, say): metres, y up. */
+/** `XRView`, in the reference space of the light's positions (e.g. `local`): metres, y up. */
 export interface ViewLike {
   readonly projectionMatrix: Matrix;
   readonly transform: { readonly matrix: Matrix };
 }
 
-/** `XRCPUDepthInformation`, of a session asked for `cpu-optimized` depth in any of the three formats. */
+/** `XRCPUDepthInformation` of a session with `cpu-optimized` depth, in any of the three formats. */
 export interface CpuDepthLike {
   readonly data: ArrayBuffer;
   readonly width: number;
@@ -21,7 +21,7 @@ export interface CpuDepthLike {
   readonly normDepthBufferFromNormView: { readonly matrix: Matrix };
 }
 
-/** An encoded image of the view: a JPEG of `cameraImage`, or of any canvas that shows just what the view sees. */
+/** An encoded image of the view: a JPEG from `cameraImage`, or from any canvas that shows exactly the view. */
 export interface ViewImage {
   readonly data: Blob | ArrayBuffer | Uint8Array | Promise<Blob>;
   readonly width: number;
@@ -35,12 +35,12 @@ export interface ViewFrame {
   image: ViewImage;
   /** `XRFrame.predictedDisplayTime`, or the callback's time, in milliseconds. */
   time_ms?: number;
-  /** `XRViewerPose.emulatedPosition`: the device has lost its place, and only guesses. */
+  /** `XRViewerPose.emulatedPosition`: tracking is lost, and the position is a guess. */
   emulatedPosition?: boolean;
   exposure?: number;
 }
 
-/** A frame to push, from what one animation frame of WebXR gives; all of it is copied before this returns. */
+/** The frame to push for one animation frame of WebXR. Everything is copied before this returns. */
 export function frameOfView({ view, depth, image, time_ms, emulatedPosition = false, exposure }: ViewFrame): Frame {
   return {
     colour: { encoding: image.encoding ?? "jpeg", data: image.data },
@@ -54,7 +54,7 @@ export function frameOfView({ view, depth, image, time_ms, emulatedPosition = fa
 }
 
 /**
- * The pinhole camera of a projection matrix, for an image that shows all of the view, its first row on top.
+ * The pinhole camera of a projection matrix, for an image of the whole view with the top row first.
  *
  * Clip x = (p0 X + p8 Z) / -Z spans -1 .. 1 over the width, clip y = (p5 Y + p9 Z) / -Z over the height, upward.
  */
@@ -62,9 +62,9 @@ export function intrinsicsOfView(
   projection: Matrix,
   { width, height }: { width: number; height: number },
 ): WireIntrinsics {
-  const p = (at: number) => projection[at]!;
+  const p = (index: number) => projection[index]!;
   if (projection.length !== 16 || Math.abs(p(4)) > 1e-6 * p(0) || p(11) !== -1) {
-    throw new RangeError(`a perspective projection without skew is wanted, got ${Array.from(projection)}`);
+    throw new RangeError(`expected a perspective projection without skew, got ${Array.from(projection)}`);
   }
   return {
     fx: (width / 2) * p(0),
@@ -77,17 +77,19 @@ export function intrinsicsOfView(
 }
 
 /**
- * The depth of the view, upright and of the image's aspect, as `XRCPUDepthInformation.getDepthInMeters` reads it.
+ * The depth of the view, upright and with the image's aspect, with the values of
+ * `XRCPUDepthInformation.getDepthInMeters`.
  *
- * Depth buffers stand as their sensor does, a quarter turn from a phone held upright, and see more or less than the
- * view. Each value is the nearest one, for between two surfaces there is nothing; what the buffer does not see is 0.
+ * Depth buffers have the orientation of the sensor, rotated by 90 degrees from a phone held upright, and cover more or
+ * less than the view. Values are sampled without interpolation, because a depth between two surfaces would be wrong;
+ * outside the buffer they are 0 (unknown).
  */
 export function depthOfView(info: CpuDepthLike, image: { width: number; height: number }): Frame["depth"] {
   const texels = info.width * info.height;
   const isFloat = info.data.byteLength === 4 * texels;
   if (!isFloat && info.data.byteLength !== 2 * texels) {
     throw new RangeError(
-      `depth of ${info.width} x ${info.height} in ${info.data.byteLength} bytes: 2 or 4 bytes each are read`,
+      `depth of ${info.width} x ${info.height} must have 2 or 4 bytes a value, got ${info.data.byteLength} bytes`,
     );
   }
   const raw = isFloat ? new Float32Array(info.data) : new Uint16Array(info.data);
@@ -99,7 +101,7 @@ export function depthOfView(info: CpuDepthLike, image: { width: number; height: 
   const m = info.normDepthBufferFromNormView.matrix as ArrayLike<number> & { [at: number]: number };
   for (let row = 0; row < height; row++) {
     for (let column = 0; column < width; column++) {
-      const [x, y] = [(column + 0.5) / width, (row + 0.5) / height]; // of the view, from its top left corner
+      const [x, y] = [(column + 0.5) / width, (row + 0.5) / height]; // of the view, origin top left
       const [bufferX, bufferY] = [m[0]! * x + m[4]! * y + m[12]!, m[1]! * x + m[5]! * y + m[13]!];
       if (bufferX >= 0 && bufferX < 1 && bufferY >= 0 && bufferY < 1) {
         const value = raw[Math.floor(bufferY * info.height) * info.width + Math.floor(bufferX * info.width)]!;
@@ -113,9 +115,9 @@ export function depthOfView(info: CpuDepthLike, image: { width: number; height: 
 /**
  * The camera image of a view as a JPEG: `cameraImage(gl, binding.getCameraImage(view.camera), view.camera)`.
  *
- * The texture is read before this returns, as WebXR wants it; what takes its time is the JPEG, so `data` is a promise,
- * which `packFrame` awaits. `longest`: side in pixels to which a larger image is shrunk; the server works at 320 x 240,
- * and 640 keeps its lamps sharp. Tried on textures of a browser, not on a phone's camera.
+ * The texture is read before this returns, as WebXR requires. The JPEG is encoded later, so `data` is a promise, which
+ * `packFrame` awaits. `longest`: longest side in pixels; larger images are scaled down to it. The server works at
+ * 320 x 240, and 640 keeps lamps sharp. Tested with textures in a browser, not with a phone's camera.
  */
 export function cameraImage(
   gl: WebGL2RenderingContext,
@@ -133,19 +135,19 @@ export function cameraImage(
 
 type Size = { readonly width: number; readonly height: number };
 
-/** RGBA of a texture, shrunk on the GPU, its first row on top. The framebuffers in use are put back. */
+/** RGBA of a texture, scaled on the GPU, top row first. Restores the framebuffers in use. */
 function readTexture(
   gl: WebGL2RenderingContext,
   texture: WebGLTexture,
   from: Size,
   to: Size,
 ): Uint8ClampedArray<ArrayBuffer> {
-  const [reading, drawing] = [
+  const [readFramebuffer, drawFramebuffer] = [
     gl.getParameter(gl.READ_FRAMEBUFFER_BINDING),
     gl.getParameter(gl.DRAW_FRAMEBUFFER_BINDING),
   ];
-  const renderbufferInUse = gl.getParameter(gl.RENDERBUFFER_BINDING);
-  const scissors = gl.isEnabled(gl.SCISSOR_TEST); // they would cut the copy
+  const renderbuffer = gl.getParameter(gl.RENDERBUFFER_BINDING);
+  const scissorTest = gl.isEnabled(gl.SCISSOR_TEST); // it would clip the copy
   const [source, target, small] = [gl.createFramebuffer(), gl.createFramebuffer(), gl.createRenderbuffer()];
   const rgba = new Uint8ClampedArray(to.width * to.height * 4);
   try {
@@ -157,17 +159,17 @@ function readTexture(
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, source);
     gl.framebufferTexture2D(gl.READ_FRAMEBUFFER, gl.COLOR_ATTACHMENT0, gl.TEXTURE_2D, texture, 0);
     if (gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
-      throw new RangeError(`the camera's texture cannot be read: ${gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER)}`);
+      throw new RangeError(`the camera texture cannot be read: ${gl.checkFramebufferStatus(gl.READ_FRAMEBUFFER)}`);
     }
-    // Upside down: GL's rows go up, an image's go down.
+    // Flipped: rows of GL go up, rows of an image go down.
     gl.blitFramebuffer(0, 0, from.width, from.height, 0, to.height, to.width, 0, gl.COLOR_BUFFER_BIT, gl.LINEAR);
     gl.bindFramebuffer(gl.READ_FRAMEBUFFER, target);
     gl.readPixels(0, 0, to.width, to.height, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
   } finally {
-    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, reading);
-    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, drawing);
-    gl.bindRenderbuffer(gl.RENDERBUFFER, renderbufferInUse);
-    if (scissors) {
+    gl.bindFramebuffer(gl.READ_FRAMEBUFFER, readFramebuffer);
+    gl.bindFramebuffer(gl.DRAW_FRAMEBUFFER, drawFramebuffer);
+    gl.bindRenderbuffer(gl.RENDERBUFFER, renderbuffer);
+    if (scissorTest) {
       gl.enable(gl.SCISSOR_TEST);
     }
     gl.deleteFramebuffer(source);

@@ -1,4 +1,4 @@
-// Frames as bytes: the vector that all clients share, and what is refused before it is sent.
+// Frames as bytes: the test vector shared by all clients, and frames that are refused before they are sent.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -12,7 +12,7 @@ test("the shared vector is packed byte for byte", async () => {
   assert.equal(vectors().length, 2);
 });
 
-test("parts may be blobs, now or later, buffers or views", async () => {
+test("parts may be blobs, promises of blobs, buffers or views", async () => {
   const { frame, bytes } = vectors()[0]!;
   const colour = new Uint8Array(frame.colour.data as Uint8Array);
   const shifted = new Uint8Array([9, ...colour, 9]).subarray(1, 1 + colour.length);
@@ -27,7 +27,7 @@ test("parts may be blobs, now or later, buffers or views", async () => {
   }
 });
 
-test("numbers have one text", () => {
+test("numbers have one canonical text", () => {
   const texts: [number, string][] = [
     [1, "1"],
     [-0, "0"],
@@ -49,7 +49,7 @@ test("numbers have one text", () => {
   assert.throws(() => canonicalJson([Infinity]), RangeError);
 });
 
-test("what the numbers show to be wrong is refused", async () => {
+test("contradictory frames are refused", async () => {
   const refused = async (changes: Partial<Frame>, message: RegExp) =>
     assert.rejects(
       packFrame({ ...plainFrame(), ...changes }),
@@ -59,11 +59,11 @@ test("what the numbers show to be wrong is refused", async () => {
   await refused({ camera_to_world: Array(16).fill(NaN) }, /finite/);
   await refused(
     { depth: { format: "float32_m", width: 4, height: 3, data: new Uint8Array(24) } },
-    /takes 48 bytes, got 24/,
+    /must be 48 bytes, got 24/,
   );
 });
 
-test("defaults stand in the header even where they are given as undefined", async () => {
+test("undefined fields get their defaults", async () => {
   const packed = await packFrame({ ...plainFrame(), exposure: undefined as never, tracking_state: undefined as never });
   assert.deepEqual(packed, await packFrame(plainFrame()));
 });

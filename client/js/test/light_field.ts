@@ -1,5 +1,5 @@
-// Light that every form can be checked against: red grows along +x, green along +y, blue along +z. It is band-limited,
-// so that harmonics hold it exactly, and no two directions look alike.
+// Light to check every form with: red grows along +x, green along +y, blue along +z. It is band-limited, so harmonics
+// represent it exactly, and no two directions are equal.
 
 import type { Light, LightData, Vector } from "roomlight";
 
@@ -24,7 +24,7 @@ export const DIRECTIONS: readonly Vector[] = [
   [3, 1, -2],
 ].map((direction) => unit(direction as unknown as Vector));
 
-/** float16 of a number that it holds (about): round to nearest by way of float32's bits. */
+/** The float16 nearest to a number in its normal range, from float32's bits. */
 export function toHalf(value: number): number {
   const bits = new Uint32Array(new Float32Array([value]).buffer)[0]!;
   return value === 0 ? 0 : ((bits >>> 16) & 0x8000) | (((bits + 0x1000 - 0x38000000) >>> 13) & 0x7fff);
@@ -37,7 +37,7 @@ export function fromHalf(half: number): number {
   );
 }
 
-/** The direction of a point of a face, `across` with the columns and `down` with the rows: OpenGL's table. */
+/** Direction of a point on a face, `across` along columns and `down` along rows (-1 to 1): OpenGL's table. */
 export function faceDirection(face: number, across: number, down: number): Vector {
   const [a, d] = [across, down];
   return unit(
@@ -54,7 +54,7 @@ export function faceDirection(face: number, across: number, down: number): Vecto
   );
 }
 
-/** Face and texel that OpenGL reads for a direction. */
+/** Face and texel that OpenGL samples for a direction. */
 export function faceOf([x, y, z]: Vector, side: number): { face: number; row: number; column: number } {
   const [ax, ay, az] = [Math.abs(x), Math.abs(y), Math.abs(z)];
   const [face, across, down, major] =
@@ -73,7 +73,7 @@ export function faceOf([x, y, z]: Vector, side: number): { face: number; row: nu
   return { face, row: texel(down), column: texel(across) };
 }
 
-/** Faces +X -X +Y -Y +Z -Z as RGBA float16, alpha 0 as of directions that nobody saw. */
+/** Faces +X -X +Y -Y +Z -Z as RGBA float16; alpha 0, as for unobserved directions. */
 export function cubeBytes(side: number, gain = 1): Uint8Array<ArrayBuffer> {
   const half = new Uint16Array(6 * side * side * 4);
   for (let texel = 0; texel < 6 * side * side; texel++) {
@@ -88,7 +88,7 @@ export function cubeBytes(side: number, gain = 1): Uint8Array<ArrayBuffer> {
   return new Uint8Array(half.buffer);
 }
 
-/** A KTX2 file with these levels, the largest first in the index and last in the file. */
+/** A KTX2 file with these levels, largest first in the index and last in the file. */
 export function ktx2Bytes(levels: readonly Uint8Array[], side: number): Uint8Array<ArrayBuffer> {
   const start = 80 + 24 * levels.length;
   const file = new Uint8Array(start + levels.reduce((sum, level) => sum + level.length, 0));
@@ -113,7 +113,7 @@ export function panoramaDirection(column: number, row: number, height: number): 
   return [Math.sin(polar) * Math.cos(azimuth), Math.cos(polar), Math.sin(polar) * Math.sin(azimuth)];
 }
 
-/** A Radiance HDR file, flat or run-length coded (in runs of at most 127 values that stand as they are). */
+/** A Radiance HDR file, flat or run-length coded (with literal runs of at most 127 values). */
 export function hdrBytes(height: number, coded: boolean): Uint8Array<ArrayBuffer> {
   const width = 2 * height;
   const out = [...new TextEncoder().encode(`#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y ${height} +X ${width}\n`)];
@@ -131,15 +131,15 @@ export function hdrBytes(height: number, coded: boolean): Uint8Array<ArrayBuffer
     for (let channel = 0; channel < 4; channel++) {
       for (let from = 0; from < width; from += 127) {
         const values = texels.slice(from, from + 127).map((texel) => texel[channel]!);
-        const even = values.every((value) => value === values[0]);
-        out.push(...(even ? [128 + values.length, values[0]!] : [values.length, ...values]));
+        const uniform = values.every((value) => value === values[0]);
+        out.push(...(uniform ? [128 + values.length, values[0]!] : [values.length, ...values]));
       }
     }
   }
   return Uint8Array.from(out);
 }
 
-/** The harmonics of this light, 9 x 3, signs all positive. */
+/** The harmonics of this light, 9 x 3, all signs positive. */
 export const COEFFICIENTS: readonly Vector[] = Array.from({ length: 9 }, (_, term) => {
   const even = term === 0 ? 0.5 * Math.sqrt(4 * Math.PI) : 0;
   const slope = 0.4 * Math.sqrt((4 * Math.PI) / 3);

@@ -1,54 +1,55 @@
-// A server of a test's own: each request gets what the test says, and is kept to be looked at.
+// A scripted server: each request gets the response that the test gives, and is recorded.
 
 import { createServer, type IncomingHttpHeaders } from "node:http";
 import type { AddressInfo } from "node:net";
 import type { TestContext } from "node:test";
+import type { SessionState } from "roomlight";
 import { WebSocketServer, type WebSocket } from "ws";
 
-export interface Asked {
+export interface ReceivedRequest {
   method: string;
   path: string;
   headers: IncomingHttpHeaders;
   body: Buffer;
 }
 
-export interface Answer {
+export interface ScriptedResponse {
   status?: number;
   headers?: Record<string, string>;
   body?: Uint8Array | string | object;
-  /** No answer: the connection is cut, or left hanging. */
-  fails?: "cut" | "hangs";
+  /** No response: the connection is closed, or stays open without data. */
+  fails?: "closes" | "hangs";
 }
 
 export interface TestServer {
   url: string;
-  asked: Asked[];
+  requests: ReceivedRequest[];
   sockets: WebSocket[];
   protocols: string[][];
 }
 
-/** Serve until the test ends. `answer` is asked for every request, and `connected` for every WebSocket. */
+/** Serve until the test ends. `respond` is called for every request, `connected` for every WebSocket. */
 export async function serve(
   context: Pick<TestContext, "after">,
-  answer: (asked: Asked) => Answer,
+  respond: (request: ReceivedRequest) => ScriptedResponse,
   connected: (socket: WebSocket) => void = () => undefined,
 ): Promise<TestServer> {
-  const found: TestServer = { url: "", asked: [], sockets: [], protocols: [] };
-  const server = createServer(async (request, response) => {
+  const result: TestServer = { url: "", requests: [], sockets: [], protocols: [] };
+  const server = createServer(async (incoming, response) => {
     const chunks: Buffer[] = [];
-    for await (const chunk of request) {
+    for await (const chunk of incoming) {
       chunks.push(chunk as Buffer);
     }
-    const asked = {
-      method: request.method!,
-      path: request.url!,
-      headers: request.headers,
+    const request = {
+      method: incoming.method!,
+      path: incoming.url!,
+      headers: incoming.headers,
       body: Buffer.concat(chunks),
     };
-    found.asked.push(asked);
-    const { status = 200, headers = {}, body = "", fails } = answer(asked);
+    result.requests.push(request);
+    const { status = 200, headers = {}, body = "", fails } = respond(request);
     if (fails) {
-      return void (fails === "cut" && request.socket.destroy());
+      return void (fails === "closes" && incoming.socket.destroy());
     }
     const isJson = typeof body === "object" && !(body instanceof Uint8Array);
     response.writeHead(status, { ...(isJson ? { "content-type": "application/json" } : {}), ...headers });
@@ -57,38 +58,64 @@ export async function serve(
   const sockets = new WebSocketServer({
     server,
     handleProtocols: (protocols) => {
-      found.protocols.push([...protocols]);
+      result.protocols.push([...protocols]);
       return protocols.has("roomlight.v1") ? "roomlight.v1" : false;
     },
   });
   sockets.on("connection", (socket) => {
-    found.sockets.push(socket);
+    result.sockets.push(socket);
     connected(socket);
   });
   await new Promise<void>((resolve) => server.listen(0, "127.0.0.1", resolve));
-  found.url = `http://127.0.0.1:${(server.address() as AddressInfo).port}`;
+  result.url = `http://127.0.0.1:${(server.address() as AddressInfo).port}`;
   context.after(() => {
     sockets.clients.forEach((socket) => socket.terminate());
     server.closeAllConnections();
     server.close();
   });
-  return found;
+  return result;
 }
 
-export const problem = (status: number, retryAfter?: string): Answer => ({
+/** The state of a new session. */
+export const STATE = {
+  id: "room",
+  status: "open",
+  model: "classical",
+  options: {},
+  frames: {
+    accepted: 0,
+    processed: 0,
+    superseded: 0,
+    skipped: 0,
+    queued: 0,
+    gaps: 0,
+    replayed: 0,
+    refused: 0,
+    last_index: null,
+  },
+  probes: {},
+  coverage: {},
+  keyframes: 0,
+  memory: { bytes: 0, bound_bytes: 1 },
+  volume: null,
+  idle_expiry_s: 600,
+} satisfies SessionState;
+
+/** A refusal with problem details. */
+export const problem = (status: number, retryAfter?: string): ScriptedResponse => ({
   status,
   headers: {
     "content-type": "application/problem+json",
     ...(retryAfter === undefined ? {} : { "retry-after": retryAfter }),
   },
   body: JSON.stringify({
-    type: "about:blank",
+    type: "urn:roomlight:problem:session-conflict",
     title: "Refused",
     status,
     detail: "no",
     field: "depth.bytes",
-    value: "1",
-    rule: "2",
+    value: "7",
+    rule: "at most 2",
   }),
 });
 

@@ -1,22 +1,22 @@
-// Sessions over HTTP: what is sent, what comes back, what is tried again and what ends at once.
+// Sessions over HTTP: requests, responses, retries and errors.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import { RoomLight, RoomLightError } from "roomlight";
-import { lightMessage, problem, serve, type Answer, type Asked } from "./server.js";
+import { lightMessage, problem, serve, STATE, type ReceivedRequest, type ScriptedResponse } from "./server.js";
 import { plainFrame, vectors } from "./vectors.js";
 
 const PROCESSED = { index: 7, status: "processed", replay: false, stage_ms: {}, coverage: {} };
 
-test("a session from its opening to its end", async (context) => {
-  const server = await serve(context, ({ method, path }: Asked): Answer => {
+test("the requests of a session from open to delete", async (context) => {
+  const server = await serve(context, ({ method, path }: ReceivedRequest): ScriptedResponse => {
     if (method === "DELETE") {
       return { status: 204 };
     }
-    return path.includes("/frames/") ? { body: PROCESSED } : { body: { id: "x", status: "open" } };
+    return path.includes("/frames/") ? { body: PROCESSED } : { body: STATE };
   });
   const session = await new RoomLight(`${server.url}/below`, { token: "a-token" }).open({
-    mode: "classical",
+    model: "classical",
     height: 64,
   });
   assert.match(session.id, /^[0-9a-f]{32}$/);
@@ -29,20 +29,25 @@ test("a session from its opening to its end", async (context) => {
   await session.delete();
   const base = `/below/v1/sessions/${session.id}`;
   assert.deepEqual(
-    server.asked.map(({ method, path }) => `${method} ${path.replace(base, "")}`),
+    server.requests.map(({ method, path }) => `${method} ${path.replace(base, "")}`),
     ["PUT ", "PUT /frames/7", "PUT /frames/8", "PUT /probes/table", "DELETE /probes/table", "GET ", "DELETE "],
   );
-  const [opened, first, second, tracked] = server.asked as [Asked, Asked, Asked, Asked];
+  const [opened, first, second, tracked] = server.requests as [
+    ReceivedRequest,
+    ReceivedRequest,
+    ReceivedRequest,
+    ReceivedRequest,
+  ];
   assert.deepEqual(JSON.parse(opened.body.toString()), { mode: "classical", height: 64 });
   assert.deepEqual(first.body, bytes);
   assert.equal(first.headers["content-type"], "application/vnd.roomlight.frame");
   assert.equal(first.headers.prefer, undefined);
   assert.equal(second.headers.prefer, "respond-async");
   assert.deepEqual(JSON.parse(tracked.body.toString()), { position: [1, -2, 0.5] });
-  assert.ok(server.asked.every(({ headers }) => headers.authorization === "Bearer a-token"));
+  assert.ok(server.requests.every(({ headers }) => headers.authorization === "Bearer a-token"));
 });
 
-test("light comes as binary or as JSON, and is the same", async (context) => {
+test("binary and JSON light messages give the same light", async (context) => {
   const data = Uint8Array.of(1, 2, 3, 255);
   const result = (form: object) => ({
     frame: 4,
@@ -59,7 +64,7 @@ test("light comes as binary or as JSON, and is the same", async (context) => {
   let binary = true;
   const server = await serve(context, ({ path }) => {
     if (!path.endsWith("/probes")) {
-      return { body: {} };
+      return { body: STATE };
     }
     return binary
       ? {
@@ -77,15 +82,15 @@ test("light comes as binary or as JSON, and is the same", async (context) => {
     { format: "sh", media_type: "j", values: { a: 1 } },
     { ...part, data },
   ]);
-  assert.deepEqual(JSON.parse(server.asked[1]!.body.toString()), { probes: [{ position: [0, 1, 2] }], forms });
-  assert.deepEqual(JSON.parse(server.asked[2]!.body.toString()).probes, [{ name: "table" }]);
-  assert.ok(server.asked[1]!.headers.accept!.startsWith("application/vnd.roomlight.light"));
+  assert.deepEqual(JSON.parse(server.requests[1]!.body.toString()), { probes: [{ position: [0, 1, 2] }], forms });
+  assert.deepEqual(JSON.parse(server.requests[2]!.body.toString()).probes, [{ name: "table" }]);
+  assert.ok(server.requests[1]!.headers.accept!.startsWith("application/vnd.roomlight.light"));
 });
 
-test("one form is asked for by its ETag", async (context) => {
+test("a form with an unchanged ETag is not sent again", async (context) => {
   const server = await serve(context, ({ headers, path }) => {
     if (!path.includes("probe")) {
-      return { body: {} };
+      return { body: STATE };
     }
     const etag = { etag: '"a"', "roomlight-coverage": "0.25", "roomlight-frame": "3" };
     return headers["if-none-match"] === '"a"'
@@ -105,28 +110,32 @@ test("one form is asked for by its ETag", async (context) => {
   });
   assert.equal(await session.probe([1, 2, -3], { format: "sh" }, { etag: found!.etag }), null);
   assert.deepEqual((await session.probe("table", { format: "png" }))!.form.data, new TextEncoder().encode('{"a":1}'));
-  assert.equal(server.asked[1]!.path, "/v1/sessions/s/probe?x=1&y=2&z=-3&format=sh&basis=threejs");
-  assert.equal(server.asked[3]!.path, "/v1/sessions/s/probes/table?format=png");
+  assert.equal(server.requests[1]!.path, "/v1/sessions/s/probe?x=1&y=2&z=-3&format=sh&basis=threejs");
+  assert.equal(server.requests[3]!.path, "/v1/sessions/s/probes/table?format=png");
 });
 
-test("what is full or cut off is tried again, and waits as it is told", async (context) => {
-  const answers: Answer[] = [
+test("temporary failures are retried after Retry-After", async (context) => {
+  const responses: ScriptedResponse[] = [
     problem(429, "0"),
-    { fails: "cut" },
+    { fails: "closes" },
     problem(503, new Date(0).toUTCString()),
-    { body: {} },
+    { body: STATE },
   ];
-  const server = await serve(context, () => answers.shift()!);
+  const server = await serve(context, () => responses.shift()!);
   await new RoomLight(server.url).open();
-  assert.equal(server.asked.length, 4);
-  answers.push(problem(503, "0.2"), { body: {} });
-  const began = performance.now();
-  await new RoomLight(server.url).open();
-  assert.ok(performance.now() - began >= 199);
+  assert.equal(server.requests.length, 4);
+  const timers = context.mock.method(globalThis, "setTimeout");
+  responses.push(problem(503, "0.2"), { body: STATE });
+  await new RoomLight(server.url, { timeout_s: 17 }).open();
+  const delays_ms = timers.mock.calls.map((call) => call.arguments[1]);
+  assert.deepEqual(
+    delays_ms.filter((delay_ms) => delay_ms === 17000 || delay_ms === 200),
+    [17000, 200, 17000],
+  );
 });
 
-test("what will not change is an error at once, in the server's words", async (context) => {
-  const answers = [
+test("permanent refusals fail at once with the server's problem", async (context) => {
+  const responses = [
     problem(409, "0"),
     problem(422),
     problem(503, "60"),
@@ -134,7 +143,7 @@ test("what will not change is an error at once, in the server's words", async (c
     problem(429, "0"),
     { status: 500, body: "<html>" },
   ];
-  const server = await serve(context, () => answers.shift()!);
+  const server = await serve(context, () => responses.shift()!);
   const open = (retries = 3) =>
     new RoomLight(server.url, { retries }).open().then(
       () => assert.fail("opened"),
@@ -142,45 +151,78 @@ test("what will not change is an error at once, in the server's words", async (c
     );
   const conflict = await open();
   assert.ok(conflict instanceof RoomLightError);
-  assert.deepEqual([conflict.status, conflict.message, conflict.problem!.field], [409, "Refused: no", "depth.bytes"]);
+  assert.deepEqual([conflict.status, conflict.message], [409, "Refused: no; depth.bytes: at most 2; got 7"]);
+  assert.deepEqual([conflict.kind, conflict.field, conflict.rule], ["session-conflict", "depth.bytes", "at most 2"]);
   assert.equal((await open()).status, 422);
-  assert.equal((await open()).status, 503); // a minute is more than a phone's frame is worth
+  assert.equal((await open()).status, 503); // a minute is longer than the client waits
   assert.equal((await open(1)).status, 429);
   assert.deepEqual(await open().then((error) => [error.status, error.problem]), [500, null]);
-  assert.equal(server.asked.length, 6);
+  assert.equal(server.requests.length, 6);
 });
 
-test("an answer that does not come, and a server that is not there", async (context) => {
+test("a timeout and an unreachable server are errors", async (context) => {
   const server = await serve(context, () => ({ fails: "hangs" }));
-  const late = new RoomLight(server.url, { timeout_s: 0.05, retries: 1 }).open();
+  const timeout = new RoomLight(server.url, { timeout_s: 0.05, retries: 1 }).open();
   await assert.rejects(
-    late,
+    timeout,
     (error) => error instanceof RoomLightError && error.status === 0 && /0\.05 s/.test(error.message),
   );
-  assert.equal(server.asked.length, 2);
-  const nobody = new RoomLight("http://127.0.0.1:1", { retries: 0 }).open();
+  assert.equal(server.requests.length, 2);
+  const unreachable = new RoomLight("http://127.0.0.1:1", { retries: 0 }).open();
   await assert.rejects(
-    nobody,
+    unreachable,
     (error) => error instanceof RoomLightError && error.status === 0 && error.cause !== undefined,
   );
 });
 
-test("an abort ends a request, and the wait before the next one", async (context) => {
-  const server = await serve(context, ({ path }) => (path.endsWith("wait") ? problem(503, "5") : { fails: "hangs" }));
-  for (const id of ["hang", "wait"]) {
-    const aborted = new AbortController();
-    const opening = new RoomLight(server.url).open({ id, signal: aborted.signal });
-    setTimeout(() => aborted.abort(new Error("no longer wanted")), 50);
-    await assert.rejects(opening, /no longer wanted/);
-    await assert.rejects(new RoomLight(server.url).open({ signal: aborted.signal }), /no longer wanted/);
+test("an abort ends a request and the delay before a retry", async (context) => {
+  let aborted = new AbortController();
+  const abort = () => aborted.abort(new Error("no longer needed"));
+  const server = await serve(context, ({ path }) => {
+    if (path.endsWith("delayed")) {
+      return problem(503, "5");
+    }
+    abort();
+    return { fails: "hangs" };
+  });
+  const { setTimeout } = globalThis;
+  const abortInDelay = (callback: () => void, delay_ms?: number) => {
+    if (delay_ms === 5000) {
+      queueMicrotask(abort);
+    }
+    return setTimeout(callback, delay_ms);
+  };
+  context.mock.method(globalThis, "setTimeout", abortInDelay as typeof setTimeout);
+  for (const id of ["hanging", "delayed"]) {
+    aborted = new AbortController();
+    const { signal } = aborted;
+    await assert.rejects(new RoomLight(server.url).open({ id, signal }), /no longer needed/);
+    await assert.rejects(new RoomLight(server.url).open({ signal }), /no longer needed/);
   }
-  assert.equal(server.asked.length, 2);
+  assert.equal(server.requests.length, 2);
 });
 
-test("a session that is gone on the second try was deleted by the first", async (context) => {
-  const answers: Answer[] = [{ body: {} }, { fails: "cut" }, problem(404), problem(404)];
-  const server = await serve(context, () => answers.shift()!);
+test("a session missing at the second attempt counts as deleted", async (context) => {
+  const responses: ScriptedResponse[] = [{ body: STATE }, { fails: "closes" }, problem(404), problem(404)];
+  const server = await serve(context, () => responses.shift()!);
   const session = await new RoomLight(server.url).open();
   await session.delete();
   await assert.rejects(session.delete(), (error) => error instanceof RoomLightError && error.status === 404);
+});
+
+test("joining a session continues its index and sends no options", async (context) => {
+  const frames = { ...STATE.frames, accepted: 8, processed: 8, last_index: 41 };
+  const responses: ScriptedResponse[] = [{ body: { ...STATE, frames } }, { body: PROCESSED }, problem(404)];
+  const server = await serve(context, () => responses.shift()!);
+  const session = await new RoomLight(server.url).join("room");
+  assert.deepEqual([session.id, session.model, session.nextIndex], ["room", "classical", 42]);
+  await session.push(plainFrame());
+  await assert.rejects(
+    new RoomLight(server.url).join("gone"),
+    (error) => error instanceof RoomLightError && error.status === 404,
+  );
+  assert.deepEqual(
+    server.requests.map(({ method, path }) => `${method} ${path}`),
+    ["GET /v1/sessions/room", "PUT /v1/sessions/room/frames/42", "GET /v1/sessions/gone"],
+  );
 });

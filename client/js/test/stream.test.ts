@@ -1,9 +1,9 @@
-// A session's WebSocket: order, answers matched to what was asked, refusals, and its end.
+// A session's WebSocket: order, answers matched to calls, refusals, and its end.
 
 import assert from "node:assert/strict";
 import { test, type TestContext } from "node:test";
 import { RoomLight, RoomLightError, type ClientOptions, type Lights, type StreamOptions } from "roomlight";
-import { lightMessage, serve } from "./server.js";
+import { lightMessage, serve, STATE } from "./server.js";
 import { plainFrame, vectors } from "./vectors.js";
 
 interface Text {
@@ -14,7 +14,7 @@ type Received = Buffer | Text;
 
 const isFrame = (message: Received): message is Buffer => Buffer.isBuffer(message);
 
-/** A stream to a server that sends what `reply` says for each message. */
+/** A stream to a server that sends the messages of `reply` for each message it receives. */
 async function streamTo(
   context: TestContext,
   reply: (message: Received) => (object | Uint8Array)[],
@@ -24,7 +24,7 @@ async function streamTo(
   const received: Received[] = [];
   const server = await serve(
     context,
-    () => ({ body: {} }),
+    () => ({ body: STATE }),
     (socket) =>
       socket.on("message", (data: Buffer, binary) => {
         const message = binary ? data : (JSON.parse(data.toString()) as Received);
@@ -38,7 +38,7 @@ async function streamTo(
 
 const indexOf = (message: Buffer) =>
   (JSON.parse(message.subarray(8, 8 + message.readUInt32LE(4)).toString()) as { index: number }).index;
-const fate = (index: number) => ({
+const frameEvent = (index: number) => ({
   type: "frame",
   index,
   status: "processed",
@@ -49,10 +49,10 @@ const fate = (index: number) => ({
 const refused = { type: "about:blank", title: "Refused", status: 409, detail: "older" };
 const isRefusal = (error: unknown) => error instanceof RoomLightError && error.status === 409;
 
-test("frames go in order, and each hears of its own fate", async (context) => {
+test("frames are sent in order, and each push gets its own result", async (context) => {
   const held: object[] = [];
   const reply = (message: Received) => {
-    held.unshift(fate(indexOf(message as Buffer)));
+    held.unshift(frameEvent(indexOf(message as Buffer)));
     return held.length === 3 ? held : [];
   };
   const { stream, received, server } = await streamTo(context, reply, {}, { token: "secret" });
@@ -76,7 +76,7 @@ test("frames go in order, and each hears of its own fate", async (context) => {
   assert.equal(stream.bufferedAmount, 0);
 });
 
-test("light is asked for, followed and told", async (context) => {
+test("light is requested and received", async (context) => {
   const results = (forms: object[]) => [{ position: [0, 0, 0], name: "table", coverage: 1, etag: "e", forms }];
   const binary = { format: "cube", media_type: "m", bytes: 2 };
   const updates: Lights[] = [];
@@ -101,8 +101,8 @@ test("light is asked for, followed and told", async (context) => {
   stream.track("table", [1, 2, 3]);
   stream.subscribe([{ format: "cube" }]);
   stream.untrack("table");
-  const asked = { probes: [{ name: "table" }], forms: [{ format: "sh" }] } as const;
-  const [first, second] = await Promise.all([stream.light(asked), stream.light(asked)]);
+  const request = { probes: [{ name: "table" }], forms: [{ format: "sh" }] } as const;
+  const [first, second] = await Promise.all([stream.light(request), stream.light(request)]);
   assert.deepEqual(
     [first, second].map((light) => light.results[0]!.forms[0]!.values),
     [{ request: "r1" }, { request: "r2" }],
@@ -112,14 +112,14 @@ test("light is asked for, followed and told", async (context) => {
   assert.deepEqual(received[0], { type: "track", name: "table", position: [1, 2, 3] });
 });
 
-test("a refusal reaches who asked, and the connection goes on", async (context) => {
+test("a refusal rejects its call, and the connection stays open", async (context) => {
   const problems: RoomLightError[] = [];
   const { stream } = await streamTo(
     context,
     (message) => {
       if (isFrame(message)) {
         const index = indexOf(message);
-        return index === 0 ? [{ type: "problem", problem: refused, index }] : [fate(index)];
+        return index === 0 ? [{ type: "problem", problem: refused, index }] : [frameEvent(index)];
       }
       return [
         { type: "problem", problem: refused, ...(message.type === "light" ? { request: message["request"] } : {}) },
@@ -134,17 +134,21 @@ test("a refusal reaches who asked, and the connection goes on", async (context) 
   assert.equal(problems.length, 3);
 });
 
-test("what cannot be read is told, and a frame that is wrong is not sent", async (context) => {
+test("malformed messages are reported, invalid frames are not sent", async (context) => {
   const problems: string[] = [];
-  const { stream } = await streamTo(context, (message) => [Uint8Array.of(1, 2), fate(indexOf(message as Buffer))], {
-    onProblem: (error) => problems.push(error.message),
-  });
+  const { stream } = await streamTo(
+    context,
+    (message) => [Uint8Array.of(1, 2), frameEvent(indexOf(message as Buffer))],
+    {
+      onProblem: (error) => problems.push(error.message),
+    },
+  );
   await assert.rejects(stream.push({ ...plainFrame(), camera_to_world: [1] }), RangeError);
   assert.equal((await stream.push(plainFrame())).index, 1);
-  assert.deepEqual(problems, ["a message that cannot be read"]);
+  assert.deepEqual(problems, ["malformed message from the server"]);
 });
 
-test("nobody waits for ever", async (context) => {
+test("a call without an answer times out", async (context) => {
   const { stream } = await streamTo(context, () => [], {}, { timeout_s: 0.05 });
   await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.05 s/);
   const twice = stream.push({ ...plainFrame(), index: 4 });
@@ -154,18 +158,23 @@ test("nobody waits for ever", async (context) => {
   ]);
 });
 
-test("the end of a connection is told to all who wait", async (context) => {
+test("a closed connection rejects all pending calls", async (context) => {
   const closed: RoomLightError[] = [];
-  const { stream, server } = await streamTo(context, () => [], { onClose: (error) => closed.push(error) });
+  let closeSocket = (): void => undefined;
+  const reply = () => {
+    closeSocket();
+    return [];
+  };
+  const { stream, server } = await streamTo(context, reply, { onClose: (error) => closed.push(error) });
+  closeSocket = () => server.sockets[0]!.close(4404, "session-not-found");
   const pushed = stream.push(plainFrame());
-  setTimeout(() => server.sockets[0]!.close(4404, "session-not-found"), 20);
   await assert.rejects(pushed, /4404: session-not-found/);
   await assert.rejects(stream.push(plainFrame()), /4404/);
   assert.throws(() => stream.untrack("table"), /4404/);
   assert.equal(closed.length, 1);
 });
 
-test("a stream is closed by its owner, by a signal, or never opens", async (context) => {
+test("a stream closes by a call or a signal, or fails to open", async (context) => {
   const { stream, session } = await streamTo(context, () => []);
   const pushed = stream.push(plainFrame());
   stream.close();
@@ -175,6 +184,8 @@ test("a stream is closed by its owner, by a signal, or never opens", async (cont
   aborted.abort();
   await assert.rejects(second.push(plainFrame()));
   await assert.rejects(session.stream({ signal: aborted.signal }));
-  const silent = await new RoomLight("http://127.0.0.1:1", { fetch: async () => new Response("{}") }).open();
+  const silent = await new RoomLight("http://127.0.0.1:1", {
+    fetch: async () => new Response(JSON.stringify(STATE)),
+  }).open();
   await assert.rejects(silent.stream(), RoomLightError);
 });

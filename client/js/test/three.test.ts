@@ -1,8 +1,8 @@
-// The scene against three.js's own mathematics: probes, lights, and how it looks directions up.
+// Scenes compared with three.js's own mathematics: probes, lights and texture lookups.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
-import { formOf, type LightData, type Vector } from "roomlight";
+import { findForm, type LightData, type Vector } from "roomlight";
 import { applyToScene, environmentTexture, removeFromScene, specularTexture } from "roomlight/three";
 import { CubeTexture, DataTexture, DirectionalLight, LightProbe, Scene, Texture, Vector3 } from "three";
 import { HDRLoader } from "three/addons/loaders/HDRLoader.js";
@@ -14,7 +14,7 @@ const close = (actual: Vector3, wanted: readonly number[], within: number) =>
 const CUBE = field.binary("cube", field.cubeBytes(16));
 const HDR = field.binary("hdr", field.hdrBytes(16, true));
 
-test("a LightProbe shades as the light does, whatever the basis", () => {
+test("a LightProbe shades like the light, in every basis", () => {
   for (const basis of ["arcore", "arkit", "threejs"] as const) {
     const { probe } = applyToScene(new Scene(), field.light([field.harmonicsForm(basis)]));
     for (const direction of field.DIRECTIONS) {
@@ -26,7 +26,7 @@ test("a LightProbe shades as the light does, whatever the basis", () => {
   }
 });
 
-test("harmonics and main light together are counted once", () => {
+test("harmonics and main light are not counted twice", () => {
   const [direction, intensity] = [field.MAIN_LIGHT.values!["direction"] as Vector, [3, 2, 1]];
   for (const kind of ["total", "ambient"] as const) {
     const { probe, directional } = applyToScene(
@@ -48,8 +48,8 @@ test("harmonics and main light together are counted once", () => {
   }
 });
 
-/** As three.js's shaders do: x negated, then OpenGL's face and texel. */
-function lookUp(texture: CubeTexture, [x, y, z]: Vector, level = 0): number[] {
+/** Sample like three.js's shaders: negate x, then OpenGL's face and texel. */
+function sample(texture: CubeTexture, [x, y, z]: Vector, level = 0): number[] {
   const images = (
     level === 0 ? texture.images : (texture.mipmaps as unknown as CubeTexture[])[level - 1]!.images
   ) as DataTexture[];
@@ -59,12 +59,12 @@ function lookUp(texture: CubeTexture, [x, y, z]: Vector, level = 0): number[] {
   return Array.from(texels.subarray((row * side + column) * 4).slice(0, 4), field.fromHalf);
 }
 
-test("a cube is seen in the directions that it was made of", () => {
+test("a cube texture shows each direction's light", () => {
   for (const form of [CUBE, field.binary("ktx2", field.ktx2Bytes([field.cubeBytes(16)], 16))]) {
     const texture = environmentTexture(form) as CubeTexture;
     assert.ok(texture.isCubeTexture && !texture.isRenderTargetTexture && !texture.flipY && texture.version > 0);
     for (const direction of field.DIRECTIONS) {
-      const [red, green, blue, alpha] = lookUp(texture, direction) as [number, number, number, number];
+      const [red, green, blue, alpha] = sample(texture, direction) as [number, number, number, number];
       close(new Vector3(red, green, blue), field.radiance(direction), 0.4 * (3 / 16));
       assert.equal(alpha, 1);
     }
@@ -76,12 +76,12 @@ test("specular mips are a cube texture with levels", () => {
   const texture = specularTexture(field.binary("specular", field.ktx2Bytes(levels, 8)));
   assert.equal(texture.mipmaps!.length, 2);
   for (const [level, gain] of [1, 0.5, 0.25].entries()) {
-    const [red] = lookUp(texture, [1, 0, 0], level);
+    const [red] = sample(texture, [1, 0, 0], level);
     assert.ok(Math.abs(red! - 0.9 * gain) < 0.1 * gain);
   }
 });
 
-test("a panorama is seen in the directions that it was made of, as three.js's own loader reads it", () => {
+test("a panorama shows each direction's light, like three.js's loader", () => {
   const texture = environmentTexture(HDR) as DataTexture;
   const { width, height, data } = texture.image as unknown as { width: number; height: number; data: Uint16Array };
   for (const [x, y, z] of field.DIRECTIONS) {
@@ -91,17 +91,17 @@ test("a panorama is seen in the directions that it was made of, as three.js's ow
     const texel = Array.from(data.subarray((row * width + column) * 4).slice(0, 3), field.fromHalf);
     close(new Vector3(...texel), field.radiance([x, y, z]), 0.4 * (5 / 16));
   }
-  const theirs = new HDRLoader().parse(HDR.data!.buffer) as unknown as { data: Uint16Array };
+  const loaded = new HDRLoader().parse(HDR.data!.buffer) as unknown as { data: Uint16Array };
   for (let row = 0; row < height; row++) {
-    const [ours, wanted] = [data.subarray(row * width * 4), theirs.data.subarray((height - 1 - row) * width * 4)].map(
+    const [ours, wanted] = [data.subarray(row * width * 4), loaded.data.subarray((height - 1 - row) * width * 4)].map(
       (from) => Array.from(from.slice(0, width * 4), field.fromHalf),
     );
-    // Theirs takes a mantissa's 255 for 1, where Radiance's own writer and the server's mean 256: 0.4 % apart.
+    // three.js's loader divides the mantissa by 255, Radiance's own writer and the server by 256: 0.4 % difference.
     ours!.forEach((value, at) => assert.ok(Math.abs(value - wanted![at]!) <= wanted![at]! / 250));
   }
 });
 
-test("an environment lights alone, and the same light again is no work", () => {
+test("an environment replaces other lights, and equal light is kept", () => {
   const scene = new Scene();
   const full = field.light([CUBE, field.harmonicsForm("arcore"), field.MAIN_LIGHT]);
   const { probe, directional, environment } = applyToScene(scene, full, { intensity: 2, distance_m: 3 });
@@ -124,7 +124,7 @@ test("an environment lights alone, and the same light again is no work", () => {
   assert.deepEqual(probe.sh.coefficients[0]!.toArray(), [0, 0, 0]);
 });
 
-test("what the app put into its scene stays", () => {
+test("the app's own environment is kept", () => {
   const scene = new Scene();
   const own = (scene.environment = new Texture());
   applyToScene(scene, field.light([field.harmonicsForm("arkit")]));
@@ -138,10 +138,10 @@ test("what the app put into its scene stays", () => {
   assert.ok(probe instanceof LightProbe && directional instanceof DirectionalLight && scene.environment);
 });
 
-test("an environment is not made of other forms", () => {
+test("other forms make no environment", () => {
   assert.throws(
-    () => environmentTexture(formOf(field.light([field.MAIN_LIGHT]), "main_light") as LightData),
+    () => environmentTexture(findForm(field.light([field.MAIN_LIGHT]), "main_light") as LightData),
     RangeError,
   );
-  assert.throws(() => environmentTexture(field.binary("exr", new Uint8Array(8))), /not of exr/);
+  assert.throws(() => environmentTexture(field.binary("exr", new Uint8Array(8))), /got exr/);
 });

@@ -1,4 +1,4 @@
-// The shared vector, and a frame that any server takes.
+// The test vector shared by all clients, and a frame that every server accepts.
 
 import { readFileSync } from "node:fs";
 import type { Frame, FrameHeader } from "roomlight";
@@ -11,7 +11,7 @@ interface Vector {
   bytes: Buffer;
 }
 
-interface Listed {
+interface VectorEntry {
   name: string;
   header: FrameHeader;
   parts: Record<"colour" | "depth" | "confidence", string>;
@@ -20,12 +20,12 @@ interface Listed {
 }
 
 export function vectors(): Vector[] {
-  const { file, vectors: listed } = JSON.parse(readFileSync(new URL("wire_vector.json", FOLDER), "utf8")) as {
+  const { file, vectors: entries } = JSON.parse(readFileSync(new URL("wire_vector.json", FOLDER), "utf8")) as {
     file: string;
-    vectors: Listed[];
+    vectors: VectorEntry[];
   };
   const whole = readFileSync(new URL(file, FOLDER));
-  return listed.map(({ name, header, parts, offset, length }) => {
+  return entries.map(({ name, header, parts, offset, length }) => {
     const { version: _version, colour, depth, confidence, ...rest } = header;
     const data = (part: keyof typeof parts) => new Uint8Array(Buffer.from(parts[part], "hex"));
     const frame: Frame = {
@@ -46,7 +46,7 @@ export function vectors(): Vector[] {
   });
 }
 
-/** 4 x 3 pixels of grey, 1.5 m away. */
+/** A grey image of 4 x 3 pixels, 1.5 m away. */
 export function plainFrame(): Frame {
   return {
     colour: { encoding: "rgb8", data: new Uint8Array(36).fill(128) },

@@ -1,4 +1,4 @@
-// WebXR's views and depth: as its own specification reads them.
+// WebXR's views and depth, compared with the specification's algorithms.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
@@ -13,13 +13,13 @@ import {
 } from "roomlight/webxr";
 import { Matrix4, PerspectiveCamera, Vector3 } from "three";
 
-/** WebXR's own types fit: this does not compile if they do not. */
+/** Compiles only if WebXR's own types satisfy the interfaces. */
 export const fits = (view: XRView, depth: XRCPUDepthInformation): [ViewLike, CpuDepthLike] => [view, depth];
 
 const IDENTITY = new Matrix4();
 const image = { data: new Uint8Array([255, 216, 255]), width: 40, height: 30 };
 
-/** A camera whose principal point is off the centre, as a phone's is. */
+/** A camera with its principal point off the centre, like a phone's. */
 function camera() {
   const found = new PerspectiveCamera(50, 4 / 3, 0.1, 100);
   found.setViewOffset(400, 300, 12, -7, 400, 300);
@@ -27,7 +27,7 @@ function camera() {
   return found;
 }
 
-test("a point falls on the pixel that the projection matrix says", () => {
+test("intrinsics project like the projection matrix", () => {
   const { projectionMatrix } = camera();
   const size = { width: 640, height: 480 };
   const { fx, fy, cx, cy } = intrinsicsOfView(projectionMatrix.elements, size);
@@ -48,7 +48,7 @@ test("other projections are refused", () => {
   }
 });
 
-/** A depth buffer as a browser hands it out, and the specification's way of reading it. */
+/** A depth buffer like a browser's, and the specification's way of reading it. */
 function buffer(width: number, height: number, matrix: Matrix4, isFloat: boolean, rawValueToMeters: number) {
   const values = Array.from({ length: width * height }, (_, at) => 1000 + at);
   const data = (isFloat ? Float32Array.from(values) : Uint16Array.from(values)).buffer;
@@ -67,9 +67,9 @@ function buffer(width: number, height: number, matrix: Matrix4, isFloat: boolean
   return { info, depthInMetres };
 }
 
-test("depth is turned upright, in millimetres or metres", () => {
+test("depth is rotated upright, in millimetres or metres", () => {
   // A phone held upright: the buffer's columns are the view's rows.
-  const turned = new Matrix4().set(0, 1, 0, 0, -1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1);
+  const rotated = new Matrix4().set(0, 1, 0, 0, -1, 0, 0, 1, 0, 0, 1, 0, 0, 0, 0, 1);
   const cases = [
     {
       matrix: IDENTITY,
@@ -80,14 +80,21 @@ test("depth is turned upright, in millimetres or metres", () => {
       format: "uint16_mm",
     },
     {
-      matrix: turned,
+      matrix: rotated,
       size: [16, 12],
       view: { width: 300, height: 400 },
       isFloat: false,
       raw: 0.001,
       format: "uint16_mm",
     },
-    { matrix: turned, size: [16, 12], view: { width: 300, height: 400 }, isFloat: true, raw: 0.5, format: "float32_m" },
+    {
+      matrix: rotated,
+      size: [16, 12],
+      view: { width: 300, height: 400 },
+      isFloat: true,
+      raw: 0.5,
+      format: "float32_m",
+    },
     {
       matrix: IDENTITY,
       size: [16, 12],
@@ -116,7 +123,7 @@ test("depth is turned upright, in millimetres or metres", () => {
   }
 });
 
-test("what the depth sensor does not see is unknown, and a wider view has its own aspect", () => {
+test("depth outside the sensor's view is unknown", () => {
   const narrower = new Matrix4()
     .makeTranslation(-0.5, -0.5, 0)
     .premultiply(new Matrix4().makeScale(2, 1, 1))

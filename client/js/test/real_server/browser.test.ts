@@ -1,4 +1,4 @@
-// A page in Chromium: its renderer sees light where it comes from, and its frames reach the server at ROOMLIGHT_SERVER.
+// A page in Chromium: its renderer shows light from the right directions, and it streams to ROOMLIGHT_SERVER.
 
 import assert from "node:assert/strict";
 import { existsSync, readFileSync } from "node:fs";
@@ -12,7 +12,7 @@ import type { Calls } from "./page.js";
 
 const ROOT = new URL("../../../", import.meta.url);
 const TYPES: Record<string, string> = { html: "text/html", js: "text/javascript" };
-const PLACES = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+const EXECUTABLES = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
 const ARGUMENTS = [
   ...["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"],
   ...["--disable-background-networking", "--disable-component-update", "--disable-sync"],
@@ -20,13 +20,13 @@ const ARGUMENTS = [
 
 let browser: Browser;
 let page: Page;
-const complaints: string[] = [];
-const ends: (() => void)[] = [];
+const errors: string[] = [];
+const cleanups: (() => void)[] = [];
 
 before(async () => {
-  const executablePath = process.env["CHROMIUM"] ?? PLACES.find((place) => existsSync(place));
-  assert.ok(executablePath, `Chromium is needed, at one of ${PLACES.join(", ")} or where CHROMIUM says`);
-  const server = await serve({ after: (end) => void ends.push(end as () => void) }, ({ path }) => {
+  const executablePath = process.env["CHROMIUM"] ?? EXECUTABLES.find((path) => existsSync(path));
+  assert.ok(executablePath, `Chromium is needed, at one of ${EXECUTABLES.join(", ")} or at the path in CHROMIUM`);
+  const server = await serve({ after: (end) => void cleanups.push(end as () => void) }, ({ path }) => {
     const file = new URL(`.${path}`, ROOT);
     return existsSync(file)
       ? { body: readFileSync(file), headers: { "content-type": TYPES[path.split(".").pop()!] ?? "text/plain" } }
@@ -34,18 +34,18 @@ before(async () => {
   });
   browser = await chromium.launch({ executablePath, args: ARGUMENTS });
   page = await browser.newPage();
-  page.on("pageerror", (error) => complaints.push(String(error)));
-  page.on("console", (message) => void (message.type() === "error" && complaints.push(message.text())));
+  page.on("pageerror", (error) => errors.push(String(error)));
+  page.on("console", (message) => void (message.type() === "error" && errors.push(message.text())));
   await page.goto(`${server.url}/test/real_server/page.html`);
   await page.waitForFunction("globalThis.calls");
 });
 
 after(async () => {
   await browser?.close();
-  ends.forEach((end) => end());
+  cleanups.forEach((cleanup) => cleanup());
 });
 
-/** A function of page.ts, in the page. */
+/** Call a function of page.ts in the page. */
 function call<Name extends keyof Calls>(
   name: Name,
   ...parameters: Parameters<Calls[Name]>
@@ -69,19 +69,19 @@ function near(shown: readonly number[][], wanted: readonly (readonly number[])[]
 const all = (of: (direction: Vector) => number[]) => field.DIRECTIONS.map(of);
 const lambert = (normal: Vector) => normal.map((part) => 0.5 + (2 / 3) * 0.4 * part); // irradiance / pi
 
-test("a mirror and a panorama show light where it comes from", async () => {
+test("a mirror and a panorama show light in its direction", async () => {
   const wanted = all((direction) => [...field.radiance(direction)]);
   near(await call("mirrored"), wanted, 0.02); // after three.js's own filtering of the cube
   near(await call("panorama"), wanted, 0.02);
 });
 
-test("harmonics shade as the light does, and a main light is not counted twice", async () => {
+test("harmonics shade like the light, main light counted once", async () => {
   for (const basis of ["arcore", "arkit", "threejs"] as const) {
-    near(await call("matt", [field.harmonicsForm(basis)]), all(lambert), 0.01);
+    near(await call("diffuse", [field.harmonicsForm(basis)]), all(lambert), 0.01);
   }
   const weak = { direction: field.unit([1, 2, 2]), intensity: [0.3, 0.2, 0.1] as Vector };
-  const dim = await call("matt", [field.harmonicsForm("threejs"), { ...field.MAIN_LIGHT, values: weak }]);
-  // Its lobe of nine harmonics is replaced by a point: clamped cosine against the harmonics' own.
+  const dim = await call("diffuse", [field.harmonicsForm("threejs"), { ...field.MAIN_LIGHT, values: weak }]);
+  // A clamped cosine replaces the main light's share of the nine harmonics.
   const lobe = (cosine: number) => 1 / 4 + cosine / 2 + (5 / 32) * (3 * cosine * cosine - 1);
   near(
     dim,
@@ -95,14 +95,14 @@ test("harmonics shade as the light does, and a main light is not counted twice",
   );
 });
 
-test("a shader reads each level of the specular mips", async () => {
+test("a shader samples each level of the specular mips", async () => {
   for (const [level, gain] of [1, 0.5, 0.25].entries()) {
     const texels = all((direction) => field.radiance(direction).map((value) => value * gain));
-    near(await call("specular", level), texels, 0.03 + 0.08 * level * gain); // the smallest has two texels a side
+    near(await call("specular", level), texels, 0.03 + 0.08 * level * gain); // the smallest level is two texels wide
   }
 });
 
-test("a main light of intensity 0 casts its shadow all the same", async () => {
+test("a main light of intensity 0 still casts a shadow", async () => {
   const [under, beside] = (await call("shadows")) as [number[], number[]];
   assert.ok(under[0]! < 0.6 && beside[0]! > 0.95, `${under} under the box, ${beside} beside it`);
 });
@@ -116,7 +116,7 @@ test("a camera's texture becomes an upright JPEG", async () => {
   assert.ok(isNear(bottomLeft, [240, 0, 0]) && isNear(bottomRight, [0, 240, 0]), `${pixels}`);
 });
 
-test("frames of the page reach the server, and its light the scene", async () => {
+test("the page streams frames and shows the server's light", async () => {
   const [url, token] = [process.env["ROOMLIGHT_SERVER"]!, process.env["ROOMLIGHT_TOKEN"]!];
   const plain = vectors().map(({ frame }) => frame);
   const asArrays = JSON.parse(JSON.stringify(plain, (_, value) => (value instanceof Uint8Array ? [...value] : value)));
@@ -130,7 +130,7 @@ test("frames of the page reach the server, and its light the scene", async () =>
     `red on the left, green on the right: ${left}, ${right}`,
   );
   assert.deepEqual(
-    complaints.filter((text) => !text.includes("404")),
+    errors.filter((text) => !text.includes("404")),
     [],
   );
 });

@@ -1,4 +1,4 @@
-// What the browser test calls in its page. Radiances come back as the renderer's pixels, linear, 1.0 = 255.
+// Functions that the browser test calls in its page. Radiances are the renderer's pixels: linear, 1.0 = 255.
 
 import { RoomLight, RoomLightError, type Frame, type Light, type LightData, type Lights, type Vector } from "roomlight";
 import { applyToScene, environmentTexture, removeFromScene, specularTexture } from "roomlight/three";
@@ -11,8 +11,8 @@ renderer.setSize(32, 32);
 renderer.outputColorSpace = THREE.LinearSRGBColorSpace;
 renderer.shadowMap.enabled = true;
 
-/** Linear RGB in the middle of the picture. */
-function shot(scene: THREE.Scene, camera: THREE.Camera): number[] {
+/** Linear RGB of the middle pixel. */
+function renderPixel(scene: THREE.Scene, camera: THREE.Camera): number[] {
   renderer.render(scene, camera);
   const gl = renderer.getContext();
   const pixel = new Uint8Array(4);
@@ -20,8 +20,8 @@ function shot(scene: THREE.Scene, camera: THREE.Camera): number[] {
   return [...pixel.subarray(0, 3)].map((value) => value / 255);
 }
 
-/** A camera at a distance from the origin, looking along a direction. */
-function looking(direction: Vector, from_m = 0): THREE.PerspectiveCamera {
+/** A camera at a distance from the origin that looks along a direction. */
+function cameraAlong(direction: Vector, from_m = 0): THREE.PerspectiveCamera {
   const camera = new THREE.PerspectiveCamera(60, 1, 0.01, 50);
   const along = new THREE.Vector3(...direction);
   camera.up.set(0, Math.abs(along.y) > 0.9 ? 0 : 1, Math.abs(along.y) > 0.9 ? 1 : 0);
@@ -38,11 +38,11 @@ function disc(normal: Vector, material: THREE.Material): THREE.Mesh {
   return mesh;
 }
 
-const against = (direction: Vector) => direction.map((part) => -part) as unknown as Vector;
+const opposite = (direction: Vector) => direction.map((part) => -part) as unknown as Vector;
 const cube = () => field.binary("cube", field.cubeBytes(32));
 
-/** What three.js's shaders find in a texture, in each of some directions: its own `equirectUv`, and cubes with -x. */
-function looked(map: THREE.Texture, directions: readonly Vector[], level = 0): number[][] {
+/** Sample a texture like three.js's shaders: panoramas by its `equirectUv`, cubes with -x. */
+function sampleTexture(map: THREE.Texture, directions: readonly Vector[], level = 0): number[][] {
   const material = new THREE.ShaderMaterial({
     uniforms: { map: { value: map }, direction: { value: new THREE.Vector3() }, level: { value: level } },
     vertexShader: "void main() { gl_Position = vec4(position.xy, 0.0, 1.0); }",
@@ -59,42 +59,43 @@ function looked(map: THREE.Texture, directions: readonly Vector[], level = 0): n
   scene.add(sheet);
   return directions.map((direction) => {
     material.uniforms["direction"]!.value.set(...direction);
-    return shot(scene, looking([0, 0, -1]));
+    return renderPixel(scene, cameraAlong([0, 0, -1]));
   });
 }
 
-/** The panorama of a form `hdr`, and a level of `specular`, in each direction. */
-const panorama = () => looked(environmentTexture(field.binary("hdr", field.hdrBytes(64, true))), field.DIRECTIONS);
+/** Samples of a form `hdr`, and of a level of `specular`, in each direction. */
+const panorama = () =>
+  sampleTexture(environmentTexture(field.binary("hdr", field.hdrBytes(64, true))), field.DIRECTIONS);
 function specular(level: number): number[][] {
   const levels = [field.cubeBytes(8), field.cubeBytes(4, 0.5), field.cubeBytes(2, 0.25)];
-  return looked(specularTexture(field.binary("specular", field.ktx2Bytes(levels, 8))), field.DIRECTIONS, level);
+  return sampleTexture(specularTexture(field.binary("specular", field.ktx2Bytes(levels, 8))), field.DIRECTIONS, level);
 }
 
-/** A mirror facing each direction, lit by an environment. */
+/** A mirror that faces each direction, lit by an environment. */
 function mirrored(): number[][] {
   const scene = new THREE.Scene();
   applyToScene(scene, field.light([cube(), field.harmonicsForm("arcore"), field.MAIN_LIGHT]));
   const mirror = disc([0, 0, 1], new THREE.MeshStandardMaterial({ metalness: 1, roughness: 0 }));
   scene.add(mirror);
-  const shots = field.DIRECTIONS.map((direction) => {
+  const pixels = field.DIRECTIONS.map((direction) => {
     mirror.lookAt(...direction);
-    return shot(scene, looking(against(direction), 3));
+    return renderPixel(scene, cameraAlong(opposite(direction), 3));
   });
   removeFromScene(scene);
-  return shots;
+  return pixels;
 }
 
-/** White matt discs in each direction, lit by harmonics of light about the origin, and a main light if it is given. */
-function matt(parts: readonly LightData[]): number[][] {
+/** White diffuse discs in each direction, lit by harmonics at the origin and, if given, a main light. */
+function diffuse(parts: readonly LightData[]): number[][] {
   return field.DIRECTIONS.map((direction) => {
     const scene = new THREE.Scene();
     applyToScene(scene, { ...field.light(parts), position: [0, 0, 0] });
     scene.add(disc(direction, new THREE.MeshLambertMaterial()));
-    return shot(scene, looking(against(direction), 3));
+    return renderPixel(scene, cameraAlong(opposite(direction), 3));
   });
 }
 
-/** A floor that takes nothing but shadow, beside and under a box, in the light of an environment. */
+/** A floor of ShadowMaterial under a box and beside it, lit by an environment. */
 function shadows(): number[][] {
   const scene = new THREE.Scene();
   scene.background = new THREE.Color(1, 1, 1);
@@ -115,11 +116,11 @@ function shadows(): number[][] {
     camera.position.set(x! + 1, 1, z!);
     camera.lookAt(x!, 0, z!);
     camera.updateMatrixWorld();
-    return shot(scene, camera);
+    return renderPixel(scene, camera);
   });
 }
 
-/** A picture of a room on a texture, its first row the lowest as WebGL has it: left red, right green, its top dark. */
+/** A texture with an image of a room, lowest row first as in WebGL: left red, right green, top dark. */
 function paintedTexture(gl: WebGL2RenderingContext, width: number, height: number): WebGLTexture {
   const texture = gl.createTexture();
   const rgba = new Uint8Array(width * height * 4);
@@ -135,7 +136,7 @@ function paintedTexture(gl: WebGL2RenderingContext, width: number, height: numbe
   return texture;
 }
 
-/** A view as WebXR would give it: the painted room, 1.5 m away. */
+/** A WebXR view of the painted room, 1.5 m away. */
 function xrFrame(): Frame {
   const gl = renderer.getContext() as WebGL2RenderingContext;
   const [width, height] = [960, 720];
@@ -159,7 +160,7 @@ function xrFrame(): Frame {
   return frameOfView({ view: pose, depth, image, time_ms: performance.now() });
 }
 
-/** The pixels in the middle of an image's quarters: top left, top right, bottom left, bottom right. */
+/** The middle pixels of the image's quarters: top left, top right, bottom left, bottom right. */
 async function quarters(): Promise<{ size: number[]; pixels: number[][] }> {
   const { data } = xrFrame().colour;
   const bitmap = await createImageBitmap(await (data as Promise<Blob>));
@@ -174,14 +175,14 @@ async function quarters(): Promise<{ size: number[]; pixels: number[][] }> {
   };
 }
 
-/** A session with the server, from another origin: over HTTP and the WebSocket, its light in a scene. */
+/** A session from another origin, over HTTP and WebSocket, with its light in a scene. */
 async function session(url: string, token: string, vector: readonly Frame[]) {
   const server = new RoomLight(url, { token });
-  const options = { mode: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
+  const options = { model: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
   const shared = await server.open(options);
   const statuses: string[] = [];
   for (const frame of vector) {
-    const revived = {
+    const withBytes = {
       ...frame,
       colour: { ...frame.colour, data: bytesOf(frame.colour.data) },
       depth: { ...frame.depth, data: bytesOf(frame.depth.data) },
@@ -190,7 +191,7 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
     statuses.push(
       (
         await shared.push(
-          confidence ? { ...revived, confidence: { ...confidence, data: bytesOf(confidence.data) } } : revived,
+          confidence ? { ...withBytes, confidence: { ...confidence, data: bytesOf(confidence.data) } } : withBytes,
         )
       ).status,
     );
@@ -202,7 +203,7 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
   );
 
   const live = await server.open(options);
-  let followed: Light | null = null;
+  let tracked: Light | null = null;
   const update = new Promise<Lights>((resolve) => {
     void live.stream({ onLighting: (lights) => lights.frame < 0 || resolve(lights) }).then(async (stream) => {
       stream.track("here", [0, 0, -0.5]);
@@ -210,18 +211,18 @@ async function session(url: string, token: string, vector: readonly Frame[]) {
       statuses.push((await stream.push(xrFrame())).status);
     });
   });
-  followed = (await update).results[0]!;
+  tracked = (await update).results[0]!;
   const first = await live.probe("here", { format: "sh" });
   const again = await live.probe("here", { format: "sh" }, { etag: first!.etag });
   const scene = new THREE.Scene();
-  const { environment } = applyToScene(scene, followed);
-  const ahead = looked(environment!, [field.unit([-0.3, 0, -1]), field.unit([0.3, 0, -1])]);
+  const { environment } = applyToScene(scene, tracked);
+  const ahead = sampleTexture(environment!, [field.unit([-0.3, 0, -1]), field.unit([0.3, 0, -1])]);
   await live.delete();
-  return { statuses, gone, ahead, coverage: followed.coverage, unchanged: again === null };
+  return { statuses, gone, ahead, coverage: tracked.coverage, unchanged: again === null };
 }
 
 const bytesOf = (data: unknown) => Uint8Array.from(data as number[]);
 
-const calls = { mirrored, panorama, matt, specular, shadows, quarters, session, harmonicsForm: field.harmonicsForm };
+const calls = { mirrored, panorama, diffuse, specular, shadows, quarters, session, harmonicsForm: field.harmonicsForm };
 export type Calls = typeof calls;
 Object.assign(globalThis, { calls });

@@ -1,11 +1,11 @@
-// Against the server itself, at ROOMLIGHT_SERVER with the token ROOMLIGHT_TOKEN: the shared vector and a plain room over
-// both ways, and every form of light held to the panorama that the server has.
+// Against a real server at ROOMLIGHT_SERVER with the token ROOMLIGHT_TOKEN: the shared vector and a plain room over
+// HTTP and WebSocket, and every light form compared with the server's panorama.
 
 import assert from "node:assert/strict";
 import { test } from "node:test";
 import {
-  cubeOf,
-  formOf,
+  parseCube,
+  findForm,
   Harmonics,
   parseHdr,
   RoomLight,
@@ -20,7 +20,7 @@ import { fromHalf, faceDirection, panoramaDirection } from "../light_field.js";
 import { plainFrame, vectors } from "../vectors.js";
 
 const server = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: process.env["ROOMLIGHT_TOKEN"]! });
-const options = { mode: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
+const options = { model: "classical", height: 32, reference_exposure: 1, use_limited_tracking: true } as const;
 const FORMS: LightForm[] = [
   { format: "npy" },
   { format: "hdr" },
@@ -32,7 +32,7 @@ const FORMS: LightForm[] = [
   { format: "main_light" },
 ];
 
-/** Looking along -z at a wall 1.5 m away, bright on the left and green on the right. */
+/** A camera that looks along -z at a wall 1.5 m away, bright on the left and green on the right. */
 function roomFrame(index: number): Frame {
   const [width, height] = [64, 48];
   const colour = new Uint8Array(width * height * 3);
@@ -49,9 +49,9 @@ function roomFrame(index: number): Frame {
   };
 }
 
-/** NumPy's file, version 1: float32 [height, 2 height, 3]. */
+/** The panorama of a form `npy` (NumPy's format, version 1): float32 [height, 2 height, 3]. */
 function panoramaOf(light: Light): { height: number; at: (column: number, row: number) => Vector } {
-  const data = formOf(light, "npy")!.data!;
+  const data = findForm(light, "npy")!.data!;
   const start = 10 + new DataView(data.buffer).getUint16(8, true);
   const rgb = new Float32Array(data.slice(start).buffer);
   const height = Math.sqrt(rgb.length / 6);
@@ -75,7 +75,7 @@ function integrate(light: Light, weight: (direction: Vector) => number): Vector 
   return sum as unknown as Vector;
 }
 
-function promised<T>() {
+function deferred<T>() {
   let resolve!: (value: T) => void;
   return { promise: new Promise<T>((found) => (resolve = found)), resolve };
 }
@@ -85,7 +85,7 @@ const near = (actual: readonly number[], wanted: readonly number[], within: numb
     assert.ok(Math.abs(value - wanted[at]!) <= within, `${what}: ${actual} is not ${wanted}`),
   );
 
-test("the shared vector is taken, over both ways", async () => {
+test("the shared vector is accepted over HTTP and WebSocket", async () => {
   const session = await server.open(options);
   const stream = await (await server.open(options)).stream();
   for (const { frame } of vectors()) {
@@ -111,8 +111,8 @@ test("every form is the light of the panorama", async () => {
   const { height, at } = panoramaOf(light);
   assert.equal(height, 32);
 
-  const hdr = parseHdr(formOf(light, "hdr")!.data!);
-  const cube = cubeOf(formOf(light, "cube")!);
+  const hdr = parseHdr(findForm(light, "hdr")!.data!);
+  const cube = parseCube(findForm(light, "cube")!);
   for (let row = 0; row < height; row += 3) {
     for (let column = 0; column < 2 * height; column += 5) {
       const wanted = at(column, row);
@@ -124,11 +124,11 @@ test("every form is the light of the panorama", async () => {
       );
     }
   }
-  assert.deepEqual(cubeOf(formOf(light, "ktx2")!), cube);
-  const specular = cubeOf(formOf(light, "specular")!);
+  assert.deepEqual(parseCube(findForm(light, "ktx2")!), cube);
+  const specular = parseCube(findForm(light, "specular")!);
   assert.ok(specular.levels.length > 2);
 
-  // A cube's texels, each where OpenGL's table has it, sum up to the panorama's light, and to its moments.
+  // The cube's texels, placed by OpenGL's table, integrate to the panorama's light and to its first moments.
   const [mean, moments] = [
     [0, 0, 0],
     [0, 0, 0],
@@ -143,7 +143,7 @@ test("every form is the light of the panorama", async () => {
     }
   });
   const total = integrate(light, () => 1)[0];
-  near([mean[0]!], [total], 0.02 * total, "mean of the cube");
+  near([mean[0]!], [total], 0.02 * total, "integral of the cube");
   near(
     moments,
     [0, 1, 2].map((axis) => integrate(light, (direction) => direction[axis]!)[0]),
@@ -167,29 +167,29 @@ test("every form is the light of the panorama", async () => {
       );
     near(forms[0]!.irradiance(normal), integrate(light, cosine), 0.06 * total, "irradiance"); // nine harmonics: a few %
   }
-  const { direction } = formOf(light, "main_light")!.values as { direction: Vector };
+  const { direction } = findForm(light, "main_light")!.values as { direction: Vector };
   assert.ok(direction[2] < -0.3 && direction[0] < 0, `the bright wall is on the left, not at ${direction}`);
   await session.delete();
 });
 
-test("a followed point's light comes after each frame, and by its ETag", async () => {
+test("a tracked point's light arrives after each frame", async () => {
   const session = await server.open(options);
-  const [prior, lit, followed] = [promised<Lights>(), promised<Lights>(), promised<object>()];
+  const [prior, lit, tracked] = [deferred<Lights>(), deferred<Lights>(), deferred<object>()];
   const problems: RoomLightError[] = [];
   const stream = await session.stream({
     onLighting: (lights) => (lights.frame < 0 ? prior : lit).resolve(lights),
-    onProbes: followed.resolve,
+    onProbes: tracked.resolve,
     onProblem: (error) => problems.push(error),
   });
   stream.track("table", [0, -0.5, -0.5]);
-  assert.deepEqual(await followed.promise, { table: [0, -0.5, -0.5] });
+  assert.deepEqual(await tracked.promise, { table: [0, -0.5, -0.5] });
   stream.subscribe([{ format: "sh" }, { format: "cube", size: 16 }]);
-  assert.equal((await prior.promise).results[0]!.coverage, 0); // at once, before any frame
+  assert.equal((await prior.promise).results[0]!.coverage, 0); // sent at once, before the first frame
   assert.equal((await stream.push(roomFrame(0))).status, "processed");
   const [table] = (await lit.promise).results;
   assert.deepEqual([table!.name, table!.forms.length, table!.forms[1]!.data!.length], ["table", 2, 6 * 16 * 16 * 8]);
-  const asked = await stream.light({ probes: [{ name: "table" }], forms: [{ format: "main_light" }] });
-  assert.equal(asked.results[0]!.etag, table!.etag);
+  const requested = await stream.light({ probes: [{ name: "table" }], forms: [{ format: "main_light" }] });
+  assert.equal(requested.results[0]!.etag, table!.etag);
 
   const first = await session.probe("table", { format: "cube", size: 16 });
   assert.deepEqual(first!.form.data, table!.forms[1]!.data);
@@ -206,17 +206,35 @@ test("a followed point's light comes after each frame, and by its ETag", async (
   await session.delete();
 });
 
-test("a refusal names field, value and rule; a stranger is none of ours", async () => {
+test("refusals name the field, and other tokens are refused", async () => {
   const session = await server.open(options);
-  const turned = { ...roomFrame(0), camera_to_world: [2, ...Array.from(roomFrame(0).camera_to_world).slice(1)] };
-  await assert.rejects(session.push(turned), (error) => {
+  const scaled = { ...roomFrame(0), camera_to_world: [2, ...Array.from(roomFrame(0).camera_to_world).slice(1)] };
+  await assert.rejects(session.push(scaled), (error) => {
     assert.ok(error instanceof RoomLightError);
     assert.deepEqual([error.status, error.problem!.field], [422, "camera_to_world"]);
     return true;
   });
   await session.push(roomFrame(3));
   await assert.rejects(session.push(roomFrame(2)), (error) => error instanceof RoomLightError && error.status === 409);
-  const stranger = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: "not-a-token-of-this-server" });
-  await assert.rejects(stranger.open(options), (error) => error instanceof RoomLightError && error.status === 401);
+  const other = new RoomLight(process.env["ROOMLIGHT_SERVER"]!, { token: "not-a-token-of-this-server" });
+  await assert.rejects(other.open(options), (error) => error instanceof RoomLightError && error.status === 401);
   await session.delete();
+});
+
+test("a session is joined with its index, and a 409 names the option", async () => {
+  const session = await server.open(options);
+  await session.push(roomFrame(4));
+  const joined = await server.join(session.id);
+  assert.deepEqual([joined.id, joined.model, joined.nextIndex], [session.id, "classical", 5]);
+  const again = await server.open({ ...options, id: session.id });
+  assert.equal(again.nextIndex, 5);
+  await assert.rejects(server.open({ ...options, height: 64, id: session.id }), (error) => {
+    assert.ok(error instanceof RoomLightError);
+    assert.deepEqual([error.status, error.kind], [409, "session-conflict"]);
+    assert.match(error.field, /height/);
+    assert.match(error.message, /height.*32/s);
+    return true;
+  });
+  await joined.delete();
+  await assert.rejects(server.join(session.id), (error) => error instanceof RoomLightError && error.status === 404);
 });

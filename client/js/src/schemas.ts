@@ -1,0 +1,475 @@
+// Generated from the server's OpenAPI document by `npm run generate`. Do not edit.
+// Units: world metres (y up), seconds, milliseconds where a name says so. Light is linear RGB; 1.0 is the radiance that
+// the session's reference exposure shows as white. server/WIRE.md specifies the format.
+
+export interface components {
+    schemas: {
+        readonly ClientMessage: components["schemas"]["LightCall"] | components["schemas"]["Subscribe"] | components["schemas"]["Track"] | components["schemas"]["Untrack"];
+        /**
+         * @description The first part: the colour image, in sensor orientation (no EXIF rotation), of the size of the intrinsics.
+         *
+         *     jpeg, png, heic: an 8-bit sRGB file.
+         *     rgb8:            8-bit sRGB, row by row, 3 bytes per pixel.
+         *     linear_f32:      float32 linear RGB [h, w, 3], then uint8 [h, w], 1 where the sensor clipped; lossless, for replays.
+         */
+        readonly ColourPart: {
+            /** @enum {string} */
+            readonly encoding: "jpeg" | "png" | "heic" | "rgb8" | "linear_f32";
+            /** @description 1 to 2,147,483,648 */
+            readonly bytes: number;
+        };
+        /** @description The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map. */
+        readonly ConfidencePart: {
+            /**
+             * @default uint8
+             * @constant
+             */
+            readonly format?: "uint8";
+            /**
+             * @default raw
+             * @enum {string}
+             */
+            readonly encoding?: "raw" | "png" | "zstd";
+            /** @description 1 to 16,384 */
+            readonly width: number;
+            /** @description 1 to 16,384 */
+            readonly height: number;
+            /** @description 1 to 2,147,483,648 */
+            readonly bytes: number;
+        };
+        /**
+         * @description The second part: depth along the optical axis, row by row, little-endian, in the view of the colour image.
+         *
+         *     Unknown depth is 0 or 65535 in millimetres; in metres, any value that is not finite and positive.
+         */
+        readonly DepthPart: {
+            /** @enum {string} */
+            readonly format: "uint16_mm" | "float16_m" | "float32_m";
+            /**
+             * @default raw
+             * @enum {string}
+             */
+            readonly encoding?: "raw" | "png" | "zstd";
+            /** @description 1 to 16,384 */
+            readonly width: number;
+            /** @description 1 to 16,384 */
+            readonly height: number;
+            /** @description 1 to 2,147,483,648 */
+            readonly bytes: number;
+        };
+        /**
+         * @description The light of one probe in one form.
+         *
+         *     values: the numbers of sh and main_light.
+         *     data:   the bytes of the other formats in base64, in plain JSON.
+         *     bytes:  the number of bytes of the other formats, in a binary light message.
+         */
+        readonly EncodedLight: {
+            /** @enum {string} */
+            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
+            readonly media_type: string;
+            readonly values?: {
+                readonly [key: string]: unknown;
+            } | null;
+            readonly data?: string | null;
+            readonly bytes?: number | null;
+        };
+        /**
+         * @description Counts of a session's frames. accepted = processed + superseded + skipped + queued.
+         *
+         *     gaps: indices that are missing between the first and the last accepted frame.
+         */
+        readonly FrameCounts: {
+            readonly accepted: number;
+            readonly processed: number;
+            readonly superseded: number;
+            readonly skipped: number;
+            readonly queued: number;
+            readonly gaps: number;
+            readonly replayed: number;
+            readonly refused: number;
+            readonly last_index: number | null;
+        };
+        /** @description WebSocket, to the client: the outcome of a frame. */
+        readonly FrameEvent: {
+            readonly index: number;
+            /** @enum {string} */
+            readonly status: "processed" | "queued" | "superseded" | "skipped";
+            /** @default false */
+            readonly replay: boolean;
+            /** @default null */
+            readonly keyframe?: boolean | null;
+            readonly stage_ms: {
+                readonly [key: string]: number;
+            };
+            readonly coverage: {
+                readonly [key: string]: number;
+            };
+            /**
+             * @default frame
+             * @constant
+             */
+            readonly type: "frame";
+        };
+        /**
+         * @description Everything about a frame except its pixels.
+         *
+         *     index:            required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+         *     camera_to_world:  16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+         *     exposure:         exposure of the image in the unit of the session's reference exposure (for example shutter
+         *                       seconds x ISO); linear radiance is divided by exposure / reference exposure.
+         *     tracking_state:   ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
+         */
+        readonly FrameHeader: {
+            /**
+             * @default 1
+             * @constant
+             */
+            readonly version?: 1;
+            /**
+             * @description at least 0
+             * @default null
+             */
+            readonly index?: number | null;
+            readonly colour: components["schemas"]["ColourPart"];
+            readonly depth: components["schemas"]["DepthPart"];
+            /** @default null */
+            readonly confidence?: components["schemas"]["ConfidencePart"] | null;
+            readonly intrinsics: components["schemas"]["WireIntrinsics"];
+            readonly camera_to_world: readonly number[];
+            /** @default null */
+            readonly timestamp_s?: number | null;
+            /**
+             * @description 1e-06 to 1,000,000
+             * @default 1
+             */
+            readonly exposure?: number;
+            /**
+             * @default normal
+             * @enum {string}
+             */
+            readonly tracking_state?: "normal" | "limited" | "not_available";
+        };
+        /**
+         * @description Outcome of a frame.
+         *
+         *     status:   processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted and
+         *               waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
+         *     replay:   the same index and bytes were sent before; the frame was not processed again.
+         *     keyframe: whether the frame was kept for probes that are requested later.
+         *     stage_ms: processing time of each stage.
+         *     coverage: coverage of each named probe after the last processed frame.
+         */
+        readonly FrameResult: {
+            readonly index: number;
+            /** @enum {string} */
+            readonly status: "processed" | "queued" | "superseded" | "skipped";
+            /** @default false */
+            readonly replay: boolean;
+            readonly keyframe?: boolean | null;
+            readonly stage_ms: {
+                readonly [key: string]: number;
+            };
+            readonly coverage: {
+                readonly [key: string]: number;
+            };
+        };
+        /** @description WebSocket, to the client: the answer to a `light` message. */
+        readonly LightAnswer: {
+            readonly frame: number;
+            readonly results: readonly components["schemas"]["ProbeLight"][];
+            /**
+             * @default light
+             * @constant
+             */
+            readonly type: "light";
+            readonly request: string;
+        };
+        /** @description WebSocket, to the server: request light now. The answer carries the same `request`. */
+        readonly LightCall: {
+            /** @description 1 to 64 items */
+            readonly probes: readonly components["schemas"]["ProbeQuery"][];
+            /** @description 1 to 16 items */
+            readonly forms: readonly components["schemas"]["LightForm"][];
+            /** @constant */
+            readonly type: "light";
+            /** @default  */
+            readonly request?: string;
+        };
+        /**
+         * @description An output encoding of light: a format and its parameters.
+         *
+         *     size:         panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of
+         *                   cube, ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+         *     kind:         for sh: total, or ambient (without the main light).
+         *     basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
+         *                   phase), threejs (27 interleaved, all signs positive).
+         *     exposure_ev:  for png: radiance 2^-exposure_ev is white.
+         */
+        readonly LightForm: {
+            /** @enum {string} */
+            readonly format: "exr" | "hdr" | "png" | "npy" | "cube" | "ktx2" | "specular" | "sh" | "main_light" | "confidence";
+            /** @description 8 to 512 */
+            readonly size?: number | null;
+            /**
+             * @default total
+             * @enum {string}
+             */
+            readonly kind?: "total" | "ambient";
+            /**
+             * @default arcore
+             * @enum {string}
+             */
+            readonly basis?: "arcore" | "arkit" | "threejs";
+            /**
+             * @description -16 to 16
+             * @default 0
+             */
+            readonly exposure_ev?: number;
+        };
+        /** @description Request for light at several points after the same frame, each in every form; 1 to 64 probes, 1 to 16 forms. */
+        readonly LightRequest: {
+            /** @description 1 to 64 items */
+            readonly probes: readonly components["schemas"]["ProbeQuery"][];
+            /** @description 1 to 16 items */
+            readonly forms: readonly components["schemas"]["LightForm"][];
+        };
+        /**
+         * @description Light at several points, in the order of the request.
+         *
+         *     frame: index of the last processed frame; -1 before the first frame: the light is then the default light, grey,
+         *            brighter from above, with zero coverage.
+         */
+        readonly LightResponse: {
+            readonly frame: number;
+            readonly results: readonly components["schemas"]["ProbeLight"][];
+        };
+        /** @description WebSocket, to the client: the light of the named probes after a frame, for a subscription. */
+        readonly LightingUpdate: {
+            readonly frame: number;
+            readonly results: readonly components["schemas"]["ProbeLight"][];
+            /**
+             * @default lighting
+             * @constant
+             */
+            readonly type: "lighting";
+        };
+        /** @description Memory of a session: bytes now, and the upper bound with its options. */
+        readonly Memory: {
+            readonly bytes: number;
+            readonly bound_bytes: number;
+        };
+        /** @description World metres: x, y (up), z. */
+        readonly Position: readonly [
+            number,
+            number,
+            number
+        ];
+        /** @description Position of a named probe, in world metres. */
+        readonly ProbeBody: {
+            readonly position: components["schemas"]["Position"];
+        };
+        /**
+         * @description The light at one point.
+         *
+         *     coverage: fraction of the sphere that was observed, by solid angle, 0 to 1.
+         *     etag:     identifies the light: equal etags mean equal light.
+         */
+        readonly ProbeLight: {
+            readonly position: components["schemas"]["Position"];
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name?: string | null;
+            readonly coverage: number;
+            readonly etag: string;
+            readonly forms: readonly components["schemas"]["EncodedLight"][];
+        };
+        /** @description A point: either a position in world metres or the name of a tracked probe. */
+        readonly ProbeQuery: {
+            readonly position?: components["schemas"]["Position"] | null;
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name?: string | null;
+        };
+        /** @description WebSocket, to the client: the named probes, after `track` or `untrack`. */
+        readonly ProbesEvent: {
+            /**
+             * @default probes
+             * @constant
+             */
+            readonly type: "probes";
+            readonly probes: {
+                readonly [key: string]: components["schemas"]["Position"];
+            };
+        };
+        /** @description Problem details (RFC 9457) of a rejected request: the field, the value received and the rule that it breaks. */
+        readonly Problem: {
+            readonly type: string;
+            readonly title: string;
+            readonly status: number;
+            readonly detail: string;
+            /** @default null */
+            readonly field?: string | null;
+            /** @default null */
+            readonly value?: string | null;
+            /** @default null */
+            readonly rule?: string | null;
+        };
+        /**
+         * @description WebSocket, to the client: a message was rejected or failed; the connection stays open.
+         *
+         *     index:   index of the frame concerned, if its header could be read.
+         *     request: `request` of the `light` message concerned.
+         */
+        readonly ProblemEvent: {
+            /**
+             * @default problem
+             * @constant
+             */
+            readonly type: "problem";
+            readonly problem: components["schemas"]["Problem"];
+            /** @default null */
+            readonly index?: number | null;
+            /** @default null */
+            readonly request?: string | null;
+        };
+        readonly ServerMessage: components["schemas"]["FrameEvent"] | components["schemas"]["LightAnswer"] | components["schemas"]["LightingUpdate"] | components["schemas"]["ProbesEvent"] | components["schemas"]["ProblemEvent"];
+        /**
+         * @description Options of a session.
+         *
+         *     mode:                which model estimates the light; `auto` is the server's default.
+         *     height:              height of the panoramas in pixels; the width is twice the height.
+         *     reference_exposure:  the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
+         *                          exposure of the first frame.
+         *     use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can be
+         *                          wrong and errors in the room's light persist.
+         *     min_confidence:      depth pixels below this confidence (0, 1 or 2) are unknown.
+         *     unknown_depth:       pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
+         *                          far boundary of the volume (`far`), or are not used (`drop`).
+         */
+        readonly SessionRequest: {
+            /**
+             * @default auto
+             * @enum {string}
+             */
+            readonly mode?: "auto" | "classical" | "single" | "video";
+            /**
+             * @description 16 to 512
+             * @default 120
+             */
+            readonly height?: number;
+            /** @description 1e-06 to 1,000,000 */
+            readonly reference_exposure?: number | null;
+            /** @default false */
+            readonly use_limited_tracking?: boolean;
+            /**
+             * @description 0 to 2
+             * @default 1
+             */
+            readonly min_confidence?: number;
+            /**
+             * @default rim
+             * @enum {string}
+             */
+            readonly unknown_depth?: "rim" | "far" | "drop";
+        };
+        /** @description State of a session. After an engine error its status is `failed`: delete it and open a new one. */
+        readonly SessionState: {
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly id: string;
+            /** @enum {string} */
+            readonly status: "open" | "failed";
+            /** @enum {string} */
+            readonly model: "classical" | "single" | "video";
+            readonly options: components["schemas"]["SessionRequest"];
+            readonly frames: components["schemas"]["FrameCounts"];
+            readonly probes: {
+                readonly [key: string]: components["schemas"]["Position"];
+            };
+            readonly coverage: {
+                readonly [key: string]: number;
+            };
+            readonly keyframes: number;
+            readonly memory: components["schemas"]["Memory"];
+            readonly volume: components["schemas"]["Volume"] | null;
+            readonly idle_expiry_s: number;
+        };
+        /**
+         * @description WebSocket, to the server: send the light of all named probes in these forms now and after each frame.
+         *
+         *     An empty list ends the subscription.
+         */
+        readonly Subscribe: {
+            /** @constant */
+            readonly type: "subscribe";
+            /** @description 0 to 16 items */
+            readonly forms: readonly components["schemas"]["LightForm"][];
+        };
+        /** @description WebSocket, to the server: track a named probe; an existing name moves to the new position. */
+        readonly Track: {
+            /** @constant */
+            readonly type: "track";
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name: string;
+            readonly position: components["schemas"]["Position"];
+        };
+        /** @description WebSocket, to the server: stop tracking a named probe. */
+        readonly Untrack: {
+            /** @constant */
+            readonly type: "untrack";
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name: string;
+        };
+        /** @description The lighting volume: a box of `shape` (z, y, x) voxels with edges of `voxel_m` metres. */
+        readonly Volume: {
+            readonly shape: readonly number[];
+            readonly voxel_m: number;
+            readonly depth_max_m: number;
+        };
+        /** @description A pinhole camera in pixels of the colour image. Pixel centres are at half integers. */
+        readonly WireIntrinsics: {
+            readonly fx: number;
+            readonly fy: number;
+            readonly cx: number;
+            readonly cy: number;
+            /** @description 1 to 16,384 */
+            readonly width: number;
+            /** @description 1 to 16,384 */
+            readonly height: number;
+        };
+    };
+    responses: never;
+    parameters: never;
+    requestBodies: never;
+    headers: never;
+    pathItems: never;
+}
+export type ClientMessage = components['schemas']['ClientMessage'];
+export type ColourPart = components['schemas']['ColourPart'];
+export type ConfidencePart = components['schemas']['ConfidencePart'];
+export type DepthPart = components['schemas']['DepthPart'];
+export type EncodedLight = components['schemas']['EncodedLight'];
+export type FrameCounts = components['schemas']['FrameCounts'];
+export type FrameEvent = components['schemas']['FrameEvent'];
+export type FrameHeader = components['schemas']['FrameHeader'];
+export type FrameResult = components['schemas']['FrameResult'];
+export type LightAnswer = components['schemas']['LightAnswer'];
+export type LightCall = components['schemas']['LightCall'];
+export type LightForm = components['schemas']['LightForm'];
+export type LightRequest = components['schemas']['LightRequest'];
+export type LightResponse = components['schemas']['LightResponse'];
+export type LightingUpdate = components['schemas']['LightingUpdate'];
+export type Memory = components['schemas']['Memory'];
+export type Position = components['schemas']['Position'];
+export type ProbeBody = components['schemas']['ProbeBody'];
+export type ProbeLight = components['schemas']['ProbeLight'];
+export type ProbeQuery = components['schemas']['ProbeQuery'];
+export type ProbesEvent = components['schemas']['ProbesEvent'];
+export type Problem = components['schemas']['Problem'];
+export type ProblemEvent = components['schemas']['ProblemEvent'];
+export type ServerMessage = components['schemas']['ServerMessage'];
+export type SessionRequest = components['schemas']['SessionRequest'];
+export type SessionState = components['schemas']['SessionState'];
+export type Subscribe = components['schemas']['Subscribe'];
+export type Track = components['schemas']['Track'];
+export type Untrack = components['schemas']['Untrack'];
+export type Volume = components['schemas']['Volume'];
+export type WireIntrinsics = components['schemas']['WireIntrinsics'];

@@ -1,0 +1,103 @@
+"""The Swift source has the fields, choices, constants and part order of the wire format.
+
+No Swift compiler is needed: the source is read as text.
+"""
+
+import json
+import re
+from pathlib import Path
+from types import UnionType
+from typing import Literal, Union, get_args, get_origin
+
+import pytest
+from pydantic import BaseModel
+
+from roomlight.wire import frame_header, frame_message
+from roomlight.wire.frame_header import FrameHeader
+
+ROOT = Path(__file__).parents[2]
+SWIFT = (ROOT / "client/swift/RoomLightFrame.swift").read_text()
+VECTORS = json.loads((ROOT / "tests/core/wire_vector.json").read_text())["vectors"]
+
+
+def find(pattern: str, text: str = SWIFT, flags: int = 0) -> str:
+    match = re.search(pattern, text, flags)
+    assert match is not None, f"the source has no {pattern}"
+    return match[1] if match.lastindex else match[0]
+
+
+def swift_keys(name: str) -> list[str]:
+    """The keys of `let NAME: [String: WireJSON?] = [...]`."""
+    return re.findall(r'"(\w+)":', find(rf"let {name}: \[String: WireJSON\?\] = \[\n(.*?)\n +\]", flags=re.S))
+
+
+def model_of(annotation):
+    if get_origin(annotation) in (Union, UnionType):
+        return next(item for item in get_args(annotation) if isinstance(item, type) and issubclass(item, BaseModel))
+    return annotation
+
+
+@pytest.mark.parametrize(
+    ("name", "field"),
+    [
+        ("whole", None),
+        ("colourPart", "colour"),
+        ("depthPart", "depth"),
+        ("part", "confidence"),
+        ("intrinsicsPart", "intrinsics"),
+    ],
+)
+def test_swift_writes_exactly_the_fields_of_the_header(name, field):
+    model = FrameHeader if field is None else model_of(FrameHeader.model_fields[field].annotation)
+    assert sorted(swift_keys(name)) == sorted(model.model_fields)
+
+
+@pytest.mark.parametrize(
+    ("enum", "choices"),
+    [
+        ("ColourEncoding", frame_header.ColourEncoding),
+        ("DepthFormat", frame_header.DepthFormat),
+        ("PlaneEncoding", frame_header.PlaneEncoding),
+        ("TrackingState", frame_header.TrackingState),
+    ],
+)
+def test_swift_has_the_choices_of_the_wire(enum, choices):
+    body = find(rf"public enum {enum}: String {{\n(.*?)\n    }}", flags=re.S)
+    assert get_origin(choices) is Literal
+    assert sorted(re.findall(r'case \w+ = "(\w+)"', body)) == sorted(get_args(choices))
+
+
+def test_swift_has_the_constants_and_the_order_of_the_parts():
+    assert find(r'static let magic = "(\w+)"').encode() == frame_message.MAGIC
+    assert int(find(r"static let version = (\d+)")) == frame_header.VERSION
+    limit = find(r"static let maxHeaderBytes = ([\d_]+)")
+    assert int(limit.replace("_", "")) == frame_message.MAX_HEADER_BYTES
+    assert '"format": .word("uint8")' in SWIFT
+    packed = find(r"public func packed\(\).*?return message", flags=re.S)
+    assert "UInt32(text.count).littleEndian" in packed
+    assert re.findall(r"message = Data\((\S+?)\.utf8\)|message\.append\((.+?)\)", packed) == [
+        ("RoomLightFrame.magic", ""), ("", "contentsOf: $0"), ("", "text"), ("", "colour"), ("", "depth.data"),
+        ("", "confidence.data"),
+    ]  # fmt: skip
+
+
+def swift_text(value):
+    """The text of `WireJSON.written`."""
+    if isinstance(value, dict):
+        return "{" + ",".join(f'"{key}":{swift_text(value[key])}' for key in sorted(value)) + "}"
+    if isinstance(value, list):
+        return "[" + ",".join(map(swift_text, value)) + "]"
+    if isinstance(value, str):
+        return f'"{value}"'
+    return str(int(value)) if float(value).is_integer() else repr(value)  # Swift's description of a Double is Python's
+
+
+@pytest.mark.parametrize("vector", VECTORS, ids=lambda vector: vector["name"])
+def test_swifts_json_rules_give_the_shared_vector(vector):
+    text = swift_text(vector["header"]).encode()
+    parts = b"".join(
+        bytes.fromhex(vector["parts"][name]) for name in ("colour", "depth", "confidence") if name in vector["parts"]
+    )
+    body = frame_message.MAGIC + len(text).to_bytes(4, "little") + text + parts
+    whole = (ROOT / "tests/core/wire_vector.bin").read_bytes()
+    assert whole[vector["offset"] : vector["offset"] + vector["length"]] == body
