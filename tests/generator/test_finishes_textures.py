@@ -17,13 +17,13 @@ from roomlight_generator.rooms.finishes import (
     wood_texture,
 )
 from roomlight_generator.rooms.finishes.noise import (
+    basket_weave_blocks,
     fbm,
-    laid_basket,
-    laid_herringbone,
-    laid_hexagons,
-    laid_rows,
+    herringbone_blocks,
+    hexagon_blocks,
+    row_blocks,
     speckle,
-    style_seed,
+    texture_seed,
 )
 from roomlight_generator.rooms.finishes.patterns import FAMILIES
 from roomlight_generator.rooms.finishes.stone import plaster
@@ -69,7 +69,7 @@ def test_the_same_state_gives_the_same_bytes(group):
 @given(st.integers(0, 2**32), st.integers(0, 2**32))
 @settings(max_examples=50)
 def test_no_style_belongs_to_both_splits(one, two):
-    assert style_seed("train", np.random.default_rng(one)) != style_seed("test", np.random.default_rng(two))
+    assert texture_seed("train", np.random.default_rng(one)) != texture_seed("test", np.random.default_rng(two))
 
 
 def test_reserved_families_are_kept_from_train_rooms():
@@ -78,7 +78,7 @@ def test_reserved_families_are_kept_from_train_rooms():
         shown = families(group, "train")
         assert shown
         assert set(families(group, "test")) - set(shown) == set(FAMILIES[group]) & RESERVED
-    with pytest.raises(KeyError, match="train rooms show no wallpaper called 'damask'"):
+    with pytest.raises(KeyError, match="train split has no wallpaper texture 'damask'"):
         make_texture("wallpaper", "train", np.random.default_rng(0), family="damask")
 
 
@@ -124,10 +124,10 @@ def test_noise_is_centred_and_wraps(shape):
 def test_laid_patterns_are_of_equal_blocks():
     rng = np.random.default_rng(0)
     laid = {
-        "rows": (laid_rows(rng, (96, 96), rows=4, columns=3), 12),
-        "herringbone": (laid_herringbone((96, 96), length=4), 16),
-        "basket": (laid_basket((96, 96), squares=4, strips=4), 64),
-        "hexagons": (laid_hexagons((96, 96), columns=4, rows=2), 16),
+        "rows": (row_blocks(rng, (96, 96), rows=4, columns=3), 12),
+        "herringbone": (herringbone_blocks((96, 96), length=4), 16),
+        "basket": (basket_weave_blocks((96, 96), squares=4, strips=4), 64),
+        "hexagons": (hexagon_blocks((96, 96), columns=4, rows=2), 16),
     }
     for name, (blocks, count) in laid.items():
         labels, sizes = np.unique(blocks.index, return_counts=True)

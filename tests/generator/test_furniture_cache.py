@@ -151,10 +151,10 @@ def test_every_damage_to_a_cache_is_found(tmp_path):
     check(b"", "not a furniture cache")
     check(b"PK\x03\x04 something", "not a furniture cache")
     check(b"RLFURN99" + whole[8:], "version 99")
-    check(whole[:20], "cut short")
+    check(whole[:20], "truncated")
     check(whole[:60], "damaged")
-    check(whole[:-1], "cut short")
-    check(whole + b"x", "cut short")
+    check(whole[:-1], "truncated")
+    check(whole + b"x", "truncated")
     for place in (9, 20, 60, 100):
         check(whole[:place] + bytes([whole[place] ^ 4]) + whole[place + 1 :], "damaged")
     path.unlink()

@@ -147,7 +147,7 @@ def test_a_broken_model_is_left_out_with_a_warning(tmp_path):
     assert [model.id for model in catalogue.library] == ["good"]
     assert len(warnings) == 2
     assert any("bad.obj" in text and "'bad' is left out" in text for text in warnings)
-    assert any("'good' was in another library already" in text for text in warnings)
+    assert any("'good' is also in an earlier library" in text for text in warnings)
 
 
 def test_a_damaged_cache_is_made_anew(tmp_path):
@@ -158,7 +158,7 @@ def test_a_damaged_cache_is_made_anew(tmp_path):
     warnings: list[str] = []
     assert len(load_catalogue(path, warn=warnings.append).library) == 3
     assert len(warnings) == 1
-    assert "cut short" in warnings[0]
+    assert "truncated" in warnings[0]
     load_catalogue(path, warn=refuse)
 
 

@@ -61,9 +61,9 @@ def test_concave_polygons_cover_what_they_enclose(outline, area, axis, backward)
     [
         ("v 0 0 0\n", "no faces"),
         ("v 0 0 0\nv 1 0 0\nf 1 2 3\n", "not in the file"),
-        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 x\n", "makes no sense"),
-        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -1 -x 2\n", "makes no sense"),
-        ("v 0 zero 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "no numbers"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf 1 2 x\n", "malformed face"),
+        ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -1 -x 2\n", "malformed face"),
+        ("v 0 zero 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "not numbers"),
         ("v 0 nan 0\nv 1 0 0\nv 1 1 0\nf 1 2 3\n", "not finite"),
         ("v 0 0 0\nv 1 0 0\nv 1 1 0\nf -9 2 3\n", "not in the file"),
     ],

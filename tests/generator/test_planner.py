@@ -277,7 +277,7 @@ def test_split_is_passed_on_and_reserved_types_are_kept() -> None:
     empty = random_shell(rng, 20.0, 1.3)
     placements = furnish(empty, ROOM_TYPES["living_room"], BoxCatalogue(), rng, split="test")
     assert {one.model.split for one in placements} == {"test"}
-    with pytest.raises(ValueError, match="library are kept for the test split"):
+    with pytest.raises(ValueError, match="library is reserved for the test split"):
         furnish(empty, ROOM_TYPES["library"], BoxCatalogue(), rng, split="train")
 
 

@@ -86,9 +86,7 @@ def test_cells_keep_their_distance_from_what_stands_there() -> None:
     assert free.area_m2() < free_floor(empty, (), radius_m=0.3, cell_m=0.05).area_m2() - 1.0
 
 
-@pytest.mark.parametrize(
-    ("role", "y", "blocks"), [("rug", 0.0, False), ("picture", 2.0, False), ("sofa", 0.0, True)]
-)
+@pytest.mark.parametrize(("role", "y", "blocks"), [("rug", 0.0, False), ("picture", 2.0, False), ("sofa", 0.0, True)])
 def test_only_what_is_at_a_persons_height_is_in_the_way(role: str, y: float, blocks: bool) -> None:
     height = 0.02 if role == "rug" else 0.6
     piece = Placement(model(role, (1.0, height, 1.0)), 2.0, y, 1.5, 0.0)

@@ -11,7 +11,7 @@ import pytest
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.props import procedural_models
-from roomlight_generator.rooms.props.draft import fitted
+from roomlight_generator.rooms.props.draft import scaled_to_size
 from roomlight_generator.rooms.props.procedural import KINDS, build_draft
 from roomlight_generator.rooms.roles import CEILING_ROLES, OPENING_ROLES, ROLES, WALL_ROLES
 from roomlight_generator.rooms.scene import Material, Mesh
@@ -101,13 +101,13 @@ def test_no_piece_is_inside_out(number: int) -> None:
         mesh = model.mesh
         for piece in pieces(mesh):
             corners = mesh.vertices[mesh.faces[piece]].astype(np.float64)
-            wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            area = 0.5 * np.linalg.norm(wound, axis=1).sum()
+            geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+            area = 0.5 * np.linalg.norm(geometric_normals, axis=1).sum()
             # The area vectors of a closed surface cancel; the holes at poles are 1 mm wide.
-            if np.linalg.norm(0.5 * wound.sum(0)) > 0.02 * area:
+            if np.linalg.norm(0.5 * geometric_normals.sum(0)) > 0.02 * area:
                 continue
             middle = corners.mean((0, 1))
-            volume = float(((corners[:, 0] - middle) * wound).sum() / 6)
+            volume = float(((corners[:, 0] - middle) * geometric_normals).sum() / 6)
             assert volume > -1e-7, (model.id, mesh.materials[int(mesh.face_materials[piece[0]])].name)
 
 
@@ -259,7 +259,7 @@ def test_meshes_are_made_only_when_asked_for() -> None:
 
 
 def test_fitting_stretches_and_centres() -> None:
-    mesh = fitted(block(1.0, 1.0, 1.0).placed(3.0, 1.0, -2.0), (0.5, 2.0, 0.25))
+    mesh = scaled_to_size(block(1.0, 1.0, 1.0).placed(3.0, 1.0, -2.0), (0.5, 2.0, 0.25))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.125], [0.25, 2, 0.125]], atol=1e-5)
     assert faces_match_normals(mesh).all()
     assert volume_m3(mesh) == pytest.approx(0.25, rel=1e-4)

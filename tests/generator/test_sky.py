@@ -153,7 +153,7 @@ def test_the_same_state_gives_the_same_sky():
 
 
 def test_unknown_skies_are_refused():
-    with pytest.raises(ValueError, match="no sky is called 'sleet'"):
+    with pytest.raises(ValueError, match="unknown sky 'sleet'"):
         make_sky("sleet", np.random.default_rng(0))
 
 

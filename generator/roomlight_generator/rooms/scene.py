@@ -73,7 +73,7 @@ class Mesh:
             ValueError: `parts` is empty.
         """
         if not parts:
-            raise ValueError("nothing to join: an item needs one mesh at least")
+            raise ValueError("cannot join zero meshes: an item needs at least one")
         materials: dict[int, Material] = {}
         places: dict[int, int] = {}
         face_materials: list[np.ndarray] = []

@@ -434,5 +434,5 @@ def double_sided_sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness
 def faces_match_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:
     """Return, for each face with an area, whether its vertex order agrees with its vertices' normals."""
     corners = mesh.vertices[mesh.faces].astype(np.float64)
-    wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    return (wound * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12
+    geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    return (geometric_normals * mesh.normals[mesh.faces].mean(1)).sum(1) > -1e-12

@@ -83,7 +83,7 @@ def make_sky(
         ValueError: `kind` is not in `SKY_KINDS`.
     """
     if kind not in _SKY_PARAMETERS:
-        raise ValueError(f"no sky is called {kind!r}: there are {', '.join(SKY_KINDS)}")
+        raise ValueError(f"unknown sky {kind!r}: choose one of {', '.join(SKY_KINDS)}")
     parameters = _SKY_PARAMETERS[kind]
     azimuth = float(rng.uniform(-np.pi, np.pi))
     if toward is not None and float(np.hypot(toward[0], toward[2])) > 1e-6:
@@ -232,7 +232,7 @@ def _with_ground(sky: Sky, views: Panorama, rng: np.random.Generator, *, dark: b
     lit = np.stack(
         [np.interp(np.arange(len(bearing)), np.arange(0, len(bearing), 8), sides[:, k]) for k in range(3)], 1
     )
-    lit = lit + 0.5 * 0.15 * down  # and what the street throws back
+    lit = lit + 0.5 * 0.15 * down  # plus light reflected by the street
     albedo = _facades(elevation, bearing, skyline, rng) if kind == "houses" else _foliage(rng, kind)
     panorama = np.where(behind[..., None], albedo * (lit / np.pi)[None], panorama)
     if dark:

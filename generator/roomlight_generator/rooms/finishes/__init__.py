@@ -1,7 +1,7 @@
-"""What surfaces look like: procedural textures, colour schemes for shells, other colours for furniture.
+"""Surface finishes: procedural textures, colour schemes for shells, recolouring of furniture.
 
-Every function takes the split and a generator; the same state gives the same bytes. Textures hold the whole colour
-(sRGB) under an albedo of 0.95, but for `plaster`, a relief around white that takes its colour from the albedo.
+Every function takes the split and a generator; the same generator state gives the same bytes. Textures hold the whole
+colour (sRGB) under an albedo of 0.95, except for `plaster`, a relief around white tinted by the albedo.
 """
 
 from roomlight_generator.rooms.finishes.patterns import (

@@ -1,13 +1,13 @@
-"""Cloth, carpet and leather.
+"""Cloth, carpet and leather textures.
 
-Stripes of `striped` run along u, so that they hang upright on curtains, whose u is their height.
+Stripes of `striped` run along u, so that they are vertical on curtains, whose u is their height.
 """
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import paint, to_srgb
-from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, mixed, shaded, speckle, texture
+from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, lerp, shaded, speckle, to_texture
 from roomlight_generator.rooms.finishes.palettes import cloth_colour, companion, dyes
 from roomlight_generator.rooms.scene import Rgb, Texture
 
@@ -15,7 +15,7 @@ _SIDE = 256
 
 
 def _weave(rng: np.random.Generator, threads: int, *, depth: float) -> Float[np.ndarray, "h w"]:
-    """Shade of a plain weave around 1: over and under, with uneven threads."""
+    """Return the shade of a plain weave around 1, with uneven threads."""
     u, v = grid_uv((_SIDE, _SIDE))
     over = np.sin(np.pi * threads * u) ** 2
     under = np.sin(np.pi * threads * v) ** 2
@@ -26,23 +26,23 @@ def _weave(rng: np.random.Generator, threads: int, *, depth: float) -> Float[np.
 
 
 def plain(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """A plain weave in one colour, fine or coarse."""
+    """Make a plain weave in one colour, fine or coarse."""
     threads = int(rng.choice([32, 48, 64]))
     shade = _weave(rng, threads, depth=float(rng.uniform(0.08, 0.3)))
     side = float(threads * rng.uniform(0.0015, 0.006))
-    return texture(shaded(colour or cloth_colour(rng), shade), (side, side))
+    return to_texture(shaded(colour or cloth_colour(rng), shade), (side, side))
 
 
 def velvet(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Brushed pile or felt: soft clouds, no threads."""
+    """Make brushed pile or felt: soft clouds, no threads."""
     cloud = fbm(rng, (_SIDE, _SIDE), (2, 2), octaves=4)
     fine = speckle(rng, (_SIDE, _SIDE), (0.8, 0.8))
     shade = 1 + np.float32(rng.uniform(0.03, 0.1)) * cloud + 0.02 * fine
-    return texture(shaded(colour or cloth_colour(rng), shade), (0.8, 0.8))
+    return to_texture(shaded(colour or cloth_colour(rng), shade), (0.8, 0.8))
 
 
 def tweed(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Flecked yarns of two colours, a herringbone twill or a plain weave."""
+    """Make tweed: flecked yarns of two colours, a herringbone twill or a plain weave."""
     first = colour or cloth_colour(rng)
     second = companion(rng, first)
     u, v = grid_uv((_SIDE, _SIDE))
@@ -51,32 +51,32 @@ def tweed(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
     zigzag = np.abs((u * columns) % 1 - 0.5) * 2
     twill = np.sin(2 * np.pi * (v * 32 + zigzag * 4))
     share = 0.45 + 0.22 * flecks + (0.3 * twill if rng.random() < 0.6 else 0)
-    image = mixed(first, second, share) * _weave(rng, 64, depth=0.12)[..., None]
-    return texture(image.astype(np.float32), (0.3, 0.3))
+    image = lerp(first, second, share) * _weave(rng, 64, depth=0.12)[..., None]
+    return to_texture(image.astype(np.float32), (0.3, 0.3))
 
 
 def plaid(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """A tartan or gingham: the same sett both ways, mixed where it crosses."""
+    """Make a tartan or gingham: the same sequence of stripes both ways, blended where they cross."""
     colours = [colour or cloth_colour(rng)]
     colours += [companion(rng, colours[0]), cloth_colour(rng)]
     sett = _bands(rng, colours, mirrored=True)
     share = np.where((np.indices((_SIDE, _SIDE)).sum(0) // 2 % 2 == 0)[..., None], 0.65, 0.35).astype(np.float32)
     image = sett[None] * share + sett[:, None] * (1 - share)
     side = float(rng.uniform(0.08, 0.4))
-    return texture((image * _weave(rng, 64, depth=0.1)[..., None]).astype(np.float32), (side, side))
+    return to_texture((image * _weave(rng, 64, depth=0.1)[..., None]).astype(np.float32), (side, side))
 
 
 def striped(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Stripes along u, of two to four colours."""
+    """Make stripes along u, of two to four colours."""
     colours = [colour or cloth_colour(rng)]
     colours += [companion(rng, colours[0]), cloth_colour(rng)][: int(rng.integers(1, 3))]
     image = _bands(rng, colours, mirrored=rng.random() < 0.5)[:, None] * _weave(rng, 64, depth=0.1)[..., None]
     side = float(rng.uniform(0.08, 0.5))
-    return texture(image.astype(np.float32), (side, side))
+    return to_texture(image.astype(np.float32), (side, side))
 
 
 def _bands(rng: np.random.Generator, colours: list[Rgb], *, mirrored: bool) -> Float[np.ndarray, "n 3"]:
-    """A row of colours across the repeat."""
+    """Return a row of colours across the repeat."""
     count = int(rng.integers(2, 6))
     weights = rng.uniform(0.3, 1.0, count)
     weights[0] *= 2.5
@@ -89,7 +89,7 @@ def _bands(rng: np.random.Generator, colours: list[Rgb], *, mirrored: bool) -> F
 
 
 def printed(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Dots, leaves or blots scattered on cloth."""
+    """Make cloth with scattered dots, leaves or blots."""
     ground = colour or cloth_colour(rng)
     image = flat(ground, (_SIDE, _SIDE))
     for _ in range(int(rng.integers(1, 3))):
@@ -106,11 +106,11 @@ def printed(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
         dye = to_srgb(companion(rng, ground) if rng.random() < 0.6 else cloth_colour(rng))
         image = image + (dye - image) * share[..., None].astype(np.float32)
     side = float(rng.uniform(0.15, 0.6))
-    return texture((image * _weave(rng, 64, depth=0.08)[..., None]).astype(np.float32), (side, side))
+    return to_texture((image * _weave(rng, 64, depth=0.08)[..., None]).astype(np.float32), (side, side))
 
 
 def leather(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Grained hide, brown, black, cream or dyed."""
+    """Make grained leather: brown, black, cream or dyed."""
     if colour is None:
         pick = rng.random()
         if pick < 0.45:
@@ -125,32 +125,32 @@ def leather(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
     creases = np.exp(-12 * np.abs(fbm(rng, (_SIDE, _SIDE), (6, 6), octaves=4)))
     wear = fbm(rng, (_SIDE, _SIDE), (2, 2), octaves=3)
     shade = 1 + 0.08 * pebbles - np.float32(rng.uniform(0.02, 0.1)) * creases + 0.06 * wear
-    return texture(shaded(colour, shade), (0.4, 0.4))
+    return to_texture(shaded(colour, shade), (0.4, 0.4))
 
 
 def loop_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Short loops in rows, one colour or mottled, as in offices."""
+    """Make loop carpet as in offices: short loops in rows, one colour or mottled."""
     first = colour or cloth_colour(rng)
     second = companion(rng, first)
     u, v = grid_uv((_SIDE, _SIDE))
     loops = np.sin(2 * np.pi * 40 * v) * np.sin(2 * np.pi * 32 * u + np.pi * ((v * 40).astype(np.int32) % 2))
     mottle = speckle(rng, (_SIDE, _SIDE), (1.5, 1.5))
     share = float(rng.choice([0.0, 0.12, 0.3])) * (0.6 + 0.7 * mottle)
-    image = mixed(first, second, share) * (0.94 + 0.1 * loops + 0.03 * mottle)[..., None]
-    return texture(image.astype(np.float32), (0.4, 0.4))
+    image = lerp(first, second, share) * (0.94 + 0.1 * loops + 0.03 * mottle)[..., None]
+    return to_texture(image.astype(np.float32), (0.4, 0.4))
 
 
 def shag_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Long pile: tufts that lie this way and that."""
+    """Make long-pile carpet: tufts that lie in varying directions."""
     ground = colour or cloth_colour(rng)
     tufts = speckle(rng, (_SIDE, _SIDE), (1.0, 3.2)) + speckle(rng, (_SIDE, _SIDE), (3.2, 1.0))
     cloud = fbm(rng, (_SIDE, _SIDE), (3, 3), octaves=4)
     shade = 0.95 + np.float32(rng.uniform(0.05, 0.13)) * tufts + 0.08 * cloud
-    return texture(shaded(ground, shade), (0.7, 0.7))
+    return to_texture(shaded(ground, shade), (0.7, 0.7))
 
 
 def patterned_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Texture:
-    """Figures in rows, as in hotels and old stairs; or carpet tiles laid this way and that."""
+    """Make carpet with figures in rows, as in hotels, or carpet tiles in alternating directions."""
     u, v = grid_uv((_SIDE, _SIDE))
     pile = speckle(rng, (_SIDE, _SIDE), (0.8, 0.8))
     if rng.random() < 0.35:
@@ -158,7 +158,7 @@ def patterned_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Tex
         odd = ((u * 2).astype(np.int32) + (v * 2).astype(np.int32)) % 2 == 1
         ribs = np.where(odd, np.sin(2 * np.pi * 48 * u), np.sin(2 * np.pi * 48 * v))
         shade = 1 + 0.04 * ribs + 0.03 * pile + np.where(odd, 0.02, -0.02)
-        return texture(shaded(ground, shade.astype(np.float32)), (1.0, 1.0))
+        return to_texture(shaded(ground, shade.astype(np.float32)), (1.0, 1.0))
     colours = dyes(rng, 4)[1:]
     count = int(rng.choice([2, 4]))
     row = (v * count).astype(np.int32)
@@ -172,4 +172,4 @@ def patterned_carpet(rng: np.random.Generator, colour: Rgb | None = None) -> Tex
     image = np.where((flower < rng.uniform(0.2, 0.32))[..., None], to_srgb(colours[2]), image)
     image = np.where((flower < rng.uniform(0.06, 0.14))[..., None], to_srgb(colours[1]), image)
     side = float(rng.uniform(0.5, 1.2))
-    return texture((image * (0.97 + 0.04 * pile)[..., None]).astype(np.float32), (side, side))
+    return to_texture((image * (0.97 + 0.04 * pile)[..., None]).astype(np.float32), (side, side))

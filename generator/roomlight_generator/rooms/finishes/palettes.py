@@ -1,4 +1,4 @@
-"""Colours as rooms have them: wall paints, glazes, stones, cloths, and what goes with what."""
+"""Colour distributions of rooms: wall paints, glazes, stones, cloths, and matching colours."""
 
 from typing import Final
 
@@ -32,7 +32,7 @@ _HUES: Final = (
     300,
     348,
 )
-"""Hues people paint and weave in, common ones twice; degrees in OKLab."""
+"""Common hues of paint and cloth, the frequent ones twice; degrees in OKLab."""
 
 _WALL_HUES: Final = (
     # hue, spread, weight
@@ -42,12 +42,12 @@ _WALL_HUES: Final = (
 
 
 def hue(rng: np.random.Generator) -> float:
-    """Any hue that is in use."""
+    """Choose one of the common hues."""
     return float((rng.choice(_HUES) + rng.normal(0, 6)) % 360)
 
 
 def white(rng: np.random.Generator) -> Rgb:
-    """White paint: .75 to .88, a touch warm, now and then a touch cool."""
+    """Choose a white paint: reflectance .75 to .88, slightly warm, sometimes slightly cool."""
     warm = rng.random() < 0.75
     return paint(
         rng.uniform(0.75, 0.88), rng.uniform(0, 0.014), rng.uniform(70, 105) if warm else rng.uniform(200, 260)
@@ -55,28 +55,28 @@ def white(rng: np.random.Generator) -> Rgb:
 
 
 def off_white(rng: np.random.Generator) -> Rgb:
-    """Cream, ivory, pale greige."""
+    """Choose cream, ivory or pale greige."""
     return paint(rng.uniform(0.6, 0.78), rng.uniform(0.01, 0.04), rng.uniform(68, 102))
 
 
 def beige(rng: np.random.Generator) -> Rgb:
-    """Beige, sand, taupe."""
+    """Choose beige, sand or taupe."""
     return paint(rng.uniform(0.35, 0.62), rng.uniform(0.012, 0.045), rng.uniform(55, 90))
 
 
 def grey(rng: np.random.Generator) -> Rgb:
-    """Pale to middle grey."""
+    """Choose a pale to medium grey."""
     return paint(rng.uniform(0.22, 0.68), rng.uniform(0, 0.012), rng.uniform(0, 360))
 
 
 def neutral_wall(rng: np.random.Generator) -> Rgb:
-    """Most walls."""
+    """Choose a neutral wall colour, the most frequent kind."""
     kinds = (white, off_white, beige, grey)
     return kinds[int(rng.choice(4, p=(0.45, 0.25, 0.15, 0.15)))](rng)
 
 
 def wall_colour(rng: np.random.Generator) -> Rgb:
-    """A wall one would call coloured: pastel, muted, strong or dark."""
+    """Choose a saturated wall colour: pastel, muted, strong or dark."""
     weights = np.array([entry[2] for entry in _WALL_HUES])
     middle, spread, _ = _WALL_HUES[int(rng.choice(len(_WALL_HUES), p=weights / weights.sum()))]
     angle = (middle + rng.normal(0, spread)) % 360
@@ -86,14 +86,14 @@ def wall_colour(rng: np.random.Generator) -> Rgb:
     if kind == 1:
         return paint(rng.uniform(0.2, 0.5), rng.uniform(0.03, 0.08), angle)
     if kind == 2:
-        # Yellows and oranges are strong only where they are light, blues and greens also where they are dark.
+        # Yellows and oranges are saturated only when light, blues and greens also when dark.
         low, high = (0.3, 0.55) if 50 < angle < 115 else (0.12, 0.4)
         return paint(rng.uniform(low, high), rng.uniform(0.08, 0.17), angle)
     return dark_wall(rng)
 
 
 def dark_wall(rng: np.random.Generator) -> Rgb:
-    """Navy, bottle green, charcoal, aubergine, chocolate."""
+    """Choose navy, bottle green, charcoal, aubergine or chocolate."""
     middle, low, high = ((258, 0.03, 0.09), (160, 0.02, 0.06), (0, 0.0, 0.008), (335, 0.02, 0.06), (48, 0.02, 0.05))[
         int(rng.choice(5, p=(0.3, 0.25, 0.25, 0.1, 0.1)))
     ]
@@ -101,7 +101,7 @@ def dark_wall(rng: np.random.Generator) -> Rgb:
 
 
 def glaze(rng: np.random.Generator) -> Rgb:
-    """Wall tiles: mostly white and pale, some strong colours, some black."""
+    """Choose a wall tile colour: mostly white and pale, some strong colours, some black."""
     pick = rng.random()
     if pick < 0.45:
         return paint(rng.uniform(0.65, 0.85), rng.uniform(0, 0.015), rng.uniform(0, 360))
@@ -113,7 +113,7 @@ def glaze(rng: np.random.Generator) -> Rgb:
 
 
 def stone_colour(rng: np.random.Generator) -> Rgb:
-    """Floor tiles and slabs: beige, grey, terracotta, slate, near-white."""
+    """Choose a colour of floor tiles and slabs: beige, grey, terracotta, slate, near-white."""
     pick = rng.random()
     if pick < 0.35:
         return paint(rng.uniform(0.3, 0.6), rng.uniform(0.012, 0.05), rng.uniform(60, 90))
@@ -127,7 +127,7 @@ def stone_colour(rng: np.random.Generator) -> Rgb:
 
 
 def cloth_colour(rng: np.random.Generator) -> Rgb:
-    """Upholstery, curtains, carpets: half neutral, half coloured."""
+    """Choose a colour of upholstery, curtains or carpets: half neutral, half saturated."""
     pick = rng.random()
     if pick < 0.2:
         return paint(rng.uniform(0.4, 0.68), rng.uniform(0.005, 0.035), rng.uniform(60, 95))
@@ -143,7 +143,7 @@ def cloth_colour(rng: np.random.Generator) -> Rgb:
 
 
 def companion(rng: np.random.Generator, colour: Rgb) -> Rgb:
-    """A second colour for a pattern on the first: the same hue lighter or darker, a neighbour, or the opposite."""
+    """Choose a second colour for a pattern: the same hue lighter or darker, a neighbouring hue, or the opposite one."""
     _, a, b = (float(value) for value in linear_to_oklab(np.array(colour)))
     chroma, angle = float(np.hypot(a, b)), float(np.degrees(np.arctan2(b, a)))
     level = luminance(colour)
@@ -153,7 +153,7 @@ def companion(rng: np.random.Generator, colour: Rgb) -> Rgb:
 
 
 def dyes(rng: np.random.Generator, count: int) -> list[Rgb]:
-    """Colours that go together: one pale ground first, then shades of two or three hues, light and dark."""
+    """Choose matching colours: one pale ground first, then shades of two or three hues, light and dark."""
     base = hue(rng)
     turns = ((0, 25, -25), (0, 180, 20), (0, 120, -120), (0, 0, 0), (0, 150, 210))[int(rng.integers(5))]
     out = [paint(rng.uniform(0.5, 0.8), rng.uniform(0.005, 0.04), rng.uniform(60, 100))]

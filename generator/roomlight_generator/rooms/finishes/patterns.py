@@ -1,7 +1,7 @@
-"""Every family of textures by what it is for, and which of them only test rooms show.
+"""All texture families by use, and the families reserved for test rooms.
 
-The functions take the split and a generator; what they return depends on a seed of the split's own (`styled`), so train
-and test rooms share no texture, and the families in `RESERVED` appear in test rooms alone.
+The functions take the split and a generator; their results depend on a seed of the split's own (`split_rng`), so
+train and test rooms share no texture, and the families in `RESERVED` appear only in test rooms.
 """
 
 from collections.abc import Callable, Mapping
@@ -12,21 +12,21 @@ import numpy as np
 
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.finishes import cloth, prints, rugs, screens, stone, tiles, wallpaper, wood
-from roomlight_generator.rooms.finishes.noise import styled
+from roomlight_generator.rooms.finishes.noise import split_rng
 from roomlight_generator.rooms.scene import Rgb, Texture
 
-Group = Literal[
+TextureGroup = Literal[
     "wood_floor", "board", "floor_tile", "wall_tile", "stone", "carpet", "wallpaper", "brick", "panelling", "fabric",
     "leather", "rug", "books", "screen",
 ]  # fmt: skip
-"""What a texture is for."""
+"""Use of a texture."""
 
-Family = Callable[[np.random.Generator], Texture]
+TextureMaker = Callable[[np.random.Generator], Texture]
 
 RESERVED: Final = frozenset({"hexagon", "damask"})
 """Families that no train room shows."""
 
-FAMILIES: Final[Mapping[Group, Mapping[str, tuple[float, Family]]]] = {
+FAMILIES: Final[Mapping[TextureGroup, Mapping[str, tuple[float, TextureMaker]]]] = {
     "wood_floor": {
         "strip": (2.5, wood.strip_floor),
         "planks": (3.0, wood.wide_planks),
@@ -95,52 +95,56 @@ FAMILIES: Final[Mapping[Group, Mapping[str, tuple[float, Family]]]] = {
 _PRINTS: Final = (prints.landscape, prints.abstract, prints.typographic, prints.botanical, prints.portrait)
 
 
-def families(group: Group, split: Split) -> tuple[str, ...]:
-    """The names of the families of a group that rooms of this split may show."""
+def families(group: TextureGroup, split: Split) -> tuple[str, ...]:
+    """Return the names of a group's families that rooms of this split may show."""
     return tuple(name for name in FAMILIES[group] if split == "test" or name not in RESERVED)
 
 
-def make_texture(group: Group, split: Split, rng: np.random.Generator, *, family: str | None = None) -> Texture:
-    """A texture of the group: of the given family, or of any. KeyError for a family that the split may not show."""
-    style = styled(split, rng)
+def make_texture(group: TextureGroup, split: Split, rng: np.random.Generator, *, family: str | None = None) -> Texture:
+    """Make a texture of the group, of the given family or of a random one.
+
+    Raises:
+        KeyError: rooms of this split may not show the family, or there is no such family.
+    """
+    own_rng = split_rng(split, rng)
     names = families(group, split)
     if family is None:
         weights = np.array([FAMILIES[group][name][0] for name in names])
-        family = names[int(style.choice(len(names), p=weights / weights.sum()))]
+        family = names[int(own_rng.choice(len(names), p=weights / weights.sum()))]
     elif family not in names:
-        raise KeyError(f"{split} rooms show no {group} called {family!r}; there are {', '.join(names)}")
-    return FAMILIES[group][family][1](style)
+        raise KeyError(f"the {split} split has no {group} texture {family!r}: choose one of {', '.join(names)}")
+    return FAMILIES[group][family][1](own_rng)
 
 
 def fabric_texture(split: Split, rng: np.random.Generator, *, colour: Rgb | None = None) -> Texture:
-    """Upholstery or curtain cloth of a mean colour (any where None); stripes run along u."""
-    style = styled(split, rng)
+    """Make upholstery or curtain cloth of a mean colour (None: random); stripes run along u."""
+    own_rng = split_rng(split, rng)
     kinds = (cloth.plain, cloth.velvet, cloth.tweed, cloth.plaid, cloth.striped, cloth.printed)
-    return kinds[int(style.choice(len(kinds), p=(0.36, 0.2, 0.14, 0.07, 0.12, 0.11)))](style, colour)
+    return kinds[int(own_rng.choice(len(kinds), p=(0.36, 0.2, 0.14, 0.07, 0.12, 0.11)))](own_rng, colour)
 
 
 def wood_texture(split: Split, rng: np.random.Generator, *, colour: Rgb | None = None) -> Texture:
-    """Furniture wood without joints, grain along u."""
-    return wood.board(styled(split, rng), colour)
+    """Make furniture wood without joints, grain along u."""
+    return wood.board(split_rng(split, rng), colour)
 
 
 def picture_texture(split: Split, rng: np.random.Generator, *, aspect: float | int = 1.0) -> Texture:
-    """A picture for a wall, for coordinates 0 to 1; aspect is width over height (0.3 to 3)."""
-    style = styled(split, rng)
-    kind = _PRINTS[int(style.choice(len(_PRINTS), p=(0.3, 0.3, 0.12, 0.12, 0.16)))]
-    return kind(style, float(np.clip(aspect, 0.3, 3.0)))
+    """Make a picture for a wall, for coordinates 0 to 1; aspect is width over height (0.3 to 3)."""
+    own_rng = split_rng(split, rng)
+    kind = _PRINTS[int(own_rng.choice(len(_PRINTS), p=(0.3, 0.3, 0.12, 0.12, 0.16)))]
+    return kind(own_rng, float(np.clip(aspect, 0.3, 3.0)))
 
 
 def rug_texture(split: Split, rng: np.random.Generator) -> Texture:
-    """A whole rug for coordinates 0 to 1, u along its length; `size_m` says how large such a rug would be."""
+    """Make a whole rug for coordinates 0 to 1, u along its length; `size_m` is the size of such a rug."""
     return make_texture("rug", split, rng)
 
 
 def book_texture(split: Split, rng: np.random.Generator) -> Texture:
-    """A row of book spines, upright, for coordinates 0 to 1; `size_m` is the row's length and height."""
+    """Make a row of upright book spines for coordinates 0 to 1; `size_m` is the row's length and height."""
     return make_texture("books", split, rng)
 
 
 def screen_picture(split: Split, rng: np.random.Generator) -> Texture:
-    """What a television or a computer shows, relative to its white, for coordinates 0 to 1."""
+    """Make the image of a television or a computer, relative to its white, for coordinates 0 to 1."""
     return make_texture("screen", split, rng)

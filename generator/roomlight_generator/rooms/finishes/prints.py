@@ -1,4 +1,4 @@
-"""Pictures for walls, and rows of book spines: one whole picture an image (not tileable), v down."""
+"""Pictures for walls, and rows of book spines: each image is one whole picture (not tileable), v down."""
 
 from typing import Final
 
@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import paint, to_srgb
-from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, texture
+from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, to_texture
 from roomlight_generator.rooms.finishes.palettes import dyes, hue, white
 from roomlight_generator.rooms.scene import Rgb, Texture
 
@@ -19,12 +19,12 @@ def _canvas(aspect: float) -> tuple[int, int]:
     return (_LONG, max(64, round(_LONG * aspect))) if aspect < 1 else (max(64, round(_LONG / aspect)), _LONG)
 
 
-def _ink(colour: Rgb) -> list[float]:
+def _opencv_colour(colour: Rgb) -> list[float]:
     return [float(c) for c in to_srgb(colour)]
 
 
 def _mounted(rng: np.random.Generator, art: Float[np.ndarray, "h w 3"], *, chance: float = 0.45) -> Texture:
-    """Inside a white or coloured mount now and then."""
+    """Add a white or coloured mount with the given probability."""
     image = art
     if rng.random() < chance:
         margin = int(min(art.shape[:2]) * rng.uniform(0.06, 0.2))
@@ -33,18 +33,18 @@ def _mounted(rng: np.random.Generator, art: Float[np.ndarray, "h w 3"], *, chanc
         image[margin:-margin, margin:-margin] = inner
     long = float(rng.uniform(0.4, 1.2))
     scale = long / max(art.shape[:2])
-    return texture(image, (art.shape[1] * scale, art.shape[0] * scale))
+    return to_texture(image, (art.shape[1] * scale, art.shape[0] * scale))
 
 
 def landscape(rng: np.random.Generator, aspect: float) -> Texture:
-    """Sky, ridges and water or meadow, painted or as a photograph, at some time of day."""
+    """Make a landscape with sky, ridges and water or meadow, painted or photographed, at a random time of day."""
     shape = _canvas(aspect)
     art = scenery(rng, shape)
     return _mounted(rng, art)
 
 
 def scenery(rng: np.random.Generator, shape: tuple[int, int]) -> Float[np.ndarray, "h w 3"]:
-    """The view itself, sRGB floats."""
+    """Return the landscape as sRGB floats."""
     u, v = grid_uv(shape)
     warm = rng.random() < 0.4
     top = paint(rng.uniform(0.1, 0.45), rng.uniform(0.05, 0.12), rng.uniform(235, 262))
@@ -56,7 +56,9 @@ def scenery(rng: np.random.Generator, shape: tuple[int, int]) -> Float[np.ndarra
     image = image + (to_srgb((0.8, 0.78, 0.76)) - image) * cloud * np.clip(1.2 - sky, 0, 1)
     if warm:
         at = rng.uniform((0.15, horizon - 0.25), (0.85, horizon))
-        glow = np.exp(-((u - at[0]) ** 2 * aspect2(shape) + (v - at[1]) ** 2) / rng.uniform(0.004, 0.03))[..., None]
+        glow = np.exp(-((u - at[0]) ** 2 * aspect_squared(shape) + (v - at[1]) ** 2) / rng.uniform(0.004, 0.03))[
+            ..., None
+        ]
         image = image + (np.array([1, 0.92, 0.7], np.float32) - image) * glow
     base = rng.uniform(90, 260)
     layers = int(rng.integers(2, 6))
@@ -74,13 +76,13 @@ def scenery(rng: np.random.Generator, shape: tuple[int, int]) -> Float[np.ndarra
     return np.clip(image + (floor - image) * below, 0, 1).astype(np.float32)
 
 
-def aspect2(shape: tuple[int, int]) -> float:
-    """Width over height, squared: makes a glow round."""
+def aspect_squared(shape: tuple[int, int]) -> float:
+    """Return width over height, squared; it makes a glow round."""
     return (shape[1] / shape[0]) ** 2
 
 
 def abstract(rng: np.random.Generator, aspect: float) -> Texture:
-    """Colour fields, brush strokes, discs and lines."""
+    """Make an abstract picture of colour fields, brush strokes, discs and lines."""
     shape = _canvas(aspect)
     u, v = grid_uv(shape)
     colours = dyes(rng, 6)
@@ -101,12 +103,17 @@ def abstract(rng: np.random.Generator, aspect: float) -> Texture:
                 path.append(path[-1] + rng.uniform(8, 30) * np.array([np.cos(turn), np.sin(turn)]))
             line = np.rint(np.array(path)).astype(np.int32)
             cv2.polylines(
-                image, [line], False, _ink(colours[int(rng.integers(0, 6))]), int(rng.integers(1, 16)), cv2.LINE_AA
+                image,
+                [line],
+                False,
+                _opencv_colour(colours[int(rng.integers(0, 6))]),
+                int(rng.integers(1, 16)),
+                cv2.LINE_AA,
             )
     elif kind == 2:
         for _ in range(int(rng.integers(3, 9))):
             at, radius = rng.uniform((0, 0), (shape[1], shape[0])), float(rng.uniform(10, 80))
-            ink = _ink(colours[int(rng.integers(1, 6))])
+            ink = _opencv_colour(colours[int(rng.integers(1, 6))])
             line = -1 if rng.random() < 0.7 else int(rng.integers(1, 6))
             cv2.circle(image, (int(at[0]), int(at[1])), int(radius), ink, line, cv2.LINE_AA)
     elif kind == 3:
@@ -125,12 +132,12 @@ def abstract(rng: np.random.Generator, aspect: float) -> Texture:
 
 
 def typographic(rng: np.random.Generator, aspect: float) -> Texture:
-    """A poster: a headline in blocks, small lines of text, a figure."""
+    """Make a poster: a headline in blocks, small lines of text, a figure."""
     shape = _canvas(aspect)
     colours = dyes(rng, 4)
     order = [0, 1, 2, 3] if rng.random() < 0.6 else [1, 0, 2, 3]
     image = flat(colours[order[0]], shape).copy()
-    ink, second = _ink(colours[order[1]]), _ink(colours[order[2]])
+    ink, second = _opencv_colour(colours[order[1]]), _opencv_colour(colours[order[2]])
     if rng.random() < 0.6:
         at = (int(rng.uniform(0.2, 0.8) * shape[1]), int(rng.uniform(0.3, 0.7) * shape[0]))
         cv2.circle(image, at, int(rng.uniform(0.12, 0.4) * min(shape)), second, -1, cv2.LINE_AA)
@@ -145,7 +152,7 @@ def typographic(rng: np.random.Generator, aspect: float) -> Texture:
                 cv2.rectangle(image, (int(x), int(y)), (int(x + wide), int(y + tall)), ink, -1)
                 if rng.random() < 0.6:
                     hole = (int(x + wide * 0.35), int(y + tall * 0.3)), (int(x + wide * 0.7), int(y + tall * 0.6))
-                    cv2.rectangle(image, *hole, _ink(colours[order[0]]), -1)
+                    cv2.rectangle(image, *hole, _opencv_colour(colours[order[0]]), -1)
             x += wide * 1.25
         y += tall * 1.35
     for y in np.arange(0.8, 0.93, 0.025) * shape[0]:
@@ -155,7 +162,7 @@ def typographic(rng: np.random.Generator, aspect: float) -> Texture:
 
 
 def botanical(rng: np.random.Generator, aspect: float) -> Texture:
-    """Leaves on a stem, on paper."""
+    """Make a botanical print: leaves on a stem, on paper."""
     shape = _canvas(aspect)
     image = flat(paint(rng.uniform(0.55, 0.82), 0.02, 85), shape).copy()
     ink = paint(rng.uniform(0.04, 0.25), rng.uniform(0.02, 0.1), float(rng.choice([145, 125, 165, hue(rng)])))
@@ -172,13 +179,21 @@ def botanical(rng: np.random.Generator, aspect: float) -> Texture:
                 middle = at + reach * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
                 place = (int(middle[0]), int(middle[1]))
                 cv2.ellipse(
-                    image, place, (int(reach), int(reach * 0.34) + 1), angle, 0, 360, _ink(ink), -1, cv2.LINE_AA
+                    image,
+                    place,
+                    (int(reach), int(reach * 0.34) + 1),
+                    angle,
+                    0,
+                    360,
+                    _opencv_colour(ink),
+                    -1,
+                    cv2.LINE_AA,
                 )
     return _mounted(rng, image, chance=0.3)
 
 
 def portrait(rng: np.random.Generator, aspect: float) -> Texture:
-    """A head and shoulders before a dim ground: a painting or a photograph, at times in greys."""
+    """Make a portrait, head and shoulders against a dim ground: a painting or a photograph, sometimes greyscale."""
     shape = _canvas(aspect)
     u, v = grid_uv(shape)
     u = (u - 0.5) * np.float32(shape[1] / shape[0])
@@ -206,7 +221,7 @@ def portrait(rng: np.random.Generator, aspect: float) -> Texture:
 
 
 def book_spines(rng: np.random.Generator) -> Texture:
-    """A row of books seen from their backs, to the top of the image."""
+    """Make a row of book spines that reach the top of the image."""
     shape = (128, 512)
     image = np.full((*shape, 3), 0.12, np.float32)
     x = 0
@@ -231,4 +246,4 @@ def book_spines(rng: np.random.Generator) -> Texture:
         if rng.random() < 0.3:
             image[top + 8 : top + 11, x:end] = mark
         x += width
-    return texture(image, (float(rng.uniform(0.7, 1.0)), float(rng.uniform(0.22, 0.28))))
+    return to_texture(image, (float(rng.uniform(0.7, 1.0)), float(rng.uniform(0.22, 0.28))))

@@ -1,10 +1,10 @@
-"""Rugs: one whole rug an image (not tileable), u along its length, for texture coordinates 0 to 1."""
+"""Rugs: each image is one whole rug (not tileable), u along its length, for texture coordinates 0 to 1."""
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import to_srgb
-from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, shaded, smooth, speckle, texture
+from roomlight_generator.rooms.finishes.noise import blurred, fbm, flat, grid_uv, shaded, speckle, to_texture
 from roomlight_generator.rooms.finishes.palettes import cloth_colour, companion, dyes
 from roomlight_generator.rooms.scene import Texture
 
@@ -14,7 +14,7 @@ def _woven(rng: np.random.Generator, image: Float[np.ndarray, "h w 3"], size_m: 
     pile = speckle(rng, shape, (0.7, 0.7))
     wear = fbm(rng, shape, (3, 4), octaves=4)
     shade = 0.97 + 0.035 * pile + np.float32(rng.uniform(0.0, 0.08)) * wear
-    return texture((smooth(image, 0.6) * shade[..., None]).astype(np.float32), size_m)
+    return to_texture((blurred(image, 0.6) * shade[..., None]).astype(np.float32), size_m)
 
 
 def _size(rng: np.random.Generator) -> tuple[tuple[int, int], tuple[float, float]]:
@@ -24,14 +24,14 @@ def _size(rng: np.random.Generator) -> tuple[tuple[int, int], tuple[float, float
 
 
 def oriental(rng: np.random.Generator) -> Texture:
-    """A medallion in a field of small figures inside borders, all mirrored both ways."""
+    """Make an oriental rug: a medallion in a field of small figures inside borders, mirrored both ways."""
     shape, size_m = _size(rng)
     height, width = shape[0] // 2, shape[1] // 2
     colours = [to_srgb(dye) for dye in dyes(rng, 6)]
     if rng.random() < 0.5:
         colours[1], colours[2] = to_srgb((0.13, 0.015, 0.018)), to_srgb((0.018, 0.025, 0.07))
     y, x = np.mgrid[0:height, 0:width].astype(np.float32) + 0.5
-    # A quarter: distances from the outer edges, and from the centre.
+    # One quarter: distances from the outer edges, and from the centre.
     edge = np.minimum(x, y)
     cx, cy = width - x, height - y
     image = np.broadcast_to(colours[1], (height, width, 3)).astype(np.float32)
@@ -70,7 +70,7 @@ def oriental(rng: np.random.Generator) -> Texture:
 
 
 def modern(rng: np.random.Generator) -> Texture:
-    """Big shapes: blocks, arcs, waves, stripes or a Berber lattice."""
+    """Make a modern rug of large shapes: blocks, arcs, waves, stripes or a Berber lattice."""
     shape, size_m = _size(rng)
     u, v = grid_uv(shape)
     u = u * np.float32(shape[1] / shape[0])
@@ -107,7 +107,7 @@ def modern(rng: np.random.Generator) -> Texture:
 
 
 def plain(rng: np.random.Generator) -> Texture:
-    """One colour with long or short pile, a border at times."""
+    """Make a rug in one colour with long or short pile, sometimes with a border."""
     shape, size_m = _size(rng)
     ground = cloth_colour(rng)
     tufts = speckle(rng, shape, (1.0, 2.5)) + speckle(rng, shape, (2.5, 1.0))

@@ -1,6 +1,6 @@
-"""Colour schemes: what walls, floor, ceiling, frames, doors and curtains of one room are made of.
+"""Colour schemes: materials of the walls, floor, ceiling, frames, doors and curtains of one room.
 
-Of the walls about 55 % are white, grey or beige, 30 % clearly coloured and 15 % papered, of brick or panelled.
+About 55 % of the walls are white, grey or beige, 30 % clearly coloured and 15 % papered, of brick or panelled.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,7 +13,7 @@ from roomlight.conventions import srgb8_to_linear
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.colour import luminance, paint
 from roomlight_generator.rooms.finishes import cloth, stone, wood
-from roomlight_generator.rooms.finishes.noise import styled
+from roomlight_generator.rooms.finishes.noise import split_rng
 from roomlight_generator.rooms.finishes.palettes import (
     beige,
     cloth_colour,
@@ -24,15 +24,15 @@ from roomlight_generator.rooms.finishes.palettes import (
     wall_colour,
     white,
 )
-from roomlight_generator.rooms.finishes.patterns import Group, fabric_texture, make_texture
+from roomlight_generator.rooms.finishes.patterns import TextureGroup, fabric_texture, make_texture
 from roomlight_generator.rooms.scene import Material, Rgb, Texture
 from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 
 _PLAIN: Final[Rgb] = (0.95, 0.95, 0.95)
-"""The albedo under a texture that holds the whole colour."""
+"""Albedo of textures that hold the whole colour."""
 
 _FLOORS: Final[dict[str, tuple[float, float, float, float]]] = {
-    # shares of wood, tile, carpet, stone
+    # Probabilities of wood, tile, carpet, stone.
     "living": (0.62, 0.12, 0.14, 0.12),
     "bed": (0.58, 0.05, 0.32, 0.05),
     "kitchen": (0.33, 0.5, 0.0, 0.17),
@@ -54,7 +54,7 @@ _KINDS: Final = (
 
 
 def room_kind(room_type: str) -> str:
-    """Which of the finishes' kinds a room type is: bath, kitchen, bed, work, utility or living (anything else)."""
+    """Return the kind of finishes of a room type: bath, kitchen, bed, work, utility or living (any other)."""
     name = room_type.lower()
     return next((kind for kind, words in _KINDS if any(word in name for word in words)), "living")
 
@@ -67,43 +67,43 @@ def shell_finishes(
     wall_textures: Sequence[Texture] = (),
     floor_textures: Sequence[Texture] = (),
 ) -> Finishes:
-    """Materials for a whole shell. The extra textures, where given, come in place of procedural ones in 35 % of floors
+    """Choose materials for a whole shell. The extra textures, if given, replace procedural ones in 35 % of floors
     and of textured walls."""
-    chooser = _Chooser(split, styled(split, rng), tuple(wall_textures), tuple(floor_textures))
-    style = chooser.rng
+    chooser = _FinishChooser(split, split_rng(split, rng), tuple(wall_textures), tuple(floor_textures))
+    own_rng = chooser.rng
     room = chooser.room(room_kind(room_type))
     second = chooser.room("living")
-    if style.random() < 0.5:
+    if own_rng.random() < 0.5:
         second = replace(second, floor=room.floor)
-    if style.random() < 0.4:
+    if own_rng.random() < 0.4:
         second = replace(second, wall=room.wall, ceiling=room.ceiling, skirting=room.skirting)
     joinery = chooser.joinery()
-    door = joinery if style.random() < 0.5 else chooser.joinery()
+    door = joinery if own_rng.random() < 0.5 else chooser.joinery()
     return Finishes(
         room=room,
         second=second,
         frame=joinery,
         door=replace(door, name="door"),
-        door_frame=replace(joinery if style.random() < 0.6 else door, name="door_frame"),
+        door_frame=replace(joinery if own_rng.random() < 0.6 else door, name="door_frame"),
         handle=chooser.metal(),
-        moulding=replace(room.ceiling, name="moulding", texture=None, albedo=white(style)),
+        moulding=replace(room.ceiling, name="moulding", texture=None, albedo=white(own_rng)),
         beam=chooser.beam(),
         curtain=chooser.curtain(),
         blind=chooser.blind(),
-        sheer=Material("sheer", paint(style.uniform(0.6, 0.82), style.uniform(0, 0.025), style.uniform(60, 110))),
+        sheer=Material("sheer", paint(own_rng.uniform(0.6, 0.82), own_rng.uniform(0, 0.025), own_rng.uniform(60, 110))),
         translucent_blind=Material("translucent_blind", chooser.pale_cloth()),
     )
 
 
 @dataclass(frozen=True)
-class _Chooser:
+class _FinishChooser:
     split: Split
     rng: np.random.Generator
     wall_textures: tuple[Texture, ...]
     floor_textures: tuple[Texture, ...]
 
     def room(self, kind: str) -> RoomFinishes:
-        """The large surfaces of one room."""
+        """Choose the large surfaces of one room."""
         rng = self.rng
         wall = self.wall(kind)
         accent = self.accent(wall) if rng.random() < 0.18 else None
@@ -111,25 +111,25 @@ class _Chooser:
         ceiling = self.ceiling(wall)
         pick = rng.random()
         if pick < 0.62:
-            skirting = Material("skirting", white(rng), roughness=self.maybe(0.5, 0.2, 0.45))
+            skirting = Material("skirting", white(rng), roughness=self.optional_roughness(0.5, 0.2, 0.45))
         elif pick < 0.8 and kind not in ("bath", "kitchen"):
             skirting = self.wooden("skirting")
         elif pick < 0.92:
             skirting = replace(wall, name="skirting", texture=None, albedo=_mean(wall))
         else:
             skirting = Material(
-                "skirting", paint(rng.uniform(0.03, 0.2), 0.01, 250), roughness=self.maybe(0.5, 0.2, 0.4)
+                "skirting", paint(rng.uniform(0.03, 0.2), 0.01, 250), roughness=self.optional_roughness(0.5, 0.2, 0.4)
             )
         return RoomFinishes(wall, floor, ceiling, skirting, accent, self.lower_wall(kind, wall))
 
-    def maybe(self, chance: float, low: float, high: float) -> float | None:
-        """A coat's roughness, or none."""
+    def optional_roughness(self, chance: float, low: float, high: float) -> float | None:
+        """Return a coat's roughness with the given probability, else None."""
         return float(self.rng.uniform(low, high)) if self.rng.random() < chance else None
 
     def painted(self, name: str, colour: Rgb) -> Material:
-        """Wall paint: mostly matt; half of it shows the roller or the float, some is limewash."""
+        """Choose wall paint: mostly matt; half of it shows the relief of roller or float, some is limewash."""
         rng = self.rng
-        roughness = self.maybe(0.14, 0.4, 0.6)
+        roughness = self.optional_roughness(0.14, 0.4, 0.6)
         pick = rng.random()
         if pick < 0.06:
             return Material(name, _PLAIN, texture=stone.limewash(rng, colour))
@@ -139,7 +139,7 @@ class _Chooser:
         return Material(name, colour, roughness=roughness)
 
     def wall(self, kind: str) -> Material:
-        """What most of the walls are."""
+        """Choose the finish of most of the walls."""
         rng = self.rng
         pick = rng.random()
         if kind == "bath" and rng.random() < 0.3:
@@ -151,7 +151,7 @@ class _Chooser:
         return self.textured_wall("wall")
 
     def textured_wall(self, name: str) -> Material:
-        """Wallpaper, brick, panelling, or one of the extra textures."""
+        """Choose wallpaper, brick, panelling, or one of the extra textures."""
         rng = self.rng
         if self.wall_textures and rng.random() < 0.35:
             return Material(name, _PLAIN, texture=self.wall_textures[int(rng.integers(len(self.wall_textures)))])
@@ -162,13 +162,13 @@ class _Chooser:
             return Material(name, _PLAIN, texture=make_texture("brick", self.split, rng))
         if pick < 0.9:
             colour = neutral_wall(rng) if rng.random() < 0.5 else wall_colour(rng)
-            panels = wood.panelling(styled(self.split, rng), colour, painted=True)
-            return Material(name, _PLAIN, texture=panels, roughness=self.maybe(0.5, 0.3, 0.5))
+            panels = wood.panelling(split_rng(self.split, rng), colour, painted=True)
+            return Material(name, _PLAIN, texture=panels, roughness=self.optional_roughness(0.5, 0.3, 0.5))
         panels = make_texture("panelling", self.split, rng)
-        return Material(name, _PLAIN, texture=panels, roughness=self.maybe(0.4, 0.25, 0.5))
+        return Material(name, _PLAIN, texture=panels, roughness=self.optional_roughness(0.4, 0.25, 0.5))
 
     def accent(self, wall: Material) -> Material:
-        """One wall set off against the rest."""
+        """Choose the finish of a contrasting accent wall."""
         rng = self.rng
         pick = rng.random()
         if pick < 0.35 and wall.texture is not None and wall.albedo == _PLAIN:
@@ -178,7 +178,7 @@ class _Chooser:
         return self.textured_wall("accent_wall")
 
     def lower_wall(self, kind: str, wall: Material) -> Material | None:
-        """Tiles where it is wet; panelling, wainscot or a second paint now and then elsewhere."""
+        """Choose tiles for wet rooms; elsewhere sometimes panelling, wainscot or a second paint."""
         rng = self.rng
         if kind in ("bath", "kitchen"):
             return self.tiled("lower_wall")
@@ -186,23 +186,23 @@ class _Chooser:
             return None
         if rng.random() < 0.45:
             colour = white(rng) if rng.random() < 0.6 else wall_colour(rng)
-            return Material("lower_wall", colour, roughness=self.maybe(0.6, 0.2, 0.45))
+            return Material("lower_wall", colour, roughness=self.optional_roughness(0.6, 0.2, 0.45))
         colour = white(rng) if luminance(_mean(wall)) < 0.5 or rng.random() < 0.4 else None
-        panels = wood.panelling(styled(self.split, rng), colour, painted=colour is not None)
-        return Material("lower_wall", _PLAIN, texture=panels, roughness=self.maybe(0.6, 0.2, 0.45))
+        panels = wood.panelling(split_rng(self.split, rng), colour, painted=colour is not None)
+        return Material("lower_wall", _PLAIN, texture=panels, roughness=self.optional_roughness(0.6, 0.2, 0.45))
 
     def tiled(self, name: str) -> Material:
-        """Wall tiles, mostly glazed."""
-        glaze = self.maybe(0.85, 0.08, 0.3)
+        """Choose wall tiles, mostly glazed."""
+        glaze = self.optional_roughness(0.85, 0.08, 0.3)
         return Material(name, _PLAIN, texture=make_texture("wall_tile", self.split, self.rng), roughness=glaze)
 
     def floor(self, kind: str) -> Material:
-        """What one walks on in a room of this kind."""
+        """Choose the floor of a room of this kind."""
         rng = self.rng
         if self.floor_textures and rng.random() < 0.35:
             texture = self.floor_textures[int(rng.integers(len(self.floor_textures)))]
-            return Material("floor", _PLAIN, texture=texture, roughness=self.maybe(0.5, 0.1, 0.4))
-        group: Group = ("wood_floor", "floor_tile", "carpet", "stone")[int(rng.choice(4, p=_FLOORS[kind]))]
+            return Material("floor", _PLAIN, texture=texture, roughness=self.optional_roughness(0.5, 0.1, 0.4))
+        group: TextureGroup = ("wood_floor", "floor_tile", "carpet", "stone")[int(rng.choice(4, p=_FLOORS[kind]))]
         low, high, chance = {
             "wood_floor": (0.1, 0.35, 0.6),
             "floor_tile": (0.08, 0.32, 0.75),
@@ -210,35 +210,38 @@ class _Chooser:
             "carpet": (0.0, 0.0, 0.0),
         }[group]
         return Material(
-            "floor", _PLAIN, texture=make_texture(group, self.split, rng), roughness=self.maybe(chance, low, high)
+            "floor",
+            _PLAIN,
+            texture=make_texture(group, self.split, rng),
+            roughness=self.optional_roughness(chance, low, high),
         )
 
     def ceiling(self, wall: Material) -> Material:
-        """White nearly always."""
+        """Choose the ceiling's paint, nearly always white."""
         rng = self.rng
         pick = rng.random()
         if pick < 0.84:
             colour = white(rng)
         elif pick < 0.9:
             boards = make_texture("panelling", self.split, rng)
-            return Material("ceiling", _PLAIN, texture=boards, roughness=self.maybe(0.3, 0.25, 0.5))
+            return Material("ceiling", _PLAIN, texture=boards, roughness=self.optional_roughness(0.3, 0.25, 0.5))
         elif pick < 0.95:
             colour = _mean(wall)
         elif pick < 0.985:
             colour = off_white(rng) if rng.random() < 0.5 else wall_colour(rng)
         else:
-            return Material("ceiling", _PLAIN, texture=stone.concrete(styled(self.split, rng)))
+            return Material("ceiling", _PLAIN, texture=stone.concrete(split_rng(self.split, rng)))
         return replace(self.painted("ceiling", colour), roughness=None)
 
     def wooden(self, name: str) -> Material:
-        """Bare or varnished wood."""
-        return Material(name, _PLAIN, texture=wood.board(self.rng), roughness=self.maybe(0.55, 0.12, 0.4))
+        """Choose bare or varnished wood."""
+        return Material(name, _PLAIN, texture=wood.board(self.rng), roughness=self.optional_roughness(0.55, 0.12, 0.4))
 
     def joinery(self) -> Material:
-        """Frames and doors: white, wood, anthracite or a colour."""
+        """Choose the finish of frames and doors: white, wood, anthracite or a colour."""
         rng = self.rng
         pick = rng.random()
-        coat = self.maybe(0.6, 0.12, 0.4)
+        coat = self.optional_roughness(0.6, 0.12, 0.4)
         if pick < 0.52:
             return Material("frame", white(rng), roughness=coat)
         if pick < 0.8:
@@ -250,7 +253,8 @@ class _Chooser:
         return Material("frame", wall_colour(rng), roughness=coat)
 
     def metal(self) -> Material:
-        """Handles and rods. Metal is a grey or a brass with a sharp coat: there is no conductor."""
+        """Choose the metal of handles and rods: a grey or a brass with a glossy coat, since the renderer has no
+        conductors."""
         rng = self.rng
         pick = rng.random()
         if pick < 0.6:
@@ -262,7 +266,7 @@ class _Chooser:
         return Material("handle", colour, roughness=float(rng.uniform(0.08, 0.25)))
 
     def beam(self) -> Material:
-        """Old dark oak, fresh pine, or white."""
+        """Choose the wood of beams: old dark oak, fresh pine, or white."""
         rng = self.rng
         if rng.random() < 0.25:
             return Material("beam", white(rng))
@@ -270,26 +274,26 @@ class _Chooser:
         return Material("beam", _PLAIN, texture=wood.board(rng, colour if rng.random() < 0.6 else None))
 
     def curtain(self) -> Material:
-        """Any cloth; half of it without a figure."""
+        """Choose the cloth of curtains; half of them have no pattern."""
         rng = self.rng
         if rng.random() < 0.4:
             return Material("curtain", self.pale_cloth() if rng.random() < 0.4 else cloth_colour(rng))
         if rng.random() < 0.3:
-            return Material("curtain", _PLAIN, texture=cloth.striped(styled(self.split, rng)))
+            return Material("curtain", _PLAIN, texture=cloth.striped(split_rng(self.split, rng)))
         return Material("curtain", _PLAIN, texture=fabric_texture(self.split, rng))
 
     def blind(self) -> Material:
-        """Slats and roller blinds: mostly pale, some wood, some dark."""
+        """Choose the finish of slats and roller blinds: mostly pale, some wood, some dark."""
         rng = self.rng
         pick = rng.random()
         if pick < 0.55:
-            return Material("blind", self.pale_cloth(), roughness=self.maybe(0.3, 0.25, 0.5))
+            return Material("blind", self.pale_cloth(), roughness=self.optional_roughness(0.3, 0.25, 0.5))
         if pick < 0.7:
             return self.wooden("blind")
         return Material("blind", cloth_colour(rng) if pick < 0.9 else dark_wall(rng))
 
     def pale_cloth(self) -> Rgb:
-        """White, cream or grey cloth, a coloured one now and then."""
+        """Choose a white, cream or grey cloth colour, sometimes a saturated one."""
         rng = self.rng
         if rng.random() < 0.12:
             return paint(rng.uniform(0.35, 0.6), rng.uniform(0.04, 0.1), rng.uniform(0, 360))
@@ -298,7 +302,7 @@ class _Chooser:
 
 
 def _mean(material: Material) -> Rgb:
-    """A material's mean reflectance."""
+    """Return a material's mean reflectance."""
     if material.texture is None:
         return material.albedo
     mean = srgb8_to_linear(material.texture.image[::4, ::4]).mean((0, 1)).astype(float)

@@ -4,13 +4,13 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import paint, to_srgb
-from roomlight_generator.rooms.finishes.noise import fbm, grid_uv, laid_rows, shaded, speckle, texture
+from roomlight_generator.rooms.finishes.noise import fbm, grid_uv, row_blocks, shaded, speckle, to_texture
 from roomlight_generator.rooms.finishes.palettes import stone_colour
 from roomlight_generator.rooms.scene import Rgb, Texture
 
 
 def veined(rng: np.random.Generator, shape: tuple[int, int], *, strength: float) -> Float[np.ndarray, "h w"]:
-    """Clouds and veins of marble around 0, tileable; `strength` is the depth of the darkest vein."""
+    """Return clouds and veins of marble around 0, tileable; `strength` is the depth of the darkest vein."""
     u, v = grid_uv(shape)
     warp = fbm(rng, shape, (2, 2), octaves=6, gain=0.42)
     across, down = int(rng.integers(1, 3)), int(rng.integers(-2, 3))
@@ -22,52 +22,52 @@ def veined(rng: np.random.Generator, shape: tuple[int, int], *, strength: float)
 
 
 def marble(rng: np.random.Generator) -> Texture:
-    """Polished slabs with hair joints."""
+    """Make polished slabs with hairline joints."""
     shape = (384, 384)
     colour = paint(rng.uniform(0.5, 0.75), rng.uniform(0, 0.02), rng.uniform(60, 250)) if rng.random() < 0.55 else None
     colour = colour or stone_colour(rng)
-    blocks = laid_rows(rng, shape, rows=2, columns=2, shift=0.0)
-    field = blocks.cut(rng, veined(rng, shape, strength=float(rng.uniform(0.15, 0.45))))
+    blocks = row_blocks(rng, shape, rows=2, columns=2, shift=0.0)
+    field = blocks.sample(rng, veined(rng, shape, strength=float(rng.uniform(0.15, 0.45))))
     image = blocks.grout(shaded(colour, 1 + field), to_srgb(colour) * np.float32(0.75), 1.5)
     side = float(rng.uniform(1.0, 2.0))
-    return texture(image, (side, side))
+    return to_texture(image, (side, side))
 
 
 def concrete(rng: np.random.Generator) -> Texture:
-    """Cast or floated concrete: clouds, stains and pores."""
+    """Make cast or floated concrete: clouds, stains and pores."""
     shape = (512, 512)
     colour = paint(rng.uniform(0.14, 0.42), rng.uniform(0, 0.015), rng.uniform(60, 110))
     cloud = fbm(rng, shape, (2, 2), octaves=6, gain=0.6)
     grain = speckle(rng, shape, (0.6, 0.6))
     pores = (speckle(rng, shape, (1.2, 1.2)) > rng.uniform(2.6, 3.3)).astype(np.float32)
     shade = 1 + np.float32(rng.uniform(0.04, 0.14)) * cloud + 0.012 * grain - 0.2 * pores
-    return texture(shaded(colour, shade), (2.0, 2.0))
+    return to_texture(shaded(colour, shade), (2.0, 2.0))
 
 
 def plaster(rng: np.random.Generator, *, depth: float | None = None) -> Texture:
-    """The faint relief of rolled paint or of a float, around white: to be tinted by the material's albedo."""
+    """Make the faint relief of rolled or floated paint around white, to be tinted by the material's albedo."""
     shape = (256, 256)
     depth = float(rng.uniform(0.003, 0.016)) if depth is None else depth
     coarse = int(rng.choice([4, 12, 24]))
-    depth *= 0.5 if coarse == 4 else 1.0  # broad clouds show from afar
+    depth *= 0.5 if coarse == 4 else 1.0  # broad clouds are visible from a distance
     field = fbm(rng, shape, (coarse, coarse), octaves=4, gain=0.7)
     shade = 0.975 + depth * field + 0.3 * depth * speckle(rng, shape, (0.7, 0.7))
-    return texture(shaded((1.0, 1.0, 1.0), np.minimum(shade, 1)), (1.2, 1.2))
+    return to_texture(shaded((1.0, 1.0, 1.0), np.minimum(shade, 1)), (1.2, 1.2))
 
 
 def limewash(rng: np.random.Generator, colour: Rgb) -> Texture:
-    """Broad cloudy brushwork."""
+    """Make broad cloudy brushwork."""
     shape = (256, 256)
     cloud = fbm(rng, shape, (3, 3), octaves=5, gain=0.62)
-    return texture(shaded(colour, 1 + np.float32(rng.uniform(0.04, 0.11)) * cloud), (2.4, 2.4))
+    return to_texture(shaded(colour, 1 + np.float32(rng.uniform(0.04, 0.11)) * cloud), (2.4, 2.4))
 
 
 def cork(rng: np.random.Generator) -> Texture:
-    """Pressed cork or speckled rubber and linoleum."""
+    """Make pressed cork, or speckled rubber and linoleum."""
     shape = (256, 256)
     if rng.random() < 0.4:
         colour = paint(rng.uniform(0.16, 0.3), 0.06, rng.uniform(58, 70))
     else:
         colour = paint(rng.uniform(0.08, 0.4), rng.uniform(0.0, 0.06), rng.uniform(0, 360))
     fleck = speckle(rng, shape, (1.0, 1.0))
-    return texture(shaded(colour, 1 + np.float32(rng.uniform(0.02, 0.08)) * fleck), (0.6, 0.6))
+    return to_texture(shaded(colour, 1 + np.float32(rng.uniform(0.02, 0.08)) * fleck), (0.6, 0.6))

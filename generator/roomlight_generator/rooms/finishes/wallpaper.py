@@ -1,11 +1,11 @@
-"""Wallpapers: upright stripes, damask, flowers, leaves and geometric figures. u to the right, v down the wall."""
+"""Wallpapers: vertical stripes, damask, flowers, leaves and geometric figures. u to the right, v down the wall."""
 
 import cv2
 import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import to_srgb
-from roomlight_generator.rooms.finishes.noise import fbm, flat, grid_uv, mixed, smooth, speckle, texture
+from roomlight_generator.rooms.finishes.noise import blurred, fbm, flat, grid_uv, lerp, speckle, to_texture
 from roomlight_generator.rooms.finishes.palettes import companion, dyes, neutral_wall, wall_colour
 from roomlight_generator.rooms.scene import Rgb, Texture
 
@@ -17,7 +17,7 @@ def _ground(rng: np.random.Generator) -> Rgb:
 
 
 def _figure(rng: np.random.Generator, ground: Rgb) -> Rgb:
-    """Tone in tone, gently or strongly set off."""
+    """Choose the figure's colour: close to the ground or in strong contrast to it."""
     other = companion(rng, ground)
     keep = float(rng.choice([0.0, 0.3, 0.6, 0.75]))
     return (
@@ -29,11 +29,11 @@ def _figure(rng: np.random.Generator, ground: Rgb) -> Rgb:
 
 def _paper(rng: np.random.Generator, image: Float[np.ndarray, "h w 3"], size: tuple[float, float]) -> Texture:
     grain = speckle(rng, (image.shape[0], image.shape[1]), (0.6, 0.6))
-    return texture((image * (1 + 0.008 * grain)[..., None]).astype(np.float32), size)
+    return to_texture((image * (1 + 0.008 * grain)[..., None]).astype(np.float32), size)
 
 
 def stripes(rng: np.random.Generator) -> Texture:
-    """Upright stripes, wide and narrow."""
+    """Make vertical stripes, wide and narrow."""
     ground = _ground(rng)
     colours = np.stack([to_srgb(c) for c in (ground, _figure(rng, ground), _figure(rng, ground))])
     count = int(rng.choice([2, 2, 4, 6]))
@@ -44,11 +44,11 @@ def stripes(rng: np.random.Generator) -> Texture:
     which = np.searchsorted(edges, np.arange(_SIDE) + 0.5)
     line = colours[picks[np.minimum(which, count - 1)]]
     width = float(rng.uniform(0.08, 0.5))
-    return _paper(rng, smooth(np.broadcast_to(line, (64, _SIDE, 3)).astype(np.float32), 0.7), (width, width))
+    return _paper(rng, blurred(np.broadcast_to(line, (64, _SIDE, 3)).astype(np.float32), 0.7), (width, width))
 
 
 def damask(rng: np.random.Generator) -> Texture:
-    """Mirrored scrolls and leaves inside a pointed medallion, in half drop."""
+    """Make mirrored scrolls and leaves inside a pointed medallion, in half drop."""
     high, wide = 512, 256
     mask = np.zeros((high, wide), np.uint8)
     centre = (wide // 2, high // 4)
@@ -80,15 +80,15 @@ def damask(rng: np.random.Generator) -> Texture:
         line = np.rint(ogive * [sign, 1] + centre).astype(np.int32)
         cv2.polylines(mask, [line], False, 255, int(rng.integers(2, 7)), cv2.LINE_AA)
     field = mask.astype(np.float32) / 255
-    # Half drop: the same figure again half a repeat lower and half a width aside.
+    # Half drop: the same figure again, half a repeat lower and half a width to the side.
     field = np.maximum(field, np.roll(field, (high // 2, wide // 2), (0, 1)))
     ground = _ground(rng)
     width = float(rng.uniform(0.25, 0.53))
-    return _paper(rng, mixed(ground, _figure(rng, ground), field), (width, 2 * width))
+    return _paper(rng, lerp(ground, _figure(rng, ground), field), (width, 2 * width))
 
 
 def floral(rng: np.random.Generator) -> Texture:
-    """Flowers and leaves strewn over a ground."""
+    """Make flowers and leaves scattered over a ground."""
     ground = _ground(rng)
     colours = dyes(rng, 5)
     image = flat(ground, (_SIDE, _SIDE)).copy()
@@ -104,7 +104,7 @@ def floral(rng: np.random.Generator) -> Texture:
         petals = int(rng.integers(2, 4)) if leafy else int(rng.integers(5, 8))
         step = 42.0 if leafy else 360.0 / petals
         slim = 0.24 if leafy else 0.42
-        for shift in _around(place, 1.3 * size):
+        for shift in _periodic_images(place, 1.3 * size):
             for k in range(petals):
                 angle = turn + k * step
                 middle = shift + size * 0.5 * np.array([np.cos(np.radians(angle)), np.sin(np.radians(angle))])
@@ -118,8 +118,8 @@ def floral(rng: np.random.Generator) -> Texture:
     return _paper(rng, image, (side, side))
 
 
-def _around(place: Float[np.ndarray, "2"], reach: float) -> list[Float[np.ndarray, "2"]]:
-    """The place itself and its images just across the edges."""
+def _periodic_images(place: Float[np.ndarray, "2"], reach: float) -> list[Float[np.ndarray, "2"]]:
+    """Return the point itself and its periodic images just across the edges."""
     shifts = np.array([[i, j] for i in (-1, 0, 1) for j in (-1, 0, 1)]) * float(_SIDE)
     places = place + shifts
     near = ((places > -reach) & (places < _SIDE + reach)).all(1)
@@ -127,7 +127,7 @@ def _around(place: Float[np.ndarray, "2"], reach: float) -> list[Float[np.ndarra
 
 
 def geometric(rng: np.random.Generator) -> Texture:
-    """Trellis, chevrons, scales, triangles, dots, rings or hexagonal lines."""
+    """Make a trellis, chevrons, scales, triangles, dots, rings or hexagonal lines."""
     u, v = grid_uv((_SIDE, _SIDE))
     count = int(rng.choice([2, 4, 6]))
     x, y = u * count, v * count
@@ -159,17 +159,17 @@ def geometric(rng: np.random.Generator) -> Texture:
     else:
         share = (np.abs(np.abs(shifted) + np.abs(y - row - 0.5) - 0.4) < width) | (np.abs(shifted) < width / 3)
     ground = _ground(rng)
-    image = mixed(ground, _figure(rng, ground), np.asarray(share, np.float32))
+    image = lerp(ground, _figure(rng, ground), np.asarray(share, np.float32))
     extra = to_srgb(_figure(rng, ground))
     image = image + (extra - image) * np.asarray(third, np.float32)[..., None]
     side = float(rng.uniform(0.12, 0.25) * count)
-    return _paper(rng, smooth(image.astype(np.float32), 0.8), (side, side))
+    return _paper(rng, blurred(image.astype(np.float32), 0.8), (side, side))
 
 
 def grasscloth(rng: np.random.Generator) -> Texture:
-    """Woven fibres, or raffia: lines across in one muted colour."""
+    """Make woven fibres or raffia: horizontal lines in one muted colour."""
     ground = _ground(rng)
     fibres = speckle(rng, (_SIDE, _SIDE), (0.6, 40)) + 0.4 * speckle(rng, (_SIDE, _SIDE), (30, 0.6))
     cloud = fbm(rng, (_SIDE, _SIDE), (3, 3), octaves=3)
     share = 0.25 + float(rng.uniform(0.08, 0.2)) * fibres + 0.1 * cloud
-    return _paper(rng, mixed(ground, _figure(rng, ground), share.astype(np.float32)), (0.6, 0.6))
+    return _paper(rng, lerp(ground, _figure(rng, ground), share.astype(np.float32)), (0.6, 0.6))

@@ -28,13 +28,13 @@ class Archive:
         try:
             self._zip = zipfile.ZipFile(path)
         except FileNotFoundError as error:
-            raise FurnitureError(f"{path}: there is no such file") from error
+            raise FurnitureError(f"{path}: no such file") from error
         except (OSError, zipfile.BadZipFile, ValueError) as error:
             raise FurnitureError(f"{path}: is not a zip file ({error}); a furniture library is a .sh3f file") from error
         names = self._zip.namelist()
         if len(names) > _MAX_MEMBERS:
             self._zip.close()
-            raise FurnitureError(f"{path}: has {len(names)} files in it; {_MAX_MEMBERS} are the most that is read")
+            raise FurnitureError(f"{path}: has {len(names)} files in it; the maximum is {_MAX_MEMBERS}")
         self._names = set(names)
         # Libraries made on Windows differ from their catalogue file in case and slashes.
         self._folded = {name.replace("\\", "/").lower(): name for name in names}
@@ -61,7 +61,7 @@ class Archive:
         for part in spelled.split("/"):
             if part == "..":
                 if not parts:
-                    raise FurnitureError(f"{self.path}: the path {name!r} leads out of the file")
+                    raise FurnitureError(f"{self.path}: the path {name!r} leads out of the archive")
                 parts.pop()
             elif part not in ("", "."):
                 parts.append(part)

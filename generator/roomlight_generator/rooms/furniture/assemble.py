@@ -63,7 +63,7 @@ def assemble_mesh(obj: Obj, archive: Archive, entry: LibraryEntry, *, role: str,
     soup = _drop_unused_uvs(_cut_holes(_soup(obj, entry), loaded.coverages, levels), loaded.materials)
     soup = welded(soup) if len(soup.faces) else soup
     if not len(soup.faces):
-        raise FurnitureError(f"{archive.path}: {entry.member}: all its triangles are without area or see-through")
+        raise FurnitureError(f"{archive.path}: {entry.member}: all its triangles have zero area or are transparent")
     small = role in TOP_ROLES or (role in CEILING_ROLES and entry.width_m < 0.3)
     return _indexed_mesh(simplified(soup, _SMALL_TARGET_TRIANGLES if small else TARGET_TRIANGLES), loaded.materials)
 
@@ -134,12 +134,12 @@ def _load_texture(
             member = archive.find(name.replace("\\", "/").rpartition("/")[2], relative_to=entry.member)
         if member is None:
             warn(
-                f"{archive.path}: model {entry.id!r}: its texture {name!r} is not in the library; plain colour instead"
+                f"{archive.path}: model {entry.id!r}: its texture {name!r} is not in the library; using a plain colour"
             )
             return None
         picture = read_image(archive, member, side=side)
     except FurnitureError as error:
-        warn(f"{error}; plain colour instead")
+        warn(f"{error}; using a plain colour")
         return None
     return picture, Texture(picture.image)
 

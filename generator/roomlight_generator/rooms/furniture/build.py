@@ -59,7 +59,7 @@ def build_cache(
             for entry in read_entries(archive, warn):
                 role = role_of(entry)
                 if entry.id in known:
-                    warn(f"{source}: model {entry.id!r} was in another library already; left out")
+                    warn(f"{source}: model {entry.id!r} is also in an earlier library; left out")
                 elif role is not None:
                     entries.append((source, entry, role))
                 known.add(entry.id)

@@ -111,7 +111,7 @@ class CacheWriter:
             temporary.write_bytes(b"".join([head, text, *self._blobs]))
             temporary.replace(path)
         except OSError as error:
-            with contextlib.suppress(OSError):  # it may never have been made
+            with contextlib.suppress(OSError):  # the file may not exist
                 temporary.unlink()
             raise OutputError(f"{path}: the furniture cache cannot be written ({error.strerror or error})") from error
 
@@ -164,7 +164,7 @@ class Cache:
                 if not head.startswith(_MAGIC):
                     raise FurnitureError(_foreign(path, head))
                 if len(head) < len(_MAGIC) + _HEAD.size:
-                    raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to rebuild it")
+                    raise FurnitureError(f"{path}: the furniture cache is truncated; delete it to rebuild it")
                 length, digest = _HEAD.unpack_from(head, len(_MAGIC))
                 text = file.read(min(length, _MAX_FILE_BYTES))
             size = path.stat().st_size
@@ -176,7 +176,7 @@ class Cache:
         self._start = len(head) + length
         self._blobs = cast(list[list[int]], header["pieces"])
         if size != self._start + header["bytes"]:
-            raise FurnitureError(f"{path}: the furniture cache is cut short; delete it to rebuild it")
+            raise FurnitureError(f"{path}: the furniture cache is truncated; delete it to rebuild it")
         self._models = cast(list[dict[str, Any]], header["models"])
         self._surfaces = cast(list[dict[str, Any]], header["surfaces"])
         self._textures: WeakValueDictionary[int, Texture] = WeakValueDictionary()

@@ -145,7 +145,7 @@ def library_files(path: Path) -> list[Path]:
             raise FurnitureError(f"{path}: has no furniture library in it ({', '.join(SUFFIXES)})")
         return found
     if not path.exists():
-        raise FurnitureError(f"{path}: there is no such file or folder")
+        raise FurnitureError(f"{path}: no such file or folder")
     return [path]
 
 
@@ -169,12 +169,12 @@ def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progres
         try:
             return Cache(path)
         except FurnitureError as error:
-            warn(f"{error}; making it anew")
+            warn(f"{error}; rebuilding it")
     try:
         build_cache(sources, path, warn=warn, progress=progress)
     except OutputError as error:
         path = Path(tempfile.mkdtemp(prefix="roomlight-furniture-")) / path.name
-        warn(f"{error}; it goes to {path} instead")
+        warn(f"{error}; writing it to {path} instead")
         build_cache(sources, path, warn=warn, progress=progress)
     return Cache(path)
 

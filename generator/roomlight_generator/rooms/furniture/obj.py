@@ -83,7 +83,7 @@ def parse_obj(data: bytes, name: str) -> Obj:
     if not triangles:
         raise FurnitureError(f"{name}: has no faces")
     if triangles > MAX_TRIANGLES:
-        raise FurnitureError(f"{name}: has {triangles} triangles; {MAX_TRIANGLES} are the most that is read")
+        raise FurnitureError(f"{name}: has {triangles} triangles; the maximum is {MAX_TRIANGLES}")
     points = _numbers(positions, 3, name)
     coordinates = _numbers(uvs, 2, name)
     corner_points, corner_uvs = _corners(corners, len(points), len(coordinates), name)
@@ -157,7 +157,7 @@ def _numbers(lines: list[bytes], count: int, name: str) -> Float[np.ndarray, "n 
             rows = [(line.split() + [b"0"] * count)[:count] for line in lines]
             flat = np.array([word for row in rows for word in row], np.float64)
     except ValueError as error:
-        raise FurnitureError(f"{name}: has coordinates that are no numbers ({error})") from error
+        raise FurnitureError(f"{name}: has coordinates that are not numbers ({error})") from error
     if not np.isfinite(flat).all():
         raise FurnitureError(f"{name}: has coordinates that are not finite")
     return flat.reshape(-1, count)
@@ -175,7 +175,7 @@ def _absolute(tokens: list[bytes], points: int, uvs: int, name: str) -> list[byt
             out.append(b"/".join(parts[:2]))
         return out
     except ValueError as error:
-        raise FurnitureError(f"{name}: has a face that makes no sense ({error})") from error
+        raise FurnitureError(f"{name}: has a malformed face ({error})") from error
 
 
 def _corners(
@@ -191,7 +191,7 @@ def _corners(
             parts = token.split(b"/")
             table[row] = int(parts[0]) - 1, int(parts[1]) - 1 if len(parts) > 1 and parts[1] else -1
     except (ValueError, OverflowError) as error:
-        raise FurnitureError(f"{name}: has a face that makes no sense ({error})") from error
+        raise FurnitureError(f"{name}: has a malformed face ({error})") from error
     if table[:, 0].min() < 0 or table[:, 0].max() >= points:
         raise FurnitureError(f"{name}: has faces with vertices that are not in the file (it has {points})")
     table[(table[:, 1] < 0) | (table[:, 1] >= uvs), 1] = -1

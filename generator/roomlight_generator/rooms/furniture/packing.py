@@ -73,7 +73,7 @@ def unpack_mesh(data: bytes, textures: Mapping[int, Texture] | Callable[[int], T
         faces = np.cumsum(deltas == 0) - deltas
         faces -= np.where(deltas == 0, 1, 0)
         if faces.min() < 0 or faces.max() >= count:
-            raise ValueError("a face with a vertex that is not there")
+            raise ValueError("a face refers to a missing vertex")
         materials = tuple(_material(record, fetch) for record in head["materials"])
         face_materials = np.repeat(np.arange(len(materials), dtype=np.int32), head["counts"])
         return Mesh(

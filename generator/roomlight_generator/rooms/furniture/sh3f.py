@@ -94,7 +94,7 @@ def _entry(archive: Archive, number: int, properties: dict[str, str], general: d
     for value in (width, depth, height):
         if not _SIZES_M[0] <= value <= _SIZES_M[1]:
             raise FurnitureError(
-                f"{where}: its size {width:g} x {depth:g} x {height:g} m is absurd (the catalogue is in centimetres)"
+                f"{where}: its size {width:g} x {depth:g} x {height:g} m is implausible (the catalogue is in centimetres)"
             )
     drop = _metres(properties, "dropOnTopElevation", where, default=height)
     creator = properties.get("creator") or general.get("provider")
@@ -146,7 +146,7 @@ def _rotation(text: str, where: str) -> Float[np.ndarray, "3 3"] | None:
     values = [_finite(word, "modelRotation", where) for word in text.split()]
     matrix = np.array(values, np.float64).reshape(3, 3) if len(values) == 9 else np.zeros((3, 3))
     if not np.allclose(matrix @ matrix.T, np.eye(3), atol=1e-3):
-        raise FurnitureError(f"{where}: its modelRotation {text!r} is no rotation")
+        raise FurnitureError(f"{where}: its modelRotation {text!r} is not a rotation")
     return matrix
 
 

@@ -64,9 +64,11 @@ def _surface(
     try:
         size = (float(properties["width"]) / 100, float(properties["height"]) / 100)
     except (KeyError, ValueError) as error:
-        raise FurnitureError(f"{where} has no size in numbers") from error
+        raise FurnitureError(f"{where} has no numeric size") from error
     if not all(0.01 <= side <= 20 for side in size):
-        raise FurnitureError(f"{where}: its size {size[0]:g} x {size[1]:g} m is absurd (catalogues are in centimetres)")
+        raise FurnitureError(
+            f"{where}: its size {size[0]:g} x {size[1]:g} m is implausible (catalogues are in centimetres)"
+        )
     member = archive.find(properties.get("image", ""))
     if member is None:
         raise FurnitureError(f"{where}: its image {properties.get('image')!r} is not in the file")

@@ -44,7 +44,7 @@ def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureIma
     except ImageError as error:
         raise FurnitureError(str(error)) from error
     if not 0 < width * height <= _MAX_PIXELS:
-        raise FurnitureError(f"{where} has {width} x {height} pixels; {_MAX_PIXELS} are the most that is read")
+        raise FurnitureError(f"{where} has {width} x {height} pixels; the maximum is {_MAX_PIXELS}")
     try:
         raw = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     except cv2.error as error:

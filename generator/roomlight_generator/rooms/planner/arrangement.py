@@ -22,7 +22,7 @@ from roomlight_generator.rooms.planner.free_floor import bare_floor, cells_near,
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.shapes import Number
 
-Element = TypeVar("Thing")
+Element = TypeVar("Element")
 
 Layer = Literal["floor", "top", "wall", "ceiling", "flat"]
 

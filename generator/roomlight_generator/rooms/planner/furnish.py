@@ -9,7 +9,7 @@ from roomlight_generator.rooms.planner.ceiling import light_ceiling
 from roomlight_generator.rooms.planner.chooser import Chooser
 from roomlight_generator.rooms.planner.loose_items import furnish_second_room, place_person, place_pet
 from roomlight_generator.rooms.planner.room_types import RoomType
-from roomlight_generator.rooms.planner.tops import place_on_tops
+from roomlight_generator.rooms.planner.tabletops import place_on_tops
 from roomlight_generator.rooms.planner.wall_items import hang_wall_items, lamps_at_bed, radiators
 
 
@@ -28,7 +28,7 @@ def furnish(
         ValueError: a room type of the test split was given for the training split.
     """
     if room_type.split == "test" and split == "train":
-        raise ValueError(f"rooms of type {room_type.name} are kept for the test split: choose another type to train on")
+        raise ValueError(f"room type {room_type.name} is reserved for the test split: choose another type for training")
     clutter = float(rng.uniform(*room_type.clutter))
     arrangement = Arrangement(shell, catalogue, rng, split, clutter)
     if arrangement.chance(0.75):

@@ -8,6 +8,7 @@ from typing import Final
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.planner.arrangement import Arrangement
 from roomlight_generator.rooms.planner.bathroom import bathroom
+from roomlight_generator.rooms.planner.beds import bed
 from roomlight_generator.rooms.planner.ceiling import CeilingLight
 from roomlight_generator.rooms.planner.kitchen import kitchen
 from roomlight_generator.rooms.planner.loose_items import (
@@ -17,9 +18,8 @@ from roomlight_generator.rooms.planner.loose_items import (
     place_rug,
     scatter_on_floor,
 )
-from roomlight_generator.rooms.planner.lounge import conversation_group, reading_corner, tv_lounge
-from roomlight_generator.rooms.planner.public import benches, double_rows, row_along
-from roomlight_generator.rooms.planner.sleeping import bed
+from roomlight_generator.rooms.planner.public_rooms import benches, double_rows, row_along
+from roomlight_generator.rooms.planner.seating_groups import conversation_group, reading_corner, tv_lounge
 from roomlight_generator.rooms.planner.tables import cafe_tables, desk, desk_islands, dining, reading_tables
 
 

@@ -1,4 +1,4 @@
-"""Procedural furniture and props: every role of a room without any furniture library. Meshes are made on demand."""
+"""Procedural furniture and props: every role of a room without a furniture library. Meshes are built on demand."""
 
 from roomlight_generator.rooms.props.procedural import procedural_models
 

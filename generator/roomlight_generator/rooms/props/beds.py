@@ -1,27 +1,28 @@
-"""Beds with their bedding, children's beds, cots and bunks."""
+"""Beds with their bedding, children's beds, cots and bunk beds."""
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from roomlight_generator.rooms.props import palette
-from roomlight_generator.rooms.props.draft import Draft, Kit, between
-from roomlight_generator.rooms.props.seating import legs
+from roomlight_generator.rooms.props.draft import Draft, Parts, uniform
+from roomlight_generator.rooms.props.seating import add_legs
 from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import Number, cushion, double_sided_sheet
 
 _TUCKED: Final = (0.03, 0.06)
-"""How far a duvet hangs down, metres, where a frame holds it in."""
+"""How far a duvet hangs down, metres, if a frame holds it in."""
 
 
-def duvet(
-    kit: Kit, rng: np.random.Generator, cover: Material, width: Number, length: Number, top: Number, drop: Number
+def add_duvet(
+    parts: Parts, rng: np.random.Generator, cover: Material, width: Number, length: Number, top: Number, drop: Number
 ) -> None:
-    """A cover over a mattress whose top is at `top`, hanging down by `drop` at its sides and foot, with creases.
+    """Add a cover over a mattress whose top is at `top`, hanging down by `drop` at its sides and foot, with creases.
 
     It covers z from length/2 (the foot) up to two thirds toward the head.
     """
-    start = -length / 2 + length * between(rng, 0.22, 0.42)
+    start = -length / 2 + length * uniform(rng, 0.22, 0.42)
     side, foot = width / 2 + 0.015, length / 2 + 0.015
     xs = np.concatenate([[-side - 0.02], np.linspace(-side, side, 9), [side + 0.02]])
     zs = np.concatenate([np.linspace(start, foot, 8), [foot + 0.02]])
@@ -33,44 +34,52 @@ def duvet(
     points[-1, 1:-1, 1] = top - drop * rng.uniform(0.85, 1.1, len(xs) - 2)
     # A corner hangs lower than the edges beside it, so that it is folded outward.
     points[-1, [0, -1], 1] = points[-2:, [0, -1], 1].min() - 0.03
-    # Rows run from foot to head so that the upper layer looks up.
-    kit.add(double_sided_sheet(points[::-1].copy(), thickness=0.012), cover)
+    # Rows run from foot to head so that the upper layer faces up.
+    parts.add(double_sided_sheet(points[::-1].copy(), thickness=0.012), cover)
 
 
-def bedding(
-    kit: Kit,
+@dataclass(frozen=True)
+class Mattress:
+    """Size of a mattress and the height of its bottom, metres."""
+
+    width: Number
+    length: Number
+    bottom: Number
+    thickness: Number
+
+
+def add_bedding(
+    parts: Parts,
     rng: np.random.Generator,
-    width: Number,
-    length: Number,
-    low: Number,
-    thick: Number,
+    mattress: Mattress,
     *,
     pillows: int,
     head_m: Number = 0.0,
     hang: tuple[Number, Number] = (0.08, 0.28),
 ) -> None:
-    """A mattress with its bottom at `low`, a duvet, pillows at the head (-z), perhaps a throw over the foot.
+    """Add a mattress, a duvet, pillows at the head (-z), and sometimes a throw over the foot.
 
     Pillows may lean on a headboard as high as head_m; the duvet hangs down by `hang`.
     """
+    width, length, low, thick = mattress.width, mattress.length, mattress.bottom, mattress.thickness
     linen, cover = palette.cloth(rng, patterned=0.0), palette.cloth(rng, patterned=0.35)
-    kit.slab(linen, (width, thick, length), (0, low, 0), radius=0.05, arcs=2)
+    parts.slab(linen, (width, thick, length), (0, low, 0), radius=0.05, arcs=2)
     top = low + thick
     if rng.random() < 0.9:
-        duvet(kit, rng, cover, width, length, top, between(rng, *hang))
+        add_duvet(parts, rng, cover, width, length, top, uniform(rng, *hang))
     case = cover if rng.random() < 0.4 else palette.cloth(rng, patterned=0.2)
     each = min(0.75, width / pillows - 0.04)
     for k in range(pillows):
         x = (-0.5 + (k + 0.5) / pillows) * width
-        deep = between(rng, 0.4, 0.5)
+        deep = uniform(rng, 0.4, 0.5)
         shape = cushion(each, 0.16, deep, plump=0.75, radius=0.06, step=0.16, arcs=1)
         if rng.random() < 0.4 and top + deep * 0.92 < head_m:
-            kit.add(shape, case, (x, top + deep * 0.42, -length / 2 + 0.16), pitch=62)
+            parts.add(shape, case, (x, top + deep * 0.42, -length / 2 + 0.16), pitch=62)
         else:
-            kit.add(shape, case, (x, top - 0.01, -length / 2 + deep / 2 + 0.04), yaw=between(rng, -6, 6))
+            parts.add(shape, case, (x, top - 0.01, -length / 2 + deep / 2 + 0.04), yaw=uniform(rng, -6, 6))
     if rng.random() < 0.35:
         throw = palette.cloth(rng, patterned=0.5)
-        span = between(rng, 0.35, 0.6)
+        span = uniform(rng, 0.35, 0.6)
         grid = np.array(
             [
                 [[x, top + (0.055 if abs(x) < width / 2 + 0.03 else -0.12), z] for x in
@@ -79,102 +88,103 @@ def bedding(
             ],
             np.float32,
         )  # fmt: skip
-        kit.add(double_sided_sheet(grid, thickness=0.012), throw)
+        parts.add(double_sided_sheet(grid, thickness=0.012), throw)
 
 
 def bed(rng: np.random.Generator) -> Draft:
-    """For one or two: divan, wooden frame, upholstered or metal, with all sorts of headboards."""
-    width = float(rng.choice([0.9, 1.0, 1.4, 1.6, 1.8], p=[0.15, 0.05, 0.3, 0.3, 0.2])) + between(rng, 0.02, 0.1)
-    length, height = between(rng, 2.02, 2.2), between(rng, 0.75, 1.3)
+    """Make a single or double bed: divan, wooden, upholstered or metal frame, with various headboards."""
+    width = float(rng.choice([0.9, 1.0, 1.4, 1.6, 1.8], p=[0.15, 0.05, 0.3, 0.3, 0.2])) + uniform(rng, 0.02, 0.1)
+    length, height = uniform(rng, 2.02, 2.2), uniform(rng, 0.75, 1.3)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         kind = int(rng.integers(4))
         frame = (palette.wood, palette.upholstery, palette.wood_or_paint, palette.metal)[kind](rng)
-        leg, thick = between(rng, 0.08, 0.2), between(rng, 0.18, 0.3)
-        rail = between(rng, 0.12, 0.22)
+        leg, thick = uniform(rng, 0.08, 0.2), uniform(rng, 0.18, 0.3)
+        rail = uniform(rng, 0.12, 0.22)
         board = 0.1 if kind == 1 else 0.045
         inside = length - board - 0.04
         z = board / 2 - 0.01
-        kit.slab(frame, (width, rail, inside + 0.04), (0, leg, z), radius=0.03 if kind == 1 else 0.006)
-        legs(kit, frame, (width - 0.1, length - 0.12), leg + 0.02, thick=0.03, square=rng.random() < 0.6)
-        made = Kit()
-        bedding(
+        parts.slab(frame, (width, rail, inside + 0.04), (0, leg, z), radius=0.03 if kind == 1 else 0.006)
+        add_legs(parts, frame, (width - 0.1, length - 0.12), leg + 0.02, thick=0.03, square=rng.random() < 0.6)
+        made = Parts()
+        add_bedding(
             made,
             rng,
-            width - 0.06,
-            inside - 0.03,
-            leg + rail - 0.06,
-            thick,
+            Mattress(width - 0.06, inside - 0.03, leg + rail - 0.06, thick),
             pillows=2 if width > 1.3 else 1,
             head_m=height,
         )
-        kit.put(made.mesh(), (0, 0, z))
+        parts.add_mesh(made.mesh(), (0, 0, z))
         back = -length / 2
         if kind == 3:
             for x in (-1, 1):
-                kit.bar(
+                parts.bar(
                     frame,
                     (x * (width / 2 - 0.02), 0, back + 0.02),
                     (x * (width / 2 - 0.02), height, back + 0.02),
                     0.018,
                 )
-            kit.bar(
+            parts.bar(
                 frame,
                 (-width / 2 + 0.02, height - 0.02, back + 0.02),
                 (width / 2 - 0.02, height - 0.02, back + 0.02),
                 0.015,
             )
             for x in np.linspace(-0.44, 0.44, int(rng.integers(5, 12))) * width:
-                kit.bar(frame, (x, leg + rail, back + 0.02), (x, height - 0.02, back + 0.02), 0.009, segments=6)
+                parts.bar(frame, (x, leg + rail, back + 0.02), (x, height - 0.02, back + 0.02), 0.009, segments=6)
         elif kind == 1 and rng.random() < 0.6:
             count = int(rng.integers(2, 7))
             for k in range(count):
                 x = (-0.5 + (k + 0.5) / count) * width
-                kit.slab(frame, (width / count - 0.004, height - leg, board), (x, leg, back + board / 2), radius=0.035)
+                parts.slab(
+                    frame, (width / count - 0.004, height - leg, board), (x, leg, back + board / 2), radius=0.035
+                )
         else:
-            kit.slab(
+            parts.slab(
                 frame, (width, height - leg * 0.5, board), (0, leg * 0.5, back + board / 2), radius=min(0.04, board / 3)
             )
             if kind == 2:
-                kit.slab(frame, (width, leg + rail + 0.16, 0.04), (0, 0, length / 2 - 0.02), radius=0.006)
-        return kit.mesh()
+                parts.slab(frame, (width, leg + rail + 0.16, 0.04), (0, 0, length / 2 - 0.02), radius=0.006)
+        return parts.mesh()
 
     return Draft("double bed" if width > 1.3 else "single bed", (width + 0.06, height, length), build)
 
 
 def child_bed(rng: np.random.Generator) -> Draft:
-    """A low bed with rails, a cot with bars, or a bunk bed."""
+    """Make a low bed with rails, a cot with bars, or a bunk bed."""
     kind = int(rng.integers(3))
     if kind == 1:
         return _cot(rng)
     if kind == 2:
         return _bunk(rng)
-    width, length, height = between(rng, 0.78, 0.98), between(rng, 1.5, 2.0), between(rng, 0.55, 0.85)
+    width, length, height = uniform(rng, 0.78, 0.98), uniform(rng, 1.5, 2.0), uniform(rng, 0.55, 0.85)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         frame = palette.wood_or_paint(rng, 0.5)
-        for z, tall in ((-1, height), (1, height * between(rng, 0.6, 1))):
-            kit.slab(frame, (width, tall, 0.03), (0, 0, z * (length / 2 - 0.015)), radius=0.012)
+        for z, tall in ((-1, height), (1, height * uniform(rng, 0.6, 1))):
+            parts.slab(frame, (width, tall, 0.03), (0, 0, z * (length / 2 - 0.015)), radius=0.012)
         for x in (-1, 1):
-            kit.slab(frame, (0.025, 0.2, length - 0.05), (x * (width / 2 - 0.013), 0.14, 0), radius=0)
-        kit.slab(frame, (0.025, 0.14, length * 0.5), (-width / 2 + 0.013, 0.4, -length * 0.2), radius=0.008)
-        bedding(kit, rng, width - 0.13, length - 0.14, 0.2, 0.14, pillows=1, head_m=height, hang=_TUCKED)
-        return kit.mesh()
+            parts.slab(frame, (0.025, 0.2, length - 0.05), (x * (width / 2 - 0.013), 0.14, 0), radius=0)
+        parts.slab(frame, (0.025, 0.14, length * 0.5), (-width / 2 + 0.013, 0.4, -length * 0.2), radius=0.008)
+        add_bedding(
+            parts, rng, Mattress(width - 0.13, length - 0.14, 0.2, 0.14), pillows=1, head_m=height, hang=_TUCKED
+        )
+        return parts.mesh()
 
     return Draft("child's bed", (width, height, length), build)
 
 
 def _cot(rng: np.random.Generator) -> Draft:
-    width, length, height = between(rng, 0.64, 0.78), between(rng, 1.24, 1.46), between(rng, 0.82, 1.0)
+    width, length, height = uniform(rng, 0.64, 0.78), uniform(rng, 1.24, 1.46), uniform(rng, 0.82, 1.0)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         frame = palette.wood_or_paint(rng, 0.5)
         for x in (-1, 1):
             for z in (-1, 1):
-                kit.slab(
+                parts.slab(
                     frame, (0.045, height, 0.045), (x * (width / 2 - 0.023), 0, z * (length / 2 - 0.023)), radius=0
                 )
         bars: list[tuple[float, ...]] = []
@@ -184,27 +194,29 @@ def _cot(rng: np.random.Generator) -> Draft:
             bars += [(0.014, height - 0.33, 0.014, edge, 0.28, float(z)) for z in np.linspace(-0.42, 0.42, 12) * length]
         for z in (-1, 1):
             bars.append((width - 0.08, height - 0.3, 0.018, 0, 0.25, z * (length / 2 - 0.02)))
-        kit.blocks(frame, bars)
-        bedding(kit, rng, width - 0.15, length - 0.15, 0.3, 0.12, pillows=1, hang=_TUCKED)
-        return kit.mesh()
+        parts.blocks(frame, bars)
+        add_bedding(parts, rng, Mattress(width - 0.15, length - 0.15, 0.3, 0.12), pillows=1, hang=_TUCKED)
+        return parts.mesh()
 
     return Draft("cot", (width, height, length), build)
 
 
 def _bunk(rng: np.random.Generator) -> Draft:
-    width, length, height = between(rng, 0.95, 1.08), between(rng, 2.02, 2.12), between(rng, 1.55, 1.75)
+    width, length, height = uniform(rng, 0.95, 1.08), uniform(rng, 2.02, 2.12), uniform(rng, 1.55, 1.75)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         frame = palette.wood_or_paint(rng, 0.6) if rng.random() < 0.7 else palette.metal(rng)
         for x in (-1, 1):
             for z in (-1, 1):
-                kit.slab(frame, (0.07, height, 0.07), (x * (width / 2 - 0.035), 0, z * (length / 2 - 0.035)), radius=0)
+                parts.slab(
+                    frame, (0.07, height, 0.07), (x * (width / 2 - 0.035), 0, z * (length / 2 - 0.035)), radius=0
+                )
         boards: list[tuple[float, ...]] = []
         for y in (0.26, height - 0.5):
             boards += [(0.025, 0.14, length - 0.1, x * (width / 2 - 0.03), y, 0) for x in (-1, 1)]
             boards += [(width - 0.1, 0.14, 0.025, 0, y, z * (length / 2 - 0.03)) for z in (-1, 1)]
-            bedding(kit, rng, width - 0.17, length - 0.17, y + 0.08, 0.12, pillows=1, hang=_TUCKED)
+            add_bedding(parts, rng, Mattress(width - 0.17, length - 0.17, y + 0.08, 0.12), pillows=1, hang=_TUCKED)
         for x in (-1, 1):
             boards.append((0.02, 0.09, length - 0.1, x * (width / 2 - 0.03), height - 0.12, 0))
         for z in (-1, 1):
@@ -214,7 +226,7 @@ def _bunk(rng: np.random.Generator) -> Draft:
             (0.03, 0.03, 0.4, width / 2 - 0.015, float(y), length / 2 - 0.35)
             for y in np.linspace(0.25, height - 0.45, 4)
         ]
-        kit.blocks(frame, boards)
-        return kit.mesh()
+        parts.blocks(frame, boards)
+        return parts.mesh()
 
     return Draft("bunk bed", (width, height, length), build)

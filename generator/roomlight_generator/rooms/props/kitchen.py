@@ -1,6 +1,6 @@
-"""Kitchens: base and wall units of one style, and the appliances that stand between them.
+"""Kitchens: base and wall units of one style, and the appliances between them.
 
-Members of a family share their first draws (`KitchenStyle`), so that units of the same number fit together: same
+Members of a family share their first random draws (`KitchenStyle`), so that units of the same number match: same
 fronts, same worktop, same depth.
 """
 
@@ -10,8 +10,8 @@ from functools import partial
 import numpy as np
 
 from roomlight_generator.rooms.props import palette
-from roomlight_generator.rooms.props.draft import Draft, Kit, between
-from roomlight_generator.rooms.props.storage import Front, fronts
+from roomlight_generator.rooms.props.draft import Draft, Parts, uniform
+from roomlight_generator.rooms.props.storage import FrontGrid, FrontMaterials, add_fronts
 from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import Number, box, loft, rectangle, tube
 
@@ -21,9 +21,9 @@ _TOP_M = 0.038
 
 @dataclass(frozen=True, eq=False)
 class KitchenStyle:
-    """What all units of one kitchen share."""
+    """Properties shared by all units of one kitchen."""
 
-    front: Front
+    front: FrontMaterials
     top: Material
     depth_m: float
     handle: int
@@ -31,84 +31,82 @@ class KitchenStyle:
     steel: Material
 
 
-def style_of(rng: np.random.Generator) -> KitchenStyle:
-    """The style, by the family's first draws."""
+def draw_kitchen_style(rng: np.random.Generator) -> KitchenStyle:
+    """Draw the style, from the family's first random numbers."""
     face = palette.wood(rng) if rng.random() < 0.35 else palette.paint(rng)
     if face.name == "paint":
-        face = replace(face, roughness=between(rng, 0.08, 0.35))
+        face = replace(face, roughness=uniform(rng, 0.08, 0.35))
     body = face if rng.random() < 0.5 else palette.paint(rng, palette.neutral(rng, 200, 240))
-    steel = Material("steel", albedo=palette.neutral(rng, 130, 205), roughness=between(rng, 0.15, 0.35))
-    white = Material("enamel", albedo=palette.neutral(rng, 222, 240), roughness=between(rng, 0.08, 0.25))
+    steel = Material("steel", albedo=palette.neutral(rng, 130, 205), roughness=uniform(rng, 0.15, 0.35))
+    white = Material("enamel", albedo=palette.neutral(rng, 222, 240), roughness=uniform(rng, 0.08, 0.25))
     return KitchenStyle(
-        front=Front(body, face, palette.metal(rng)),
+        front=FrontMaterials(body, face, palette.metal(rng)),
         top=palette.worktop(rng),
-        depth_m=between(rng, 0.6, 0.65),
+        depth_m=uniform(rng, 0.6, 0.65),
         handle=int(rng.integers(5)),
         white=white,
         steel=steel,
     )
 
 
-def _base(kit: Kit, rng: np.random.Generator, style: KitchenStyle, width: Number, *, hole: bool = False) -> tuple[
-    tuple[float, float, float], tuple[float, float, float]
-]:  # fmt: skip
-    """Plinth, carcass and worktop; returns the carcass's place and size."""
+def _add_base(
+    parts: Parts, rng: np.random.Generator, style: KitchenStyle, width: Number, *, hole: bool = False
+) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+    """Add plinth, carcass and worktop; return the carcass's position and size."""
     depth = style.depth_m
-    kit.slab(palette.black(rng), (width, 0.1, depth - 0.08), (0, 0, -0.03), radius=0)
+    parts.slab(palette.black(rng), (width, 0.1, depth - 0.08), (0, 0, -0.03), radius=0)
     size = (width, HEIGHT_M - _TOP_M - 0.1, depth - 0.04)
     place = (0.0, 0.1, -0.02)
     body = style.front.body
     if hole:
         board, tall = 0.016, size[1]
-        kit.blocks(body, [(board, tall, size[2], x * (width - board) / 2, 0.1, -0.02) for x in (-1, 1)])
-        kit.blocks(
+        parts.blocks(body, [(board, tall, size[2], x * (width - board) / 2, 0.1, -0.02) for x in (-1, 1)])
+        parts.blocks(
             body, [(width, tall, board, 0, 0.1, z) for z in (-depth / 2 + board / 2, depth / 2 - 0.04 - board / 2)]
         )
-        kit.blocks(body, [(width, board, size[2], 0, 0.1, -0.02)])
+        parts.blocks(body, [(width, board, size[2], 0, 0.1, -0.02)])
     else:
-        kit.slab(body, size, place, radius=0)
-        kit.slab(style.top, (width, _TOP_M, depth), (0, HEIGHT_M - _TOP_M, 0), radius=0)
+        parts.slab(body, size, place, radius=0)
+        parts.slab(style.top, (width, _TOP_M, depth), (0, HEIGHT_M - _TOP_M, 0), radius=0)
     return place, size
 
 
 def kitchen_unit(width: Number, kind: str, rng: np.random.Generator) -> Draft:
-    """A base unit: `drawers`, `doors`, or `sink` with its tap."""
-    style = style_of(rng)
+    """Make a base unit: `drawers`, `doors`, or `sink` with its tap."""
+    style = draw_kitchen_style(rng)
     depth = style.depth_m
     if kind == "sink":
         return Draft("kitchen sink", (width, HEIGHT_M + 0.25, depth), partial(_sink, rng, style, width))
 
     def build() -> Mesh:
-        kit = Kit()
-        place, size = _base(kit, rng, style, width)
+        parts = Parts()
+        place, size = _add_base(parts, rng, style, width)
         rows = int(rng.integers(2, 5)) if kind == "drawers" else 1
         columns = 1 if kind == "drawers" or width < 0.7 else 2
-        fronts(
-            kit, rng, style.front, place, size, columns=columns, rows=rows, doors=kind == "doors", style=style.handle
-        )
-        return kit.mesh()
+        add_fronts(parts, rng, style.front, place, size, FrontGrid(columns, rows, kind == "doors", style.handle))
+        return parts.mesh()
 
     return Draft(f"kitchen {kind}", (width, HEIGHT_M, depth), build, top_m=HEIGHT_M)
 
 
 def _sink(rng: np.random.Generator, style: KitchenStyle, width: Number) -> Mesh:
-    kit = Kit()
+    parts = Parts()
     depth = style.depth_m
-    place, size = _base(kit, rng, style, width, hole=True)
-    fronts(kit, rng, style.front, place, size, columns=2 if width > 0.7 else 1, rows=1, doors=True, style=style.handle)
+    place, size = _add_base(parts, rng, style, width, hole=True)
+    add_fronts(parts, rng, style.front, place, size, FrontGrid(2 if width > 0.7 else 1, 1, True, style.handle))
     wide, deep = width - 0.14, 0.4
     x0, z0 = (width - wide) / 2, (depth - deep) / 2 + 0.03
     for y, sign in ((HEIGHT_M, 1), (HEIGHT_M - _TOP_M, -1)):
         hole = (x0, x0 + wide, z0, z0 + deep) if sign < 0 else (x0, x0 + wide, depth - z0 - deep, depth - z0)
         near, edge = (depth / 2, -depth) if sign > 0 else (-depth / 2, depth)
-        kit.add(rectangle((-width / 2, y, near), (width, 0, 0), (0, 0, edge), step=9, hole=hole), style.top)
-    kit.blocks(style.top, [(width, _TOP_M, 0.004, 0, HEIGHT_M - _TOP_M, z * (depth / 2 - 0.002)) for z in (-1, 1)])
-    kit.blocks(style.top, [(0.004, _TOP_M, depth, x * (width / 2 - 0.002), HEIGHT_M - _TOP_M, 0) for x in (-1, 1)])
+        parts.add(rectangle((-width / 2, y, near), (width, 0, 0), (0, 0, edge), step=9, hole=hole), style.top)
+    parts.blocks(style.top, [(width, _TOP_M, 0.004, 0, HEIGHT_M - _TOP_M, z * (depth / 2 - 0.002)) for z in (-1, 1)])
+    parts.blocks(style.top, [(0.004, _TOP_M, depth, x * (width / 2 - 0.002), HEIGHT_M - _TOP_M, 0) for x in (-1, 1)])
     bowl = style.steel if rng.random() < 0.75 else palette.sanitary(rng)
     middle_z = -depth / 2 + z0 + deep / 2
     half_x, half_z = wide / 2, deep / 2
     low = HEIGHT_M - 0.18
-    kit.add(
+    parts.add(
         loft(
             [
                 [
@@ -124,141 +122,148 @@ def _sink(rng: np.random.Generator, style: KitchenStyle, width: Number) -> Mesh:
         bowl,
         (0, 0, middle_z),
     )
-    _tap(kit, palette.chrome(rng), (0, HEIGHT_M, middle_z - half_z - 0.05), 0.25, 0.2)
-    return kit.mesh()
+    _add_tap(parts, palette.chrome(rng), (0, HEIGHT_M, middle_z - half_z - 0.05), 0.25, 0.2)
+    return parts.mesh()
 
 
-def _tap(kit: Kit, metal: Material, at: tuple[Number, Number, Number], tall: Number, reach: Number) -> None:
-    """A bent spout with a lever."""
+def _add_tap(parts: Parts, metal: Material, at: tuple[Number, Number, Number], tall: Number, reach: Number) -> None:
+    """Add a bent spout with a lever."""
     x, y, z = at
     arc = [
         (x, y + tall * 0.7 + 0.3 * tall * np.sin(t), z + reach / 2 * (1 - np.cos(t))) for t in np.linspace(0, 2.6, 7)
     ]
-    kit.add(tube([(x, y, z), (x, y + tall * 0.35, z), *arc], 0.011, segments=8), metal)
-    kit.bar(metal, (x, y, z), (x, y + 0.06, z), 0.02)
-    kit.bar(metal, (x, y + 0.05, z), (x + 0.08, y + 0.075, z), 0.007, segments=6)
+    parts.add(tube([(x, y, z), (x, y + tall * 0.35, z), *arc], 0.011, segments=8), metal)
+    parts.bar(metal, (x, y, z), (x, y + 0.06, z), 0.02)
+    parts.bar(metal, (x, y + 0.05, z), (x + 0.08, y + 0.075, z), 0.007, segments=6)
 
 
 def wall_unit(width: Number, kind: str, rng: np.random.Generator) -> Draft:
-    """A cupboard over the worktop: `doors`, `glass` or `open`."""
-    style = style_of(rng)
-    height = between(rng, 0.55, 0.9)
-    depth = between(rng, 0.32, 0.37)
+    """Make a cabinet above the worktop: `doors`, `glass` or `open`."""
+    style = draw_kitchen_style(rng)
+    height = uniform(rng, 0.55, 0.9)
+    depth = uniform(rng, 0.32, 0.37)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         body = style.front.body
         if kind == "doors":
             place, size = (0.0, 0.0, -0.01), (width, height, depth - 0.04)
-            kit.slab(body, size, place, radius=0)
+            parts.slab(body, size, place, radius=0)
             columns = 2 if width > 0.7 else 1
-            fronts(kit, rng, style.front, place, size, columns=columns, rows=1, doors=True, style=style.handle)
-            return kit.mesh()
+            add_fronts(parts, rng, style.front, place, size, FrontGrid(columns, 1, True, style.handle))
+            return parts.mesh()
         board = 0.018
         deep = depth - (0.02 if kind == "glass" else 0.0)
-        kit.blocks(body, [(board, height, deep, s * (width - board) / 2, 0, (deep - depth) / 2) for s in (-1, 1)])
-        kit.blocks(
+        parts.blocks(body, [(board, height, deep, s * (width - board) / 2, 0, (deep - depth) / 2) for s in (-1, 1)])
+        parts.blocks(
             body, [(width - 2 * board, board, deep, 0, y, (deep - depth) / 2) for y in (0, height / 2, height - board)]
         )
-        kit.slab(body, (width, height, 0.008), (0, 0, -depth / 2 + 0.004), radius=0)
+        parts.slab(body, (width, height, 0.008), (0, 0, -depth / 2 + 0.004), radius=0)
         for y in (board, height / 2 + board):
             for x in np.linspace(-width / 2 + 0.09, width / 2 - 0.09, 4):
-                r, tall = between(rng, 0.03, 0.05), between(rng, 0.06, min(0.2, height * 0.36))
-                kit.bar(palette.ceramic(rng), (x, y, -0.02), (x, y + tall, -0.02), r * 0.8, r, segments=10)
+                r, tall = uniform(rng, 0.03, 0.05), uniform(rng, 0.06, min(0.2, height * 0.36))
+                parts.bar(palette.ceramic(rng), (x, y, -0.02), (x, y + tall, -0.02), r * 0.8, r, segments=10)
         if kind == "glass":
             for s in (-1, 1):
-                kit.add(box(width / 2 - 0.03, height - 0.06, 0.004, radius=0.001, step=9, arcs=1), palette.glass(),
-                        (s * width / 4, 0.03, depth / 2 - 0.012))  # fmt: skip
-            kit.blocks(style.front.face, [(0.035, height, 0.02, x, 0, depth / 2 - 0.01)
-                                          for x in (-width / 2 + 0.018, 0, width / 2 - 0.018)])  # fmt: skip
-            kit.blocks(style.front.face, [(width, 0.035, 0.02, 0, y, depth / 2 - 0.01) for y in (0, height - 0.035)])
-        return kit.mesh()
+                parts.add(
+                    box(width / 2 - 0.03, height - 0.06, 0.004, radius=0.001, step=9, arcs=1),
+                    palette.glass(),
+                    (s * width / 4, 0.03, depth / 2 - 0.012),
+                )
+            parts.blocks(
+                style.front.face,
+                [(0.035, height, 0.02, x, 0, depth / 2 - 0.01) for x in (-width / 2 + 0.018, 0, width / 2 - 0.018)],
+            )
+            parts.blocks(style.front.face, [(width, 0.035, 0.02, 0, y, depth / 2 - 0.01) for y in (0, height - 0.035)])
+        return parts.mesh()
 
-    return Draft(f"wall unit, {kind}", (width, height, depth), build, elevation_m=between(rng, 1.4, 1.5))
+    return Draft(f"wall unit, {kind}", (width, height, depth), build, elevation_m=uniform(rng, 1.4, 1.5))
 
 
-def _oven_door(kit: Kit, rng: np.random.Generator, style: KitchenStyle, low: Number, high: Number, z: Number) -> None:
-    """A dark pane with a handle below a panel with knobs."""
+def _add_oven_door(
+    parts: Parts, rng: np.random.Generator, style: KitchenStyle, low: Number, high: Number, z: Number
+) -> None:
+    """Add a dark pane with a handle below a panel with knobs."""
     panel = style.steel if rng.random() < 0.6 else (palette.black(rng) if rng.random() < 0.5 else style.white)
     dark = replace(palette.black(rng), roughness=0.06)
     knobs = high - 0.1
-    kit.slab(panel, (0.595, 0.1, 0.02), (0, knobs, z - 0.01), radius=0)
-    kit.slab(panel, (0.595, knobs - low - 0.005, 0.02), (0, low, z - 0.01), radius=0)
-    kit.slab(dark, (0.5, (knobs - low) * 0.62, 0.004), (0, low + (knobs - low) * 0.12, z + 0.001), radius=0)
-    kit.bar(palette.chrome(rng), (-0.24, knobs - 0.05, z + 0.024), (0.24, knobs - 0.05, z + 0.024), 0.008)
+    parts.slab(panel, (0.595, 0.1, 0.02), (0, knobs, z - 0.01), radius=0)
+    parts.slab(panel, (0.595, knobs - low - 0.005, 0.02), (0, low, z - 0.01), radius=0)
+    parts.slab(dark, (0.5, (knobs - low) * 0.62, 0.004), (0, low + (knobs - low) * 0.12, z + 0.001), radius=0)
+    parts.bar(palette.chrome(rng), (-0.24, knobs - 0.05, z + 0.024), (0.24, knobs - 0.05, z + 0.024), 0.008)
     for x in np.linspace(-0.22, 0.22, int(rng.integers(3, 7))):
-        kit.bar(palette.black(rng), (x, knobs + 0.05, z), (x, knobs + 0.05, z + 0.022), 0.018, segments=10)
+        parts.bar(palette.black(rng), (x, knobs + 0.05, z), (x, knobs + 0.05, z + 0.022), 0.018, segments=10)
 
 
-def _hob(kit: Kit, rng: np.random.Generator, y: Number) -> None:
-    """Four rings on black glass, or a gas hob."""
+def _add_hob(parts: Parts, rng: np.random.Generator, y: Number) -> None:
+    """Add four rings on black glass, or a gas hob."""
     dark = replace(palette.black(rng), roughness=0.05)
-    kit.slab(dark, (0.56, 0.006, 0.5), (0, y, 0), radius=0)
+    parts.slab(dark, (0.56, 0.006, 0.5), (0, y, 0), radius=0)
     ring = palette.metal(rng)
     gas = rng.random() < 0.4
     for x in (-0.14, 0.14):
         for z in (-0.12, 0.12):
-            r = between(rng, 0.06, 0.1)
+            r = uniform(rng, 0.06, 0.1)
             if gas:
-                kit.bar(palette.black(rng), (x, y, z), (x, y + 0.02, z), 0.035, segments=12)
-                kit.blocks(dark, [(0.2, 0.01, 0.01, x, y + 0.025, z), (0.01, 0.01, 0.2, x, y + 0.025, z)])
+                parts.bar(palette.black(rng), (x, y, z), (x, y + 0.02, z), 0.035, segments=12)
+                parts.blocks(dark, [(0.2, 0.01, 0.01, x, y + 0.025, z), (0.01, 0.01, 0.2, x, y + 0.025, z)])
             else:
-                kit.bar(ring, (x, y + 0.004, z), (x, y + 0.007, z), r, segments=18)
+                parts.bar(ring, (x, y + 0.004, z), (x, y + 0.007, z), r, segments=18)
 
 
 def oven(rng: np.random.Generator) -> Draft:
-    """A cooker between base units, a hob on top."""
-    style = style_of(rng)
+    """Make a cooker between base units, with a hob on top."""
+    style = draw_kitchen_style(rng)
     depth = style.depth_m
 
     def build() -> Mesh:
-        kit = Kit()
-        kit.slab(palette.black(rng), (0.6, 0.1, depth - 0.08), (0, 0, -0.03), radius=0)
-        kit.slab(style.steel, (0.6, HEIGHT_M - _TOP_M - 0.11, depth - 0.06), (0, 0.1, -0.03), radius=0)
-        _oven_door(kit, rng, style, 0.18, HEIGHT_M - _TOP_M, depth / 2 - 0.03)
-        kit.slab(style.front.face, (0.595, 0.075, 0.02), (0, 0.1, depth / 2 - 0.035), radius=0)
-        kit.slab(style.top, (0.6, _TOP_M, depth), (0, HEIGHT_M - _TOP_M, 0), radius=0)
-        _hob(kit, rng, HEIGHT_M)
-        return kit.mesh()
+        parts = Parts()
+        parts.slab(palette.black(rng), (0.6, 0.1, depth - 0.08), (0, 0, -0.03), radius=0)
+        parts.slab(style.steel, (0.6, HEIGHT_M - _TOP_M - 0.11, depth - 0.06), (0, 0.1, -0.03), radius=0)
+        _add_oven_door(parts, rng, style, 0.18, HEIGHT_M - _TOP_M, depth / 2 - 0.03)
+        parts.slab(style.front.face, (0.595, 0.075, 0.02), (0, 0.1, depth / 2 - 0.035), radius=0)
+        parts.slab(style.top, (0.6, _TOP_M, depth), (0, HEIGHT_M - _TOP_M, 0), radius=0)
+        _add_hob(parts, rng, HEIGHT_M)
+        return parts.mesh()
 
     return Draft("oven", (0.6, HEIGHT_M + 0.03, depth), build)
 
 
 def dishwasher(rng: np.random.Generator) -> Draft:
-    """Behind a front like its neighbours', or white or steel."""
-    style = style_of(rng)
+    """Make a dishwasher with a front that matches its neighbours, or white or steel."""
+    style = draw_kitchen_style(rng)
     depth = style.depth_m
 
     def build() -> Mesh:
-        kit = Kit()
-        _base(kit, rng, style, 0.6)
+        parts = Parts()
+        _add_base(parts, rng, style, 0.6)
         kind = int(rng.integers(3))
         face = (style.front.face, style.white, style.steel)[kind]
         top = HEIGHT_M - _TOP_M
-        kit.slab(face, (0.594, top - 0.24, 0.022), (0, 0.1, depth / 2 - 0.03), radius=0.003)
-        kit.slab(face, (0.594, 0.12, 0.022), (0, top - 0.13, depth / 2 - 0.03), radius=0)
+        parts.slab(face, (0.594, top - 0.24, 0.022), (0, 0.1, depth / 2 - 0.03), radius=0.003)
+        parts.slab(face, (0.594, 0.12, 0.022), (0, top - 0.13, depth / 2 - 0.03), radius=0)
         if kind:
-            kit.slab(palette.black(rng), (0.14, 0.05, 0.004), (0.12, top - 0.09, depth / 2 - 0.006), radius=0)
-        kit.slab(palette.chrome(rng), (0.3, 0.02, 0.02), (0, top - 0.155, depth / 2 - 0.008), radius=0)
-        return kit.mesh()
+            parts.slab(palette.black(rng), (0.14, 0.05, 0.004), (0.12, top - 0.09, depth / 2 - 0.006), radius=0)
+        parts.slab(palette.chrome(rng), (0.3, 0.02, 0.02), (0, top - 0.155, depth / 2 - 0.008), radius=0)
+        return parts.mesh()
 
     return Draft("dishwasher", (0.6, HEIGHT_M, depth), build, top_m=HEIGHT_M)
 
 
 def fridge(rng: np.random.Generator) -> Draft:
-    """Tall, with a freezer, double-doored, or low; white, steel, or a colour."""
-    style = style_of(rng)
+    """Make a fridge: tall, with a freezer, double-doored, or low; white, steel, or coloured."""
+    style = draw_kitchen_style(rng)
     kind = int(rng.integers(4))
-    width = between(rng, 0.84, 0.92) if kind == 3 else between(rng, 0.54, 0.66)
-    height = between(rng, 0.84, 0.88) if kind == 0 else between(rng, 1.6, 2.0)
-    depth = between(rng, 0.58, 0.7)
+    width = uniform(rng, 0.84, 0.92) if kind == 3 else uniform(rng, 0.54, 0.66)
+    height = uniform(rng, 0.84, 0.88) if kind == 0 else uniform(rng, 1.6, 2.0)
+    depth = uniform(rng, 0.58, 0.7)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         body = (style.white, style.steel, style.steel, style.front.face)[int(rng.integers(4))]
-        radius = between(rng, 0.004, 0.05)
-        kit.slab(palette.black(rng), (width - 0.04, 0.05, depth - 0.1), (0, 0, -0.03), radius=0)
-        kit.slab(body, (width, height - 0.04, depth - 0.09), (0, 0.04, -0.045), radius=min(radius, 0.03), arcs=2)
+        radius = uniform(rng, 0.004, 0.05)
+        parts.slab(palette.black(rng), (width - 0.04, 0.05, depth - 0.1), (0, 0, -0.03), radius=0)
+        parts.slab(body, (width, height - 0.04, depth - 0.09), (0, 0.04, -0.045), radius=min(radius, 0.03), arcs=2)
         cut = height * (0.36 if kind == 1 else 0.7)
         spans = [(0.06, height - 0.004)] if kind in (0, 3) else [(0.06, cut - 0.005), (cut + 0.005, height - 0.004)]
         metal = palette.chrome(rng)
@@ -267,35 +272,35 @@ def fridge(rng: np.random.Generator) -> Draft:
             for column in range(columns):
                 each = width / columns
                 x = -width / 2 + each * (column + 0.5)
-                kit.slab(body, (each - 0.006, high - low, 0.07), (x, low, depth / 2 - 0.065), radius=radius, arcs=2)
+                parts.slab(body, (each - 0.006, high - low, 0.07), (x, low, depth / 2 - 0.065), radius=radius, arcs=2)
                 edge = x + (each / 2 - 0.04) * (1 if column == 0 else -1)
                 if columns == 1:
                     edge = x - (each / 2 - 0.045)
                 tall = min(0.4, (high - low) * 0.6)
-                kit.slab(metal, (0.02, tall, 0.03), (edge, (low + high - tall) / 2, depth / 2 - 0.015), radius=0)
-        return kit.mesh()
+                parts.slab(metal, (0.02, tall, 0.03), (edge, (low + high - tall) / 2, depth / 2 - 0.015), radius=0)
+        return parts.mesh()
 
     return Draft("fridge", (width, height, depth), build, top_m=height if kind == 0 else None)
 
 
 def hood(rng: np.random.Generator) -> Draft:
-    """Over the hob: a chimney, a slanted pane or a flat box."""
-    style = style_of(rng)
+    """Make a hood over the hob: a chimney, a slanted pane or a flat box."""
+    style = draw_kitchen_style(rng)
     kind = int(rng.integers(3))
-    width, depth = between(rng, 0.58, 0.9), between(rng, 0.4, 0.5)
-    height = between(rng, 0.12, 0.2) if kind == 2 else between(rng, 0.6, 0.8)
+    width, depth = uniform(rng, 0.58, 0.9), uniform(rng, 0.4, 0.5)
+    height = uniform(rng, 0.12, 0.2) if kind == 2 else uniform(rng, 0.6, 0.8)
 
     def build() -> Mesh:
-        kit = Kit()
+        parts = Parts()
         steel = style.steel if rng.random() < 0.7 else palette.black(rng)
         if kind == 2:
-            kit.slab(steel, (width, height, depth), radius=0.01)
+            parts.slab(steel, (width, height, depth), radius=0.01)
         else:
             duct = 0.26
-            kit.slab(steel, (duct, height - 0.06, duct), (0, 0.06, -depth / 2 + duct / 2), radius=0)
+            parts.slab(steel, (duct, height - 0.06, duct), (0, 0.06, -depth / 2 + duct / 2), radius=0)
             if kind == 0:
                 low, high = (width / 2, depth / 2, 0.05), (duct / 2, duct / 2, 0.28, 0, -depth / 2 + duct / 2)
-                kit.add(
+                parts.add(
                     loft(
                         [[(1e-3, 1e-3, 0.05), low], [low, high], [high, (1e-3, 1e-3, 0.28, 0, -depth / 2 + duct / 2)]],
                         exponent=12,
@@ -303,10 +308,10 @@ def hood(rng: np.random.Generator) -> Draft:
                     ),
                     steel,
                 )
-                kit.slab(steel, (width, 0.06, depth), radius=0)
+                parts.slab(steel, (width, 0.06, depth), radius=0)
             else:
-                kit.slab(steel, (width, 0.05, depth), (0, 0, 0), radius=0.01)
-        kit.slab(palette.black(rng), (width * 0.3, 0.02, 0.004), (0, 0.015, depth / 2 + 0.001), radius=0)
-        return kit.mesh()
+                parts.slab(steel, (width, 0.05, depth), (0, 0, 0), radius=0.01)
+        parts.slab(palette.black(rng), (width * 0.3, 0.02, 0.004), (0, 0.015, depth / 2 + 0.001), radius=0)
+        return parts.mesh()
 
-    return Draft("extractor hood", (width, height, depth), build, elevation_m=between(rng, 1.5, 1.65))
+    return Draft("extractor hood", (width, height, depth), build, elevation_m=uniform(rng, 1.5, 1.65))

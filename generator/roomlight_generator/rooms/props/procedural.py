@@ -1,4 +1,4 @@
-"""All procedural models: which kinds there are, what role each plays, how many variants of it."""
+"""All procedural models: their kinds, the role of each kind, the number of variants."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,10 +13,9 @@ from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.props import (
     bathroom,
     beds,
-    ceiling,
+    ceiling_lamps,
     fireplaces,
-    floor_things,
-    hangings,
+    floor_objects,
     kitchen,
     lamps,
     pianos,
@@ -24,12 +23,13 @@ from roomlight_generator.rooms.props import (
     rugs,
     screens,
     seating,
-    smalls,
+    small_objects,
     storage,
-    table_things,
     tables,
+    tabletop_objects,
+    wall_objects,
 )
-from roomlight_generator.rooms.props.draft import Draft, Maker, fitted
+from roomlight_generator.rooms.props.draft import Draft, Maker, scaled_to_size
 from roomlight_generator.rooms.scene import Mesh
 
 _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 1, "test": 2}
@@ -37,7 +37,8 @@ _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 1, "test": 2}
 
 @dataclass(frozen=True, eq=False)
 class Kind:
-    """A sort of model. Members of a family share their random numbers variant by variant: kitchen units that match."""
+    """A kind of model. Members of a family share their random numbers variant by variant, which makes kitchen units
+    match."""
 
     name: str
     role: str
@@ -91,20 +92,20 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind("washbasin", "washbasin", bathroom.washbasin),
     Kind("towel_rack", "towel_rack", bathroom.towel_rack, 6),
     Kind("radiator", "radiator", bathroom.radiator, 6),
-    Kind("bathroom_thing", "bathroom_thing", smalls.bathroom_thing),
+    Kind("bathroom_thing", "bathroom_thing", small_objects.bathroom_thing),
     Kind("floor_lamp", "floor_lamp", lamps.floor_lamp, 12),
     Kind("table_lamp", "table_lamp", lamps.table_lamp, 12),
     Kind("wall_lamp", "wall_lamp", lamps.wall_lamp, 10),
-    Kind("flush_dome", "ceiling_lamp", ceiling.flush_dome, 6),
-    Kind("pendant", "ceiling_lamp", ceiling.pendant, 12),
-    Kind("pendant_row", "ceiling_lamp", ceiling.pendant_row, 5),
-    Kind("chandelier", "ceiling_lamp", ceiling.chandelier, 6),
-    Kind("track", "ceiling_lamp", ceiling.track, 6),
-    Kind("batten", "ceiling_lamp", ceiling.batten, 5),
-    Kind("panel", "ceiling_lamp", ceiling.panel, 8),
-    Kind("downlight", "ceiling_lamp", ceiling.downlight, 4),
-    Kind("downlights", "ceiling_lamp", ceiling.downlights, 6),
-    Kind("ceiling_fan", "ceiling_fan", ceiling.ceiling_fan, 6),
+    Kind("flush_dome", "ceiling_lamp", ceiling_lamps.flush_dome, 6),
+    Kind("pendant", "ceiling_lamp", ceiling_lamps.pendant, 12),
+    Kind("pendant_row", "ceiling_lamp", ceiling_lamps.pendant_row, 5),
+    Kind("chandelier", "ceiling_lamp", ceiling_lamps.chandelier, 6),
+    Kind("track", "ceiling_lamp", ceiling_lamps.track, 6),
+    Kind("batten", "ceiling_lamp", ceiling_lamps.batten, 5),
+    Kind("panel", "ceiling_lamp", ceiling_lamps.panel, 8),
+    Kind("downlight", "ceiling_lamp", ceiling_lamps.downlight, 4),
+    Kind("downlights", "ceiling_lamp", ceiling_lamps.downlights, 6),
+    Kind("ceiling_fan", "ceiling_fan", ceiling_lamps.ceiling_fan, 6),
     Kind("plant", "plant", plants.plant, 14),
     Kind("small_plant", "small_plant", plants.small_plant, 14),
     Kind("television", "television", screens.television),
@@ -112,35 +113,35 @@ KINDS: Final[tuple[Kind, ...]] = (
     Kind("computer", "computer", screens.computer),
     Kind("laptop", "laptop", screens.laptop, 5),
     Kind("electronics", "electronics", screens.electronics, 10),
-    Kind("vase", "vase", smalls.vase, 12),
-    Kind("book", "book", smalls.book, 12),
-    Kind("ornament", "ornament", smalls.ornament, 12),
-    Kind("stationery", "stationery", smalls.stationery),
-    Kind("toy", "toy", smalls.toy, 10),
-    Kind("tableware", "tableware", table_things.tableware, 10),
-    Kind("food", "food", table_things.food, 10),
-    Kind("kitchen_appliance", "kitchen_appliance", table_things.kitchen_appliance, 10),
-    Kind("picture", "picture", hangings.picture, 24),
-    Kind("mirror", "mirror", hangings.mirror),
-    Kind("clock", "clock", hangings.clock),
-    Kind("wall_shelf", "wall_shelf", hangings.wall_shelf, 10),
-    Kind("whiteboard", "whiteboard", hangings.whiteboard, 6),
-    Kind("air_conditioner", "air_conditioner", hangings.air_conditioner, 5),
-    Kind("wall_clutter", "wall_clutter", hangings.wall_clutter, 10),
+    Kind("vase", "vase", small_objects.vase, 12),
+    Kind("book", "book", small_objects.book, 12),
+    Kind("ornament", "ornament", small_objects.ornament, 12),
+    Kind("stationery", "stationery", small_objects.stationery),
+    Kind("toy", "toy", small_objects.toy, 10),
+    Kind("tableware", "tableware", tabletop_objects.tableware, 10),
+    Kind("food", "food", tabletop_objects.food, 10),
+    Kind("kitchen_appliance", "kitchen_appliance", tabletop_objects.kitchen_appliance, 10),
+    Kind("picture", "picture", wall_objects.picture, 24),
+    Kind("mirror", "mirror", wall_objects.mirror),
+    Kind("clock", "clock", wall_objects.clock),
+    Kind("wall_shelf", "wall_shelf", wall_objects.wall_shelf, 10),
+    Kind("whiteboard", "whiteboard", wall_objects.whiteboard, 6),
+    Kind("air_conditioner", "air_conditioner", wall_objects.air_conditioner, 5),
+    Kind("wall_clutter", "wall_clutter", wall_objects.wall_clutter, 10),
     Kind("rug", "rug", rugs.rug, 24),
-    Kind("floor_clutter", "floor_clutter", floor_things.floor_clutter, 14),
-    Kind("floor_toy", "floor_toy", floor_things.floor_toy, 10),
-    Kind("exercise", "exercise", floor_things.exercise),
+    Kind("floor_clutter", "floor_clutter", floor_objects.floor_clutter, 14),
+    Kind("floor_toy", "floor_toy", floor_objects.floor_toy, 10),
+    Kind("exercise", "exercise", floor_objects.exercise),
     Kind("piano", "piano", pianos.piano, 6),
     Kind("fireplace", "fireplace", fireplaces.fireplace),
 )
 
 
 def procedural_models(split: Split, *, variants: int | None = None) -> tuple[FurnitureModel, ...]:
-    """Every variant of every kind for a split; `variants` overrides how many there are of each kind.
+    """Return every variant of every kind for a split; `variants` overrides the number of variants of each kind.
 
-    The id, "procedural/<kind>/<split><number>", alone decides what a model is: the same id gives the same mesh, to the
-    byte. Kitchen units, wall units and kitchen appliances of one number belong together. Meshes are made on demand.
+    The id, "procedural/<kind>/<split><number>", alone determines a model: the same id gives a byte-identical mesh.
+    Kitchen units, wall units and kitchen appliances of one number match. Meshes are built on demand.
     """
     return tuple(
         _model(kind, split, number)
@@ -150,14 +151,14 @@ def procedural_models(split: Split, *, variants: int | None = None) -> tuple[Fur
 
 
 def build_draft(kind: Kind, split: Split, number: int) -> Draft:
-    """One variant, its mesh not yet made and not yet fitted to its size. `build` may be called once."""
+    """Draw one variant, its mesh not yet built or scaled to its size. `build` may be called once."""
     seed = [crc32((kind.family or kind.name).encode()), _SPLIT_KEYS[split], number]
     return kind.make(np.random.default_rng(seed))
 
 
 def _load(kind: Kind, split: Split, number: int) -> Mesh:
     draft = build_draft(kind, split, number)
-    return fitted(draft.build(), draft.size)
+    return scaled_to_size(draft.build(), draft.size)
 
 
 def _model(kind: Kind, split: Split, number: int) -> FurnitureModel:

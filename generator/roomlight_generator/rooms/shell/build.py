@@ -13,7 +13,7 @@ from roomlight_generator.rooms.shell.holes import AnyHole, Door, Niche, Passage,
 from roomlight_generator.rooms.shell.mesh_builder import Plane
 from roomlight_generator.rooms.shell.outline import Envelope, choose_envelope
 from roomlight_generator.rooms.shell.polygons import Outline, area
-from roomlight_generator.rooms.shell.style import ShellStyle, between
+from roomlight_generator.rooms.shell.style import ShellStyle, uniform
 from roomlight_generator.rooms.shell.surfaces import (
     Trim,
     beam_items,
@@ -35,7 +35,7 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
     skirting, beam, curtain, blind, moulding and second_room (every part of a second room and of its doors).
     """
     room = choose_envelope(style, rng)
-    deep = between(rng, (0.1, 0.22)) if rng.random() < style.beams and room.height_m >= 2.35 else 0.0
+    deep = uniform(rng, (0.1, 0.22)) if rng.random() < style.beams and room.height_m >= 2.35 else 0.0
     floor_plan = choose_floor_plan(room, style, rng, beams_m=0.0 if room.slopes else deep)
     trim, band = _choose_trim(room, floor_plan, style, finishes, deep, rng)
     items, openings = _room_items(room, floor_plan.holes, finishes, finishes.room, trim, rng, band=band)
@@ -67,12 +67,12 @@ def _choose_trim(
     room: Envelope, floor_plan: FloorPlan, style: ShellStyle, finishes: Finishes, deep: float, rng: np.random.Generator
 ) -> tuple[Trim, int | None]:
     """Choose the trim; also return the side that has the backsplash, if any."""
-    skirting = between(rng, (0.05, 0.15)) if rng.random() < style.skirting else 0.0
+    skirting = uniform(rng, (0.05, 0.15)) if rng.random() < style.skirting else 0.0
     accent = bool(rng.random() < style.accent_wall)
-    crown = between(rng, (0.03, 0.11)) if rng.random() < style.crown_moulding and not deep else 0.0
+    crown = uniform(rng, (0.03, 0.11)) if rng.random() < style.crown_moulding and not deep else 0.0
     if style.lower_wall == "none" or finishes.room.lower_wall is None or rng.random() >= style.lower_wall_chance:
         return Trim(skirting_m=skirting, crown_m=crown, accent=accent), None
-    top = min(between(rng, style.lower_wall_m), room.height_m - 0.05)
+    top = min(uniform(rng, style.lower_wall_m), room.height_m - 0.05)
     if style.lower_wall == "backsplash":
         free = [side.length_m for side in room.sides]
         for hole in floor_plan.holes:

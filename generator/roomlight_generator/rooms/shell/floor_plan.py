@@ -9,7 +9,7 @@ import numpy as np
 from roomlight_generator.rooms.shell.holes import AnyHole, Cover, Door, DoorDesign, Niche, Passage, Window, edge_m
 from roomlight_generator.rooms.shell.outline import Envelope, Side, envelope
 from roomlight_generator.rooms.shell.polygons import Point, area, intersection, triangles
-from roomlight_generator.rooms.shell.style import ShellStyle, between
+from roomlight_generator.rooms.shell.style import ShellStyle, uniform
 from roomlight_generator.rooms.shell.window_style import WindowStyle, choose_window_style
 
 _MAX_ATTEMPTS: Final = 14
@@ -88,7 +88,7 @@ def choose_floor_plan(room: Envelope, style: ShellStyle, rng: np.random.Generato
     """Place doors first (with the second room), then windows, then niches; beams lower the usable wall height by
     beams_m."""
     occupancy = _Occupancy(room, beams_m)
-    wall_m = between(rng, style.wall_m)
+    wall_m = uniform(rng, style.wall_m)
     design = _choose_door_design(rng)
     second: Envelope | None = None
     second_holes: tuple[AnyHole, ...] = ()
@@ -125,8 +125,8 @@ def _choose_door_design(rng: np.random.Generator) -> DoorDesign:
     return DoorDesign(
         leaf="panels" if panelled else "flush",
         panels=panels,
-        lining_m=between(rng, (0.025, 0.04)),
-        architrave_m=between(rng, (0.05, 0.1)),
+        lining_m=uniform(rng, (0.025, 0.04)),
+        architrave_m=uniform(rng, (0.05, 0.1)),
     )
 
 
@@ -135,7 +135,7 @@ def _choose_doorway_start(side: Side, width: float, edge: float, rng: np.random.
     room_left = side.length_m - width - 2 * edge
     if room_left <= 0:
         return edge
-    near = min(between(rng, (0.03, 0.35)), room_left)
+    near = min(uniform(rng, (0.03, 0.35)), room_left)
     where = rng.random()
     if where < 0.35:
         return edge + near
@@ -143,7 +143,7 @@ def _choose_doorway_start(side: Side, width: float, edge: float, rng: np.random.
 
 
 def _place_closed_door(occupancy: _Occupancy, design: DoorDesign, wall_m: float, rng: np.random.Generator) -> None:
-    width, height = between(rng, (0.68, 0.92)), between(rng, (1.96, 2.1))
+    width, height = uniform(rng, (0.68, 0.92)), uniform(rng, (1.96, 2.1))
     height = min(height, occupancy.room.height_m - 0.2)
     sides, weights = _sides_by_length(occupancy.room, width + 0.3)
     for _ in range(_MAX_ATTEMPTS if sides else 0):
@@ -163,9 +163,9 @@ def _place_second_room(
     """Place an open door or a passage, and the second room behind it; return None if there is no space."""
     double = rng.random() < 0.2
     if passage:
-        width, height = between(rng, (0.85, 1.9)), between(rng, (2.0, 2.5))
+        width, height = uniform(rng, (0.85, 1.9)), uniform(rng, (2.0, 2.5))
     else:
-        width, height = between(rng, (1.3, 1.7) if double else (0.7, 0.95)), between(rng, (1.96, 2.12))
+        width, height = uniform(rng, (1.3, 1.7) if double else (0.7, 0.95)), uniform(rng, (1.96, 2.12))
     height = min(height, occupancy.room.height_m - 0.2)
     sides, weights = _sides_by_length(occupancy.room, width + 0.3)
     for _ in range(2 * _MAX_ATTEMPTS if sides else 0):
@@ -174,7 +174,7 @@ def _place_second_room(
         start = _choose_doorway_start(side, width, design.architrave_m + 0.03, rng)
         rect = (start, start + width, 0.0, height)
         if passage:
-            arch = float(rng.choice([0.0, between(rng, (0.1, 0.35))], p=[0.65, 0.35]))
+            arch = float(rng.choice([0.0, uniform(rng, (0.1, 0.35))], p=[0.65, 0.35]))
             hole: Door | Passage = Passage(i, rect, wall_m, min(arch, width / 2), bool(rng.random() < 0.5))
         else:
             inward = bool(rng.random() < 0.5)
@@ -183,7 +183,7 @@ def _place_second_room(
                 leaves=2 if double else 1,
                 hinge_right=bool(rng.random() < 0.5),
                 swings_in=inward,
-                open_degrees=between(rng, (35.0, 92.0) if inward else (60.0, 105.0)),
+                open_degrees=uniform(rng, (35.0, 92.0) if inward else (60.0, 105.0)),
             )
             leaf = width / door_design.leaves
             hole = Door(i, rect, wall_m, door_design, to_second_room=True, keep_clear_m=leaf + 0.05 if inward else 0.6)
@@ -196,7 +196,7 @@ def _place_second_room(
         occupancy.outside.append(corners)
         if isinstance(hole, Door) and hole.design.swings_in:
             occupancy.swings.append(side.footprint(start, start + width, -hole.keep_clear_m, -0.001))
-        tall = max(height + 0.15, between(rng, (2.35, 2.9)))
+        tall = max(height + 0.15, uniform(rng, (2.35, 2.9)))
         second = envelope(corners, tall, ())
         return second, _second_holes(second, design, rng)
     return None
@@ -210,8 +210,8 @@ def _choose_second_room_corners(
     s0, s1 = hole.rect[:2]
     for _ in range(6):
         corridor = rng.random() < 0.5
-        deep = between(rng, (1.1, 1.7) if corridor else (2.0, 3.8))
-        left, right = between(rng, (0.15, 2.4)), between(rng, (0.15, 2.4))
+        deep = uniform(rng, (1.1, 1.7) if corridor else (2.0, 3.8))
+        left, right = uniform(rng, (0.15, 2.4)), uniform(rng, (0.15, 2.4))
         low = min(max(s0 - left, 0.0), s0 - 0.12)
         high = max(min(s1 + right, side.length_m), s1 + 0.12)
         corners = side.footprint(low, high, hole.depth_m, hole.depth_m + deep)
@@ -285,8 +285,8 @@ def _place_window_row(
         if placed:
             return placed
     for _ in range(4):
-        width = between(rng, (min(0.6, window_style.width_m), window_style.width_m))
-        start = between(rng, (0.0, max(side.length_m - width, 0.01)))
+        width = uniform(rng, (min(0.6, window_style.width_m), window_style.width_m))
+        start = uniform(rng, (0.0, max(side.length_m - width, 0.01)))
         window = window_style.window(i, start, start + width)
         if window is not None and occupancy.fits(window, behind_m=window.depth_m + CLEAR_VIEW_M, front_m=0.1):
             occupancy.holes.append(window)
@@ -310,13 +310,13 @@ def _choose_skylights(
     found: list[Window] = []
     for k, slope in enumerate(room.slopes):
         wanted = int(rng.integers(1, 3))
-        wide, tall = between(rng, (0.55, 1.1)), min(between(rng, (0.8, 1.4)), slope.rise_m - 0.35)
+        wide, tall = uniform(rng, (0.55, 1.1)), min(uniform(rng, (0.8, 1.4)), slope.rise_m - 0.35)
         if tall < 0.45 or (k > 0 and rng.random() < 0.35):
             continue
-        low = between(rng, (0.15, max(slope.rise_m - tall - 0.15, 0.16)))
+        low = uniform(rng, (0.15, max(slope.rise_m - tall - 0.15, 0.16)))
         cell = slope.length_m / wanted
         for n in range(wanted):
-            start = n * cell + between(rng, (0.2, max(cell - wide - 0.2, 0.21)))
+            start = n * cell + uniform(rng, (0.2, max(cell - wide - 0.2, 0.21)))
             window = window_style.skylight(k, (start, start + wide, low, low + tall), max(style.wall_m[0], 0.16))
             if start + wide < slope.length_m - 0.15 and _on_slope(room, k, window):
                 found.append(window)
@@ -337,9 +337,9 @@ def _on_slope(room: Envelope, k: int, window: Window) -> bool:
 
 
 def _place_niche(occupancy: _Occupancy, wall_m: float, rng: np.random.Generator) -> None:
-    width, low = between(rng, (0.4, 1.1)), between(rng, (0.6, 1.1))
-    high = low + between(rng, (0.5, 1.1))
-    depth = between(rng, (0.1, 0.25))
+    width, low = uniform(rng, (0.4, 1.1)), uniform(rng, (0.6, 1.1))
+    high = low + uniform(rng, (0.5, 1.1))
+    depth = uniform(rng, (0.1, 0.25))
     shelves = tuple(float(h) for h in np.linspace(low, high, int(rng.integers(1, 4)) + 1)[1:-1])
     sides, weights = _sides_by_length(occupancy.room, width + 0.4)
     for _ in range(_MAX_ATTEMPTS if sides else 0):

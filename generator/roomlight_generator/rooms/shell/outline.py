@@ -13,7 +13,7 @@ from jaxtyping import Float
 
 from roomlight_generator.rooms.shell.mesh_builder import Plane
 from roomlight_generator.rooms.shell.polygons import OVERLAP, Point, area, clip_half_plane
-from roomlight_generator.rooms.shell.style import ShellStyle, between
+from roomlight_generator.rooms.shell.style import ShellStyle, uniform
 
 _UP: Final = np.array([0.0, 1.0, 0.0])
 
@@ -88,11 +88,11 @@ def choose_outline(style: ShellStyle, rng: np.random.Generator) -> list[Point]:
     Features have sizes of their own, so the main rectangle is chosen to compensate for their area; a feature that does
     not fit in a small room is left out.
     """
-    target = between(rng, style.area_m2)
-    aspect = between(rng, style.aspect)
+    target = uniform(rng, style.area_m2)
+    aspect = uniform(rng, style.aspect)
     wants_l = rng.random() < style.l_shape
     wants = {name: rng.random() < getattr(style, name) for name in ("alcove", "bay", "chamfer", "chimney_breast")}
-    cut = (between(rng, (0.3, 0.55)), between(rng, (0.25, 0.5)))
+    cut = (uniform(rng, (0.3, 0.55)), uniform(rng, (0.25, 0.5)))
     share = 1 - cut[0] * cut[1] if wants_l else 1.0
     short = float(np.sqrt(target / share / aspect))
     if min(short * (1 - cut[1]), short * aspect * (1 - cut[0])) < max(style.least_width_m, 1.5):
@@ -134,15 +134,15 @@ def _choose_features(
     found: list[_OutlineFeature] = []
     place = float(rng.random())
     if wants["bay"] and width > 3.0 and depth > 2.6:
-        found.append(_OutlineFeature("bay", between(rng, (1.9, min(3.0, width - 0.9))), between(rng, (0.5, 0.9)), 0.5))
+        found.append(_OutlineFeature("bay", uniform(rng, (1.9, min(3.0, width - 0.9))), uniform(rng, (0.5, 0.9)), 0.5))
     elif wants["chimney_breast"] and width > 3.0 and depth > 2.8:
-        found.append(_OutlineFeature("chimney_breast", between(rng, (1.1, 1.6)), between(rng, (0.25, 0.5)), place))
+        found.append(_OutlineFeature("chimney_breast", uniform(rng, (1.1, 1.6)), uniform(rng, (0.25, 0.5)), place))
     elif wants["alcove"] and width > 2.0:
         found.append(
-            _OutlineFeature("alcove", between(rng, (0.8, min(2.4, 0.62 * width))), between(rng, (0.35, 0.9)), place)
+            _OutlineFeature("alcove", uniform(rng, (0.8, min(2.4, 0.62 * width))), uniform(rng, (0.35, 0.9)), place)
         )
     elif wants["chamfer"] and min(width, depth) > 2.4:
-        size = between(rng, (0.7, 1.2))
+        size = uniform(rng, (0.7, 1.2))
         found.append(_OutlineFeature("chamfer", size, size, 1.0))
     return found
 
@@ -179,7 +179,7 @@ def _randomly_oriented(corners: list[Point], rng: np.random.Generator) -> list[P
 def choose_envelope(style: ShellStyle, rng: np.random.Generator) -> Envelope:
     """Choose outline, height and slopes."""
     corners = choose_outline(style, rng)
-    height = between(rng, style.height_m)
+    height = uniform(rng, style.height_m)
     slanted, both = rng.random() < style.slanted, rng.random() < style.two_slopes
     slopes = _choose_slopes(corners, height, both, rng) if slanted else []
     return envelope(corners, height, tuple(slopes))
@@ -251,7 +251,7 @@ def _choose_slopes(corners: list[Point], height: float, both: bool, rng: np.rand
     first = int(rng.choice(whole, p=weights / weights.sum()))
     direction = points[(first + 1) % len(points)] - points[first]
     opposite = [i for i in whole if float((points[(i + 1) % len(points)] - points[i]) @ direction) < 0 and i != first]
-    pitch, knee = between(rng, (30.0, 52.0)), between(rng, (0.5, 1.5))
+    pitch, knee = uniform(rng, (30.0, 52.0)), uniform(rng, (0.5, 1.5))
     chosen = [first, opposite[0]] if both and opposite else [first]
     return [
         _slope_over(points, i, height, pitch, knee, (0.44 if len(chosen) == 2 else 0.72) * float(size.min()))

@@ -91,7 +91,7 @@ def triangles(outline: Outline) -> list[list[Point]]:
                 del left[i]
                 break
         else:
-            raise ValueError(f"the outline {list(outline)} crosses itself or runs clockwise: it cannot be cut")
+            raise ValueError(f"the outline {list(outline)} crosses itself or runs clockwise: it cannot be triangulated")
     found.append(left)
     return found
 

@@ -94,10 +94,10 @@ class ShellStyle:
         for name in ("area_m2", "aspect", "height_m", "windows", "doors", "wall_m", "lower_wall_m"):
             low, high = getattr(self, name)
             if not 0 <= low <= high:
-                raise ValueError(f"{name} is {(low, high)}: give (least, most), neither negative")
+                raise ValueError(f"{name} is {(low, high)}: give (least, most), both at least 0")
         if self.height_m[0] < 2.1 or self.area_m2[0] < 1.5 or self.aspect[0] < 1:
             raise ValueError(
-                "a room needs 2.1 m of height, 1.5 m2 of floor and an aspect (long over short) of 1 at least"
+                "a room needs at least 2.1 m of height, 1.5 m2 of floor and an aspect (long over short) of 1"
             )
 
 
@@ -155,6 +155,6 @@ STYLES: Final[dict[str, ShellStyle]] = {
 """Default shells by the planner's room types; use one as it is or change it with `dataclasses.replace`."""
 
 
-def between(rng: np.random.Generator, span: Range) -> float:
+def uniform(rng: np.random.Generator, span: Range) -> float:
     """Return a uniform random number from a range."""
     return float(rng.uniform(span[0], span[1]))

@@ -7,7 +7,7 @@ import numpy as np
 
 from roomlight_generator.rooms.shell.holes import Cover, Window, WindowDesign
 from roomlight_generator.rooms.shell.polygons import Rect
-from roomlight_generator.rooms.shell.style import CoverKind, Range, ShellStyle, WindowKind, between
+from roomlight_generator.rooms.shell.style import CoverKind, Range, ShellStyle, WindowKind, uniform
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ class WindowStyle:
         design = replace(
             self.design, kind="picture", columns=1, bars=(1, 1), inset=0.5, sill_m=0.0, frame_m=0.06, transom=0.0
         )
-        cover = replace(self.cover, share=between(self.rng, (0.2, 0.7)))
+        cover = replace(self.cover, share=uniform(self.rng, (0.2, 0.7)))
         if cover.kind not in ("roller", "roller_down", "venetian"):
             cover = Cover("none")
         return Window(slope, hole, depth_m, design, cover, in_slope=True)
@@ -92,7 +92,7 @@ class WindowStyle:
         if cover.curtains and cover.bottom_m > 0.1:
             cover = replace(cover, bottom_m=max(low - 0.15, 0.02))
         if cover.kind in ("roller", "venetian") and self.rng.random() < 0.5:
-            cover = replace(cover, share=between(self.rng, (0.15, 1.0)))
+            cover = replace(cover, share=uniform(self.rng, (0.15, 1.0)))
         if cover.kind == "roller":
             cover = replace(cover, share=min(cover.share, 0.8))
         return cover
@@ -107,8 +107,8 @@ def choose_window_style(
     cover = _cover(covers, kind, height_m, rng)
     sizes = _SIZES[kind]
     least = 0.13 + (cover.lift_m if cover.curtains else 0.0)
-    top = min(between(rng, sizes.top), height_m - least)
-    bottom = min(between(rng, sizes.bottom), top - 0.4)
+    top = min(uniform(rng, sizes.top), height_m - least)
+    bottom = min(uniform(rng, sizes.bottom), top - 0.4)
     bars = (1, 1)
     if kind in ("casement", "sash", "french") and rng.random() < 0.45:
         bars = (int(rng.integers(2, 5 if kind == "french" else 4)), 1 if kind == "french" else int(rng.integers(1, 3)))
@@ -116,22 +116,22 @@ def choose_window_style(
         kind=kind,
         columns=1,
         bars=bars,
-        frame_m=between(rng, (0.045, 0.08)),
-        thickness_m=between(rng, (0.05, 0.08)),
-        inset=between(rng, (0.35, 0.95)),
-        sill_m=between(rng, (0.02, 0.12)) if rng.random() < 0.85 else 0.0,
-        transom=between(rng, (0.22, 0.32)) if kind in ("casement", "office") and rng.random() < 0.3 else 0.0,
+        frame_m=uniform(rng, (0.045, 0.08)),
+        thickness_m=uniform(rng, (0.05, 0.08)),
+        inset=uniform(rng, (0.35, 0.95)),
+        sill_m=uniform(rng, (0.02, 0.12)) if rng.random() < 0.85 else 0.0,
+        transom=uniform(rng, (0.22, 0.32)) if kind in ("casement", "office") and rng.random() < 0.3 else 0.0,
     )
     return WindowStyle(
         kind=kind,
         design=design,
         cover=cover,
-        width_m=between(
+        width_m=uniform(
             rng, (sizes.width[0] + min(area_m2 / 80, 0.5) * (sizes.width[1] - sizes.width[0]), sizes.width[1])
         ),
         bottom_m=bottom,
         top_m=top,
-        sash_m=between(rng, sizes.sash),
+        sash_m=uniform(rng, sizes.sash),
         wall_m=wall_m,
         french_share=0.6 if rng.random() < 0.5 else 1.0,
         # In half of the rooms only some of the curtains are drawn.
@@ -150,23 +150,23 @@ def _cover(kind: CoverKind, window: WindowKind, height_m: float, rng: np.random.
     if cover.curtains:
         long = window == "french" or rng.random() < 0.7
         # The rod hangs at most half a metre above the window, and clear of the ceiling.
-        lift = between(rng, (0.06, min(0.3, max(height_m - 2.15, 0.07))))
+        lift = uniform(rng, (0.06, min(0.3, max(height_m - 2.15, 0.07))))
         return replace(
             cover,
-            spread_m=between(rng, (0.14, 0.32)),
+            spread_m=uniform(rng, (0.14, 0.32)),
             lift_m=lift,
-            bottom_m=between(rng, (0.01, 0.04)) if long else 0.5,
-            share=between(rng, (0.25, 0.75)),
-            pitch_m=between(rng, (0.09, 0.17)),
+            bottom_m=uniform(rng, (0.01, 0.04)) if long else 0.5,
+            share=uniform(rng, (0.25, 0.75)),
+            pitch_m=uniform(rng, (0.09, 0.17)),
         )
     if kind in ("roller", "roller_down"):
-        share = 1.0 if kind == "roller_down" else between(rng, (0.12, 0.8))
+        share = 1.0 if kind == "roller_down" else uniform(rng, (0.12, 0.8))
         return replace(cover, share=share, translucent=bool(kind == "roller_down" or rng.random() < 0.6))
     if kind == "venetian":
-        share = between(rng, (0.5, 1.0)) if rng.random() < 0.6 else 1.0
+        share = uniform(rng, (0.5, 1.0)) if rng.random() < 0.6 else 1.0
         return replace(
-            cover, share=share, tilt_degrees=between(rng, (-60.0, 60.0)), pitch_m=between(rng, (0.022, 0.05))
+            cover, share=share, tilt_degrees=uniform(rng, (-60.0, 60.0)), pitch_m=uniform(rng, (0.022, 0.05))
         )
     if kind == "vertical":
-        return replace(cover, tilt_degrees=between(rng, (15.0, 80.0)), pitch_m=between(rng, (0.09, 0.13)))
+        return replace(cover, tilt_degrees=uniform(rng, (15.0, 80.0)), pitch_m=uniform(rng, (0.09, 0.13)))
     return cover

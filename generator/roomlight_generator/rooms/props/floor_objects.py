@@ -1,34 +1,34 @@
-"""Boxes, baskets, bins and bags; big toys; exercise machines; fireplaces."""
+"""Boxes, baskets, bins and bags; large toys; exercise machines."""
 
 from functools import partial
 
 import numpy as np
 
 from roomlight_generator.rooms.props import palette, textures
-from roomlight_generator.rooms.props.draft import Draft, Kit, between
-from roomlight_generator.rooms.props.seating import legs, padded
-from roomlight_generator.rooms.props.smalls import loft_ball, plush
+from roomlight_generator.rooms.props.draft import Draft, Parts, uniform
+from roomlight_generator.rooms.props.seating import add_cushion, add_legs
+from roomlight_generator.rooms.props.small_objects import add_teddy_bear, ellipsoid
 from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import Number, double_sided_sheet, lathe, loft, sphere, tube
 
 
 def _basketry(rng: np.random.Generator) -> Material:
-    colour = palette.srgb(*(np.array([192, 152, 102]) * between(rng, 0.5, 1.15)))
+    colour = palette.srgb(*(np.array([192, 152, 102]) * uniform(rng, 0.5, 1.15)))
     return Material("wicker", albedo=(0.95, 0.95, 0.95), texture=textures.wicker(rng, colour))
 
 
 def floor_clutter(rng: np.random.Generator) -> Draft:
-    """A cardboard box, a basket, a bin, a bag, a suitcase, shoes, a pile of magazines, a pouffe of cloth."""
+    """Make a cardboard box, a basket, a bin, a bag, a suitcase, shoes, a pile of magazines, or a cloth pouffe."""
     kind = int(rng.integers(8))
     size = (
-        (between(rng, 0.3, 0.6), between(rng, 0.22, 0.45), between(rng, 0.25, 0.45)),
-        (between(rng, 0.3, 0.5), between(rng, 0.25, 0.5), 0.0),
-        (between(rng, 0.2, 0.34), between(rng, 0.26, 0.6), 0.0),
-        (between(rng, 0.28, 0.42), between(rng, 0.34, 0.5), between(rng, 0.16, 0.26)),
-        (between(rng, 0.38, 0.5), between(rng, 0.55, 0.75), between(rng, 0.22, 0.28)),
-        (between(rng, 0.2, 0.24), between(rng, 0.1, 0.13), between(rng, 0.26, 0.31)),
-        (between(rng, 0.26, 0.34), between(rng, 0.08, 0.3), between(rng, 0.22, 0.3)),
-        (between(rng, 0.3, 0.42), between(rng, 0.5, 0.65), between(rng, 0.24, 0.34)),
+        (uniform(rng, 0.3, 0.6), uniform(rng, 0.22, 0.45), uniform(rng, 0.25, 0.45)),
+        (uniform(rng, 0.3, 0.5), uniform(rng, 0.25, 0.5), 0.0),
+        (uniform(rng, 0.2, 0.34), uniform(rng, 0.26, 0.6), 0.0),
+        (uniform(rng, 0.28, 0.42), uniform(rng, 0.34, 0.5), uniform(rng, 0.16, 0.26)),
+        (uniform(rng, 0.38, 0.5), uniform(rng, 0.55, 0.75), uniform(rng, 0.22, 0.28)),
+        (uniform(rng, 0.2, 0.24), uniform(rng, 0.1, 0.13), uniform(rng, 0.26, 0.31)),
+        (uniform(rng, 0.26, 0.34), uniform(rng, 0.08, 0.3), uniform(rng, 0.22, 0.3)),
+        (uniform(rng, 0.3, 0.42), uniform(rng, 0.5, 0.65), uniform(rng, 0.24, 0.34)),
     )[kind]
     name = ("box", "basket", "bin", "bag", "suitcase", "shoes", "magazines", "laundry basket")[kind]
     full = (size[0], size[1], size[2] or size[0])
@@ -36,32 +36,32 @@ def floor_clutter(rng: np.random.Generator) -> Draft:
 
 
 def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Number]) -> Mesh:
-    kit = Kit()
+    parts = Parts()
     width, height, depth = size
     if kind == 0:
         card = palette.cardboard(rng) if rng.random() < 0.7 else palette.plastic(rng)
         if rng.random() < 0.5:
-            kit.slab(card, size, radius=0.004)
+            parts.slab(card, size, radius=0.004)
             tape = Material("tape", albedo=palette.neutral(rng, 150, 220), roughness=0.2)
-            kit.slab(tape, (width, 0.001, 0.05), (0, height - 0.0002, 0), radius=0)
+            parts.slab(tape, (width, 0.001, 0.05), (0, height - 0.0002, 0), radius=0)
         else:
             t, tall = 0.006, height * 0.86
-            kit.blocks(card, [(width, t, depth, 0, 0, 0)])
-            kit.blocks(card, [(t, tall, depth, x * (width - t) / 2, 0, 0) for x in (-1, 1)])
-            kit.blocks(card, [(width, tall, t, 0, 0, z * (depth - t) / 2) for z in (-1, 1)])
+            parts.blocks(card, [(width, t, depth, 0, 0, 0)])
+            parts.blocks(card, [(t, tall, depth, x * (width - t) / 2, 0, 0) for x in (-1, 1)])
+            parts.blocks(card, [(width, tall, t, 0, 0, z * (depth - t) / 2) for z in (-1, 1)])
             for _ in range(int(rng.integers(1, 5))):
-                stuff = palette.cloth(rng) if rng.random() < 0.5 else palette.paint(rng)
-                kit.slab(
-                    stuff,
-                    (width * 0.36, height * between(rng, 0.6, 0.95), depth * 0.36),
-                    (between(rng, -0.26, 0.26) * width, 0.01, between(rng, -0.26, 0.26) * depth),
+                material = palette.cloth(rng) if rng.random() < 0.5 else palette.paint(rng)
+                parts.slab(
+                    material,
+                    (width * 0.36, height * uniform(rng, 0.6, 0.95), depth * 0.36),
+                    (uniform(rng, -0.26, 0.26) * width, 0.01, uniform(rng, -0.26, 0.26) * depth),
                     radius=0.01,
                 )
-            kit.slab(card, (width * 0.9, 0.004, depth * 0.25), (0, height - 0.004, depth * 0.37), radius=0)
+            parts.slab(card, (width * 0.9, 0.004, depth * 0.25), (0, height - 0.004, depth * 0.37), radius=0)
     elif kind in (1, 2):
         r = width / 2
-        foot = r * between(rng, 0.7, 0.98)
-        stuff = _basketry(rng) if kind == 1 else (palette.metal(rng) if rng.random() < 0.5 else palette.plastic(rng))
+        foot = r * uniform(rng, 0.7, 0.98)
+        material = _basketry(rng) if kind == 1 else (palette.metal(rng) if rng.random() < 0.5 else palette.plastic(rng))
         wall = lathe(
             [
                 [(1e-3, 0), (foot, 0)],
@@ -72,22 +72,22 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
             ],
             segments=24,
         )
-        kit.add(wall, stuff)
+        parts.add(wall, material)
         if kind == 1 and rng.random() < 0.7:
             for _ in range(3):
                 cover = palette.cloth(rng)
-                kit.add(
-                    loft_ball(r * 0.5, height * 0.18, r * 0.45),
+                parts.add(
+                    ellipsoid(r * 0.5, height * 0.18, r * 0.45),
                     cover,
-                    (between(rng, -0.3, 0.3) * r, height * 0.8, between(rng, -0.3, 0.3) * r),
-                    yaw=between(rng, 0, 180),
+                    (uniform(rng, -0.3, 0.3) * r, height * 0.8, uniform(rng, -0.3, 0.3) * r),
+                    yaw=uniform(rng, 0, 180),
                 )
     elif kind == 3:
         cloth = palette.upholstery(rng)
         x, z = width / 2, depth / 2
         body = height * 0.7
         side = [(x, z * 0.9, 0.0), (x * 0.98, z, body * 0.3), (x * 0.9, z * 0.5, body)]
-        kit.add(
+        parts.add(
             loft([[(1e-3, 1e-3, 0.0), side[0]], side, [side[-1], (1e-3, 1e-3, body)]], exponent=5, segments=24), cloth
         )
         for s in (-1, 1):
@@ -95,15 +95,17 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 (x * 0.5 * np.cos(t), body * 0.95 + (height - body * 0.95) * np.sin(t), s * z * 0.3)
                 for t in np.linspace(0, np.pi, 9)
             ]
-            kit.add(tube(arc, 0.008, segments=5), cloth)
+            parts.add(tube(arc, 0.008, segments=5), cloth)
     elif kind == 4:
         shell = palette.plastic(rng)
-        kit.slab(shell, (width, height * 0.82, depth), (0, 0.045, 0), radius=0.04, arcs=2)
-        kit.blocks(shell, [(0.02, height * 0.78, depth * 1.0, x * width * 0.2, 0.06, 0) for x in (-1, 1)])
+        parts.slab(shell, (width, height * 0.82, depth), (0, 0.045, 0), radius=0.04, arcs=2)
+        parts.blocks(shell, [(0.02, height * 0.78, depth * 1.0, x * width * 0.2, 0.06, 0) for x in (-1, 1)])
         dark = palette.black(rng)
-        kit.blocks(dark, [(0.035, 0.05, 0.05, x * width * 0.4, 0, z * depth * 0.34) for x in (-1, 1) for z in (-1, 1)])
+        parts.blocks(
+            dark, [(0.035, 0.05, 0.05, x * width * 0.4, 0, z * depth * 0.34) for x in (-1, 1) for z in (-1, 1)]
+        )
         z = -depth * 0.4
-        kit.add(
+        parts.add(
             tube(
                 [
                     (-0.09, height * 0.8, z),
@@ -117,12 +119,12 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
             dark,
         )
     elif kind == 5:
-        stuff = palette.leather(rng) if rng.random() < 0.5 else palette.cloth(rng)
+        material = palette.leather(rng) if rng.random() < 0.5 else palette.cloth(rng)
         sole = palette.black(rng)
         for s in (-1, 1):
             x = s * width * 0.27
             half_x, half_z = width * 0.21, depth / 2
-            kit.add(
+            parts.add(
                 loft(
                     [
                         [(1e-3, 1e-3, 0.0, x), (half_x, half_z, 0.0, x)],
@@ -139,28 +141,29 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 (half_x * 0.85, half_z * 0.75, height * 0.55, x, -depth * 0.1),
                 (half_x * 0.6, half_z * 0.35, height, x, -depth * 0.27),
             ]
-            kit.add(
-                loft([top, [top[-1], (1e-3, 1e-3, height * 0.9, x, -depth * 0.27)]], exponent=2.4, segments=18), stuff
+            parts.add(
+                loft([top, [top[-1], (1e-3, 1e-3, height * 0.9, x, -depth * 0.27)]], exponent=2.4, segments=18),
+                material,
             )
     elif kind == 6:
         y, page = 0.0, palette.paper(rng)
         while y < height - 0.004:
-            thick = min(between(rng, 0.006, 0.03), height - y)
+            thick = min(uniform(rng, 0.006, 0.03), height - y)
             cover = palette.paint(rng) if rng.random() < 0.6 else page
-            share = 1.0 if y == 0 else between(rng, 0.75, 0.95)
-            kit.slab(
+            share = 1.0 if y == 0 else uniform(rng, 0.75, 0.95)
+            parts.slab(
                 cover,
                 (width * share, thick, depth * share),
                 (0, y, 0),
                 radius=0,
-                yaw=0 if y == 0 else between(rng, -5, 5),
+                yaw=0 if y == 0 else uniform(rng, -5, 5),
             )
             y += thick
     else:
         x, z = width / 2, depth / 2
-        stuff = _basketry(rng) if rng.random() < 0.6 else palette.cloth(rng)
+        material = _basketry(rng) if rng.random() < 0.6 else palette.cloth(rng)
         side = [(x * 0.86, z * 0.86, 0.0), (x, z, height)]
-        kit.add(
+        parts.add(
             loft(
                 [
                     [(1e-3, 1e-3, 0.0), side[0]],
@@ -171,10 +174,10 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 exponent=6,
                 segments=28,
             ),
-            stuff,
+            material,
         )
         heap = palette.cloth(rng)
-        kit.add(
+        parts.add(
             loft(
                 [[(x * 0.92, z * 0.92, height * 0.72), (x * 0.6, z * 0.6, height * 0.9), (1e-3, 1e-3, height * 0.98)]],
                 exponent=4,
@@ -182,18 +185,18 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
             ),
             heap,
         )
-    return kit.mesh()
+    return parts.mesh()
 
 
 def floor_toy(rng: np.random.Generator) -> Draft:
-    """A play tent, a rocking horse, a toy kitchen, a big bear, a pile of blocks, a tricycle."""
+    """Make a play tent, a rocking horse, a toy kitchen, a big bear, a pile of blocks, or a tricycle."""
     kind = int(rng.integers(5))
     size = (
-        (between(rng, 0.95, 1.2), between(rng, 1.2, 1.5), 0.0),
-        (between(rng, 0.3, 0.36), between(rng, 0.6, 0.75), between(rng, 0.75, 0.95)),
-        (between(rng, 0.5, 0.7), between(rng, 0.75, 0.95), between(rng, 0.28, 0.36)),
-        (between(rng, 0.4, 0.6), 0.0, 0.0),
-        (between(rng, 0.5, 0.8), between(rng, 0.12, 0.35), between(rng, 0.4, 0.7)),
+        (uniform(rng, 0.95, 1.2), uniform(rng, 1.2, 1.5), 0.0),
+        (uniform(rng, 0.3, 0.36), uniform(rng, 0.6, 0.75), uniform(rng, 0.75, 0.95)),
+        (uniform(rng, 0.5, 0.7), uniform(rng, 0.75, 0.95), uniform(rng, 0.28, 0.36)),
+        (uniform(rng, 0.4, 0.6), 0.0, 0.0),
+        (uniform(rng, 0.5, 0.8), uniform(rng, 0.12, 0.35), uniform(rng, 0.4, 0.7)),
     )[kind]
     width, height, depth = size
     if kind == 0:
@@ -205,7 +208,7 @@ def floor_toy(rng: np.random.Generator) -> Draft:
 
 
 def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Number]) -> Mesh:
-    kit = Kit()
+    parts = Parts()
     width, height, depth = size
     if kind == 0:
         cloth, pole = palette.cloth(rng, patterned=0.6), palette.wood(rng)
@@ -214,11 +217,11 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
         ]
         top = height * 0.86
         for x, _, z in feet:
-            kit.bar(pole, (x, 0, z), (-x * 0.1, height, -z * 0.1), 0.012, segments=6)
+            parts.bar(pole, (x, 0, z), (-x * 0.1, height, -z * 0.1), 0.012, segments=6)
         apex = np.array([0.0, top, 0.0])
         for k in range(1, 4):
             a, b = (np.array(feet[k]) * 0.97, np.array(feet[(k + 1) % 4]) * 0.97)
-            kit.add(
+            parts.add(
                 double_sided_sheet(
                     np.array([[a, b], [apex + (a - b) * 0.02, apex - (a - b) * 0.02]], np.float32), thickness=0.004
                 ),
@@ -228,7 +231,7 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
             corner = np.array(feet[0 if s > 0 else 1]) * 0.97
             inner = np.array([s * width * 0.26, 0.0, depth / 2 * 0.97])
             pair = [corner, inner] if s < 0 else [inner, corner]
-            kit.add(
+            parts.add(
                 double_sided_sheet(
                     np.array([pair, [apex - np.array([0.01, 0, 0]), apex + np.array([0.01, 0, 0])]], np.float32),
                     thickness=0.004,
@@ -241,21 +244,21 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
             curve = [
                 (x * width * 0.4, 0.02 + 0.12 * (z / depth * 2) ** 2, z) for z in np.linspace(-depth / 2, depth / 2, 9)
             ]
-            kit.add(tube(curve, 0.02, segments=6), wood)
+            parts.add(tube(curve, 0.02, segments=6), wood)
             for z in (-0.25, 0.22):
-                kit.bar(
+                parts.bar(
                     wood,
                     (x * width * 0.4, 0.06, z * depth),
                     (x * width * 0.18, height * 0.5, z * depth * 0.7),
                     0.018,
                     segments=6,
                 )
-        kit.add(loft_ball(width * 0.26, height * 0.13, depth * 0.26), wood, (0, height * 0.52, -0.02))
-        kit.slab(seat, (width * 0.42, 0.03, 0.2), (0, height * 0.62, -0.05), radius=0.012)
-        kit.bar(wood, (0, height * 0.55, depth * 0.16), (0, height * 0.86, depth * 0.28), 0.06, 0.045)
-        kit.add(loft_ball(0.05, 0.06, 0.13), wood, (0, height * 0.88, depth * 0.33))
+        parts.add(ellipsoid(width * 0.26, height * 0.13, depth * 0.26), wood, (0, height * 0.52, -0.02))
+        parts.slab(seat, (width * 0.42, 0.03, 0.2), (0, height * 0.62, -0.05), radius=0.012)
+        parts.bar(wood, (0, height * 0.55, depth * 0.16), (0, height * 0.86, depth * 0.28), 0.06, 0.045)
+        parts.add(ellipsoid(0.05, 0.06, 0.13), wood, (0, height * 0.88, depth * 0.33))
         for x in (-1, 1):
-            kit.bar(
+            parts.bar(
                 wood,
                 (x * 0.025, height * 0.92, depth * 0.25),
                 (x * 0.03, height, depth * 0.24),
@@ -263,25 +266,25 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
                 0.004,
                 segments=6,
             )
-        kit.bar(wood, (-width / 2, height * 0.78, depth * 0.24), (width / 2, height * 0.78, depth * 0.24), 0.012)
+        parts.bar(wood, (-width / 2, height * 0.78, depth * 0.24), (width / 2, height * 0.78, depth * 0.24), 0.012)
     elif kind == 2:
         body, top = palette.paint(rng), palette.paint(rng)
         mid = height * 0.52
-        kit.slab(body, (width, mid, depth - 0.02), (0, 0, -0.01), radius=0.01)
-        kit.slab(top, (width, 0.03, depth), (0, mid, 0), radius=0.008)
-        kit.slab(body, (width, height - mid, 0.03), (0, mid, -depth / 2 + 0.015), radius=0)
-        kit.slab(top, (width * 0.9, 0.02, depth * 0.45), (0, height * 0.84, -depth * 0.26), radius=0)
-        kit.slab(
+        parts.slab(body, (width, mid, depth - 0.02), (0, 0, -0.01), radius=0.01)
+        parts.slab(top, (width, 0.03, depth), (0, mid, 0), radius=0.008)
+        parts.slab(body, (width, height - mid, 0.03), (0, mid, -depth / 2 + 0.015), radius=0)
+        parts.slab(top, (width * 0.9, 0.02, depth * 0.45), (0, height * 0.84, -depth * 0.26), radius=0)
+        parts.slab(
             palette.black(rng),
             (width * 0.36, mid * 0.5, 0.012),
             (-width * 0.22, mid * 0.3, depth / 2 - 0.018),
             radius=0,
         )
-        kit.slab(top, (width * 0.36, mid * 0.6, 0.012), (width * 0.22, mid * 0.2, depth / 2 - 0.018), radius=0)
+        parts.slab(top, (width * 0.36, mid * 0.6, 0.012), (width * 0.22, mid * 0.2, depth / 2 - 0.018), radius=0)
         for x in (-0.3, -0.1):
-            kit.bar(palette.black(rng), (x * width, mid + 0.028, 0), (x * width, mid + 0.034, 0), 0.05, segments=14)
+            parts.bar(palette.black(rng), (x * width, mid + 0.028, 0), (x * width, mid + 0.034, 0), 0.05, segments=14)
         for x in (-0.3, 0.0, 0.3):
-            kit.bar(
+            parts.bar(
                 palette.bright_plastic(rng),
                 (x * width, height * 0.86, -depth * 0.26),
                 (x * width, height * 0.96, -depth * 0.26),
@@ -289,109 +292,113 @@ def _floor_toy(rng: np.random.Generator, kind: int, size: tuple[Number, Number, 
                 segments=10,
             )
     elif kind == 3:
-        plush(kit, palette.fur(rng), palette.black(rng), height)
+        add_teddy_bear(parts, palette.fur(rng), palette.black(rng), height)
     else:
         for k in range(int(rng.integers(10, 22))):
-            side = between(rng, 0.05, 0.12)
-            level = 0.0 if k < 8 else between(rng, 0, height - side)
+            side = uniform(rng, 0.05, 0.12)
+            level = 0.0 if k < 8 else uniform(rng, 0, height - side)
             if k == 0:
                 side, level = 0.1, height - 0.1
-            place = (between(rng, -0.38, 0.38) * width, max(level, 0.0), between(rng, -0.38, 0.38) * depth)
-            kit.slab(
+            place = (uniform(rng, -0.38, 0.38) * width, max(level, 0.0), uniform(rng, -0.38, 0.38) * depth)
+            parts.slab(
                 palette.bright_plastic(rng),
-                (side, side, side * between(rng, 1, 2)),
+                (side, side, side * uniform(rng, 1, 2)),
                 place,
                 radius=0,
-                yaw=between(rng, 0, 180),
+                yaw=uniform(rng, 0, 180),
             )
         r = 0.06
-        kit.add(sphere(r, rings=7, segments=12), palette.bright_plastic(rng), (width / 2 - r, r, depth / 2 - r))
-        kit.add(sphere(r, rings=7, segments=12), palette.bright_plastic(rng), (-width / 2 + r, r, -depth / 2 + r))
-    return kit.mesh()
+        parts.add(sphere(r, rings=7, segments=12), palette.bright_plastic(rng), (width / 2 - r, r, depth / 2 - r))
+        parts.add(sphere(r, rings=7, segments=12), palette.bright_plastic(rng), (-width / 2 + r, r, -depth / 2 + r))
+    return parts.mesh()
 
 
 def exercise(rng: np.random.Generator) -> Draft:
-    """A bicycle on the spot, a treadmill, weights on a rack, a table for table tennis or football."""
+    """Make an exercise bike, a treadmill, a weight rack, or a table for table tennis or football."""
     kind = int(rng.integers(5))
     size = (
-        (between(rng, 0.5, 0.58), between(rng, 1.1, 1.35), between(rng, 0.95, 1.15)),
-        (between(rng, 0.7, 0.85), between(rng, 1.25, 1.4), between(rng, 1.5, 1.8)),
-        (between(rng, 0.9, 1.3), between(rng, 0.6, 0.85), between(rng, 0.45, 0.6)),
-        (2.74, between(rng, 0.88, 0.93), 1.525),
-        (between(rng, 1.3, 1.5), between(rng, 0.86, 0.95), between(rng, 0.72, 0.8)),
+        (uniform(rng, 0.5, 0.58), uniform(rng, 1.1, 1.35), uniform(rng, 0.95, 1.15)),
+        (uniform(rng, 0.7, 0.85), uniform(rng, 1.25, 1.4), uniform(rng, 1.5, 1.8)),
+        (uniform(rng, 0.9, 1.3), uniform(rng, 0.6, 0.85), uniform(rng, 0.45, 0.6)),
+        (2.74, uniform(rng, 0.88, 0.93), 1.525),
+        (uniform(rng, 1.3, 1.5), uniform(rng, 0.86, 0.95), uniform(rng, 0.72, 0.8)),
     )[kind]
     name = ("exercise bicycle", "treadmill", "weights", "table tennis", "table football")[kind]
     return Draft(name, size, partial(_exercise, rng, kind, size))
 
 
 def _exercise(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Number]) -> Mesh:
-    kit = Kit()
+    parts = Parts()
     width, height, depth = size
     metal, dark = palette.metal(rng), palette.black(rng)
     if kind == 0:
         for z in (-1, 1):
-            kit.bar(metal, (-width / 2, 0.03, z * (depth / 2 - 0.03)), (width / 2, 0.03, z * (depth / 2 - 0.03)), 0.03)
-        kit.bar(metal, (0, 0.04, -depth / 2 + 0.03), (0, 0.04, depth / 2 - 0.03), 0.03)
-        kit.bar(metal, (0, 0.05, -0.05), (0, height * 0.68, -depth * 0.3), 0.03)
-        padded(kit, dark, (0.24, 0.07, 0.26), (0, height * 0.67, -depth * 0.3), plump=0.3)
-        kit.bar(metal, (0, 0.05, depth * 0.2), (0, height * 0.9, depth * 0.36), 0.03)
+            parts.bar(
+                metal, (-width / 2, 0.03, z * (depth / 2 - 0.03)), (width / 2, 0.03, z * (depth / 2 - 0.03)), 0.03
+            )
+        parts.bar(metal, (0, 0.04, -depth / 2 + 0.03), (0, 0.04, depth / 2 - 0.03), 0.03)
+        parts.bar(metal, (0, 0.05, -0.05), (0, height * 0.68, -depth * 0.3), 0.03)
+        add_cushion(parts, dark, (0.24, 0.07, 0.26), (0, height * 0.67, -depth * 0.3), plump=0.3)
+        parts.bar(metal, (0, 0.05, depth * 0.2), (0, height * 0.9, depth * 0.36), 0.03)
         wheel = palette.paint(rng)
-        kit.bar(wheel, (-0.05, 0.3, depth * 0.22), (0.05, 0.3, depth * 0.22), 0.22, segments=22)
-        kit.bar(dark, (-0.14, 0.3, 0.02), (0.14, 0.3, 0.02), 0.016)
+        parts.bar(wheel, (-0.05, 0.3, depth * 0.22), (0.05, 0.3, depth * 0.22), 0.22, segments=22)
+        parts.bar(dark, (-0.14, 0.3, 0.02), (0.14, 0.3, 0.02), 0.016)
         for x in (-1, 1):
-            kit.slab(dark, (0.09, 0.025, 0.2), (x * 0.18, 0.29 + 0.12 * x, 0.04), radius=0)
-            kit.bar(dark, (x * 0.02, height * 0.86, depth * 0.35), (x * 0.24, height * 0.93, depth * 0.2), 0.016)
-        kit.slab(dark, (0.2, 0.14, 0.04), (0, height - 0.14, depth * 0.37), radius=0.01, pitch=-24)
+            parts.slab(dark, (0.09, 0.025, 0.2), (x * 0.18, 0.29 + 0.12 * x, 0.04), radius=0)
+            parts.bar(dark, (x * 0.02, height * 0.86, depth * 0.35), (x * 0.24, height * 0.93, depth * 0.2), 0.016)
+        parts.slab(dark, (0.2, 0.14, 0.04), (0, height - 0.14, depth * 0.37), radius=0.01, pitch=-24)
     elif kind == 1:
-        kit.slab(dark, (width * 0.7, 0.14, depth * 0.94), (0, 0, -depth * 0.03), radius=0.02)
-        kit.blocks(metal, [(width * 0.12, 0.16, depth * 0.94, x * width * 0.36, 0, -depth * 0.03) for x in (-1, 1)])
-        kit.slab(dark, (width, 0.2, depth * 0.2), (0, 0, depth * 0.4), radius=0.03)
+        parts.slab(dark, (width * 0.7, 0.14, depth * 0.94), (0, 0, -depth * 0.03), radius=0.02)
+        parts.blocks(metal, [(width * 0.12, 0.16, depth * 0.94, x * width * 0.36, 0, -depth * 0.03) for x in (-1, 1)])
+        parts.slab(dark, (width, 0.2, depth * 0.2), (0, 0, depth * 0.4), radius=0.03)
         for x in (-1, 1):
-            kit.bar(metal, (x * width * 0.44, 0.1, depth * 0.36), (x * width * 0.44, height * 0.88, depth * 0.27), 0.03)
-            kit.bar(
+            parts.bar(
+                metal, (x * width * 0.44, 0.1, depth * 0.36), (x * width * 0.44, height * 0.88, depth * 0.27), 0.03
+            )
+            parts.bar(
                 dark,
                 (x * width * 0.44, height * 0.7, depth * 0.28),
                 (x * width * 0.44, height * 0.68, -depth * 0.02),
                 0.022,
             )
-        kit.slab(dark, (width * 0.9, 0.24, 0.06), (0, height - 0.24, depth * 0.26), radius=0.02, pitch=-16)
+        parts.slab(dark, (width * 0.9, 0.24, 0.06), (0, height - 0.24, depth * 0.26), radius=0.02, pitch=-16)
     elif kind == 2:
         for x in (-1, 1):
-            kit.slab(metal, (0.05, height - 0.06, 0.05), (x * (width / 2 - 0.03), 0, -depth * 0.3), radius=0)
-            kit.slab(metal, (0.05, 0.05, depth), (x * (width / 2 - 0.03), 0, 0), radius=0)
+            parts.slab(metal, (0.05, height - 0.06, 0.05), (x * (width / 2 - 0.03), 0, -depth * 0.3), radius=0)
+            parts.slab(metal, (0.05, 0.05, depth), (x * (width / 2 - 0.03), 0, 0), radius=0)
         for level in (0.3, 0.75):
             y = height * level
-            kit.slab(metal, (width - 0.08, 0.03, depth * 0.5), (0, y, -depth * 0.1), radius=0)
+            parts.slab(metal, (width - 0.08, 0.03, depth * 0.5), (0, y, -depth * 0.1), radius=0)
             count = int(width / 0.2)
             for k in range(count):
-                x, r = (k + 0.5) / count * (width - 0.16) - (width - 0.16) / 2, between(rng, 0.045, 0.075)
+                x, r = (k + 0.5) / count * (width - 0.16) - (width - 0.16) / 2, uniform(rng, 0.045, 0.075)
                 y0 = y + 0.03 + r
                 paint = dark if rng.random() < 0.6 else palette.bright_plastic(rng)
-                kit.bar(metal, (x, y0, -depth * 0.3), (x, y0, depth * 0.12), 0.015, segments=6)
+                parts.bar(metal, (x, y0, -depth * 0.3), (x, y0, depth * 0.12), 0.015, segments=6)
                 for z in (-0.3, 0.05):
-                    kit.bar(paint, (x, y0, z * depth), (x, y0, (z + 0.12) * depth), r, segments=10)
-        kit.slab(dark, (0.02, 0.02, 0.02), (0, height - 0.02, -depth * 0.3), radius=0)
+                    parts.bar(paint, (x, y0, z * depth), (x, y0, (z + 0.12) * depth), r, segments=10)
+        parts.slab(dark, (0.02, 0.02, 0.02), (0, height - 0.02, -depth * 0.3), radius=0)
     elif kind == 3:
         green = Material(
             "table top", albedo=palette.srgb(*((30, 92, 62) if rng.random() < 0.5 else (34, 74, 130))), roughness=0.3
         )
         line = Material("line", albedo=palette.neutral(rng, 225, 240))
         y = 0.76
-        kit.slab(green, (width, 0.025, depth), (0, y - 0.025, 0), radius=0)
-        kit.blocks(line, [(width, 0.001, 0.02, 0, y, z) for z in (-depth / 2 + 0.01, 0, depth / 2 - 0.01)])
-        kit.blocks(line, [(0.02, 0.001, depth, x, y, 0) for x in (-width / 2 + 0.01, width / 2 - 0.01)])
-        kit.slab(line, (0.004, height - y, depth), (0, y, 0), radius=0)
-        legs(kit, metal, (width * 0.7, depth * 0.7), y - 0.02, thick=0.025, square=True)
+        parts.slab(green, (width, 0.025, depth), (0, y - 0.025, 0), radius=0)
+        parts.blocks(line, [(width, 0.001, 0.02, 0, y, z) for z in (-depth / 2 + 0.01, 0, depth / 2 - 0.01)])
+        parts.blocks(line, [(0.02, 0.001, depth, x, y, 0) for x in (-width / 2 + 0.01, width / 2 - 0.01)])
+        parts.slab(line, (0.004, height - y, depth), (0, y, 0), radius=0)
+        add_legs(parts, metal, (width * 0.7, depth * 0.7), y - 0.02, thick=0.025, square=True)
     else:
         body, field = palette.wood_or_paint(rng), Material("field", albedo=palette.srgb(40, 120, 60), roughness=0.3)
         low, top = height * 0.62, height - 0.03
-        kit.blocks(body, [(width, top - low, 0.03, 0, low, z * (depth / 2 - 0.06)) for z in (-1, 1)])
-        kit.blocks(body, [(0.03, top - low, depth - 0.12, x * (width / 2 - 0.015), low, 0) for x in (-1, 1)])
-        kit.slab(field, (width - 0.04, 0.02, depth - 0.14), (0, low + 0.06, 0), radius=0)
-        legs(kit, body, (width - 0.12, depth - 0.24), low + 0.05, thick=0.04, square=True)
+        parts.blocks(body, [(width, top - low, 0.03, 0, low, z * (depth / 2 - 0.06)) for z in (-1, 1)])
+        parts.blocks(body, [(0.03, top - low, depth - 0.12, x * (width / 2 - 0.015), low, 0) for x in (-1, 1)])
+        parts.slab(field, (width - 0.04, 0.02, depth - 0.14), (0, low + 0.06, 0), radius=0)
+        add_legs(parts, body, (width - 0.12, depth - 0.24), low + 0.05, thick=0.04, square=True)
         for k, x in enumerate(np.linspace(-0.4, 0.4, 8) * width):
             shift = 0.06 if k % 2 else -0.06
-            kit.bar(
+            parts.bar(
                 metal,
                 (x, top - 0.03, -depth / 2 + 0.06 + shift),
                 (x, top - 0.03, depth / 2 - 0.06 + shift),
@@ -400,6 +407,6 @@ def _exercise(rng: np.random.Generator, kind: int, size: tuple[Number, Number, N
             )
             player = palette.srgb(190, 40, 40) if k % 2 else palette.srgb(40, 60, 170)
             men = Material("player", albedo=player, roughness=0.3)
-            kit.blocks(men, [(0.02, 0.1, 0.025, x, top - 0.11, z * depth) for z in (-0.2, 0.0, 0.2)])
-        kit.blocks(dark, [(0.06, 0.03, 0.12, width * 0.3, top, z * (depth / 2 - 0.06)) for z in (-1, 1)])
-    return kit.mesh()
+            parts.blocks(men, [(0.02, 0.1, 0.025, x, top - 0.11, z * depth) for z in (-0.2, 0.0, 0.2)])
+        parts.blocks(dark, [(0.06, 0.03, 0.12, width * 0.3, top, z * (depth / 2 - 0.06)) for z in (-1, 1)])
+    return parts.mesh()
