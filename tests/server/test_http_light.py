@@ -3,6 +3,7 @@
 import base64
 import io
 import json
+from typing import get_args
 
 import cv2
 import numpy as np
@@ -17,7 +18,14 @@ from roomlight.light.prior import prior_panorama
 from roomlight.light.resample import panorama_to_cube
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
-from roomlight.wire.messages import LightForm, LightResponse
+from roomlight.wire.messages import (
+    MAX_FORMS,
+    HarmonicsBasis,
+    HarmonicsKind,
+    LightForm,
+    LightFormat,
+    LightResponse,
+)
 from roomlight_server import light_forms
 
 POINT = {"position": [0.2, 1.2, -0.2]}
@@ -183,6 +191,23 @@ def test_a_batch_answers_in_order_and_at_one_moment(server):
     assert response.results[0].forms[0].values == first["forms"][0]["values"]
     assert parts[0][1] == get(server).body
     assert len(parts[1][2]) == 6 * 32 * 32 * 8
+
+
+def test_every_form_comes_in_one_request(server):
+    harmonics = [
+        {"format": "sh", "kind": kind, "basis": basis}
+        for kind in get_args(HarmonicsKind)
+        for basis in get_args(HarmonicsBasis)
+    ]
+    forms = [{"format": name} for name in get_args(LightFormat) if name != "sh"] + harmonics
+    assert len(forms) == 15 <= MAX_FORMS
+    answer = post(server, {"probes": [POINT], "forms": forms})
+    assert answer.status == 200, answer.json
+    assert [form["format"] for form in answer.json["results"][0]["forms"]] == [form["format"] for form in forms]
+    most = forms + forms[: MAX_FORMS - len(forms)]
+    assert post(server, {"probes": [POINT], "forms": most}).status == 200
+    over = post(server, {"probes": [POINT], "forms": [*most, forms[0]]})
+    assert (over.status, over.json["field"]) == (422, "forms")
 
 
 @pytest.mark.parametrize(

@@ -22,14 +22,46 @@ def server():
         yield running
 
 
-def test_opening_is_idempotent_and_options_stay(server):
+def test_opening_with_the_same_options_changes_nothing(server):
     first = server.open("twice")
     again = server.open("twice")
     assert (first.status, again.status) == (201, 200)
     assert first.json == again.json
-    other = server.call("PUT", "/v1/sessions/twice", SMALL | {"height": 32})
-    assert (other.status, other.kind) == (409, "session-conflict")
     assert server.call("PUT", "/v1/sessions/default").json["options"]["mode"] == "auto"
+
+
+@pytest.mark.parametrize(
+    ("changes", "field", "value", "rule"),
+    [
+        ({"height": 32}, "height", "32", "must be 16, as when the session was opened"),
+        ({"mode": "auto"}, "mode", '"auto"', 'must be "classical", as when the session was opened'),
+        ({"reference_exposure": None}, "reference_exposure", "null", "must be 1.0, as when the session was opened"),
+        ({"use_limited_tracking": True}, "use_limited_tracking", "true", "must be false, as when"),
+    ],
+)
+def test_a_conflict_names_the_option_and_both_values(server, changes, field, value, rule):
+    server.open("taken")
+    other = server.call("PUT", "/v1/sessions/taken", SMALL | changes)
+    assert (other.status, other.kind) == (409, "session-conflict")
+    assert (other.json["field"], other.json["value"]) == (field, value)
+    assert other.json["rule"].startswith(rule)
+
+
+def test_a_conflict_lists_every_option_that_differs(server):
+    server.open("taken")
+    other = server.call("PUT", "/v1/sessions/taken", SMALL | {"height": 32, "min_confidence": 2})
+    assert "height 16 (requested: 32), min_confidence 1 (requested: 2)" in other.json["detail"]
+    assert other.json["field"] == "height"
+
+
+def test_a_session_is_joined_by_its_id_alone(server):
+    opened = server.open("shared", SMALL | {"height": 24})
+    joined = server.call("GET", "/v1/sessions/shared")
+    assert joined.status == 200
+    assert joined.json == opened.json
+    assert joined.json["options"]["height"] == 24
+    again = server.call("PUT", "/v1/sessions/shared", joined.json["options"])
+    assert again.status == 200
 
 
 def test_state_tells_memory_and_its_bound(server):
