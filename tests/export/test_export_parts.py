@@ -1,4 +1,4 @@
-"""The parts of the export: verification input, comparison, the RGB-alpha decoder as a graph, the width table."""
+"""Parts of the export: verification inputs, comparison, the RGB-alpha decoder's graph, the width table."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ from roomlight_export.inputs import probe_frames, room_volume
 from roomlight_export.onnx_file import half_rounded, to_onnx
 from roomlight_export.ort_file import write_ort
 from roomlight_export.parity import compare_volumes, difference, torch_runner
-from roomlight_export.widths import GraphCost, describe, format_widths, measure_widths
+from roomlight_export.widths import GraphCost, WidthRow, describe, format_widths, measure_widths
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel, VideoModel
 
@@ -34,7 +34,7 @@ def test_the_room_exercises_every_input_channel():
     assert not np.array_equal(volume, room_volume((64, 60, 84), frame=1))
 
 
-def test_probe_frames_keep_to_the_serving_ranges():
+def test_probe_frames_stay_in_the_serving_ranges():
     frames = probe_frames(16, frames=4)
     for frame in frames:
         assert frame.single_panels.shape == (1, 8, 16, 32)
@@ -56,8 +56,8 @@ def test_difference_compares_light_in_the_logarithm():
     assert difference("alpha", np.float32([0.5]), np.float32([0.75])) == 0.25
 
 
-def test_a_tampered_weight_shows_after_the_recursion():
-    """One GRU bias off by 0.05 in one of the two: the comparison must say so, in hidden states and light."""
+def test_a_changed_weight_shows_after_the_recursion():
+    """A GRU bias changed by 0.05 must show in hidden states and light."""
     torch.manual_seed(0)
     model = VideoModel(TINY)
     torch.nn.init.normal_(model.sg_decoder.heads.weight)
@@ -83,7 +83,7 @@ def test_half_rounding_leaves_the_original_alone():
     assert not torch.equal(weight, before)
 
 
-def test_rgb_alpha_exports_too_and_silently(tmp_path, capfd):
+def test_rgb_alpha_exports_and_prints_nothing(tmp_path, capfd):
     config = ModelConfig(SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2, spherical_gaussians=False))
     torch.manual_seed(1)
     model = half_rounded(SingleModel(config), "model")
@@ -128,17 +128,24 @@ def test_a_folder_that_fills_meanwhile_is_not_replaced(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["model"]
 
 
-def test_width_table():
-    heard = []
-    rows = measure_widths((TINY,), rounds=1, progress=heard.append)
-    assert heard == ["exporting SG 4/2, blend 2/2, norm none", "timing, round 1 of 1"]
+@pytest.mark.slow
+def test_widths_are_measured_and_tabulated():
+    messages = []
+    rows = measure_widths((TINY,), rounds=1, progress=messages.append)
+    assert messages == ["exporting SG 4/2, blend 2/2, norm none", "timing, round 1 of 1"]
     row = rows[0]
     assert row.video_sg.parameters > row.single_sg.parameters > 0
     assert row.video_sg.gmac > row.sg_gru.gmac > 0
     assert row.video_sg.ort_ms > row.sg_gru.ort_ms > 0
-    table = format_widths(rows).split("\n")
-    assert len(table) == 3
+    assert len(format_widths(rows).split("\n")) == 3
+
+
+def test_width_table_has_a_row_for_each_configuration():
+    cost = GraphCost(1_500_000, 2.0, 3.0, 4.0, float("nan"))
+    table = format_widths([WidthRow(TINY, cost, cost, cost, cost)] * 2).split("\n")
+    assert len(table) == 4
     assert len({line.count("|") for line in table}) == 1
+    assert table[2].startswith("| SG 4/2, blend 2/2, norm none | 4.50 | 2.00 | 3 / 4 / - |")
 
 
 def test_costs_add_and_widths_describe_themselves():

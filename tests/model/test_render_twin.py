@@ -138,20 +138,21 @@ def test_default_step_is_the_mean_edge():
 
 
 def test_a_network_learns_through_the_renderer():
-    """One room, one probe, bright above and dark below: 40 steps of Adam through both must more than halve the loss
-    (to 0.04 to 0.29 of it, by the seed).
+    """One room, one probe, bright above and dark below: 20 steps of Adam must more than halve the loss.
+
+    Over seeds 0 to 5 it falls to 0.09 to 0.29 of its start.
     """
     torch.manual_seed(0)
-    model = SingleModel(ModelConfig(SGConfig(channels=8, full_channels=4)))
+    model = SingleModel(ModelConfig(SGConfig(channels=4, full_channels=4)))
     volume = torch.rand(1, 5, 8, 8, 8)
     volume[:, 4] = 0
-    directions = random_directions(200, seed=9)
+    directions = random_directions(80, seed=9)
     target = torch.log1p(2 + 2 * directions[:, 1:2]).expand(-1, 3)
-    optimizer = torch.optim.Adam(model.parameters(), lr=1e-2)
+    optimizer = torch.optim.Adam(model.parameters(), lr=2e-2)
     losses = []
-    for _ in range(40):
+    for _ in range(20):
         predicted = model(volume)
-        radiance, _ = render(predicted.alpha[0], predicted.lobes[0], directions, samples=20, step_m=0.15)
+        radiance, _ = render(predicted.alpha[0], predicted.lobes[0], directions, samples=10, step_m=0.3)
         loss = (torch.log1p(radiance) - target).square().mean()
         optimizer.zero_grad()
         loss.backward()

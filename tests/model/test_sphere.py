@@ -23,8 +23,9 @@ def seeded(seed):
     return torch.Generator().manual_seed(seed)
 
 
+@pytest.mark.statistical
 @pytest.mark.parametrize("place", range(4))
-def test_directions_follow_the_density_they_are_divided_by(place):
+def test_directions_follow_their_stated_density(place):
     """Chi-square over cells of the sphere: expected counts by integrating the density inside each."""
     normals = sphere_normals(TO_VIEWER, PLACES[place : place + 1])
     count, rows, columns, fine = 40_000, 12, 24, 12
@@ -60,6 +61,7 @@ def test_a_white_room_gives_the_albedo_and_a_little_more():
     assert white[0, 0] == pytest.approx(GLOSSY_ALBEDO + 0.05, abs=0.01)
 
 
+@pytest.mark.statistical
 def test_unbiased_against_65536_uniform_directions():
     panorama = torch.rand((1, 3, 16, 32), generator=seeded(2), dtype=torch.float64) + 0.2
     panorama[0, :, 4, 20] = 40.0  # a lamp
@@ -79,7 +81,8 @@ def test_unbiased_against_65536_uniform_directions():
     assert ((ours.mean(0) - wanted).abs() < tolerance).all()
 
 
-def test_importance_sampling_is_less_noisy_than_uniform_at_the_same_count():
+@pytest.mark.statistical
+def test_importance_sampling_is_less_noisy_than_uniform():
     panorama = torch.full((1, 3, 32, 64), 0.2, dtype=torch.float64)
     panorama[0, :, 8:10, 30:33] = 50.0
     normals = sphere_normals(TO_VIEWER, disc(64, generator=seeded(5)).double())
@@ -94,8 +97,8 @@ def test_importance_sampling_is_less_noisy_than_uniform_at_the_same_count():
     assert torch.stack(ours).var(0).mean() < 0.6 * torch.stack(uniform).var(0).mean()
 
 
-def test_it_agrees_with_the_ball_renderer():
-    """The NumPy sphere renderer is another estimator of the same picture."""
+def test_it_agrees_with_the_numpy_sphere_renderer():
+    """`SphereRenderer` is another estimator of the same image."""
     rng = np.random.default_rng(7)
     panorama = rng.uniform(0.1, 1.0, (30, 60, 3)).astype(np.float32)
     to_viewer = TO_VIEWER.numpy()

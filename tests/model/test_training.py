@@ -1,4 +1,4 @@
-"""The trainer: it learns, it resumes to the same curve after a kill, it refuses what it cannot use."""
+"""The trainer: it learns, resumes to the same curve after a kill, and refuses unusable options and folders."""
 
 import json
 import math
@@ -46,7 +46,7 @@ def curve(folder):
 
 
 @pytest.mark.parametrize("stage", ["single-sglv", "single-blend", "single-joint"])
-def test_a_stage_changes_its_own_networks_and_no_others(tmp_path, stage):
+def test_a_stage_changes_only_its_own_networks(tmp_path, stage):
     trainer = Trainer(replace(OPTIONS, stage=stage, steps=3), BoxRecordings(3), tmp_path / "run", device=CPU)
     before = {name: value.clone() for name, value in trainer.model.state_dict().items()}
     trainer.train(report=quiet)
@@ -55,12 +55,26 @@ def test_a_stage_changes_its_own_networks_and_no_others(tmp_path, stage):
     assert moved == {name for name, module in trainer.model.named_children() if id(module) in wanted}
 
 
-def test_it_learns_a_handful_of_rooms(tmp_path):
-    options = replace(OPTIONS, steps=120, batch=2, learning_rate=4e-3, augment=False, depth="exact", rays=128)
-    trainer = Trainer(options, BoxRecordings(2), tmp_path / "run", device=CPU)
+def error_on(batch, trainer):
+    """Log-L2 of 512 fixed rays."""
+    options = replace(trainer.options, rays=512)
+    with torch.no_grad():
+        sglv = predict(trainer.model, batch, options, device=CPU)
+        generator = torch.Generator().manual_seed(1)
+        losses = stage_losses(trainer.model, sglv, batch, options, generator=generator, device=CPU)
+    return float(losses.log_l2)
+
+
+def test_it_learns_two_rooms(tmp_path):
+    """The error on fixed rays falls to 0.60 to 0.71 of its start over seeds 0 to 4; half of that fall must be met."""
+    options = replace(OPTIONS, steps=20, batch=2, learning_rate=1e-2, augment=False, depth="exact", rays=128)
+    recordings = BoxRecordings(2)
+    trainer = Trainer(options, recordings, tmp_path / "run", device=CPU)
+    examples = [example_of(recordings.read(k, frames=[0]), np.random.default_rng(0), depth="exact") for k in range(2)]
+    batch = collate(examples, volume_shape=options.volume_shape, panorama_height=None)
+    before = error_on(batch, trainer)
     trainer.train(report=quiet)
-    losses = curve(tmp_path / "run")
-    assert losses[-1] < 0.7 * losses[0]
+    assert error_on(batch, trainer) < 0.85 * before
 
 
 def test_the_checkpoint_is_the_averaged_model_with_its_card(tmp_path):
@@ -92,18 +106,19 @@ SCRIPT = textwrap.dedent("""
     import test_training as t
     from dataclasses import replace
 
-    def tell(trainer):
+    def print_step(trainer):
         print(trainer.step, flush=True)
-        if trainer.step == 20:
+        if trainer.step == 6:
             sys.stdin.readline()  # wait here to be killed
 
-    trainer = t.Trainer(replace(t.OPTIONS, steps=40), t.BoxRecordings(3), Path(sys.argv[1]), device=t.CPU)
-    trainer.train(report=t.quiet, every=tell, every_steps=10, checkpoint_s=0.0)
+    trainer = t.Trainer(replace(t.OPTIONS, steps=9), t.BoxRecordings(3), Path(sys.argv[1]), device=t.CPU)
+    trainer.train(report=t.quiet, every=print_step, every_steps=3, checkpoint_s=0.0)
 """)
 
 
-def test_killed_with_no_warning_it_repeats_the_curve_it_would_have_had(tmp_path):
-    options = replace(OPTIONS, steps=40)
+@pytest.mark.slow
+def test_a_killed_run_repeats_the_curve_of_a_whole_one(tmp_path):
+    options = replace(OPTIONS, steps=9)
     Trainer(options, BoxRecordings(3), tmp_path / "whole", device=CPU).train(report=quiet)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     process = subprocess.Popen(
@@ -111,13 +126,14 @@ def test_killed_with_no_warning_it_repeats_the_curve_it_would_have_had(tmp_path)
         stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
     )  # fmt: skip
     with process:
+        assert process.stdout is not None
         for line in process.stdout:
-            if line.strip() == "20":
+            if line.strip() == "6":
                 process.send_signal(signal.SIGKILL)
                 break
     assert process.returncode == -signal.SIGKILL
     resumed = Trainer(options, BoxRecordings(3), tmp_path / "killed", device=CPU)
-    assert 0 < resumed.step <= 20
+    assert 0 < resumed.step <= 6
     resumed.train(report=quiet)
     assert curve(tmp_path / "killed") == curve(tmp_path / "whole")
 
@@ -140,7 +156,7 @@ def test_a_mirrored_example_is_the_mirrored_room():
     torch.testing.assert_close(light[0], light[1], rtol=1e-3, atol=1e-4)
 
 
-def test_truth_and_image_are_in_the_same_units_and_at_the_same_place():
+def test_truth_and_image_agree_in_units_and_place():
     """What the frame's mesh shows at a probe is what the truth shows there: poses, units and mirroring all agree."""
     example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
@@ -149,8 +165,8 @@ def test_truth_and_image_are_in_the_same_units_and_at_the_same_place():
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
 
 
-def test_however_augmented_image_and_truth_show_one_room():
-    """Contrast, gains, exchanged colours and mirroring change both alike; what is white stays at least white."""
+def test_augmented_image_and_truth_show_one_room():
+    """Contrast, gains, swapped channels and mirroring apply to both; white pixels stay white."""
     rng = np.random.default_rng(2)
     brightness = set()
     for _ in range(12):
@@ -179,7 +195,7 @@ def test_examples_follow_their_generator_and_frames_vary():
     assert len({example.mirrored for example in once}) == 2
 
 
-def test_some_exact_depth_has_holes_at_panes_and_nowhere_else():
+def test_exact_depth_has_holes_only_at_panes():
     whole = BoxRecordings(1).read(0, frames=[0])
     pane = np.zeros(whole.depth_mm.shape, np.uint8)
     pane[:, 5:20, 10:30] = GLASS
@@ -212,7 +228,7 @@ def test_losses_are_finite_in_bf16_too():
 
 
 def test_pieces_of_a_batch_add_up_to_its_gradient():
-    """On threads of their own, unequal in size; laid out as the parameters are, as the fused optimiser reads them."""
+    """Pieces run on threads and differ in size; gradients have the parameters' strides, as the fused optimiser needs."""
     options = replace(OPTIONS, stage="single-joint", rendering_weight=0.0)  # its directions are each piece's own
     recordings = BoxRecordings(3)
     batch = collate(
@@ -242,13 +258,13 @@ def test_blending_needs_partial_panoramas():
         predicted_panoramas(model, model(batch.volume), batch, bf16=False, device=CPU)
 
 
-def test_another_runs_folder_is_refused_and_names_what_differs(tmp_path):
+def test_a_folder_of_other_options_is_refused_by_name(tmp_path):
     Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
     with pytest.raises(ModelError, match=r"other options \(learning_rate, seed\)"):
         Trainer(replace(OPTIONS, seed=1, learning_rate=0.1), BoxRecordings(3), tmp_path / "run", device=CPU)
 
 
-def test_a_run_may_become_longer_or_shorter(tmp_path):
+def test_a_finished_run_can_be_extended(tmp_path):
     Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU).train(report=quiet)
     longer = Trainer(replace(OPTIONS, steps=8), BoxRecordings(3), tmp_path / "run", device=CPU)
     longer.train(report=quiet)
@@ -256,8 +272,8 @@ def test_a_run_may_become_longer_or_shorter(tmp_path):
     assert TrainOptions.read(tmp_path / "run" / "options.json").steps == 8
 
 
-def test_checkpoints_are_for_the_sizes_trained_at(tmp_path):
-    """Opacity is that of a voxel: graphs of another resolution would show another room."""
+def test_checkpoints_store_the_sizes_of_training(tmp_path):
+    """Opacity is per voxel: a graph of another resolution would show another room."""
     trainer = Trainer(replace(OPTIONS, steps=1), BoxRecordings(3), tmp_path / "run", device=CPU)
     trainer.train(report=quiet)
     config = load_checkpoint(tmp_path / "run" / "model.pt").config
@@ -310,7 +326,7 @@ def test_too_few_sequences_are_refused(tmp_path):
         ({"panorama_height": 9}, "panorama_height is 9; it is even and 8 or more"),
     ],
 )
-def test_options_that_no_run_can_use_are_refused(changes, message):
+def test_options_out_of_range_are_refused(changes, message):
     with pytest.raises(ModelError, match=message):
         replace(OPTIONS, **changes)
 
@@ -327,8 +343,8 @@ def test_options_survive_json(tmp_path):
         TrainOptions.read(path)
 
 
-def test_several_frames_are_shown_as_the_serving_engine_shows_a_stream():
-    """The volume in the engine's buffer after the same frames; what was seen is what its probes have seen."""
+def test_several_frames_are_fused_as_in_the_serving_engine():
+    """The volume equals the engine's buffer after the same frames, and the seen pixels equal its probes'."""
     recording = BoxRecordings(1).read(0, frames=[0, 8, 16])
     example = example_of(recording, np.random.default_rng(0), depth="exact")
     session = Session(SessionOptions(model="single", height=60))
@@ -348,7 +364,7 @@ def test_several_frames_are_shown_as_the_serving_engine_shows_a_stream():
     assert ((batch.kept > 0) & ~(batch.mask > 0)).any()
 
 
-def test_what_earlier_frames_showed_stays_and_has_no_gradient():
+def test_detail_of_earlier_frames_stays_without_gradient():
     recording = BoxRecordings(1).read(0, frames=[0, 16])
     example = example_of(recording, np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=24)
@@ -373,7 +389,7 @@ def test_frames_shown_together_have_one_exposure():
     np.testing.assert_allclose(example.later[0].image[open_], example.frame.image[open_], atol=0.02)
 
 
-def test_how_many_frames_a_stream_has_shown_varies_from_one_to_all():
+def test_the_number_of_frames_varies_from_one_to_all():
     recordings = BoxRecordings(1)
     rng = np.random.default_rng(0)
     drawn = [read_example(recordings, 0, rng, depth="both", augment=True, frames=5) for _ in range(40)]
@@ -385,7 +401,7 @@ def test_how_many_frames_a_stream_has_shown_varies_from_one_to_all():
     np.testing.assert_array_equal(plain.later[-1].camera_to_world, last)
 
 
-def test_however_augmented_several_frames_and_truth_show_one_room():
+def test_augmented_frames_and_truth_show_one_room():
     rng = np.random.default_rng(4)
     for _ in range(8):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
@@ -395,12 +411,13 @@ def test_however_augmented_several_frames_and_truth_show_one_room():
         assert (seen[known] - batch.truth[known]).abs().median() < 0.03
 
 
-def test_a_run_on_walks_repeats_its_curve_and_scores_them(tmp_path):
-    options = replace(OPTIONS, stage="single-joint", frames=3)
+@pytest.mark.slow
+def test_a_run_on_walks_repeats_its_curve_and_is_scored(tmp_path):
+    options = replace(OPTIONS, stage="single-joint", frames=3, steps=4)
     trainer = Trainer(options, BoxRecordings(3), tmp_path / "whole", device=CPU)
     trainer.train(report=quiet)
     first = Trainer(options, BoxRecordings(3), tmp_path / "parts", device=CPU)
-    first.train(report=quiet, stop=lambda: first.step >= 3)
+    first.train(report=quiet, stop=lambda: first.step >= 2)
     again = Trainer(options, BoxRecordings(3), tmp_path / "parts", device=CPU)
     again.train(report=quiet)
     assert curve(tmp_path / "parts") == curve(tmp_path / "whole")

@@ -1,12 +1,12 @@
-"""Broken captures, made from whole ones by a seeded generator: none may end in a traceback, hang or pass unnoticed.
+"""Captures damaged by a seeded generator: reading one must not end in a traceback, hang, or return bad frames.
 
 Each of 8 formats x 48 seeds damages one to three things. The outcome must be a RoomLightError that names a file of
-the capture, or frames that are sound with every other record on `skipped`, with its file. Any other exception, or a
-warning, fails the test. Of the 384, about 225 are refused, 128 lose frames and 31 are hit where it does not matter.
+the capture, or sound frames with every other record and its file in `skipped`. Any other exception, or a warning,
+fails the test; a hang ends in pytest's timeout. Of the 384 captures, about 225 are refused, 128 lose frames and 31 are
+damaged where no reader looks. A plain run takes the first 6 seeds.
 """
 
 import random
-import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -19,9 +19,7 @@ from roomlight.camera import check_rigid
 from roomlight.captures import open_capture
 from roomlight.errors import RoomLightError
 
-SEEDS = 48
-LIMIT_S = 60.0
-"""Per variant, against hangs; the slowest takes 0.1 s alone on one core."""
+SEEDS = [seed if seed < 6 else pytest.param(seed, marks=pytest.mark.slow) for seed in range(48)]
 
 
 @pytest.fixture(scope="module")
@@ -36,24 +34,22 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
     return build
 
 
-@pytest.mark.parametrize("seed", range(SEEDS))
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", formats.BUILDERS)
-def test_a_broken_capture_is_refused_or_its_bad_frames_are_skipped(
+def test_a_damaged_capture_is_refused_or_loses_frames(
     name: str, seed: int, whole: Callable[[str], Path], tmp_path: Path
 ) -> None:
     rng = random.Random(f"{name} {seed}")
     path = damaged(whole(name), tmp_path, rng)
-    started = time.monotonic()
     refusal = None
     try:
-        frames_are_sound_and_the_others_named(path)
+        check_frames_and_skipped(path)
     except RoomLightError as error:
         refusal = error
     assert refusal is None or str(path) in str(refusal)
-    assert time.monotonic() - started < LIMIT_S
 
 
-def frames_are_sound_and_the_others_named(path: Path) -> None:
+def check_frames_and_skipped(path: Path) -> None:
     capture = open_capture(path)
     frames = 0
     for frame in capture:
