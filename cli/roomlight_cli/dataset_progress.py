@@ -11,7 +11,7 @@ from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
 from rich.progress import Progress as Bars
 
-from roomlight_generator.generate import Progress
+from roomlight_generator.generate import GenerationProgress
 
 LINE_EVERY_S: Final = 30.0
 """Seconds between plain lines: the log of a night has 1,000 of them."""
@@ -44,10 +44,10 @@ class ProgressDisplay:
         if self._bars:
             self._bars.stop()
 
-    def __call__(self, progress: Progress) -> None:
+    def __call__(self, progress: GenerationProgress) -> None:
         """Show the run's state."""
-        if progress.news:
-            self._console.print(f"[yellow]note:[/] {escape(progress.news)}", soft_wrap=True)
+        if progress.note:
+            self._console.print(f"[yellow]note:[/] {escape(progress.note)}", soft_wrap=True)
         if self._bars and self._task is not None:
             self._bars.update(self._task, total=progress.wanted, completed=progress.finished, more=describe(progress))
             return
@@ -58,7 +58,7 @@ class ProgressDisplay:
             self._console.print(line, soft_wrap=True, markup=False)
 
 
-def describe(progress: Progress) -> str:
+def describe(progress: GenerationProgress) -> str:
     """Return size, rate, time left and cost, as far as they are known."""
     parts = [f"{progress.bytes / 1e6:.0f} MB"]
     if progress.per_hour is not None and progress.left_s is not None:

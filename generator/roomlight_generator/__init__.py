@@ -1,1 +1,1 @@
-"""Generates training data: furnished rooms, their light, and recordings of camera walks through them."""
+"""Generator of training data: furnished rooms, their light, and recordings of camera walks through them."""

@@ -1,4 +1,4 @@
-"""The furniture's digest: which models a dataset was made with."""
+"""The furniture's digest, which identifies the models with which a dataset was made."""
 
 import hashlib
 from pathlib import Path
@@ -8,10 +8,12 @@ from roomlight_generator.rooms.furniture.catalogue import installed_libraries, n
 
 
 def digest(furniture: Path | None) -> str | None:
-    """SHA-256 of the furniture: of a file, or of all files of a folder with their names.
+    """Return the SHA-256 of the furniture: of a file, or of all files of a folder with their names.
 
-    Without a path, of what `rooms.furniture.load_catalogue` would take, and None where that is nothing. DatasetError
-    where there is no such file or it cannot be read.
+    Without a path, of the library that `rooms.furniture.load_catalogue` would load, or None if there is none.
+
+    Raises:
+        DatasetError: if the file does not exist, the folder holds no file, or they cannot be read.
     """
     root = furniture if furniture is not None else named_library()
     try:

@@ -1,7 +1,7 @@
-"""Generates a dataset with a process a core: hands out shards, counts what comes back, starts again what dies.
+"""Generate a dataset with a process a core: assign shards to workers, count what they finish, replace those that die.
 
 The bytes of a dataset depend on its settings alone: not on how many workers there were, how often they were killed,
-or in how many runs it grew. Each worker writes its shard itself; nothing but counts goes through this process.
+or in how many runs it grew. Each worker writes its shard itself; only counts pass through this process.
 """
 
 import os
@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from roomlight.dataset.folder import FRAMES, Settings, begin, locked, prepare, sequence_name, shards_of
 from roomlight.dataset.recording import Split
@@ -18,20 +18,28 @@ from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
 from roomlight_generator.furniture_digest import digest
 from roomlight_generator.worker import ShardTask
-from roomlight_generator.worker_pool import work_through
+from roomlight_generator.worker_pool import Message, WorkerPool
 
 RENDERER: Final = "roomlight_generator.sequences.render:render_room"
 
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """What to generate. More sequences than a folder has continue it; everything else must be as it was made.
+    """What to generate.
+
+    To continue a dataset, `sequences` may grow; the other options must be those that it was made with.
 
     sequences:           in the split, in all.
-    shard_size:          sequences a file: 16 are 40 MB, so that a worker is never long without news.
+    seed:                of all random numbers of the dataset.
+    split:               train or test.
+    shard_size:          sequences a file: 16 are 40 MB.
     sequences_per_room:  walks through one room, which share its light's solution.
     frames:              in each sequence; 1 makes single views, of which an hour gives four times as many.
     furniture:           a furniture library or cache to use instead of the installed one.
+    renderer:            `module:function` that renders a room's recordings (`worker.RenderRoom`).
+
+    Raises:
+        DatasetError: if an option is out of range, or a shard does not hold whole rooms.
     """
 
     sequences: int
@@ -44,7 +52,7 @@ class GenerateOptions:
     renderer: str = RENDERER
 
     def __post_init__(self) -> None:
-        """DatasetError for numbers that make no dataset."""
+        """Check the ranges."""
         if min(self.sequences, self.shard_size, self.sequences_per_room, self.frames) < 1 or self.seed < 0:
             raise DatasetError(
                 f"{self.sequences} sequences, {self.shard_size} a shard, {self.sequences_per_room} a room, "
@@ -58,8 +66,11 @@ class GenerateOptions:
 
 
 @dataclass(frozen=True)
-class Progress:
-    """Where a run stands. finished counts from earlier runs too, made only this run's; `news` is worth a line."""
+class GenerationProgress:
+    """The state of a run: sequences wanted, finished (in earlier runs too) and made (in this run), bytes of all.
+
+    core_s is the processor time of those made; note is a message to show, if any.
+    """
 
     wanted: int
     finished: int
@@ -67,22 +78,28 @@ class Progress:
     bytes: int
     core_s: float
     elapsed_s: float
-    news: str | None = None
+    note: str | None = None
 
     @property
     def per_hour(self) -> float | None:
-        """Sequences an hour in this run, once there is one."""
+        """Sequences an hour in this run; None before the first."""
         return 3600 * self.made / self.elapsed_s if self.made and self.elapsed_s > 0 else None
 
     @property
     def left_s(self) -> float | None:
-        """Seconds to go at this rate."""
+        """Seconds left at this rate; None before the first sequence."""
         return None if self.per_hour is None else (self.wanted - self.finished) * 3600 / self.per_hour
+
+
+ProgressCallback = Callable[[GenerationProgress], None]
 
 
 @dataclass(frozen=True)
 class GenerateReport:
-    """A run that reached its end. core_s: processor seconds of each sequence made, in the order they were finished."""
+    """A finished run: sequences in the split, those made in this run, bytes of all.
+
+    core_s is the processor time of each sequence made, in the order in which they were finished.
+    """
 
     sequences: int
     made: int
@@ -96,13 +113,16 @@ def generate(
     options: GenerateOptions,
     *,
     workers: int | None = None,
-    progress: Callable[[Progress], None] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> GenerateReport:
-    """Make the folder `out` a dataset with so many sequences, or go on with one; `workers` None is a process a core.
+    """Make a dataset in the folder `out`, or continue the one there; `workers` None is a process a core.
 
-    OutputError where the folder is foreign, locked by another or cannot be written; DatasetError where it was made
-    with other settings, a shard to go on with is damaged, or a room cannot be made. Whatever ends it, finished
-    sequences stay, and the same call goes on.
+    However the call ends, finished sequences stay, and the same call continues.
+
+    Raises:
+        OutputError: if the folder holds other files, is locked by another process or cannot be written.
+        DatasetError: if the dataset was made with other settings, a shard to continue is damaged, or a room cannot be
+            made.
     """
     prepare(out)
     settings = Settings(
@@ -124,11 +144,11 @@ def generate(
             for tar, numbers in shards.items()
             if not is_finished(tar, _names(options.split, numbers))
         )
-        run = _Run(options.sequences, *_count(shards, options.split), progress or (lambda _: None))
-        run.tell()
-        work_through(todo, workers=workers or len(os.sched_getaffinity(0)), hear=run.hear)
+        counts = _RunCounts(options.sequences, *_count(shards, options.split), progress or (lambda _: None))
+        counts.report()
+        WorkerPool(workers or len(os.sched_getaffinity(0)), on_message=counts.add).run(todo)
         finished, size = _count(shards, options.split)
-    return GenerateReport(finished, len(run.core_s), size, run.elapsed_s, tuple(run.core_s))
+    return GenerateReport(finished, len(counts.core_s), size, counts.elapsed_s, tuple(counts.core_s))
 
 
 def _names(split: str, numbers: range) -> set[str]:
@@ -136,7 +156,7 @@ def _names(split: str, numbers: range) -> set[str]:
 
 
 def _count(shards: dict[Path, range], split: str) -> tuple[int, int]:
-    """How many sequences are finished, and their bytes."""
+    """Count the finished sequences and their bytes."""
     lengths = [
         entry.length
         for tar, numbers in shards.items()
@@ -160,10 +180,10 @@ def _task(tar: Path, numbers: range, options: GenerateOptions) -> ShardTask:
     )
 
 
-class _Run:
-    """The counts."""
+class _RunCounts:
+    """Counts the messages of the workers and reports progress."""
 
-    def __init__(self, wanted: int, finished: int, size: int, progress: Callable[[Progress], None]) -> None:
+    def __init__(self, wanted: int, finished: int, size: int, progress: ProgressCallback) -> None:
         self._wanted, self._finished, self._bytes = wanted, finished, size
         self._progress = progress
         self._start = time.monotonic()
@@ -173,17 +193,18 @@ class _Run:
     def elapsed_s(self) -> float:
         return time.monotonic() - self._start
 
-    def hear(self, message: dict[str, Any]) -> None:
+    def add(self, message: Message) -> None:
         if message["what"] == "sequence":
             self._finished += 1
             self._bytes += message["bytes"]
             self.core_s.append(message["core_s"])
-            self.tell()
+            self.report()
         else:
-            self.tell(message["text"])
+            self.report(message["text"])
 
-    def tell(self, news: str | None = None) -> None:
+    def report(self, note: str | None = None) -> None:
         made = len(self.core_s)
+        core_s = sum(self.core_s, 0.0)
         self._progress(
-            Progress(self._wanted, self._finished, made, self._bytes, sum(self.core_s, 0.0), self.elapsed_s, news)
+            GenerationProgress(self._wanted, self._finished, made, self._bytes, core_s, self.elapsed_s, note)
         )

@@ -1,6 +1,6 @@
 """The sample capture that RoomLight ships: one sequence of the generator, with procedural furniture alone.
 
-Without the furniture library, so that anyone makes the same files, and nobody needs to be credited in them.
+Without the furniture library, so that anyone makes the same files, and no furniture author must be credited.
 """
 
 from dataclasses import replace
@@ -16,17 +16,19 @@ from roomlight_generator.sequences.render import plan_camera_path, render_sequen
 
 ROOM: Final = 6
 WALK: Final = 1
-"""What is shipped was chosen by eye: at night, a lamp leaves the view and comes back, another enters it."""
+"""Chosen by eye: at night, a lamp leaves the view and comes back, another enters it."""
 SEED: Final = 9
 
 
 def generate_sample(out: Path, *, seed: int = SEED, room: int = ROOM, walk: int = WALK) -> None:
     """Write one sequence as a capture folder; the same arguments give the same files.
 
-    OutputError where `out` holds something already or cannot be written; ValueError where the room has no walk.
+    Raises:
+        OutputError: if `out` holds files already or cannot be written.
+        ValueError: if no walk through the room is found.
     """
     catalogue = Catalogue().with_procedural(procedural_models("train"))
-    stage = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
+    lit_room = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
     rng = room_generator(room, seed=seed, split="train", purpose=1 + walk)
-    recording = render_sequence(stage, plan_camera_path(stage, rng), rng, name="sample room")
+    recording = render_sequence(lit_room, plan_camera_path(lit_room, rng), rng, name="sample room")
     write_capture(encode(replace(recording, name="sample room")), out)

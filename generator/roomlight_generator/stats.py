@@ -1,7 +1,7 @@
-"""What a dataset is like, measured: motion, range, exposure, coverage, and what its rooms hold.
+"""Statistics of a dataset: motion, dynamic range, exposure, coverage, and what its rooms hold.
 
 Luminance is Rec. 709 in units of the first frame's white; steps are from frame to frame; coverage is the share of a
-probe's sphere in which some frame saw a surface.
+probe's sphere in which some frame saw a surface. World frame: y up, metres.
 """
 
 from collections import Counter
@@ -22,16 +22,19 @@ from roomlight.frame import CLIPPED_SRGB8
 
 _LUMA: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _DARK: Final = 1e-4
-"""A median below this of white is taken as this: 13 stops below white nothing is told apart any more."""
+"""Least median luminance: darker ones count as this, 13 stops below white, where 8 bits resolve nothing."""
 _CELLS: Final = 30
-"""Rows of cells of 6 degrees that coverage is counted in, and `_STRIDE` the step between pixels: a surface at a
-probe's height stays closed up to a sixth of the camera's distance."""
+"""Rows of cells, 6 degrees each, in which coverage is counted."""
 _STRIDE: Final = 4
+"""Step between the depth pixels that are projected.
+
+A surface whose distance to the probe is at least a sixth of that to the camera has no gaps.
+"""
 
 
 @dataclass(frozen=True)
 class Spread:
-    """Of many values: their mean, standard deviation, and 5th, 50th and 95th percentile; zeros of none."""
+    """Mean, standard deviation, and 5th, 50th and 95th percentile of values; zeros without values."""
 
     mean: float
     deviation: float
@@ -41,7 +44,7 @@ class Spread:
 
     @classmethod
     def of(cls, values: Sequence[float] | Float[np.ndarray, " n"]) -> "Spread":
-        """Of these values."""
+        """Summarise values."""
         array = np.asarray(values, np.float64)
         if not array.size:
             return cls(0.0, 0.0, 0.0, 0.0, 0.0)
@@ -51,7 +54,7 @@ class Spread:
 
 @dataclass(frozen=True, eq=False)
 class SequenceStats:
-    """One sequence's measures; lists have a value a step, a frame or a probe."""
+    """One sequence's measures; lists have a value for each step, frame or probe."""
 
     name: str
     steps_m: list[float]
@@ -72,7 +75,7 @@ class SequenceStats:
 
 @dataclass(frozen=True, eq=False)
 class DatasetStats:
-    """`spreads` by measure, over all steps, frames or probes of all sequences; `counts` by kind, over rooms."""
+    """`spreads` by measure over all steps, frames or probes of all sequences; `counts` by kind over rooms."""
 
     sequences: int
     rooms: int
@@ -82,15 +85,15 @@ class DatasetStats:
     probes_at_half_limit: int
 
     def to_json(self) -> dict[str, Any]:
-        """Plain values."""
+        """Return plain values for JSON."""
         return {**vars(self), "spreads": {name: vars(spread) for name, spread in self.spreads.items()}}
 
 
 def measure(recording: Recording, sizes: dict[str, int]) -> SequenceStats:
-    """The measures of one sequence; `sizes` are its bytes by part."""
+    """Measure one sequence; `sizes` are its bytes by part."""
     poses = recording.camera_to_world
-    turns = np.einsum("fji,fjk->fik", poses[:-1, :3, :3], poses[1:, :3, :3])
-    cosines = (np.trace(turns, axis1=1, axis2=2) - 1) / 2
+    rotations = np.einsum("fji,fjk->fik", poses[:-1, :3, :3], poses[1:, :3, :3])
+    cosines = (np.trace(rotations, axis1=1, axis2=2) - 1) / 2
     depth_m = recording.depth_mm.astype(np.float32) / 1000
     luminance = recording.probe_panoramas @ _LUMA
     medians = np.maximum(np.median(luminance, axis=(1, 2)), _DARK)
@@ -117,9 +120,9 @@ def measure(recording: Recording, sizes: dict[str, int]) -> SequenceStats:
 
 
 def coverage(recording: Recording, position: Float[np.ndarray, "3"]) -> tuple[float, float]:
-    """The share of the sphere around a probe (world, metres) that the first frame saw, and that all frames did.
+    """Return the shares of the sphere around a probe (world, metres) seen by the first frame, and by all frames.
 
-    Depth pixels are projected into cells of 6 degrees. What hides behind something nearer counts too: it was seen.
+    Depth pixels are projected into cells of 6 degrees. A surface that another one hides from the probe counts too.
     """
     weights = np.broadcast_to(panorama_solid_angles(_CELLS), (_CELLS, 2 * _CELLS)) / (4 * np.pi)
     rays = recording.intrinsics.rays()[::_STRIDE, ::_STRIDE]
@@ -145,7 +148,11 @@ def collect(
     workers: int = 2,
     progress: Callable[[int, int], None] | None = None,
 ) -> DatasetStats:
-    """Read and measure a dataset, or `limit` sequences spread evenly over it; damaged ones raise DatasetError."""
+    """Read and measure a dataset, or `limit` sequences spread evenly over it.
+
+    Raises:
+        DatasetError: if a sequence is damaged.
+    """
     count = len(dataset) if limit is None else min(limit, len(dataset))
     numbers = sorted({round(k) for k in np.linspace(0, len(dataset) - 1, count).tolist()}) if count else []
 
@@ -165,7 +172,7 @@ def collect(
 
 
 def summarise(measured: Sequence[SequenceStats]) -> DatasetStats:
-    """Measures of many sequences in one; rooms that several sequences walk through are counted once."""
+    """Combine the measures of many sequences; rooms that several sequences walk through are counted once."""
     rooms = {_room_of(stats): stats.facts for stats in measured}
     lights = [light for facts in rooms.values() if isinstance(light := facts.get("light"), dict)]
     sources = [source for light in lights for source in light.get("sources", ())]
@@ -202,7 +209,7 @@ def summarise(measured: Sequence[SequenceStats]) -> DatasetStats:
 
 
 def _room_of(stats: SequenceStats) -> tuple[object, ...]:
-    """What tells rooms apart; a sequence that does not say is a room of its own."""
+    """Return a room's identity; a sequence whose facts do not name one is a room of its own."""
     made = stats.facts.get("made")
     return (made["split"], made["room"], made["attempt"]) if isinstance(made, dict) else (stats.name,)
 

@@ -1,8 +1,7 @@
 """A process that makes shards: `python -m roomlight_generator.worker`, started by `generate`.
 
-Tasks come in on standard input and messages go out on standard output, one JSON object a line. When the input ends,
-which it does when the parent is gone for whatever reason, the process ends in the midst of its work: what it was
-writing is cut off by the next writer of that shard.
+It reads tasks from standard input and writes messages to standard output, one JSON object a line. When the input ends,
+also because the parent died, the process exits at once: the next writer of its shard truncates an unfinished sequence.
 """
 
 import json
@@ -29,23 +28,23 @@ from roomlight.dataset.shards import ShardWriter
 from roomlight.errors import DatasetError, RoomLightError
 
 ATTEMPTS: Final = 3
-"""Rooms drawn for one room number before it is given up."""
+"""Rooms drawn for one room index before the run fails."""
 
 
-@runtime_checkable  # so that a checker of annotations can look at it in the test run
+@runtime_checkable  # so that annotations can be checked in the test run
 class RenderRoom(Protocol):
-    """What makes the recordings of a room: `dataset.room_sequences.render_room`, or a test's stand-in."""
+    """A function that renders the recordings of a room: `sequences.render.render_room`, or a test's stand-in."""
 
     def __call__(
         self, room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
     ) -> Iterator[Recording]:
-        """`count` walks of so many frames through the room of this number, one by one."""
+        """Yield the recordings of `count` walks, of so many frames each, through the room of this index."""
         ...
 
 
 @dataclass(frozen=True)
 class ShardTask:
-    """One shard to make or to go on with: sequences `first` to `last` - 1 of a split, into `tar`."""
+    """A shard to make or to continue: sequences `first` to `last` - 1 of a split, written to `tar`."""
 
     tar: str
     split: Split
@@ -62,9 +61,11 @@ Emit = Callable[[dict[str, Any]], None]
 
 
 def make_shard(task: ShardTask, render: RenderRoom, emit: Emit) -> None:
-    """Make what the shard does not have yet. Every sequence is reported when it is on the disk.
+    """Make the sequences that the shard does not hold yet; emits a message when each is on the disk.
 
-    DatasetError where a room cannot be made or the shard is damaged; OutputError where it cannot be written.
+    Raises:
+        DatasetError: if a room cannot be made or the shard is damaged.
+        OutputError: if the shard cannot be written.
     """
     per_room = task.sequences_per_room
     with ShardWriter(Path(task.tar)) as shard:
@@ -82,11 +83,11 @@ def make_shard(task: ShardTask, render: RenderRoom, emit: Emit) -> None:
 
 
 def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emit: Emit) -> Iterator[tuple[int, bytes]]:
-    """The missing walks of a room, packed, in order.
+    """Yield the missing walks of a room, packed, in order.
 
-    Where a room fails, the next attempt's takes over from the walk it failed at: which sequences are of which attempt
-    depends on the room alone, not on what was there already. The seed of an attempt after the first is drawn from the
-    seed and the attempt's number.
+    If a room fails at some walk, the next attempt's room provides that walk and the following: which attempt a sequence
+    comes from depends on the room alone, not on what the shard held already. Attempts after the first have a seed drawn
+    from the seed and the attempt's number.
     """
     furniture = None if task.furniture is None else Path(task.furniture)
     done = 0
@@ -135,25 +136,25 @@ def _attempt_seed(seed: int, attempt: int) -> int:
 
 
 def find_renderer(name: str) -> RenderRoom:
-    """The function of `module:function`."""
+    """Import the function named `module:function`."""
     module, _, function = name.partition(":")
     return getattr(import_module(module), function)
 
 
 def _one_thread() -> None:
-    """The parent starts a process a core; its environment holds the other libraries to one thread."""
+    """Limit OpenCV to one thread; the environment that the parent sets limits the other libraries."""
     cv2.setNumThreads(1)
 
 
 def main() -> None:
-    """Make the shards asked for on standard input until it ends."""
-    # what libraries print must not get between the messages
+    """Make the shards requested on standard input until it ends."""
+    # Messages get a descriptor of their own: libraries print to standard output too.
     messages = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
     _one_thread()
     tasks: queue.Queue[str] = queue.Queue()
 
-    def listen() -> None:
+    def read_tasks() -> None:
         for line in sys.stdin:
             tasks.put(line)
         os._exit(0)
@@ -162,7 +163,7 @@ def main() -> None:
         messages.write(json.dumps(message) + "\n")
         messages.flush()
 
-    threading.Thread(target=listen, daemon=True).start()
+    threading.Thread(target=read_tasks, daemon=True).start()
     while True:
         task = ShardTask(**json.loads(tasks.get()))
         try:

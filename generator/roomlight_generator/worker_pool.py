@@ -1,7 +1,7 @@
-"""The worker processes of a run: each is given one shard after the other; one that dies is replaced.
+"""The worker processes of a run: each is assigned one shard after the other; one that dies is replaced.
 
-They are plain child processes that speak JSON lines (`worker`), not a process pool of the library: a pool is lost
-whole when one of its processes is killed for memory, and imports the parent's script into each.
+They are plain child processes that exchange JSON lines with this one (`worker`), not a `concurrent.futures` pool: such
+a pool breaks when one of its processes is killed for lack of memory, and imports the parent's script into each.
 """
 
 import json
@@ -20,7 +20,7 @@ from roomlight.errors import DatasetError
 from roomlight_generator.worker import ShardTask
 
 DEATHS: Final = 3
-"""Of workers at one shard, with no sequence finished in between, after which the run is given up."""
+"""Worker deaths at one shard, with no sequence finished in between, after which the run fails."""
 
 _ONE_THREAD: Final = dict.fromkeys(
     ("ROOMLIGHT_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
@@ -28,61 +28,73 @@ _ONE_THREAD: Final = dict.fromkeys(
 """A process a core, so a thread a process."""
 
 _GRACE_S: Final = 20.0
+"""How long a worker that closed its output may take to exit before it is killed."""
 
 Message = dict[str, Any]
 
 
-def work_through(todo: deque[ShardTask], *, workers: int, hear: Callable[[Message], None]) -> None:
-    """Have every task done; `hear` gets the messages about sequences, and notes as they come.
+class WorkerPool:
+    """Up to `size` workers; on_message gets the messages about finished sequences, and notes."""
 
-    Raises what a worker failed with, and DatasetError where workers keep dying; no worker is left when this returns
-    or raises, KeyboardInterrupt included.
-    """
-    heard: queue.Queue[tuple[_Worker, Message | None]] = queue.Queue()
-    crew: set[_Worker] = set()
-    deaths: dict[str, int] = {}
+    def __init__(self, size: int, *, on_message: Callable[[Message], None]) -> None:
+        self._size = size
+        self._on_message = on_message
+        self._inbox: queue.Queue[tuple[_Worker, Message | None]] = queue.Queue()
+        self._workers: set[_Worker] = set()
+        self._deaths: dict[str, int] = {}
 
-    def start() -> None:
-        worker = _Worker(heard)
-        crew.add(worker)
-        worker.give(todo.popleft())
+    def run(self, tasks: deque[ShardTask]) -> None:
+        """Run all tasks; no worker is left when this returns or raises, KeyboardInterrupt included.
 
-    try:
-        for _ in range(min(workers, len(todo))):
-            start()
-        while crew:
-            worker, message = heard.get()
-            task = worker.task
-            if message is None:
-                crew.discard(worker)
-                ending = worker.bury()
-                if task is None:
-                    continue
-                deaths[task.tar] = deaths.get(task.tar, 0) + 1
-                hear({"what": "note", "text": f"a worker died ({ending}) making {task.tar}; another goes on with it"})
-                if deaths[task.tar] >= DEATHS:
-                    raise DatasetError(
-                        f"{task.tar}: {DEATHS} workers in a row died making it, the last by {ending}. Signal 9 is "
-                        "mostly the system short of memory: give fewer --workers; what is finished stays"
-                    )
-                todo.appendleft(task)
-                start()
-            elif message["what"] == "shard":
-                if todo:
-                    worker.give(todo.popleft())
+        Raises:
+            RoomLightError: the error with which a worker failed, of its own class.
+            DatasetError: if workers keep dying at one shard.
+            RuntimeError: if a worker failed with an unexpected error; the message holds its traceback.
+        """
+        try:
+            for _ in range(min(self._size, len(tasks))):
+                self._start(tasks)
+            while self._workers:
+                worker, message = self._inbox.get()
+                task = worker.task
+                if message is None:
+                    self._workers.discard(worker)
+                    ending = worker.reap()
+                    if task is not None:
+                        self._count_death(task, ending)
+                        tasks.appendleft(task)
+                        self._start(tasks)
+                elif message["what"] == "shard":
+                    if tasks:
+                        worker.assign(tasks.popleft())
+                    else:
+                        worker.dismiss()
+                elif message["what"] == "failed":
+                    raise _error(message)
                 else:
-                    worker.dismiss()
-            elif message["what"] == "failed":
-                raise _error(message)
-            else:
-                if message["what"] == "sequence" and task is not None:
-                    deaths.pop(task.tar, None)
-                hear(message)
-    finally:
-        for worker in crew:
-            worker.kill()
-        for worker in crew:
-            worker.bury()
+                    if message["what"] == "sequence" and task is not None:
+                        self._deaths.pop(task.tar, None)
+                    self._on_message(message)
+        finally:
+            for worker in self._workers:
+                worker.kill()
+            for worker in self._workers:
+                worker.reap()
+
+    def _start(self, tasks: deque[ShardTask]) -> None:
+        worker = _Worker(self._inbox)
+        self._workers.add(worker)
+        worker.assign(tasks.popleft())
+
+    def _count_death(self, task: ShardTask, ending: str) -> None:
+        self._deaths[task.tar] = self._deaths.get(task.tar, 0) + 1
+        text = f"a worker died ({ending}) making {task.tar}; another goes on with it"
+        self._on_message({"what": "note", "text": text})
+        if self._deaths[task.tar] >= DEATHS:
+            raise DatasetError(
+                f"{task.tar}: {DEATHS} workers in a row died making it, the last by {ending}. Signal 9 is "
+                "mostly the system short of memory: give fewer --workers; what is finished stays"
+            )
 
 
 def _error(message: Message) -> Exception:
@@ -93,12 +105,12 @@ def _error(message: Message) -> Exception:
 
 
 class _Worker:
-    """A worker's process; what it says is put on `heard` as (worker, message), and (worker, None) at its end."""
+    """A worker's process; its messages are put on `inbox` as (worker, message), and (worker, None) at its end."""
 
-    def __init__(self, heard: "queue.Queue[tuple[_Worker, Message | None]]") -> None:
+    def __init__(self, inbox: "queue.Queue[tuple[_Worker, Message | None]]") -> None:
         self.task: ShardTask | None = None
-        self._said: deque[str] = deque(maxlen=20)
-        # it must find the modules that this process finds, however it was told of them
+        self._last_lines: deque[str] = deque(maxlen=20)
+        # The worker must find the same modules as this process.
         path = os.pathsep.join(entry or os.curdir for entry in sys.path)
         self._process = subprocess.Popen(
             [sys.executable, "-P", "-m", "roomlight_generator.worker"],
@@ -108,39 +120,39 @@ class _Worker:
             encoding="utf-8",
             errors="replace",
             env={**os.environ, **_ONE_THREAD, "PYTHONPATH": path},
-            process_group=0,  # Ctrl-C is for this process, which then ends the workers
+            process_group=0,  # Ctrl-C goes to this process alone, which then ends the workers
         )
         self._threads = [
-            threading.Thread(target=self._listen, args=(heard,), daemon=True),
-            threading.Thread(target=self._overhear, daemon=True),
+            threading.Thread(target=self._read_messages, args=(inbox,), daemon=True),
+            threading.Thread(target=self._read_errors, daemon=True),
         ]
         for thread in self._threads:
             thread.start()
 
-    def give(self, task: ShardTask) -> None:
-        """A shard to make."""
+    def assign(self, task: ShardTask) -> None:
+        """Send the worker a shard to make."""
         self.task = task
         assert self._process.stdin is not None
-        with suppress(BrokenPipeError):  # it died just now: its end is on its way through `heard`
+        with suppress(BrokenPipeError):  # it just died, which `inbox` will report
             self._process.stdin.write(json.dumps(vars(task)) + "\n")
             self._process.stdin.flush()
 
     def dismiss(self) -> None:
-        """Nothing more to do: it ends by itself."""
+        """Close the worker's input, upon which it exits."""
         self.task = None
         assert self._process.stdin is not None
         with suppress(BrokenPipeError):
             self._process.stdin.close()
 
     def kill(self) -> None:
-        """End it where it is."""
+        """Kill the process."""
         self._process.kill()
 
-    def bury(self) -> str:
-        """Wait until it is gone, which it is about to; how it ended, for a message."""
+    def reap(self) -> str:
+        """Wait for the process, which is exiting, and return how it ended, for a message."""
         try:
             code = self._process.wait(_GRACE_S)
-        except subprocess.TimeoutExpired:  # it closed its output and lives on
+        except subprocess.TimeoutExpired:  # it closed its output and still runs
             self._process.kill()
             code = self._process.wait()
         for thread in self._threads:
@@ -149,18 +161,19 @@ class _Worker:
             if stream is not None:
                 with suppress(BrokenPipeError):
                     stream.close()
-        return f"signal {-code}" if code < 0 else f"exit code {code}" + (f": {self._said[-1]}" if self._said else "")
+        last = f": {self._last_lines[-1]}" if self._last_lines else ""
+        return f"signal {-code}" if code < 0 else f"exit code {code}{last}"
 
-    def _listen(self, heard: "queue.Queue[tuple[_Worker, Message | None]]") -> None:
+    def _read_messages(self, inbox: "queue.Queue[tuple[_Worker, Message | None]]") -> None:
         assert self._process.stdout is not None
         for line in self._process.stdout:
-            with suppress(ValueError):  # a torn last line of one that was killed
-                heard.put((self, json.loads(line)))
-        heard.put((self, None))
+            with suppress(ValueError):  # the torn last line of a killed worker
+                inbox.put((self, json.loads(line)))
+        inbox.put((self, None))
 
-    def _overhear(self) -> None:
-        """Keep the last lines of what libraries and a dying interpreter print."""
+    def _read_errors(self) -> None:
+        """Keep the last lines that libraries and a dying interpreter print."""
         assert self._process.stderr is not None
         for line in self._process.stderr:
             if line.strip():
-                self._said.append(line.strip())
+                self._last_lines.append(line.strip())

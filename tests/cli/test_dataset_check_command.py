@@ -9,7 +9,7 @@ from rich.console import Console
 from roomlight.errors import DatasetError
 from roomlight_cli import dataset_check
 from roomlight_cli.dataset_check import check, compose_check, print_check
-from roomlight_generator.sequences.surface_kinds import Kinds
+from roomlight_generator.sequences.surface_kinds import SurfaceKinds
 from roomlight_generator.verification.check import CheckReport, ProbeDeviation, RoomCheck, SurfaceDeviation, View
 from roomlight_generator.verification.deviation import Deviation
 
@@ -26,7 +26,7 @@ def room(name: str, mean: float, probe: float, *, coated: bool = True, noise: fl
     everywhere = np.ones((30, 40), bool)
     return RoomCheck(
         name=name, about="study, night: floor_lamp", solve_s=1.5, frame=view(30, 40, 1.3), panorama=view(16, 32, 0.7),
-        kinds=Kinds(everywhere, ~everywhere), diffuse=surface, coated=surface if coated else None,
+        kinds=SurfaceKinds(everywhere, ~everywhere), diffuse=surface, coated=surface if coated else None,
         probe=ProbeDeviation(probe, 0.002, 0.01, 0.003), paths=5000, points_s=10.0,
     )  # fmt: skip
 

@@ -18,7 +18,7 @@ from roomlight.dataset.shards import read_index
 from roomlight_cli import main as cli
 from roomlight_cli.dataset_progress import ProgressShown, costs, duration
 from roomlight_generator import generate
-from roomlight_generator.generate import Progress
+from roomlight_generator.generate import GenerationProgress
 
 SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--frames", "4", "--workers", "1")
 STUBBED = f"""
@@ -172,9 +172,9 @@ def told(*, terminal, width=120):
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=terminal, width=width, highlight=False)
     with ProgressShown(console, line_every_s=1e9) as shown:
-        shown(Progress(10, 2, 0, 5_000_000, 0.0, 0.0))
-        shown(Progress(10, 3, 1, 8_000_000, 11.0, 6.0, "a [worker] died"))
-        shown(Progress(10, 10, 8, 30_000_000, 96.0, 48.0))
+        shown(GenerationProgress(10, 2, 0, 5_000_000, 0.0, 0.0))
+        shown(GenerationProgress(10, 3, 1, 8_000_000, 11.0, 6.0, "a [worker] died"))
+        shown(GenerationProgress(10, 10, 8, 30_000_000, 96.0, 48.0))
     return stream.getvalue()
 
 

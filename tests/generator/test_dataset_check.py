@@ -1,4 +1,4 @@
-"""The check's own arithmetic, and one small room through both renderers."""
+"""The check's own arithmetic, and one small room by both renderers."""
 
 from dataclasses import replace
 
@@ -48,7 +48,7 @@ def scene(meshes: list[Mesh]) -> Scene:
     return Scene(tuple(Item(str(k), "wall", mesh) for k, mesh in enumerate(meshes)), (), DARK)
 
 
-def test_equal_light_deviates_by_nothing_and_a_factor_by_itself() -> None:
+def test_equal_light_has_no_deviation_and_a_factor_its_own() -> None:
     truth = np.random.default_rng(0).uniform(0.5, 2, (50, 3))
     same = deviation(truth, np.stack([truth, truth]))
     assert (same.points, same.mean, same.median, same.noise) == (50, 0, 0, 0)
@@ -58,7 +58,7 @@ def test_equal_light_deviates_by_nothing_and_a_factor_by_itself() -> None:
     assert brighter.less_noise == pytest.approx(0.1)
 
 
-def test_noise_of_the_reference_is_told_apart() -> None:
+def test_noise_of_the_reference_is_separated() -> None:
     """A reference of 10 % noise in each half: of their mean 7.1 %, whose mean size is 5.6 %."""
     rng = np.random.default_rng(1)
     truth = np.ones((20_000, 3))
@@ -68,13 +68,13 @@ def test_noise_of_the_reference_is_told_apart() -> None:
     assert found.mean == pytest.approx(found.noise, rel=0.03)
     shifted = deviation(1.1 * truth, halves)
     assert shifted.less_noise == pytest.approx(0.1, rel=0.1)
-    assert found.rms < 0.02  # of 20,000 points: 0.9 % is one sigma of luck
+    assert found.rms < 0.02  # of 20,000 points: one standard deviation is 0.9 %
     # Exact but for the noise of what it is divided by, which at 7 % adds an eighth.
     assert shifted.rms == pytest.approx(0.1125, rel=0.02)
     assert deviation(1.1 * truth, 1 + 0.2 * (halves - 1)).rms == pytest.approx(0.1, rel=0.01)
 
 
-def test_a_black_point_does_not_count_endlessly() -> None:
+def test_a_black_points_error_is_bounded() -> None:
     halves = np.ones((2, 100, 3))
     halves[:, 0] = 0
     found = deviation(np.ones((100, 3)), halves)
@@ -105,7 +105,7 @@ def test_irradiance_under_an_even_sky_is_pi_for_all_26_normals() -> None:
                                [np.pi, 0, np.pi / 2], atol=5e-3)  # fmt: skip
 
 
-def test_pixels_are_told_apart_by_what_they_show() -> None:
+def test_pixels_are_classified_by_surface() -> None:
     tracer = Tracer(scene(box_room()))
     kinds = surface_kinds(tracer, CAMERA, pose(0, 1.2, 1.2))
     rows, columns = np.mgrid[:32, :40]
@@ -124,7 +124,7 @@ def test_pixels_are_told_apart_by_what_they_show() -> None:
     assert not (kinds.diffuse | kinds.coated)[edge & inside].any()
 
 
-def test_lights_and_the_open_are_no_surfaces() -> None:
+def test_lights_and_the_sky_are_not_classified() -> None:
     panel = with_material(
         rectangle((-3, -3, -2), (6, 0, 0), (0, 6, 0), step=7), Material("panel", emission=(1.0, 1.0, 1.0))
     )
@@ -134,7 +134,7 @@ def test_lights_and_the_open_are_no_surfaces() -> None:
     assert not surface_kinds(Tracer(scene([panel])), CAMERA, away).diffuse.any()
 
 
-def test_panes_are_taken_out_also_where_they_share_a_mesh() -> None:
+def test_panes_are_removed_also_from_shared_meshes() -> None:
     pane = with_material(rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0), step=2), Material("pane", glass=True))
     frame = with_material(rectangle((1, 0, 0), (1, 0, 0), (0, 1, 0), step=2), WHITE)
     whole = scene([frame, pane, Mesh.joined([frame, pane])])
@@ -155,7 +155,7 @@ def test_both_renderers_agree_in_a_small_room() -> None:
     # A frame so small has cells 15 cm wide; with 1,000 paths a block, 7 to 8 % were measured.
     assert room.diffuse.blocks.less_noise < 0.13
     assert room.coated.blocks.less_noise < 0.16
-    # 16 paths a pixel and both variants' luck: 6 %.
+    # With 16 paths a pixel, 6 % were measured with either variant.
     assert abs(room.diffuse.bias) < 0.1
     # Of 48 x 96 pixels, 8 paths each, the sum is known to 1 %.
     assert room.probe.irradiance < 0.06
@@ -169,7 +169,7 @@ def test_both_renderers_agree_in_a_small_room() -> None:
     assert one.pixels.mean == pytest.approx(room.coated.pixels.mean)
 
 
-def test_the_sun_is_put_into_the_references_panorama() -> None:
+def test_the_sun_is_added_to_the_references_panorama() -> None:
     """A probe on which the sun shines through a roof window: most of its light is the disc, by both."""
     sun = Sun(np.array([0.1, 0.99, 0.1]) / np.linalg.norm([0.1, 0.99, 0.1]), (80.0, 70.0, 60.0))
     meshes = [mesh for k, mesh in enumerate(box_room()) if k not in (1, 7)]

@@ -1,4 +1,4 @@
-"""What the phone's meter and white balance decide."""
+"""The phone's auto exposure and white balance."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
 from roomlight_generator.sequences.exposure import (
     MAX_MULTIPLIER,
     Exposure,
-    Habits,
+    MeterSettings,
     expose,
     meter,
     settle,
@@ -18,7 +18,7 @@ from roomlight_generator.sequences.exposure import (
 )
 
 PLAIN = replace(
-    Habits.draw(np.random.default_rng(0)),
+    MeterSettings.draw(np.random.default_rng(0)),
     bias=0.0,
     highlights=0.5,
     settle_s=0.6,
@@ -33,7 +33,7 @@ def grey(value: float, shape=(30, 40)) -> np.ndarray:
     return np.full((*shape, 3), value, np.float32)
 
 
-def test_a_grey_wall_comes_out_middle_grey():
+def test_a_grey_wall_is_exposed_to_middle_grey():
     for radiance in (0.003, 0.1, 2.0):
         assert 2 ** meter(grey(radiance), PLAIN) * radiance == pytest.approx(0.18, rel=0.02)
 
@@ -46,9 +46,9 @@ def test_twice_the_light_is_one_stop_less():
 def test_a_bright_window_pulls_the_exposure_down_but_still_clips():
     frame = grey(0.05)
     frame[:15, :10] = 20.0
-    ignoring, heeding = (meter(frame, replace(PLAIN, highlights=share)) for share in (0.0, 0.5))
-    assert heeding < ignoring - 1
-    assert 2**heeding * 20 > 1
+    without, with_highlights = (meter(frame, replace(PLAIN, highlights=share)) for share in (0.0, 0.5))
+    assert with_highlights < without - 1
+    assert 2**with_highlights * 20 > 1
 
 
 def test_the_middle_counts_most():
@@ -58,7 +58,7 @@ def test_the_middle_counts_most():
     assert meter(centre, PLAIN) < meter(corner, PLAIN) - 0.1
 
 
-def test_a_phone_has_an_end():
+def test_the_multiplier_is_limited():
     assert 2 ** meter(grey(1e-6), PLAIN) == pytest.approx(900)
     assert 2 ** meter(grey(0.0), PLAIN) == pytest.approx(900)
 
@@ -72,7 +72,7 @@ def test_exposure_follows_slowly_and_without_overshoot():
     assert stops[-1] == pytest.approx(-3, abs=0.2)
 
 
-def test_small_changes_and_a_lock_leave_it_alone():
+def test_small_changes_and_a_lock_keep_the_exposure():
     assert np.ptp(settle(np.linspace(0, 0.1, 31), PLAIN)) == 0
     assert np.ptp(settle(np.linspace(0, 3, 31), replace(PLAIN, locked=True))) == 0
 
@@ -106,7 +106,7 @@ def sequence(seed: int) -> np.ndarray:
     return frames * np.array([1.4, 1.0, 0.5], np.float32)
 
 
-def test_decisions_are_in_range_and_repeatable():
+def test_exposure_and_gains_are_in_range_and_repeatable():
     for seed in range(30):
         frames = sequence(seed)
         once, again = (expose(frames, np.random.default_rng(seed)) for _ in range(2))

@@ -1,4 +1,4 @@
-"""The committed sequences: whole, readable by everything that reads datasets, and plausible as light."""
+"""The committed sequences: undamaged, readable by all that reads datasets, and plausible as light."""
 
 import shutil
 
@@ -21,14 +21,14 @@ def dataset(request):
     return Dataset(FOLDER, request.param)
 
 
-def test_the_fixture_is_whole(tmp_path):
+def test_the_fixture_is_undamaged(tmp_path):
     copy = shutil.copytree(FOLDER, tmp_path / "rooms")
     report = verify(copy)
     assert report.whole == sum(ROOMS.values())
     assert not report.damaged
 
 
-def test_each_sequence_holds_what_the_format_promises(dataset):
+def test_each_sequence_has_the_formats_arrays(dataset):
     assert len(dataset) == ROOMS["train" if dataset.names[0].startswith("train") else "test"]
     for recording in dataset:
         assert recording.colour.shape == (FRAMES, 240, 320, 3)
@@ -38,7 +38,7 @@ def test_each_sequence_holds_what_the_format_promises(dataset):
 
 
 def test_frames_and_panoramas_are_in_the_same_units(dataset):
-    """The first frame's middle brightness lies within the range of what the probes near it see."""
+    """The first frame's median luminance lies within the range of the probes' panoramas."""
     for recording in dataset:
         seen = np.median(srgb8_to_linear(recording.colour[0]) @ LUMINANCE)
         around = recording.probe_panoramas @ LUMINANCE
@@ -46,7 +46,7 @@ def test_frames_and_panoramas_are_in_the_same_units(dataset):
         assert around.max() > 1  # something in the room is brighter than white
 
 
-def test_a_phone_measures_nearly_the_exact_depth(dataset):
+def test_simulated_phone_depth_is_nearly_exact(dataset):
     for recording in dataset:
         depth_mm, confidence = arkit_like(
             recording.depth_mm, recording.surface, recording.colour, np.random.default_rng(1)
@@ -56,13 +56,13 @@ def test_a_phone_measures_nearly_the_exact_depth(dataset):
         assert 0.85 < near < 1.15
 
 
-def test_its_sequences_are_captures(dataset, tmp_path):
+def test_sequences_extract_to_captures(dataset, tmp_path):
     extract(dataset, dataset.names[0], tmp_path / "capture")
     capture = open_capture(tmp_path / "capture")
     assert capture.frame_count == FRAMES
     assert len(capture.probes) == 3
 
 
-def test_its_statistics_count_rooms():
+def test_statistics_count_rooms():
     found = collect(Dataset(FOLDER))
     assert found.sequences == found.rooms == sum(ROOMS.values())

@@ -1,4 +1,4 @@
-"""A dataset's bytes depend on its settings alone, whatever was killed, when, and how many made it."""
+"""A dataset's bytes depend on its settings alone, not on interruptions or the number of workers."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def bytes_of(folder):
 
 @pytest.fixture(scope="module")
 def undisturbed(tmp_path_factory):
-    """12 sequences by one worker without any accident: what every other way must come to."""
+    """12 sequences by one worker without interruption: the bytes that every other run must give."""
     folder = tmp_path_factory.mktemp("undisturbed")
     report = generate(folder, options(), workers=1)
     assert (report.sequences, report.made, len(report.core_s)) == (12, 12, 12)
@@ -38,7 +38,7 @@ def undisturbed(tmp_path_factory):
 
 @pytest.fixture
 def steer(tmp_path, monkeypatch):
-    """Tells the stand-in renderer what to do, from here on."""
+    """Sets what the stand-in renderer does."""
     folder = tmp_path / "steering"
     folder.mkdir()
     monkeypatch.setenv("STUB_ROOMS", str(folder))
@@ -50,7 +50,7 @@ def steer(tmp_path, monkeypatch):
     return write
 
 
-def test_a_dataset_is_what_was_asked_for(undisturbed):
+def test_a_dataset_has_the_requested_sequences(undisturbed):
     dataset = Dataset(undisturbed)
     assert dataset.names == [f"train-{number:06d}" for number in range(12)]
     manifest = read_manifest(undisturbed)
@@ -70,19 +70,19 @@ def test_a_dataset_is_what_was_asked_for(undisturbed):
         assert recording.facts["room_type"] == stub_rooms.TYPES[number // 2 % 3]
 
 
-def test_a_worker_has_one_thread_and_nothing_of_training_or_serving(undisturbed):
+def test_a_worker_has_one_thread_and_imports_no_other_package(undisturbed):
     facts = Dataset(undisturbed).read(0).facts
     assert (facts["foreign"], facts["threads"]) == ([], "1")
 
 
 def test_two_workers_make_the_same_bytes(undisturbed, tmp_path):
-    told = []
-    generate(tmp_path / "two", options(), workers=2, progress=told.append)
+    reports = []
+    generate(tmp_path / "two", options(), workers=2, progress=reports.append)
     assert bytes_of(tmp_path / "two") == bytes_of(undisturbed)
-    assert [one.finished for one in told] == list(range(13))
-    assert told[0].per_hour is None
-    assert told[-1].left_s == 0
-    assert told[-1].bytes == sum(Dataset(undisturbed).size_of(number) for number in range(12))
+    assert [one.finished for one in reports] == list(range(13))
+    assert reports[0].per_hour is None
+    assert reports[-1].left_s == 0
+    assert reports[-1].bytes == sum(Dataset(undisturbed).size_of(number) for number in range(12))
 
 
 def test_a_dataset_grows_in_steps_to_the_same_bytes(undisturbed, tmp_path):
@@ -112,7 +112,7 @@ def start(folder, workers):
 
 
 @pytest.mark.parametrize("gate", [[0, 0], [2, 1], [5, 1]])
-def test_killed_in_the_middle_it_goes_on_to_the_same_bytes(gate, undisturbed, tmp_path, steer):
+def test_a_killed_run_continues_to_the_same_bytes(gate, undisturbed, tmp_path, steer):
     out = tmp_path / "killed"
     pipes = steer(gate=gate)
     for name in ("reached", "go"):
@@ -127,17 +127,17 @@ def test_killed_in_the_middle_it_goes_on_to_the_same_bytes(gate, undisturbed, tm
     assert Dataset(out).names == [f"train-{number:06d}" for number in range(whole)]
     assert verify(out).whole == whole
     steer()
-    # the worker notices that its parent is gone, and lets go of its shard: the next waits for that
+    # the worker notices that its parent died and releases its shard: the next one waits for that
     report = generate(out, options(), workers=2)
     assert (report.sequences, report.made) == (12, 12 - whole)
     assert bytes_of(out) == bytes_of(undisturbed)
 
 
-def test_a_room_that_fails_is_tried_again_the_same_way_each_time(tmp_path, steer):
+def test_a_failed_room_is_retried_the_same_way_each_time(tmp_path, steer):
     steer(fails={"1": 1})
-    told = []
-    generate(tmp_path / "one", options(4), workers=1, progress=told.append)
-    notes = [one.news for one in told if one.news]
+    reports = []
+    generate(tmp_path / "one", options(4), workers=1, progress=reports.append)
+    notes = [one.note for one in reports if one.note]
     assert len(notes) == 1
     assert (
         "room 1 of train, seed 7, attempt 1 of 3: ArithmeticError: no light reaches room 1 (stub_rooms.py" in notes[0]
@@ -150,7 +150,7 @@ def test_a_room_that_fails_is_tried_again_the_same_way_each_time(tmp_path, steer
     assert bytes_of(tmp_path / "other") == bytes_of(tmp_path / "one")
 
 
-def test_a_hopeless_room_is_an_error_with_its_number_and_seed_and_the_rest_stays(tmp_path, steer):
+def test_a_room_that_always_fails_is_an_error(tmp_path, steer):
     steer(hopeless=1)
     with pytest.raises(
         DatasetError, match="room 1 of train with seed 7 cannot be made; all 3 attempts failed"
@@ -162,25 +162,25 @@ def test_a_hopeless_room_is_an_error_with_its_number_and_seed_and_the_rest_stays
 
 def test_a_worker_that_dies_is_replaced(undisturbed, tmp_path, steer):
     steer(dies={"2": 2, "4": 1})
-    told = []
-    report = generate(tmp_path / "out", options(), workers=2, progress=told.append)
+    reports = []
+    report = generate(tmp_path / "out", options(), workers=2, progress=reports.append)
     assert bytes_of(tmp_path / "out") == bytes_of(undisturbed)
     assert report.sequences == 12
-    notes = [one.news for one in told if one.news]
+    notes = [one.note for one in reports if one.note]
     assert len(notes) == 3
     assert all("a worker died (signal 9)" in note for note in notes)
 
 
-def test_workers_that_keep_dying_are_an_error_that_speaks_of_memory(tmp_path, steer):
+def test_workers_that_keep_dying_are_an_error(tmp_path, steer):
     steer(dies={"2": 3})
     with pytest.raises(DatasetError, match=r"train-00001\.tar: 3 workers in a row died .* signal 9.* fewer --workers"):
         generate(tmp_path / "out", options(), workers=1)
     assert len(Dataset(tmp_path / "out")) == 4
 
 
-def test_a_disk_that_takes_no_more_is_an_error_and_it_goes_on_when_there_is_room(undisturbed, tmp_path, steer):
+def test_a_full_disk_is_an_error_and_the_run_can_continue(undisturbed, tmp_path, steer):
     first = index_path(next(iter(sorted(undisturbed.glob("*.tar"))))).read_text().splitlines()[2]
-    steer(limit=json.loads(first)["offset"] + 1000)  # in the midst of the third sequence
+    steer(limit=json.loads(first)["offset"] + 1000)  # within the third sequence
     out = tmp_path / "out"
     with pytest.raises(
         OutputError, match=r"train-00000\.tar: cannot be written \(File too large\); what is finished stays"
@@ -193,7 +193,7 @@ def test_a_disk_that_takes_no_more_is_an_error_and_it_goes_on_when_there_is_room
     assert resource.getrlimit(resource.RLIMIT_FSIZE)[0] != 1000
 
 
-def test_as_many_frames_are_made_as_were_asked_for(tmp_path):
+def test_sequences_have_the_requested_number_of_frames(tmp_path):
     out = tmp_path / "views"
     generate(out, options(4, frames=1), workers=1)
     dataset = Dataset(out)
@@ -202,7 +202,7 @@ def test_as_many_frames_are_made_as_were_asked_for(tmp_path):
     assert [len(recording.colour) for recording in dataset] == [1] * 4
 
 
-def test_a_dataset_that_does_not_say_has_31_frames(undisturbed, tmp_path):
+def test_a_manifest_without_frames_means_31(undisturbed, tmp_path):
     values = json.loads((undisturbed / MANIFEST).read_text())
     del values["frames"]
     (tmp_path / MANIFEST).write_text(json.dumps(values))
@@ -231,14 +231,14 @@ def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
         ({"seed": 0, "shard_size": 2}, "seed 7, not 0; shard size 4, not 2"),
     ],
 )
-def test_other_settings_are_named_and_nothing_is_touched(change, says, undisturbed):
+def test_other_settings_are_named_and_nothing_changes(change, says, undisturbed):
     before = bytes_of(undisturbed)
     with pytest.raises(DatasetError, match=f"was made with {says}; give the settings"):
         generate(undisturbed, options(**change))
     assert bytes_of(undisturbed) == before
 
 
-def test_the_furniture_is_part_of_the_settings_by_its_content(tmp_path):
+def test_the_settings_include_the_furniture_by_its_content(tmp_path):
     library = tmp_path / "chairs.sh3f"
     library.write_bytes(b"chairs")
     out = tmp_path / "out"
@@ -260,7 +260,7 @@ def test_the_furniture_is_part_of_the_settings_by_its_content(tmp_path):
     assert generate(tmp_path / "third", options(2, furniture=many), workers=1).made == 2
 
 
-def test_furniture_named_by_the_environment_is_furniture_given(tmp_path, monkeypatch):
+def test_furniture_may_be_named_by_the_environment(tmp_path, monkeypatch):
     library = tmp_path / "chairs.sh3f"
     library.write_bytes(b"chairs")
     assert generate(tmp_path / "out", options(2, furniture=library), workers=1).made == 2
@@ -268,7 +268,7 @@ def test_furniture_named_by_the_environment_is_furniture_given(tmp_path, monkeyp
     assert generate(tmp_path / "out", options(2), workers=1).made == 0
 
 
-def test_a_foreign_folder_is_refused_and_left_alone(tmp_path):
+def test_a_folder_with_other_files_is_refused_and_unchanged(tmp_path):
     (tmp_path / "letters.txt").write_text("dear")
     with pytest.raises(OutputError, match=r"holds 'letters.txt' and no dataset.json"):
         generate(tmp_path, options())
@@ -284,7 +284,7 @@ def test_a_place_that_cannot_be_written_is_an_error(tmp_path):
 
 
 @pytest.mark.parametrize("manifest", [b"", b"{}", b"[1]", b'{"format": "roomlight-dataset", "version": 2}'])
-def test_a_damaged_manifest_stops_everything(manifest, tmp_path):
+def test_a_damaged_manifest_is_an_error(manifest, tmp_path):
     (tmp_path / MANIFEST).write_bytes(manifest)
     with pytest.raises(DatasetError, match=r"dataset\.json"):
         generate(tmp_path, options())
@@ -300,17 +300,17 @@ def test_a_damaged_manifest_stops_everything(manifest, tmp_path):
         ({"sequences_per_room": 3}, "whole rooms of 3"),
     ],
 )
-def test_numbers_that_make_no_dataset_are_refused(change, says):
+def test_options_out_of_range_are_refused(change, says):
     with pytest.raises(DatasetError, match=says):
         options(**change)
 
 
-def test_a_renderer_that_breaks_outside_of_its_rooms_shows_its_traceback(tmp_path):
+def test_an_unexpected_error_of_a_worker_shows_its_traceback(tmp_path):
     with pytest.raises(RuntimeError, match="no_such_module"):
         generate(tmp_path / "out", options(renderer="no_such_module:render"), workers=1)
 
 
-def test_a_locked_dataset_is_left_alone(undisturbed):
+def test_a_locked_dataset_is_refused(undisturbed):
     with locked(undisturbed), pytest.raises(OutputError, match=f"process {os.getpid()} on"):
         generate(undisturbed, options())
 
@@ -333,7 +333,7 @@ def damaged(undisturbed, tmp_path):
     return out
 
 
-def test_damage_is_found_taken_out_and_made_again(damaged, undisturbed):
+def test_damage_is_found_removed_and_made_again(damaged, undisturbed):
     report = verify(damaged)
     assert (report.whole, len(report.damaged)) == (11, 1)
     assert "train-000005" in report.damaged[0]
@@ -383,7 +383,7 @@ def test_a_deleted_shard_is_made_again(damaged, undisturbed):
     assert bytes_of(damaged) == bytes_of(undisturbed)
 
 
-def test_nothing_is_repaired_while_another_writes(damaged):
+def test_nothing_is_repaired_while_another_process_writes(damaged):
     before = bytes_of(damaged)
     with locked(damaged), pytest.raises(OutputError, match="is writing"):
         verify(damaged, repair=True)

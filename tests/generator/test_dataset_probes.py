@@ -1,4 +1,4 @@
-"""Probes lie in the open, in view, in reach and apart."""
+"""Probes are clear of surfaces, in view, in range and apart."""
 
 import numpy as np
 import pytest
@@ -29,18 +29,18 @@ def placed():
     return found
 
 
-def test_nearly_every_view_has_room_for_them(placed):
+def test_nearly_every_view_has_places_for_probes(placed):
     assert len(placed) >= 57
 
 
-def test_they_are_in_the_open(placed):
+def test_probes_keep_their_clearance(placed):
     for *_, points in placed:
         assert points.shape == (3, 3)
-        # an edge may pass between two of 256 rays, a tenth of the clearance nearer than asked for
+        # an edge may pass between two of 256 rays, a tenth of the clearance nearer than required
         assert clearance_m(points, np.array(SIZE_M), (TABLE, SOFA)).min() > 0.9 * PROBE_CLEARANCE_M
 
 
-def test_they_are_seen_by_the_first_camera(placed):
+def test_probes_are_seen_by_the_first_camera(placed):
     for camera, pose, _, points in placed:
         xy, depth = camera.project((points - pose[:3, 3]) @ pose[:3, :3])
         assert (depth > 0).all()
@@ -55,7 +55,7 @@ def test_they_are_seen_by_the_first_camera(placed):
         assert (distance <= DISTANCE_M[1]).all()
 
 
-def test_they_keep_apart_and_use_the_range(placed):
+def test_probes_keep_apart_and_use_the_range(placed):
     gaps, distances = [], []
     for _, pose, _, points in placed:
         gaps.append(min(np.linalg.norm(points[i] - points[j]) for i, j in ((0, 1), (0, 2), (1, 2))))
@@ -65,7 +65,7 @@ def test_they_keep_apart_and_use_the_range(placed):
     assert np.percentile(distances, 90) > 2.2
 
 
-def test_most_hover_a_little_over_something_level(placed):
+def test_most_probes_are_close_above_a_level_surface(placed):
     points = np.concatenate([points for *_, points in placed])
     down = np.tile([0.0, -1.0, 0.0], (len(points), 1)).astype(np.float32)
     drop = ROOM.distances(points.astype(np.float32), down)
@@ -80,7 +80,7 @@ def test_the_same_state_gives_the_same_points():
     np.testing.assert_array_equal(once, again)
 
 
-def test_the_number_is_the_callers():
+def test_as_many_probes_as_requested():
     rng, camera, pose, depth = first_view(4)
     assert place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth, count=5).shape == (5, 3)
 
@@ -91,7 +91,7 @@ def test_before_a_near_wall_there_is_no_place():
     assert place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=near) is None
 
 
-def test_where_rays_meet_something_everywhere_there_is_no_place():
+def test_without_clearance_there_is_no_place():
     rng, camera, pose, depth = first_view(6)
     full = FreeSpace(ROOM.walkable, ROOM.origin, ROOM.cell_m, lambda origins, _: np.full(len(origins), 0.1, np.float32))
     assert place_probes(full, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth) is None

@@ -1,6 +1,6 @@
-"""The scene as the path tracer gets it: energy, orientation of sky, sun and textures, mirror and coat.
+"""The scene in the path tracer: energy, orientation of sky, sun and textures, mirror and coat.
 
-Whatever variant of Mitsuba runs here; ray counts are small enough for the slowest.
+With whichever variant of Mitsuba runs here; ray counts are small enough for the slowest.
 """
 
 import subprocess
@@ -20,14 +20,14 @@ from roomlight_generator.verification.reference import Reference, usable_variant
 BLACK = Sky(np.zeros((8, 16, 3), np.float32))
 EVEN = Sky(np.ones((8, 16, 3), np.float32))
 ABOVE = Opening(np.array([-50.0, 0, -50]), np.array([0, 0, 100.0]), np.array([100.0, 0, 0]))
-"""Lies in the ground plane: what lies in it too is open to the sky above, what stands through it to all sides."""
+"""In the ground plane: a scene in that plane is open to the sky above, one that crosses it to all sides."""
 
 
 def scene(*meshes: Mesh, sky: Sky = BLACK, openings: tuple[Opening, ...] = ()) -> Scene:
     return Scene(tuple(Item(str(k), "wall", mesh) for k, mesh in enumerate(meshes)), openings, sky)
 
 
-def look(traced: Scene, origin, target, *, samples: int = 64, seed: int = 0) -> np.ndarray:
+def radiance_toward(traced: Scene, origin, target, *, samples: int = 64, seed: int = 0) -> np.ndarray:
     """One ray's radiance."""
     begin = np.array([origin], np.float64)
     return Reference(traced).radiance(begin, np.array([target], np.float64) - begin, samples=samples, seed=seed)[0]
@@ -56,22 +56,24 @@ def test_a_bulb_lights_the_floor_as_its_triangles_do() -> None:
     distance = np.linalg.norm(toward, axis=1)
     shown = np.maximum(-(toward * area).sum(1) / distance, 0)
     irradiance = (shown * toward[:, 1] / distance**3).sum()
-    found = look(scene(bulb.placed(*at), floor), at + np.array([0.5, 0.2, 0]), at * np.array([1, 0, 1]), samples=2048)
-    # The light's fraction that faces away is drawn in vain: a spread of about 1 a path.
+    found = radiance_toward(
+        scene(bulb.placed(*at), floor), at + np.array([0.5, 0.2, 0]), at * np.array([1, 0, 1]), samples=2048
+    )
+    # The light's fraction that faces away is sampled in vain: a deviation of about 1 a path.
     np.testing.assert_allclose(found, np.array([100, 50, 25]) * irradiance / np.pi, rtol=0.08)
 
 
-def test_a_shining_sheet_shines_to_both_sides_and_hides_what_is_behind() -> None:
+def test_an_emitting_sheet_shines_to_both_sides_and_is_opaque() -> None:
     sheet = with_material(
         rectangle((-1, 0, 0), (2, 0, 0), (0, 2, 0)), Material("pane", (0.0, 0.0, 0.0), emission=(3.0, 2.0, 1.0))
     )
     for z in (-2, 2):
         np.testing.assert_allclose(
-            look(scene(sheet), (0.31, 1.07, z), (0.33, 1.03, 0), samples=4), [3, 2, 1], rtol=1e-5
+            radiance_toward(scene(sheet), (0.31, 1.07, z), (0.33, 1.03, 0), samples=4), [3, 2, 1], rtol=1e-5
         )
 
 
-def test_the_sky_is_where_the_convention_says() -> None:
+def test_the_sky_follows_the_panorama_convention() -> None:
     rng = np.random.default_rng(1)
     panorama = cv2.resize(np.tile(rng.random((4, 8, 3)), (1, 3, 1)), (96, 16), interpolation=cv2.INTER_LINEAR)
     panorama = panorama[:, 32:64].astype(np.float32) + 0.1
@@ -84,7 +86,7 @@ def test_the_sky_is_where_the_convention_says() -> None:
     np.testing.assert_allclose(seen, panorama, atol=0.03)
 
 
-def test_what_no_opening_shows_is_black() -> None:
+def test_the_sky_is_black_where_no_opening_shows_it() -> None:
     """A window in the wall at x = 1 of things at x < 1: the sky beyond it stays, the other half goes."""
     window = Opening(np.array([1.0, 0, 0]), np.array([0, 1.0, 0]), np.array([0, 0, 1.0]))
     thing = with_material(rectangle((-3, 0, 0), (2, 0, 0), (0, 2, 0)), Material())
@@ -94,7 +96,7 @@ def test_what_no_opening_shows_is_black() -> None:
     np.testing.assert_allclose(seen[:, 0], [1, 1, 0, 0])
 
 
-def test_the_sun_lights_by_its_cosine_and_casts_a_soft_shadow_away_from_it() -> None:
+def test_the_sun_lights_by_its_cosine_and_casts_soft_shadows() -> None:
     direction = np.array([0.48, 0.6, 0.64])
     sky = Sky(BLACK.panorama, Sun(direction, (30.0, 20.0, 10.0), angular_radius=0.02))
     floor = with_material(rectangle((-9, 0, 9), (18, 0, 0), (0, 0, -18), step=5), Material("floor", (0.5, 0.5, 0.5)))
@@ -105,7 +107,7 @@ def test_the_sun_lights_by_its_cosine_and_casts_a_soft_shadow_away_from_it() -> 
     half_width = 0.02 * 3 / direction[1] ** 2  # of the penumbra, along z at least
     lit = 0.5 / np.pi * np.array([30, 20, 10]) * direction[1]
     for z, share in ((edge + 2 * half_width, 1.0), (edge - 2 * half_width, 0.0), (edge, 0.5)):
-        found = look(traced, (1, 2, z - 1), (1.01, 0, z), samples=64)
+        found = radiance_toward(traced, (1, 2, z - 1), (1.01, 0, z), samples=64)
         np.testing.assert_allclose(found, share * lit, rtol=0.02, atol=0.2 * lit.max() * (share == 0.5))
 
 
@@ -123,30 +125,30 @@ def test_texture_rows_run_down_and_wrap() -> None:
 def test_a_texture_is_decoded_and_multiplied_by_the_albedo() -> None:
     grey = Texture(np.full((1, 1, 3), 188, np.uint8))  # 0.503 linear
     plate = with_material(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (0.8, 0.4, 0.2), grey))
-    found = look(scene(plate, sky=EVEN, openings=(ABOVE,)), (0.3, 2, 0.2), (0.31, 0, 0.17), samples=3000)
+    found = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), (0.3, 2, 0.2), (0.31, 0, 0.17), samples=3000)
     np.testing.assert_allclose(found, np.array([0.8, 0.4, 0.2]) * 0.5029, rtol=0.02)
 
 
-def test_a_mirror_shows_what_is_before_it() -> None:
+def test_a_mirror_reflects_what_is_in_front_of_it() -> None:
     mirror = with_material(rectangle((-1, 0, 0), (2, 0, 0), (0, 2, 0)), Material("mirror", mirror=0.9))
     poster = with_material(
         rectangle((1, 0, 1), (1, 0, 0), (0, 2, 0)), Material("poster", (0.0, 0.0, 0.0), emission=(1.0, 2.0, 3.0))
     )
     # From (-1.5, 1, 1) by the mirror's point (0.03, 1.03) to (1.56, 1.06, 1).
-    found = look(scene(mirror, poster), (-1.5, 1.0, 1.0), (0.03, 1.03, 0.0), samples=2)
+    found = radiance_toward(scene(mirror, poster), (-1.5, 1.0, 1.0), (0.03, 1.03, 0.0), samples=2)
     np.testing.assert_allclose(found, [0.9, 1.8, 2.7], rtol=1e-4)
 
 
 @pytest.mark.parametrize(("alpha", "albedo"), [(0.05, 0.5), (0.3, 0.8), (0.6, 0.0)])
 @pytest.mark.parametrize("cosine", [0.95, 0.3])
-def test_the_coat_is_the_transports(alpha: float, albedo: float, cosine: float) -> None:
+def test_the_coat_equals_the_transports_tables(alpha: float, albedo: float, cosine: float) -> None:
     """Under an even sky a coated plate reflects what the transport's tables say, and never more than arrives."""
     plate = with_material(
         rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (albedo,) * 3, roughness=alpha)
     )
     offset = np.array([np.sqrt(1 - cosine**2), cosine, 0])
     target = np.array([0.03, 0, 0.04])
-    found = look(scene(plate, sky=EVEN, openings=(ABOVE,)), target + offset, target, samples=3000)[0]
+    found = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), target + offset, target, samples=3000)[0]
     table = coat_table()
     base = (
         albedo * in_row(table.scale, alpha) * in_table(table.through, alpha, cosine) * in_row(table.mean_through, alpha)
@@ -166,7 +168,9 @@ def test_panes_and_faces_without_area_are_left_out() -> None:
     flat = Mesh(
         line.vertices[[0, 0, 1]], line.normals[:3], line.uvs[:3], np.array([[0, 1, 2]]), np.array([0]), line.materials
     )
-    np.testing.assert_allclose(look(scene(wall, pane, flat), (0.4, 0.5, 2), (0.41, 0.52, -1), samples=2), 1, rtol=1e-5)
+    np.testing.assert_allclose(
+        radiance_toward(scene(wall, pane, flat), (0.4, 0.5, 2), (0.41, 0.52, -1), samples=2), 1, rtol=1e-5
+    )
 
 
 def test_without_llvm_the_scalar_variant_runs(monkeypatch: pytest.MonkeyPatch) -> None:

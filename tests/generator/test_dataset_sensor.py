@@ -19,12 +19,12 @@ def flat(value: float, shape=(120, 160)) -> np.ndarray:
     return np.full((*shape, 3), value, np.float32)
 
 
-def test_without_faults_it_is_srgb_exactly():
+def test_a_clean_sensor_is_exactly_srgb():
     for value in (0.0, 0.002, 0.1, 0.5, 1.0):
         np.testing.assert_array_equal(picture(flat(value)), linear_to_srgb8(flat(value)))
 
 
-def test_what_the_client_linearises_is_radiance_times_gains_times_multiplier():
+def test_linearised_colour_is_radiance_by_gains_and_multiplier():
     radiance = (smooth_noise(np.random.default_rng(1), 120, 160) * 0.02 + 0.002).astype(np.float32)
     gains = np.array([1.3, 1.0, 0.7])
     shown = srgb8_to_linear(picture(radiance, multiplier=20.0, gains=gains))
@@ -75,7 +75,7 @@ def test_sharpening_leaves_plain_areas_and_lifts_edges():
     assert shown[60, 79:86].max() > 0.51
 
 
-def test_a_response_of_its_own_stays_near_srgb_and_keeps_black_and_white():
+def test_other_responses_stay_near_srgb_with_black_and_white():
     for gamma in (0.95, 1.05):
         for contrast in (-0.06, 0.06):
             own = Sensor(noise=0.0, response=(gamma, contrast))
@@ -87,7 +87,7 @@ def test_a_response_of_its_own_stays_near_srgb_and_keeps_black_and_white():
             assert (picture(flat(1.0), own) == 255).all()
 
 
-def test_most_phones_answer_exactly_as_srgb():
+def test_most_phones_have_exactly_the_srgb_response():
     sensors = [Sensor.draw(np.random.default_rng(seed)) for seed in range(300)]
     own = np.mean([not sensor.exact_response for sensor in sensors])
     assert abs(own - OWN_RESPONSE_SHARE) < 0.1

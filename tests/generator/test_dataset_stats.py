@@ -1,4 +1,4 @@
-"""Measures of known recordings are the known values."""
+"""Measures of recordings made by hand have the expected values."""
 
 import json
 from dataclasses import replace
@@ -57,7 +57,7 @@ def test_range_is_in_stops_over_the_median():
     assert measure(recording, {}).at_half_limit == 1
 
 
-def test_clipping_exposure_and_depth():
+def test_clipping_exposure_and_depth_are_measured():
     recording = room_recording([0, 90])
     recording.colour[:] = 100
     recording.colour[0, :60] = (255, 10, 10)
@@ -78,14 +78,14 @@ def test_coverage_of_a_camera_at_the_probe_is_its_field_of_view():
     assert whole == pytest.approx(4 * 0.14, abs=0.08)
 
 
-def test_coverage_of_nothing_is_nothing():
+def test_coverage_without_depth_is_zero():
     recording = room_recording([0])
     recording.depth_mm[:] = 0
     assert coverage(recording, recording.probe_positions[0]) == (0, 0)
     assert measure(recording, {}).median_depth_m == []
 
 
-def test_a_spread_of_nothing_is_zero():
+def test_a_spread_of_no_values_is_zero():
     assert Spread.of([]) == Spread(0.0, 0.0, 0.0, 0.0, 0.0)
     assert Spread.of([1.0, 2.0, 3.0]).median == 2
     assert summarise([]).spreads["step, m"].mean == 0
@@ -95,9 +95,9 @@ def test_a_dataset_is_measured_room_by_room(tmp_path):
     options = GenerateOptions(12, seed=1, shard_size=4, sequences_per_room=2, frames=4, renderer=stub_rooms.NAME)
     generate(tmp_path, options, workers=1)
     dataset = Dataset(tmp_path)
-    told = []
-    stats = collect(dataset, progress=lambda done, of: told.append((done, of)))
-    assert told == [(k, 12) for k in range(1, 13)]
+    calls = []
+    stats = collect(dataset, progress=lambda done, of: calls.append((done, of)))
+    assert calls == [(k, 12) for k in range(1, 13)]
     assert (stats.sequences, stats.rooms) == (12, 6)
     assert stats.counts["room types"] == {"hall": 2, "kitchen": 2, "study": 2}
     assert stats.counts["furniture"] == {"chair": 12, "lamp": 6}

@@ -1,4 +1,4 @@
-"""Walks keep their distance, their height and their pace."""
+"""Walks keep their distance from surfaces, their height and their speed."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def walks():
     return [(ROOMS[seed % 3], *walk(ROOMS[seed % 3], seed)) for seed in range(150)]
 
 
-def test_on_average_a_walk_moves_as_the_papers_do(walks):
+def test_walks_move_as_the_papers_on_average(walks):
     motions = [motion_statistics(poses) for _, poses, _ in walks]
     steps = np.array([motion.translation_m.mean() for motion in motions])
     turns = np.array([motion.rotation_degrees.mean() for motion in motions])
@@ -50,21 +50,21 @@ def test_on_average_a_walk_moves_as_the_papers_do(walks):
     assert np.percentile(turns, 95) > 7.5
 
 
-def test_nothing_is_ever_near_the_camera(walks):
+def test_no_surface_is_near_the_camera(walks):
     for free, poses, _ in walks:
         if free is ROOMS[0]:
             # the fan of 256 rays may miss what is just under its reach between two rays: 3 mm on a plane
             assert clearance_m(poses[:, :3, 3], np.array(SIZE_M), (TABLE, SOFA)).min() > CLEARANCE_M - 0.005
 
 
-def test_the_camera_is_held_by_a_standing_or_sitting_person_on_walkable_floor(walks):
+def test_the_camera_is_at_a_persons_height_over_walkable_floor(walks):
     for free, poses, _ in walks:
         assert free.walkable_at(poses[:, :3, 3]).all()
         assert poses[:, 1, 3].min() >= HEIGHT_M[0]
         assert poses[:, 1, 3].max() <= HEIGHT_M[1]
 
 
-def test_it_is_held_nearly_level_and_looks_about_horizontally(walks):
+def test_cameras_are_nearly_level_and_look_about_horizontally(walks):
     poses = np.concatenate([poses for _, poses, _ in walks])
     roll = np.degrees(np.arcsin(poses[:, 1, 0]))
     pitch = np.degrees(np.arcsin(-poses[:, 1, 2]))
@@ -100,7 +100,7 @@ def test_the_same_state_gives_the_same_walk_to_the_bit():
     assert not np.array_equal(one, walk(ROOMS[0], 8)[0])
 
 
-def test_the_number_of_frames_is_the_callers():
+def test_a_walk_has_the_requested_number_of_frames():
     assert walk(ROOMS[2], 3, frames=5)[0].shape == (5, 4, 4)
 
 
@@ -108,7 +108,7 @@ def test_without_walkable_floor_there_is_no_walk():
     assert walk(shrunk(ROOMS[0], slice(0)), 1)[0] is None
 
 
-def test_where_something_is_always_too_near_there_is_no_walk():
+def test_without_clearance_there_is_no_walk():
     free = FreeSpace(
         ROOMS[0].walkable, ROOMS[0].origin, CELL_M, lambda origins, _: np.full(len(origins), 0.2, np.float32)
     )

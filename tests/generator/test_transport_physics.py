@@ -48,7 +48,7 @@ def solved(items, openings=(), sky=NIGHT):
 
 @pytest.mark.parametrize("albedo", [0.3, 0.8])
 def test_white_furnace(albedo):
-    """In a closed room that glows evenly, light is e / (1 - a) in every direction at every point."""
+    """In a closed room that emits evenly, radiance is e / (1 - a) in every direction at every point."""
     light = solved(walls(Material("glow", (albedo,) * 3, emission=(1.0, 2.0, 0.5))))
     expected = np.array([1.0, 2.0, 0.5]) / (1 - albedo)
     panorama = light.panorama(np.array([0.4, 1.0, 0.3]), 16, seed=0)
@@ -58,7 +58,7 @@ def test_white_furnace(albedo):
     np.testing.assert_allclose(frame.mean((0, 1)), expected, rtol=0.02)
 
 
-def test_a_coat_neither_makes_nor_swallows_light():
+def test_a_coat_neither_adds_nor_loses_light():
     """The furnace with coated walls stays within what a linear coat model loses between its layers."""
     light = solved(walls(Material("coated", (0.5,) * 3, roughness=0.2, emission=(1.0, 1.0, 1.0))))
     panorama = light.panorama(np.array([0.0, 1.2, 0.0]), 16, seed=0)
@@ -66,7 +66,7 @@ def test_a_coat_neither_makes_nor_swallows_light():
     assert np.abs(panorama / panorama.mean() - 1).max() < 0.25
 
 
-def test_a_small_ball_lights_a_black_room_by_the_inverse_square():
+def test_a_small_sphere_lights_by_the_inverse_square():
     radius, glow = 0.05, 40.0
     bulb = Item(
         "bulb",
@@ -82,7 +82,7 @@ def test_a_small_ball_lights_a_black_room_by_the_inverse_square():
     np.testing.assert_allclose(light.irradiance(points, up)[:, 1], expected, rtol=0.03)
 
 
-def test_a_small_lamps_energy_is_whole_in_a_panorama_and_where_it_belongs():
+def test_a_small_lamp_has_its_energy_and_place_in_a_panorama():
     radius, glow = 0.02, 500.0  # a third of a pixel across
     place = np.array([1.2, 1.9, -0.8])
     shape = with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3))
@@ -106,7 +106,7 @@ def window(low=(-0.8, 0.9), high=(0.8, 1.9)):
     return wall, opening
 
 
-def test_an_even_sky_through_a_window_is_a_lamp_of_its_shape():
+def test_an_even_sky_in_a_window_is_a_lamp_of_its_shape():
     wall, opening = window()
     sky = Sky(np.full((32, 64, 3), 3.0, np.float32))
     light = solved([*walls(BLACK, without=("back",)), item("back", wall, BLACK)], [opening], sky)
@@ -135,7 +135,7 @@ def test_a_sunlit_patch_has_the_suns_irradiance_and_its_outline():
     assert found[1].max() < 0.01
 
 
-def test_a_mirror_shows_what_stands_before_it_and_depth_stops_at_it():
+def test_a_mirror_shows_its_surroundings_and_ends_depth():
     card = item("card", rectangle([0.35, 0.75, 0.2], [0.8, 0, 0], [0, 0.8, 0]), Material("c", emission=(0.0, 5.0, 0.0)))
     glass = item("mirror", rectangle([-1.5, 0.2, -1.45], [3, 0, 0], [0, 2, 0]), Material("m", mirror=0.9))
     light = solved([*walls(BLACK), card, glass])
@@ -205,11 +205,11 @@ def test_bounces_between_walls_follow_radiosity():
     found = light.irradiance(points[~under], normals[~under])[:, 1].mean()
     area = 2 * (w * h + h * d + w * d)
     flux = np.pi * 8.0 * 0.36
-    # the lamp's two sides both shine (the upper onto the ceiling right above) and both swallow what falls on them
+    # the lamp's two sides both emit (the upper onto the ceiling right above) and both absorb what falls on them
     assert found == pytest.approx(flux / (area * 0.5), rel=0.12)
 
 
-def test_what_is_no_number_is_refused():
+def test_vertices_that_are_not_finite_are_refused():
     broken = rectangle([0, 0, 0], [1, 0, 0], [0, 1, 0])
     broken = Mesh(broken.vertices * np.nan, broken.normals, broken.uvs, broken.faces, broken.face_materials, (GREY,))
     with pytest.raises(ValueError, match="'bad' has a vertex that is not a number"):
@@ -230,7 +230,7 @@ def ggx(normal, view, light, alpha):
     return spread * mask * (across**2 + along**2) / 2 / (4 * cos_v)
 
 
-def test_a_coat_throws_the_sun_on_about_the_mirrored_direction():
+def test_a_coat_reflects_the_sun_about_the_mirrored_direction():
     """The sunlit patch of a black, coated floor lights the opposite wall as the sum over the patch says."""
     wall, opening = window()
     toward = np.array([0.0, 0.6, -0.8])
@@ -256,7 +256,7 @@ def test_a_coat_throws_the_sun_on_about_the_mirrored_direction():
     np.testing.assert_allclose(found, expected, rtol=0.05)
 
 
-def test_a_closed_lamps_inside_does_not_shine_through_a_bulb_that_sticks_out_of_it():
+def test_a_closed_lamps_inside_does_not_leak_through_a_bulb():
     """Half of a bulb's face lies in a glowing box, in a furnace of 4 / (1 - 0.8) = 20; outside, the rest of it and the
     box's bottom receive little."""
     shade = with_material(box(0.3, 0.06, 0.3), Material("shade", (0.8, 0.8, 0.8), emission=(4.0, 4.0, 4.0)))

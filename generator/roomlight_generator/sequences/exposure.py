@@ -1,8 +1,8 @@
-"""What a phone decides before it takes a picture: how bright, and what counts as white.
+"""A phone's auto exposure and white balance.
 
-Radiance is linear RGB in kilocandela per square metre, as the transport gives it. What the phone shows is
-`radiance * gains * multiplier`, where 1.0 clips. The gains are one triple for a whole sequence and the panoramas take
-the first frame's multiplier with the same gains, so picture, exposure and ground truth always fit together.
+Radiance is linear RGB in kcd/m2, as the transport gives it. The phone shows `radiance * gains * multiplier`, where 1.0
+clips. A whole sequence has one triple of gains, and its panoramas are scaled by the same gains and the first frame's
+multiplier, so that pictures, exposures and ground truth are consistent.
 """
 
 from dataclasses import dataclass
@@ -16,21 +16,29 @@ from jaxtyping import Float
 from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
 
 MAX_MULTIPLIER: Final = (250.0, 900.0)
-"""Of a phone at the end of its range. A lens of f/1.8 at 1/30 s and ISO 6,400 clips at 78 N^2 / (t S) = 1.2 cd/m2:
-multiplier 850."""
+"""Range of phones' largest multipliers: f/1.8, 1/30 s, ISO 6,400 clip at 78 N^2 / (t S) = 1.2 cd/m2, which is 850."""
 _GREY: Final = 0.18
-"""Where a meter puts the mean: half-way up in sRGB."""
+"""The mean at which a meter aims: half-way up in sRGB."""
 _FLOOR: Final = 1e-5
-"""kcd/m2 below which everything counts as black: the night sky, not a logarithm of zero."""
+"""kcd/m2 of the night sky: darker pixels count as this dark, which keeps logarithms finite."""
 _METER_SIZE: Final = (40, 30)
+"""Width and height of the picture that is metered."""
 _DEAD_BAND: Final = 0.15
-"""Stops that the meter may be off before a phone moves at all."""
+"""Stops by which the meter may differ before a phone changes its exposure."""
 
 
 @dataclass(frozen=True)
-class Habits:
-    """How one phone and its app meter. `bias` in stops; `highlights` 0 (ignore them) to 1 (expose for them alone);
-    `settle_s` to come 63 % of the way to a new brightness; `locked` as AR apps do; `balance` 0 (none) to 1 (full)."""
+class MeterSettings:
+    """How one phone and its app meter.
+
+    bias, first_error: exposure offset of the sequence, and error of its first frame, in stops.
+    highlights:        0 (ignore them) to 1 (expose for them alone).
+    settle_s:          time constant: 63 % of the way to a new brightness.
+    locked:            exposure stays as in the first frame, as in some AR apps.
+    max_multiplier:    largest multiplier per kcd/m2.
+    balance:           strength of the white balance, 0 (none) to 1 (full).
+    grey_world:        weight of the mean colour against the bright parts' colour in the white balance.
+    """
 
     bias: float
     highlights: float
@@ -42,8 +50,8 @@ class Habits:
     grey_world: float
 
     @classmethod
-    def draw(cls, rng: np.random.Generator) -> "Habits":
-        """One phone at random."""
+    def draw(cls, rng: np.random.Generator) -> "MeterSettings":
+        """Draw a phone at random."""
         return cls(
             bias=float(rng.normal(0.35, 0.4)),
             highlights=float(rng.uniform(0.2, 0.8)),
@@ -58,67 +66,70 @@ class Habits:
 
 @dataclass(frozen=True, eq=False)
 class Exposure:
-    """What was decided: a multiplier for each frame, the sequence's white balance."""
+    """A multiplier (per kcd/m2) for each frame, and the sequence's white balance as gains of red, green and blue."""
 
     multiplier: Float[np.ndarray, " f"]
     gains: Float[np.ndarray, "3"]
 
     @property
     def relative(self) -> Float[np.ndarray, " f"]:
-        """Multipliers over the first frame's: what a recording stores."""
+        """Multipliers relative to the first frame's, as a recording stores them."""
         return self.multiplier / self.multiplier[0]
 
     def panorama(self, radiance: Float[np.ndarray, "*shape 3"]) -> Float[np.ndarray, "*shape 3"]:
-        """Radiance in kcd/m2 in the first frame's units: 1.0 is what the first frame shows as white."""
+        """Convert radiance in kcd/m2 to the first frame's units: 1.0 is what the first frame shows as white."""
         scale = (self.gains * self.multiplier[0]).astype(radiance.dtype)
         return radiance * scale
 
 
 def expose(radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator) -> Exposure:
-    """Auto exposure and white balance of one phone, drawn at random, over the frames of a sequence."""
-    habits = Habits.draw(rng)
+    """Draw a phone at random and compute its exposure and white balance over the frames of a sequence."""
+    settings = MeterSettings.draw(rng)
     small = np.stack([cv2.resize(np.asarray(frame, np.float32), _METER_SIZE, interpolation=cv2.INTER_AREA)
                       for frame in radiance])  # fmt: skip
-    gains = white_balance(small[0], habits)
-    wanted = np.array([meter(frame * gains.astype(np.float32), habits) for frame in small])
-    return Exposure(multiplier=2.0 ** settle(wanted, habits), gains=gains)
+    gains = white_balance(small[0], settings)
+    wanted = np.array([meter(frame * gains.astype(np.float32), settings) for frame in small])
+    return Exposure(multiplier=2.0 ** settle(wanted, settings), gains=gains)
 
 
-def meter(frame: Float[np.ndarray, "h w 3"], habits: Habits) -> float:
-    """log2 of the multiplier that one frame asks for.
+def meter(frame: Float[np.ndarray, "h w 3"], settings: MeterSettings) -> float:
+    """Return log2 of the multiplier by which one frame would be exposed.
 
     The centre-weighted log-average goes to mid grey, unless highlights would clip: the brightest channel's 96th
-    percentile is also asked to stay below white, and `highlights` says how far that counts.
+    percentile should also stay below white, with the weight `highlights`.
     """
     height, width = frame.shape[:2]
     y, x = np.mgrid[:height, :width]
     off = ((x + 0.5) / width - 0.5) ** 2 + ((y + 0.5) / height - 0.5) ** 2
     weight = 0.35 + np.exp(-off / 0.08)
     log_mean = float((weight * np.log2(frame @ LUMINANCE + _FLOOR)).sum() / weight.sum())
-    by_mean = np.log2(_GREY) - log_mean + habits.bias
+    by_mean = np.log2(_GREY) - log_mean + settings.bias
     bright = float(np.percentile(frame.max(axis=2), 96))
-    by_highlights = np.log2(0.9 / max(bright, _FLOOR)) + habits.bias
-    wanted = by_mean + habits.highlights * min(by_highlights - by_mean, 0.0)
-    return float(min(wanted, np.log2(habits.max_multiplier)))
+    by_highlights = np.log2(0.9 / max(bright, _FLOOR)) + settings.bias
+    wanted = by_mean + settings.highlights * min(by_highlights - by_mean, 0.0)
+    return float(min(wanted, np.log2(settings.max_multiplier)))
 
 
-def settle(wanted: Float[np.ndarray, " f"], habits: Habits, interval_s: float = 1 / 3) -> Float[np.ndarray, " f"]:
-    """What the phone shows while its meter says `wanted`, both in stops: late, and not at all for small changes."""
+def settle(
+    wanted: Float[np.ndarray, " f"], settings: MeterSettings, interval_s: float = 1 / 3
+) -> Float[np.ndarray, " f"]:
+    """Return the exposure of each frame, in stops, as it follows the metered one: late, and not for small changes."""
     stops = np.empty(len(wanted))
-    now = float(wanted[0]) + habits.first_error
-    follow = 1 - np.exp(-interval_s / habits.settle_s)
+    now = float(wanted[0]) + settings.first_error
+    follow = 1 - np.exp(-interval_s / settings.settle_s)
     for k, goal in enumerate(wanted):
-        if k and not habits.locked and abs(goal - now) > _DEAD_BAND:
+        if k and not settings.locked and abs(goal - now) > _DEAD_BAND:
             now += follow * (float(goal) - now)
         stops[k] = now
     return stops
 
 
-def white_balance(frame: Float[np.ndarray, "h w 3"], habits: Habits) -> Float[np.ndarray, "3"]:
-    """Gains that bring the frame's light part of the way (`balance`) to neutral, at equal luminance.
+def white_balance(frame: Float[np.ndarray, "h w 3"], settings: MeterSettings) -> Float[np.ndarray, "3"]:
+    """Compute gains that bring the frame's light part of the way (`balance`) to neutral, at equal luminance.
 
-    The light is guessed between grey world (mean chroma of what is not black) and the bright parts' colour, then
-    brought near the black body of like chroma: a phone takes no wall's green for light. Gains between 0.4 and 2.5.
+    The light is estimated between grey world (mean chroma of the pixels that are not black) and the bright parts'
+    colour, then moved toward the nearest black body: a phone does not take a green wall for green light. Gains are
+    between 0.4 and 2.5.
     """
     pixels = frame.reshape(-1, 3).astype(np.float64)
     luminance = pixels @ LUMINANCE
@@ -127,19 +138,21 @@ def white_balance(frame: Float[np.ndarray, "h w 3"], habits: Habits) -> Float[np
         return np.ones(3)
     bright = pixels[luminance >= np.percentile(luminance, 85)].mean(axis=0)
     logs = np.log(np.maximum(lit, _FLOOR / 10))
-    guess = habits.grey_world * logs.mean(axis=0) + (1 - habits.grey_world) * np.log(np.maximum(bright, _FLOOR / 10))
+    guess = settings.grey_world * logs.mean(axis=0) + (1 - settings.grey_world) * np.log(
+        np.maximum(bright, _FLOOR / 10)
+    )
     chroma = guess[[0, 2]] - guess[1]
     locus = _locus()
     near = locus[np.argmin(((locus - chroma) ** 2).sum(axis=1))]
     chroma = 0.8 * near + 0.2 * chroma
     light = np.exp([chroma[0], 0.0, chroma[1]])
     light /= light @ LUMINANCE
-    gains = np.clip(light**-habits.balance, 0.4, 2.5)
+    gains = np.clip(light**-settings.balance, 0.4, 2.5)
     return gains / ((gains * light) @ LUMINANCE)
 
 
 @lru_cache(maxsize=1)
 def _locus() -> Float[np.ndarray, "64 2"]:
-    """log(red / green) and log(blue / green) of black bodies; phones look for no warmer light."""
+    """Return log(red / green) and log(blue / green) of black bodies of 2,400 to 10,000 K, a phone's range."""
     bodies = np.array([blackbody_rgb(float(kelvin)) for kelvin in np.geomspace(2400, 10_000, 64)])
     return np.log(bodies[:, [0, 2]] / bodies[:, 1:2])

@@ -1,4 +1,4 @@
-"""Where light is asked for: points in the first frame's view where somebody might put a virtual thing.
+"""Probe positions: points in the first frame's view where an application might put a virtual object.
 
 World frame: y up, metres; poses camera-to-world, OpenGL axes; depth is z-depth.
 """
@@ -13,24 +13,26 @@ from roomlight.camera import Intrinsics, transform_points
 from roomlight_generator.sequences.walk import FreeSpace
 
 PROBE_CLEARANCE_M: Final = 0.12
-"""No surface is nearer to a probe: a mug's worth of air around it."""
+"""Least distance of a probe to any surface: a mug has room there."""
 DISTANCE_M: Final = (0.5, 4.5)
-"""Nearest and farthest probe from the camera: within the reach of a phone's depth sensor."""
+"""Least and largest distance of a probe to the camera: within the range of a phone's depth sensor."""
 APART_M: Final = 0.4
-"""Probes keep this distance from each other where the view allows it."""
+"""Least distance between probes, where the view allows it."""
 LIFT_M: Final = (0.13, 0.6)
-"""Height over a floor, table or seat of those that stand for an object on it."""
+"""Height above a floor, table or seat of probes for an object on it."""
 
 _CANDIDATES: Final = 160
 _RESTING_SHARE: Final = 0.75
+"""Share of the candidates that are lifted from level surfaces."""
 _RESTING_WEIGHT: Final = 4.0
-"""How much likelier a point near above something is taken than one in mid-air."""
+"""How much likelier a point close above a surface is chosen than one in mid-air."""
 _DOWN: Final = np.array([[0.0, -1.0, 0.0]], np.float32)
 _MARGIN: Final = 0.06
-"""Of the image's width and height, left free at its rim."""
+"""Share of the image's width and height that is left free at its edges."""
 _LEVEL: Final = 0.85
-"""Least vertical component of the normal of what something can stand on."""
-_TRIPLES: Final = 48
+"""Least vertical component of the normal of a surface on which an object can stand."""
+_CHOICES: Final = 48
+"""Random choices of probes that are compared."""
 
 
 def place_probes(
@@ -42,11 +44,11 @@ def place_probes(
     depth_m: Float[np.ndarray, "h w"],
     count: int = 3,
 ) -> Float[np.ndarray, "{count} 3"] | None:
-    """Points in the first frame's frustum, in the open, seen from its camera; None where there are too few.
+    """Choose points in the first frame's view, clear of surfaces and seen by its camera; None if there are too few.
 
-    depth_m is the first frame's exact depth (0 = nothing hit), any size of the same view. Most points hover over
-    something level that is seen, the rest hang in mid-air before whatever is seen. They are spread over distance and
-    over the picture.
+    depth_m is the first frame's exact depth (0: nothing hit), at any size of the same view. Most points are above
+    visible level surfaces, the rest in mid-air in front of visible surfaces. They are spread over distance and over the
+    picture.
     """
     camera = intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
     candidates = _candidates(rng, camera, camera_to_world, depth_m)
@@ -66,31 +68,31 @@ def _candidates(
     camera_to_world: Float[np.ndarray, "4 4"],
     depth_m: Float[np.ndarray, "h w"],
 ) -> Float[np.ndarray, "n 3"]:
-    """Points over what is seen: lifted from level surfaces, and between the camera and any surface."""
+    """Draw points lifted from visible level surfaces, and points between the camera and any visible surface."""
     height, width = depth_m.shape
     points = transform_points(camera_to_world, (camera.rays() * depth_m[..., None]).astype(np.float64))
     resting = int(_CANDIDATES * _RESTING_SHARE)
     level = np.flatnonzero(_level(points, depth_m))
     found: list[np.ndarray] = []
     if len(level):
-        # likelier on what takes little of the picture: a table rather than the floor around it
+        # A layer that covers little of the picture is likelier: a table rather than the floor around it.
         altitude = points[..., 1].ravel()[level]
         layer = np.rint((altitude - altitude.min()) / 0.1).astype(np.int64)
         weight = 1 / np.sqrt(np.bincount(layer)[layer])
         base = points.reshape(-1, 3)[rng.choice(level, resting, p=weight / weight.sum())]
         lift = LIFT_M[0] + (LIFT_M[1] - LIFT_M[0]) * rng.random(resting) ** 1.5
         found.append(base + lift[:, None] * [0.0, 1.0, 0.0])
-    hovering = _CANDIDATES - sum(len(part) for part in found)
-    pixel = rng.integers(height * width, size=hovering)
+    in_mid_air = _CANDIDATES - sum(len(part) for part in found)
+    pixel = rng.integers(height * width, size=in_mid_air)
     surface_m = depth_m.ravel()[pixel]
     surface_m = np.where(surface_m > 0, surface_m, DISTANCE_M[1])
-    depth = np.minimum(surface_m, DISTANCE_M[1]) * rng.uniform(0.3, 0.92, hovering)
+    depth = np.minimum(surface_m, DISTANCE_M[1]) * rng.uniform(0.3, 0.92, in_mid_air)
     found.append(transform_points(camera_to_world, camera.rays().reshape(-1, 3)[pixel] * depth[:, None]))
     return np.concatenate(found)
 
 
 def _level(points: Float[np.ndarray, "h w 3"], depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Pixels of floors, seats and table tops: known depth, normal upward, no jump of depth beside them."""
+    """Return the pixels of floors, seats and table tops: known depth, upward normal, no step in depth beside them."""
     right = np.roll(points, -1, axis=1) - np.roll(points, 1, axis=1)
     down = np.roll(points, -1, axis=0) - np.roll(points, 1, axis=0)
     normal = np.cross(down, right)
@@ -109,7 +111,7 @@ def _in_view(
     camera_to_world: Float[np.ndarray, "4 4"],
     depth_m: Float[np.ndarray, "h w"],
 ) -> Bool[np.ndarray, " n"]:
-    """Inside the picture, at a fitting distance, nearer than what the picture shows there."""
+    """Return which points are inside the picture, within `DISTANCE_M`, and nearer than the surface shown there."""
     local = (points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     distance = np.linalg.norm(local, axis=1)
     fits = (distance >= DISTANCE_M[0]) & (distance <= DISTANCE_M[1]) & (local[:, 2] < 0)
@@ -125,7 +127,7 @@ def _in_view(
 def _in_sight(
     free: FreeSpace, points: Float[np.ndarray, "n 3"], camera_to_world: Float[np.ndarray, "4 4"]
 ) -> Bool[np.ndarray, " n"]:
-    """Nothing stands between the camera and the point, and no pane of glass either."""
+    """Return which points no surface hides from the camera, not even a pane of glass."""
     if len(points) == 0:
         return np.zeros(0, bool)
     away = points - camera_to_world[:3, 3]
@@ -143,14 +145,14 @@ def _spread(
     chance: Float[np.ndarray, " n"],
     count: int,
 ) -> Float[np.ndarray, "{count} 3"]:
-    """Of random choices the one whose members are farthest apart, in space, on the picture and in distance."""
+    """Return the random choice of points that are farthest apart in space, on the picture and in distance."""
     local = (points - camera_to_world[:3, 3]) @ camera_to_world[:3, :3]
     xy, _ = camera.project(local)
     place = np.concatenate(
         [xy / [camera.width, camera.height], 0.5 * np.log2(np.linalg.norm(local, axis=1))[:, None]], axis=1
     )
     best, best_score = np.arange(count), -np.inf
-    for _ in range(_TRIPLES):
+    for _ in range(_CHOICES):
         chosen = rng.choice(len(points), count, replace=False, p=chance)
         one, other = np.triu_indices(count, 1)
         apart = np.linalg.norm(points[chosen[one]] - points[chosen[other]], axis=1)

@@ -1,7 +1,7 @@
-"""From light to the 8-bit picture that a phone hands out: lens, noise, clipping, sRGB.
+"""From light to the 8-bit picture of a phone: lens, noise, clipping, sRGB.
 
-The response is sRGB's and nothing else, because every client linearises by it; some sequences (`Sensor.response`)
-deviate a little, as phones do.
+The response is sRGB's, because every client linearises by it; in some sequences (`Sensor.response`) it deviates a
+little, as phones' do.
 """
 
 from dataclasses import dataclass
@@ -14,23 +14,31 @@ from jaxtyping import Float, UInt8
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8
 
 BASE_MULTIPLIER: Final = 4.2
-"""Per kcd/m2: up to here a phone needs no amplification (f/1.8, 1/30 s, ISO 32 clip at 237 cd/m2); above, the noise of
-the light itself shows: gain is multiplier / BASE_MULTIPLIER."""
+"""Multiplier per kcd/m2 up to which a phone needs no gain: f/1.8, 1/30 s and ISO 32 clip at 237 cd/m2.
+
+Above, gain is multiplier / BASE_MULTIPLIER, and the noise of the light itself shows.
+"""
 OWN_RESPONSE_SHARE: Final = 0.3
-"""Of sequences whose tone curve is not exactly sRGB's."""
+"""Share of sequences whose tone curve is not exactly sRGB's."""
 
 _FULL_WELL: Final = 150_000.0
-"""Electrons at white, without gain, behind one pixel of a 320 x 240 picture. An assumption: a sixth of the 160 pixels
-of 6,000 that fall on it, because video reads fewer of them and its denoising leaves coarse grain."""
+"""Electrons at white, without gain, behind one pixel of a 320 x 240 picture.
+
+An assumption: 160 sensor pixels of 6,000 electrons fall on it, of which a sixth counts, because video reads fewer of
+them and its denoising leaves coarse grain.
+"""
 _READ_NOISE: Final = 6.0
 """Electrons."""
 
 
 @dataclass(frozen=True)
 class Sensor:
-    """One phone's camera. noise scales the noise of the model, blur_px is the lens's standard deviation, vignetting the
-    loss in the corners, sharpening the strength of an unsharp mask. response is (gamma, contrast) about sRGB's curve,
-    (1, 0) is sRGB itself."""
+    """One phone's camera.
+
+    noise scales the noise of the model, grain_px and blur_px are the standard deviations of its grain and of the lens,
+    vignetting is the loss in the corners, sharpening the strength of an unsharp mask. response is (gamma, contrast)
+    about sRGB's curve; (1, 0) is sRGB itself.
+    """
 
     noise: float = 1.0
     grain_px: float = 0.5
@@ -41,7 +49,7 @@ class Sensor:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "Sensor":
-        """One at random."""
+        """Draw a sensor at random."""
         own = rng.random() < OWN_RESPONSE_SHARE
         gamma, contrast = rng.uniform(0.95, 1.05), rng.uniform(-0.06, 0.06)
         return cls(
@@ -55,7 +63,7 @@ class Sensor:
 
     @property
     def exact_response(self) -> bool:
-        """Whether its tone curve is sRGB's."""
+        """Whether the tone curve is exactly sRGB's."""
         return self.response == (1.0, 0.0)
 
 
@@ -67,13 +75,13 @@ def develop(
     multiplier: float,
     gains: Float[np.ndarray, "3"],
 ) -> UInt8[np.ndarray, "h w 3"]:
-    """The 8-bit sRGB picture of a frame of radiance (kcd/m2), exposed and balanced as `exposure.expose` decided.
+    """Develop radiance (kcd/m2) to an 8-bit sRGB picture, with the exposure and gains of `exposure.expose`.
 
-    CameraPath and read noise after amplification, smoothed as denoising leaves it (its deviation stays as stated); what
-    passes 1.0 clips. The same generator state gives the same bytes.
+    Shot and read noise are added after amplification, and smoothed as denoising leaves them without changing their
+    deviation; what exceeds 1.0 clips. The same generator state gives the same bytes.
     """
     image = np.asarray(radiance, np.float32) * (gains * multiplier).astype(np.float32)
-    image = np.minimum(image, np.float32(64.0))  # six stops over white: brighter tells an 8-bit picture nothing
+    image = np.minimum(image, np.float32(64.0))  # six stops over white: an 8-bit picture shows nothing brighter
     if sensor.vignetting:
         image *= _vignette(image.shape[0], image.shape[1], sensor.vignetting)[..., None]
     image = cv2.GaussianBlur(image, (0, 0), sensor.blur_px)
@@ -88,12 +96,14 @@ def develop(
         return linear_to_srgb8(image)
     gamma, contrast = sensor.response
     encoded = linear_to_srgb(image) ** np.float32(gamma)
-    encoded += np.float32(contrast) * encoded * (1 - encoded) * (2 * encoded - 1) * 2  # an S that keeps 0, 1/2 and 1
+    encoded += (
+        np.float32(contrast) * encoded * (1 - encoded) * (2 * encoded - 1) * 2
+    )  # an S curve that keeps 0, 1/2 and 1
     return np.rint(np.clip(encoded, 0, 1) * 255).astype(np.uint8)
 
 
 def _vignette(height: int, width: int, loss: float) -> Float[np.ndarray, "{height} {width}"]:
-    """Light left by cos^4-like falloff, 1 in the middle and 1 - loss in the corners."""
+    """Return the share of light left by a falloff like cos^4: 1 in the middle, 1 - loss in the corners."""
     y = (np.arange(height, dtype=np.float32) + 0.5) / height * 2 - 1
     x = (np.arange(width, dtype=np.float32) + 0.5) / width * 2 - 1
     return 1 - np.float32(loss) * (0.5 * (x**2 + y[:, None] ** 2)) ** 1.5
@@ -102,9 +112,9 @@ def _vignette(height: int, width: int, loss: float) -> Float[np.ndarray, "{heigh
 def _grain(
     rng: np.random.Generator, height: int, width: int, size_px: float
 ) -> Float[np.ndarray, "{height} {width} 3"]:
-    """Noise of deviation 1, alike in neighbouring pixels and partly in the channels, as demosaicing leaves it."""
+    """Draw noise of deviation 1, correlated over pixels and partly over channels, as demosaicing leaves it."""
     noise = rng.standard_normal((height, width, 3), np.float32)
     noise = cv2.GaussianBlur(0.8 * noise + 0.6 * noise[..., 1:2], (0, 0), size_px)
     kernel = cv2.getGaussianKernel(int(2 * np.ceil(4 * size_px) + 1), size_px).ravel()
-    weight = np.array([1.0, 1.4, 1.0], np.float32)  # of 0.8 n + 0.6 n_green: for green both are one
+    weight = np.array([1.0, 1.4, 1.0], np.float32)  # of 0.8 n + 0.6 n_green: for green both are the same noise
     return noise / (weight * np.float32((kernel**2).sum()))

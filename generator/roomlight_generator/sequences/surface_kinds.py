@@ -1,4 +1,4 @@
-"""Which pixels of a view show which kind of surface, for comparing like with like; and scenes without their panes.
+"""Which pixels of a view show which kind of surface, so that errors are measured by kind; scenes without their panes.
 
 Frames: world, y up, metres; poses camera-to-world, OpenGL axes.
 """
@@ -14,19 +14,19 @@ from roomlight_generator.rooms.scene import Item, Scene
 from roomlight_generator.transport import Tracer
 
 _FLAT: Final = 0.25
-"""A pixel's corners lie off its middle's plane by less than this share of their distance, or it shows an edge."""
+"""A pixel shows an edge if a corner lies off its middle's plane by more than this share of its distance from it."""
 
 
 @dataclass(frozen=True, eq=False)
-class Kinds:
-    """Which pixels show one surface only, and of what kind it is."""
+class SurfaceKinds:
+    """Masks of the pixels that show a single surface, by its kind: matt or coated."""
 
     diffuse: Bool[np.ndarray, "h w"]
     coated: Bool[np.ndarray, "h w"]
 
 
 def without_glass(scene: Scene) -> Scene:
-    """The scene without its panes."""
+    """Return the scene without its glass panes."""
     items: list[Item] = []
     for item in scene.items:
         mesh = item.mesh
@@ -39,8 +39,8 @@ def without_glass(scene: Scene) -> Scene:
     return replace(scene, items=tuple(items))
 
 
-def surface_kinds(tracer: Tracer, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Kinds:
-    """Kinds of first hits. A pixel is judged by its middle and its corners, which must lie on one flat thing."""
+def surface_kinds(tracer: Tracer, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> SurfaceKinds:
+    """Classify the pixels of a view by first hits: a pixel's middle and corners must lie on one flat surface."""
     height, width = camera.height, camera.width
     larger = Intrinsics(camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, width + 1, height + 1)
     middle, corner = (_first_hits(tracer, each, camera_to_world) for each in (camera, larger))
@@ -55,13 +55,13 @@ def surface_kinds(tracer: Tracer, camera: Intrinsics, camera_to_world: Float[np.
     table = tracer.materials
     plain = (table.mirror == 0) & (table.emission.max(1) == 0)
     diffuse, coated = (alone & (plain & chosen)[material] for chosen in (table.roughness == 0, table.roughness > 0))
-    return Kinds(diffuse, coated)
+    return SurfaceKinds(diffuse, coated)
 
 
 def _first_hits(
     tracer: Tracer, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Material, item (-1 for none), points and unit normals."""
+    """Return material and item (-1: none), points relative to the camera, and unit normals of the pixel centres."""
     rays = camera.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
     hits = tracer.trace(np.tile(camera_to_world[:3, 3].astype(np.float32), (len(rays), 1)), rays)

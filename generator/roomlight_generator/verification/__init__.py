@@ -1,1 +1,1 @@
-"""Checks the generator's light transport against Mitsuba."""
+"""Check of the generator's light transport against Mitsuba, an unbiased path tracer."""

@@ -1,13 +1,14 @@
-"""The generator's light held against a path tracer's, on the generator's own rooms.
+"""Comparison of the generator's light with a path tracer's, on the generator's own rooms.
 
 Each room is solved as for a dataset; its first frame and one probe are rendered by both, from the same triangles. Glass
-is taken out for both: the path tracer has none (`dataset.reference`).
+is removed for both: the path tracer leaves it out (`verification.reference`).
 
-A path tracer's picture of a sunlit room keeps a quarter of noise after 500 paths a pixel. Errors are therefore measured
-at some of the frame's pixels, and over blocks of 4 x 4 around them (in which our own noise is averaged out), with as
-many paths each as it takes; the whole picture, with few paths, is for the eye and for sums. What noise is left in the
-reference counts as error, once as it is and once taken out (`dataset.deviation`); rooms in which it is larger than
-`JUDGED_NOISE` say nothing and are counted apart.
+A path tracer's picture of a sunlit room has 25 % noise after 500 paths a pixel. Errors are therefore measured at some
+of the frame's pixels, and over blocks of 4 x 4 around them (which average out our own noise), with as many paths each
+as they need; whole pictures, with few paths, serve for viewing and for sums. Errors are given with and without the
+reference's remaining noise (`verification.deviation`); rooms in which it exceeds `JUDGED_NOISE` are counted apart.
+
+World frame: y up, metres; radiance in kcd/m2.
 """
 
 import time
@@ -28,27 +29,29 @@ from roomlight_generator.rooms.build import build_room, room_generator
 from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.rooms.scene import Scene
 from roomlight_generator.sequences.render import LitRoom, catalogue_for, plan_camera_path
-from roomlight_generator.sequences.surface_kinds import Kinds, surface_kinds, without_glass
+from roomlight_generator.sequences.surface_kinds import SurfaceKinds, surface_kinds, without_glass
 from roomlight_generator.sequences.walk import FreeSpace
 from roomlight_generator.transport import RoomLight, Tracer
 from roomlight_generator.verification.deviation import Deviation, cube_normals, deviation, irradiance, luminance, pooled
 from roomlight_generator.verification.reference import Reference
 
 FRAME: Final = (160, 120)
+"""Width and height of the frame."""
 PROBE_HEIGHT: Final = 120
 BODY_M: Final = 0.25
-"""As for a dataset's walks."""
+"""Radius of the body that walks, as for a dataset."""
 BLOCK: Final = 4
+"""Pixels along a block's side."""
 POINTS: Final = 96
-"""Blocks of each kind of surface in a room: with errors that scatter by 5 %, their mean is known to 0.5 %."""
+"""Blocks of each kind of surface in a room: if their errors scatter by 5 %, the mean is known to 0.5 %."""
 NOISE: Final = 0.02
-"""The points' mean noise at which the reference stops: a sixth of a 5 % error, in squares."""
+"""Mean noise at which the reference stops: a sixth of a 5 % error, in squares."""
 PATHS: Final = 12_000_000
-"""Paths for a room's points, at the most: a minute on two cores. Few rooms reach `NOISE` with so many."""
+"""Most paths for a room's points: a minute on two cores. Few rooms reach `NOISE` with so many."""
 BLOCK_SHARE: Final = 0.75
-"""Of these paths, for blocks; the rest is for single pixels."""
+"""Share of these paths for blocks; the rest is for single pixels."""
 JUDGED_NOISE: Final = 0.05
-"""Rooms whose blocks have more noise in the reference than the target allows for error are no measure of it."""
+"""Rooms whose reference has more noise in the blocks than this, the error aimed at, are not judged."""
 
 _LEAST_BLOCKS: Final = 12
 _PATHS_A_ROUND: Final = 500_000
@@ -57,7 +60,7 @@ _SUN_SAMPLES: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """One picture by both, the reference in halves, and the seconds that each took."""
+    """One picture by both renderers, the reference in two halves, and the seconds that each took."""
 
     ours: Float[np.ndarray, "h w 3"]
     halves: Float[np.ndarray, "2 h w 3"]
@@ -72,8 +75,10 @@ class View:
 
 @dataclass(frozen=True)
 class SurfaceDeviation:
-    """One kind of surface in a frame: single pixels, blocks of 4 x 4, and the difference of the sums over all its
-    pixels (signed, relative)."""
+    """Errors of one kind of surface in a frame, for single pixels and blocks of 4 x 4.
+
+    bias is the signed relative difference of the sums over all its pixels.
+    """
 
     pixels: Deviation
     blocks: Deviation
@@ -82,8 +87,11 @@ class SurfaceDeviation:
 
 @dataclass(frozen=True)
 class ProbeDeviation:
-    """Irradiance at 26 normals: mean relative error of luminance, the reference's own noise, the difference of the
-    sums; and the log-L2 of the panorama in units in which the frame's geometric mean is 0.18."""
+    """Errors of irradiance at 26 normals, and of the panorama.
+
+    irradiance is the mean relative error of luminance, noise the reference's own, bias the relative difference of the
+    sums. log_l2 is of the panorama, in units in which the frame's geometric mean is 0.18.
+    """
 
     irradiance: float
     noise: float
@@ -93,15 +101,18 @@ class ProbeDeviation:
 
 @dataclass(frozen=True, eq=False)
 class RoomCheck:
-    """One room's figures and pictures. Kinds of surface that hardly show are None. `paths` is how many each of the
-    points took, `points_s` the seconds for them."""
+    """One room's figures and pictures.
+
+    diffuse and coated are None if too little of such surfaces is in view. paths is how many each of the points took,
+    points_s the seconds for them.
+    """
 
     name: str
     about: str
     solve_s: float
     frame: View
     panorama: View
-    kinds: Kinds
+    kinds: SurfaceKinds
     diffuse: SurfaceDeviation | None
     coated: SurfaceDeviation | None
     probe: ProbeDeviation
@@ -111,26 +122,26 @@ class RoomCheck:
 
 @dataclass(frozen=True, eq=False)
 class CheckReport:
-    """All rooms, and the messages of those that had no place for a camera and its probes."""
+    """All rooms, and the messages of rooms without a place for a camera and its probe."""
 
     rooms: tuple[RoomCheck, ...]
     left_out: tuple[str, ...]
 
     def diffuse(self) -> SurfaceDeviation | None:
-        """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
+        """Average over all rooms, weighted by points; the bias is the mean of the rooms'."""
         return _pooled([room.diffuse for room in self.rooms])
 
     def judged(self) -> tuple[RoomCheck, ...]:
-        """The rooms in which the reference knows the diffuse surfaces well enough."""
+        """Return the rooms in which the reference has at most `JUDGED_NOISE` on diffuse surfaces."""
         known = [room for room in self.rooms if room.diffuse is not None]
         return tuple(room for room in known if room.diffuse and room.diffuse.blocks.noise <= JUDGED_NOISE)
 
     def coated(self) -> SurfaceDeviation | None:
-        """Over all rooms, weighted by points; the bias is the mean of the rooms'."""
+        """Average over all rooms, weighted by points; the bias is the mean of the rooms'."""
         return _pooled([room.coated for room in self.rooms])
 
     def probe(self) -> ProbeDeviation:
-        """The mean over the rooms."""
+        """Average over the rooms."""
         probes = [room.probe for room in self.rooms]
         names = ("irradiance", "noise", "bias", "log_l2")
         return ProbeDeviation(*(float(np.mean([getattr(probe, name) for probe in probes])) for name in names))
@@ -147,10 +158,13 @@ def check_rooms(
     paths: int = PATHS,
     done: Callable[[RoomCheck], None] | None = None,
 ) -> CheckReport:
-    """Check so many rooms from number `first` on, one by one; `done` is called after each.
+    """Check so many rooms from index `first` on, one by one; `done` is called after each.
 
-    samples are a pixel's paths in pictures, paths what is spent on a room's points. A room without a place for a camera
-    is left out and the next one taken. ImportError without Mitsuba.
+    samples are a pixel's paths in pictures, paths the most for a room's points. A room without a place for a camera is
+    left out and the next one taken.
+
+    Raises:
+        ImportError: if Mitsuba is not installed.
     """
     catalogue = catalogue_for(furniture)
     found: list[RoomCheck] = []
@@ -164,16 +178,17 @@ def check_rooms(
         solve_s = time.perf_counter() - begin
         floor = free_floor(room.shell, room.placements, radius_m=BODY_M)
         free = FreeSpace(floor.free, floor.origin, floor.cell_m, Tracer(room.scene).distances)
-        stage = LitRoom(room, light, free)
+        lit_room = LitRoom(room, light, free)
         try:
-            shot = plan_camera_path(stage, room_generator(index, seed=seed, split=split, purpose=1), probes=1)
+            path = plan_camera_path(lit_room, room_generator(index, seed=seed, split=split, purpose=1), probes=1)
         except (DatasetError, ValueError) as error:
             left_out.append(str(error))
         else:
-            camera = shot.intrinsics.resized(*FRAME)
+            camera = path.intrinsics.resized(*FRAME)
             check = _compared(
-                light, camera, shot.poses[0], shot.probes[0], samples=samples, paths=paths, seed=index,
-                probe_height=PROBE_HEIGHT, solve_s=solve_s, name=room.name, about=f"{room.room_type}, {_light(stage)}",
+                light, camera, path.poses[0], path.probes[0], samples=samples, paths=paths, seed=index,
+                probe_height=PROBE_HEIGHT, solve_s=solve_s, name=room.name,
+                about=f"{room.room_type}, {_light(lit_room)}",
             )  # fmt: skip
             found.append(check)
             if done:
@@ -195,7 +210,7 @@ def check_view(
     name: str = "",
     about: str = "",
 ) -> RoomCheck:
-    """One frame and one probe of a scene (its glass left out) by both."""
+    """Check one frame and one probe (world, metres) of a scene without its glass."""
     begin = time.perf_counter()
     light = RoomLight.solve(Tracer(without_glass(scene)), seed)
     solve_s = time.perf_counter() - begin
@@ -219,7 +234,7 @@ def _compared(
     name: str,
     about: str,
 ) -> RoomCheck:
-    """One frame and one probe of a solved scene by both."""
+    """Render one frame and one probe of a solved scene by both, and compare them."""
     tracer = light.tracer
     scene = tracer.scene
     reference = Reference(scene)
@@ -279,7 +294,7 @@ def _compared(
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """A picture's rays from one point, and the two vectors that span each one's pixel."""
+    """A picture's rays from one point (world frame), and the two vectors that span each one's pixel."""
 
     origin: Float[np.ndarray, "3"]
     directions: Float[np.ndarray, "h w 3"]
@@ -287,10 +302,10 @@ class _Rays:
 
     @classmethod
     def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "_Rays":
-        turn = camera_to_world[:3, :3]
-        across = np.array([[1 / camera.fx, 0, 0], [0, -1 / camera.fy, 0]]) @ turn.T
+        rotation = camera_to_world[:3, :3]
+        across = np.array([[1 / camera.fx, 0, 0], [0, -1 / camera.fy, 0]]) @ rotation.T
         spread = np.tile(across, (camera.height, camera.width, 1, 1))
-        return cls(camera_to_world[:3, 3], camera.rays().astype(np.float64) @ turn.T, spread)
+        return cls(camera_to_world[:3, 3], camera.rays().astype(np.float64) @ rotation.T, spread)
 
     @classmethod
     def around(cls, position: Float[np.ndarray, "3"], height: int) -> "_Rays":
@@ -311,7 +326,7 @@ def _rendered(
     samples: int,
     seeds: list[int],
 ) -> View:
-    """The reference's two halves beside ours."""
+    """Render the reference's two halves beside our picture."""
     begin = time.perf_counter()
     directions, spread = rays.directions.reshape(-1, 3), rays.spread.reshape(-1, 2, 3)
     origins = np.tile(rays.origin, (len(directions), 1))
@@ -326,7 +341,7 @@ def _rendered(
 def _add_sun(
     halves: Float[np.ndarray, "2 h w 3"], reference: Reference, scene: Scene, position: Float[np.ndarray, "3"]
 ) -> None:
-    """The sun's disc in a panorama, where it is in view: paths do not meet it."""
+    """Add the sun's disc to a panorama where it is in view, because paths do not meet it."""
     if scene.sky.sun is None:
         return
     height, width = halves.shape[1:3]
@@ -339,7 +354,7 @@ def _add_sun(
 
 
 def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[np.ndarray, "n 2"]:
-    """Upper left pixels of some blocks that are of the kind throughout; none where there are few."""
+    """Choose blocks whose pixels all show the kind, by their upper left pixels; none if there are few."""
     rows, columns = kind.shape[0] // BLOCK, kind.shape[1] // BLOCK
     whole = kind[: rows * BLOCK, : columns * BLOCK].reshape(rows, BLOCK, columns, BLOCK).all((1, 3))
     at = np.argwhere(whole)
@@ -351,7 +366,7 @@ def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[n
 def _points(
     reference: Reference, rays: _Rays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
 ) -> tuple[Float[np.ndarray, "2 n 3"], int]:
-    """The reference's halves over squares of pixels whose upper left ones are given; and the paths for each square."""
+    """Compute the reference's halves over squares of pixels, given their upper left ones; also the paths of each."""
     count = len(at)
     halves = np.zeros((2, count, 3), np.float32)
     if not count:
@@ -395,7 +410,7 @@ def _pooled(parts: list[SurfaceDeviation | None]) -> SurfaceDeviation | None:
     return SurfaceDeviation(pixels, blocks, float(np.mean([part.bias for part in known])))
 
 
-def _light(stage: LitRoom) -> str:
-    facts = stage.room.facts["light"]
+def _light(lit_room: LitRoom) -> str:
+    facts = lit_room.room.facts["light"]
     kinds = sorted({str(source["kind"]) for source in facts["sources"]})
     return f"{facts['scenario']}: {', '.join(kinds)}"

@@ -1,13 +1,13 @@
-"""A room handed to Mitsuba 3, an unbiased path tracer, to check the generator's light transport against.
+"""A room in Mitsuba 3, an unbiased path tracer: the reference for the generator's light transport.
 
 Mitsuba is a development dependency. It runs as `llvm_ad_rgb` where LLVM 16 or newer is found as a shared library,
-otherwise as `scalar_rgb`, a thousand times slower. Meshes go over with their shading normals and textures, the coat as
-`roughplastic` (index 1.5, linear), mirrors as a perfect `conductor`, the sky as an environment map without what no
-opening can see. Glass panes are left out: a path tracer would find small lights behind them by chance alone.
+otherwise as `scalar_rgb`, a thousand times slower. Meshes keep their shading normals and textures; the coat becomes
+`roughplastic` (index 1.5, linear), a mirror a perfect `conductor`, the sky an environment map that is black in
+directions that no opening shows. Glass panes are left out: paths would find small lights behind them by chance alone.
 
-The sun is a direction, a new one of its disc in each batch of paths: soft shadows are right, but no ray sees the disc
-itself (`sun_seen` says where it is in view), and no light arrives from it by way of a mirror. That keeps out single
-paths brighter than all others together.
+The sun is a directional light, toward another point of its disc in each batch of paths: soft shadows are right, but no
+ray sees the disc itself (`sun_seen` tells where it is in view), and no sunlight arrives by way of a mirror. This avoids
+single paths brighter than all others together.
 
 Frames: world, y up, metres; radiance in kcd/m2.
 """
@@ -28,43 +28,49 @@ from roomlight_generator.rooms.scene import Item, Material, Opening, Rgb, Scene,
 from roomlight_generator.transport import Tracer
 
 _SHEET_M: Final = 5e-5
-"""How far either side of a shining surface is moved out: Mitsuba's emitters shine from one side only. A hundred times
-float32's step at 5 m, and 1 % of the gaps that open between a bulb's facets."""
+"""Distance by which either side of an emitting surface is moved out: Mitsuba's emitters emit from one side only.
+
+It is a hundred times float32's step at 5 m, and 1 % of the gaps that it opens between a bulb's facets.
+"""
 
 _LEAST_AREA_M2: Final = 1e-11
-"""Triangles below it have no normal worth the name."""
+"""Triangles of less area are left out: their normals are not reliable."""
 
 _FARTHEST_UV: Final = 1e4
+"""Texture coordinates beyond it are set to 0."""
 
 _COVER_M: Final = 8e-3
-"""Nearer covers may let aimed light through, from 9 m away at the most."""
+"""Covers nearer to a light than this may let its sampled light through, to 9 m away at the most."""
 
 _COVER_RAYS: Final = 32
 
 _CLOSED_SHARE: Final = 0.995
-"""Of the rays from a surface, that end on the same thing again: no bulb or shade is quite without cracks."""
+"""An item is closed if more than this share of its rays end on itself: bulbs and shades have small cracks."""
 
 _PATHS: Final = 1_000_000
 """Paths traced together: some 200 bytes each."""
 
 _SUN_DIRECTIONS: Final = 8
-"""Points of the sun's disc, a batch each, other ones with each seed. A batch more costs 0.1 s."""
+"""Points of the sun's disc, each with a batch of paths; they depend on the seed. One more batch costs 0.1 s."""
 
 _ROULETTE_DEPTH: Final = 5
-"""Bounces before paths may end by chance: 12 take twice the time for a tenth less noise."""
+"""Bounces before Russian roulette: 12 take twice the time for a tenth less noise."""
 
 _EVEN_SHARE: Final = 0.3
-"""Of the paths' light samples, spread evenly over the lights; the rest by power."""
+"""Share of the paths' light samples that is spread evenly over the lights; the rest goes by power."""
 
 _SKY_ROWS: Final = 257
-"""Mitsuba's environment maps have rows on the poles; resampled so finely, ours differ from it by less than 1e-3."""
+"""Rows of the resampled sky: Mitsuba's maps have rows on the poles. With so many the two differ by less than 1e-3."""
 
 
 @cache
 def usable_variant() -> str:
-    """Mitsuba's fastest variant that runs here; ImportError without Mitsuba.
+    """Return Mitsuba's fastest variant that runs here.
 
-    Tried in a process of its own: Mitsuba 3.9 ends its process where it finds an LLVM older than 16.
+    It is tried in a process of its own: Mitsuba 3.9 exits if it finds an LLVM older than 16.
+
+    Raises:
+        ImportError: if Mitsuba is not installed.
     """
     import drjit
 
@@ -76,10 +82,14 @@ def usable_variant() -> str:
 
 
 class Reference:
-    """The radiance that arrives along rays, by path tracing without a cache."""
+    """Radiance along rays, by path tracing without a cache."""
 
     def __init__(self, scene: Scene, *, variant: str | None = None) -> None:
-        """Load the scene; the variant is `usable_variant()` if not given. ImportError without Mitsuba."""
+        """Load the scene; the variant is `usable_variant()` if not given.
+
+        Raises:
+            ImportError: if Mitsuba is not installed.
+        """
         import mitsuba as mi
 
         self._vectorised = (variant or usable_variant()) != "scalar_rgb"
@@ -100,19 +110,19 @@ class Reference:
         seed: int,
         spread: Float[np.ndarray, "n 2 3"] | None = None,
     ) -> Float[np.ndarray, "n 3"]:
-        """Mean radiance (kcd/m2) of each ray over so many paths.
+        """Compute the mean radiance (kcd/m2) along each ray over `samples` paths.
 
-        spread, where given, holds the two vectors that span a pixel about its ray: directions are jittered over it.
+        spread, if given, holds the two vectors that span a pixel about its ray: directions are jittered over it.
         """
         count = len(origins)
         total = np.zeros((count, 3), np.float64)
         batches = max(-(-samples * count // _PATHS), min(samples, _SUN_DIRECTIONS) if self._sun else 1)
         borders = np.linspace(0, samples, min(batches, samples) + 1).astype(int)
         rng = np.random.default_rng(seed)
-        turn = float(rng.random())
+        shift = float(rng.random())
         for number, paths in enumerate(np.diff(borders).tolist()):
             if self._sun is not None:
-                self._aim_sun(_in_disc(self._sun, (number + 0.5) / (len(borders) - 1), turn + number * 0.6180339887))
+                self._aim_sun(_in_disc(self._sun, (number + 0.5) / (len(borders) - 1), shift + number * 0.6180339887))
             d = np.repeat(directions, paths, axis=0)
             if spread is not None:
                 jitter = rng.uniform(-0.5, 0.5, (len(d), 2, 1))
@@ -124,7 +134,7 @@ class Reference:
         return (total / samples).astype(np.float32)
 
     def sun_seen(self, position: Float[np.ndarray, "3"], *, samples: int = 256) -> Float[np.ndarray, "n 3"]:
-        """Of so many directions spread over the sun's disc, those that nothing stands in as seen from a point."""
+        """Return those of `samples` directions spread over the sun's disc that no surface blocks at a point."""
         if self._sun is None:
             return np.zeros((0, 3))
         mi = self._mi
@@ -148,7 +158,7 @@ class Reference:
     def _paths(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"], *, seed: int
     ) -> Float[np.ndarray, "n 3"]:
-        """One path along each ray."""
+        """Trace one path along each ray."""
         mi = self._mi
         sampler = mi.load_dict({"type": "independent"})
         if self._vectorised:
@@ -163,13 +173,13 @@ class Reference:
         return out
 
 
-def _in_disc(sun: Sun, radius_sq: float, turn: float) -> Float[np.ndarray, "3"]:
-    """A unit direction to a point of the sun's disc: radius_sq in [0, 1], turn in whole turns."""
+def _in_disc(sun: Sun, radius_sq: float, revolutions: float) -> Float[np.ndarray, "3"]:
+    """Return the unit direction to a point of the sun's disc: squared radius in [0, 1], angle in revolutions."""
     toward = np.asarray(sun.direction, np.float64)
     side = np.cross(toward, [1.0, 0.0, 0.0] if abs(toward[0]) < 0.7 else [0.0, 1.0, 0.0])
     side /= np.linalg.norm(side)
     radius = sun.angular_radius * np.sqrt(radius_sq)
-    off = radius * (np.cos(2 * np.pi * turn) * side + np.sin(2 * np.pi * turn) * np.cross(toward, side))
+    off = radius * (np.cos(2 * np.pi * revolutions) * side + np.sin(2 * np.pi * revolutions) * np.cross(toward, side))
     return (toward + off) / np.linalg.norm(toward + off)
 
 
@@ -214,37 +224,37 @@ def _description(mi: Any, scene: Scene, folder: Path) -> dict[str, Any]:
 
 def _real_faces(item: Item, chosen: Bool[np.ndarray, " f"]) -> Int[np.ndarray, "c 3"]:
     faces = item.mesh.faces[chosen]
-    return faces[np.linalg.norm(_across(item, faces), axis=1) > _LEAST_AREA_M2]
+    return faces[np.linalg.norm(_cross_products(item, faces), axis=1) > _LEAST_AREA_M2]
 
 
-def _across(item: Item, faces: Int[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 3"]:
-    """The cross product of two sides: along the wound normal, twice the area long."""
+def _cross_products(item: Item, faces: Int[np.ndarray, "c 3"]) -> Float[np.ndarray, "c 3"]:
+    """Return the cross product of two sides: along the geometric normal, twice the area long."""
     a, b, c = (item.mesh.vertices[faces[:, k]].astype(np.float64) for k in range(3))
     return np.cross(b - a, c - a)
 
 
 def _area_m2(item: Item, faces: Int[np.ndarray, "c 3"]) -> float:
-    return 0.5 * float(np.linalg.norm(_across(item, faces), axis=1).sum())
+    return 0.5 * float(np.linalg.norm(_cross_products(item, faces), axis=1).sum())
 
 
 def _hidden(
     tracer: Tracer, number: int, item: Item, faces: Int[np.ndarray, "c 3"], side: int
 ) -> Bool[np.ndarray, " c"]:
-    """Which shining faces are to be met by chance only, not aimed at, on one side.
+    """Return which emitting faces paths should meet by chance only, not sample, on one side.
 
-    Shadow rays of Mitsuba end 0.9 mm before a light for each metre of their way (ShadowEpsilon), so that aimed light
-    passes a cover near enough. The insides of closed bulbs and shades would be aimed at in vain.
+    Shadow rays of Mitsuba end 0.9 mm before a light for each metre of their length (ShadowEpsilon), so sampled light
+    passes through a cover that is near enough. Samples on the insides of closed bulbs and shades would be wasted.
     """
     corners = item.mesh.vertices[faces].astype(np.float64)
-    wound = _across(item, faces)
-    wound *= side / np.linalg.norm(wound, axis=1, keepdims=True)
+    face_normals = _cross_products(item, faces)
+    face_normals *= side / np.linalg.norm(face_normals, axis=1, keepdims=True)
     rng = np.random.default_rng(0)
     shape = len(faces), _COVER_RAYS
     root, place = np.sqrt(rng.random((*shape, 1))), rng.random((*shape, 1))
     weights = np.concatenate([1 - root, root * (1 - place), root * place], -1)
-    origins = np.einsum("frc,fcd->frd", weights, corners) + 2 * _SHEET_M * wound[:, None]
+    origins = np.einsum("frc,fcd->frd", weights, corners) + 2 * _SHEET_M * face_normals[:, None]
     sphere = rng.normal(size=(*shape, 3))
-    directions = sphere / np.linalg.norm(sphere, axis=-1, keepdims=True) + 1.001 * wound[:, None]
+    directions = sphere / np.linalg.norm(sphere, axis=-1, keepdims=True) + 1.001 * face_normals[:, None]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     hits = tracer.trace(origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32))
     found = hits.face >= 0
@@ -254,21 +264,21 @@ def _hidden(
 
 
 def _write_ply(path: Path, item: Item, faces: Int[np.ndarray, "c 3"], *, offset: float = 0.0) -> Path:
-    """Binary PLY of the faces; an offset moves them along their wound normals and makes them face that way."""
+    """Write the faces as binary PLY; an offset moves them along their normals and makes them face that way."""
     mesh = item.mesh
     vertices, normals, uvs = mesh.vertices, mesh.normals, mesh.uvs
     if offset:
-        wound = _across(item, faces)
-        wound /= np.linalg.norm(wound, axis=1, keepdims=True)
+        face_normals = _cross_products(item, faces)
+        face_normals /= np.linalg.norm(face_normals, axis=1, keepdims=True)
         corners = faces.reshape(-1)
-        vertices = vertices[corners] + np.repeat(wound, 3, axis=0) * offset
-        normals = np.repeat(wound * np.sign(offset), 3, axis=0)
+        vertices = vertices[corners] + np.repeat(face_normals, 3, axis=0) * offset
+        normals = np.repeat(face_normals * np.sign(offset), 3, axis=0)
         uvs = uvs[corners]
         faces = np.arange(len(corners)).reshape(-1, 3)
         if offset < 0:
             faces = faces[:, ::-1]
     used, renumbered = np.unique(faces, return_inverse=True)
-    # A bitmap looked up at 1e9 gives weights outside of 0 to 1: light below zero and beyond all bounds.
+    # A bitmap looked up at 1e9 gives weights outside of 0 to 1, and so negative or unbounded light.
     uvs = np.where(np.abs(uvs) < _FARTHEST_UV, uvs, 0)
     points = np.concatenate([vertices[used], normals[used], uvs[used]], 1).astype("<f4")
     triangles = np.empty(len(faces), [("count", "u1"), ("corner", "<i4", 3)])
@@ -314,7 +324,7 @@ def _rgb(value: Rgb) -> dict[str, Any]:
 
 
 def _texture(mi: Any, material: Material, scale: Rgb) -> Any:
-    """The image times the colour, linear: bitmaps know no factor of their own."""
+    """Return the image times the colour, linear: Mitsuba's bitmaps have no factor."""
     assert material.texture is not None
     linear = srgb8_to_linear(material.texture.image) * np.array(scale, np.float32)
     bitmap = mi.Bitmap(np.ascontiguousarray(linear, np.float32))
@@ -328,11 +338,11 @@ def _outdoors(mi: Any, scene: Scene) -> dict[str, Any]:
     rows, columns = panorama.shape[:2]
     u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, np.linspace(0, 1, rows))
     panorama = np.where(_seen(uv_to_direction(np.stack([u, v], -1)), scene)[..., None], panorama, 0)
-    # Mitsuba's u grows from -z by way of +x: a quarter turn from ours.
-    turned = np.ascontiguousarray(np.roll(panorama, -columns // 4, axis=1), np.float32)
+    # Mitsuba's u grows from -z by way of +x, a quarter revolution from ours.
+    rotated = np.ascontiguousarray(np.roll(panorama, -columns // 4, axis=1), np.float32)
     parts: dict[str, Any] = {}
-    if turned.max() > 0:
-        parts["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(turned)}
+    if rotated.max() > 0:
+        parts["sky"] = {"type": "envmap", "bitmap": mi.Bitmap(rotated)}
     if scene.sky.sun is not None:
         direction = [-float(value) for value in scene.sky.sun.direction]
         parts["sun"] = {"type": "directional", "direction": direction, "irradiance": _rgb(scene.sky.sun.irradiance)}
@@ -340,7 +350,7 @@ def _outdoors(mi: Any, scene: Scene) -> dict[str, Any]:
 
 
 def _resampled(sky: Sky) -> Float[np.ndarray, "h w 3"]:
-    """The panorama, looked up bilinearly, on rows from pole to pole."""
+    """Interpolate the panorama bilinearly, on rows from pole to pole."""
     height, width = sky.panorama.shape[:2]
     columns = 4 * max(1, 128 // width) * width
     wrapped = np.concatenate([sky.panorama[:, -1:], sky.panorama, sky.panorama[:, :1]], 1).astype(np.float32)
@@ -351,15 +361,15 @@ def _resampled(sky: Sky) -> Float[np.ndarray, "h w 3"]:
 
 
 def _seen(directions: Float[np.ndarray, "h w 3"], scene: Scene) -> Bool[np.ndarray, "h w"]:
-    """Which directions lead out through some opening.
+    """Return which directions lead out through an opening.
 
-    An opening is seen from one side where nearly all of the scene is on that side of it; otherwise from both.
+    An opening is passed in one direction if nearly all of the scene is on one side of it; otherwise in both.
     """
     points = np.concatenate([item.mesh.vertices[item.mesh.faces.reshape(-1)] for item in scene.items])
     seen = np.zeros(directions.shape[:2], bool)
     for opening in scene.openings:
         out = _outward(opening, points)
-        # 0.1: six degrees past the opening's plane, for texels that are looked up together with seen ones.
+        # 0.1: six degrees past the opening's plane, for texels that are interpolated with visible ones.
         seen |= True if out is None else directions @ out > -0.1
     return seen
 
@@ -368,7 +378,7 @@ def _outward(opening: Opening, points: Float[np.ndarray, "n 3"]) -> Float[np.nda
     normal = np.cross(opening.edge_u, opening.edge_v).astype(np.float64)
     normal /= np.linalg.norm(normal)
     height = (points - opening.corner) @ normal
-    # Half a metre of reveal, sill and shutter may stand outside of it.
+    # Reveals, sills and shutters may stand outside, up to half a metre.
     if (height > 0.5).mean() < 1e-3:
         return normal
     return -normal if (height < -0.5).mean() < 1e-3 else None
