@@ -1,1 +1,16 @@
-"""`roomlight bench`: how fast each stage is, always as a ratio to something measured in the same run."""
+"""Measure speed: every figure beside something else that is measured in the same run.
+
+Each benchmark is a command, a function that runs it and a report with a table and JSON:
+
+    roomlight bench stages     `stages.run_stages`              the engine's stages, one by one
+    roomlight bench server     `server.run_server_bench`        a server under streaming phones
+    roomlight bench train      `training.measure_training`      a training step by its parts (needs PyTorch)
+    roomlight bench rendering  `rendering.compare_sampling`     how the rendering layer samples light (needs PyTorch)
+
+Start with `stages`. A `BenchStage` is one row of its table: our implementation, a readable NumPy reference and a plain
+PyTorch one (`plain_torch`), its cost by formula (`stage_costs`) against the machine's ceilings (`roofline`). `timing`
+interleaves the runs, so that other work on the machine slows all of them alike.
+
+All benchmarks run from an installed package; none needs a checkout. PyTorch (`pip install 'roomlight[train]'`) is
+optional for `stages`: without it, the comparisons with PyTorch are left out, and the networks if no weights are given.
+"""

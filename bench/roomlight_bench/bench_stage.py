@@ -1,4 +1,4 @@
-"""What a stage is to the benchmark: its ways of being done, its cost, and how far the ways agree."""
+"""A stage before it is timed: its implementations, its cost by formula, and how far their results agree."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -6,33 +6,40 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roomlight_bench.roofline import Cost
-from roomlight_bench.timing import Way
+from roomlight_bench.timing import Implementation
 
 
 @dataclass(frozen=True)
-class Stage:
-    """One row of the table before it is timed.
+class BenchStage:
+    """One row of the table of `roomlight bench stages`.
 
-    `paper_ms` is the paper's time on its GPU for the same stage; `note` says what is timed. `differences`: largest
-    absolute difference of our result to the other ways'.
+    Attributes:
+        name: The stage's name.
+        ours: The implementation that the engine uses.
+        cost: Its work by formula.
+        reference: The readable NumPy implementation.
+        torch: The plain PyTorch implementation.
+        paper_ms: The paper's time for the same stage, on its GPU.
+        note: What is timed, e.g. the number of rays.
+        differences: Largest absolute difference of our result from that of each other implementation, by its name.
     """
 
     name: str
-    ours: Way
+    ours: Implementation
     cost: Cost
-    reference: Way | None = None
-    torch: Way | None = None
+    reference: Implementation | None = None
+    torch: Implementation | None = None
     paper_ms: float | None = None
     note: str = ""
     differences: dict[str, float] = field(default_factory=dict[str, float])
 
 
 def largest_difference(first: object, second: object) -> float:
-    """Largest absolute difference of two arrays, as float."""
+    """Return the largest absolute difference of two arrays."""
     return float(np.abs(np.asarray(first, np.float64) - np.asarray(second, np.float64)).max())
 
 
 def differences(ours: Callable[[], object], others: dict[str, Callable[[], object] | None]) -> dict[str, float]:
-    """Run each way once (which warms it) and compare; ways that are not there are left out."""
+    """Run each implementation once, which also warms it up, and compare the results; None entries are left out."""
     result = ours()
     return {name: largest_difference(result, run()) for name, run in others.items() if run is not None}

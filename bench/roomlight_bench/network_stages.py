@@ -1,7 +1,8 @@
 """The networks' stages: ONNX graphs with bound buffers, as the server runs them, beside PyTorch in eager mode.
 
-Without a model folder, graphs of the default widths are exported with untrained weights: time does not depend on what
-the weights are.
+Without a model folder, graphs of the default widths are exported with untrained weights: times do not depend on the
+weights. The export and the eager modules need PyTorch, which is optional for `roomlight bench stages`: the functions
+that use it import it when they are called.
 """
 
 import importlib.util
@@ -15,41 +16,40 @@ from typing import Literal
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.graphs import Graph, LightingGraphs, load_graphs
+from roomlight.engine.graphs import Graph, LightingGraphs, NetworkForm, load_graphs
 from roomlight.engine.providers import open_graph, openvino_device
-from roomlight_bench.stage_costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
+from roomlight_bench.bench_stage import BenchStage
 from roomlight_bench.plain_torch import torch_installed
 from roomlight_bench.roofline import Cost
-from roomlight_bench.bench_stage import Stage
-from roomlight_bench.timing import Way
+from roomlight_bench.stage_costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
+from roomlight_bench.timing import Implementation, ProgressCallback
 from roomlight_model.config import ModelConfig
 
-Progress = Callable[[str], None]
 RuntimeName = Literal["cpu", "openvino"]
 _RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO bf16"}
 
 
 @dataclass(frozen=True)
 class Networks:
-    """A model's graphs, loaded by each runtime that serves here."""
+    """A model's graphs, loaded in each runtime that this machine has."""
 
     config: ModelConfig
     loaded: dict[RuntimeName, LightingGraphs]
     trained: bool
 
     @property
-    def form(self) -> Literal["single", "video"]:
-        """The model's form."""
+    def form(self) -> NetworkForm:
+        """Whether the model is the single-view or the video form."""
         return next(iter(self.loaded.values())).form
 
 
 def export_possible() -> bool:
-    """Whether the extra packages of `roomlight export` are installed."""
+    """Return whether the packages of `roomlight export` are installed, without importing them."""
     return all(importlib.util.find_spec(name) is not None for name in ("torch", "onnx", "onnxscript"))
 
 
-def untrained_networks(config: ModelConfig, *, progress: Progress) -> Networks:
-    """A video model of fresh weights: exported, loaded, and its files gone again."""
+def untrained_networks(config: ModelConfig, *, progress: ProgressCallback) -> Networks:
+    """Export and load a video model with untrained weights; its files are deleted again."""
     from roomlight_export.graphs import graphs_of
     from roomlight_export.onnx_file import half_rounded, to_onnx
     from roomlight_model.networks import SingleModel, VideoModel
@@ -72,7 +72,11 @@ def untrained_networks(config: ModelConfig, *, progress: Progress) -> Networks:
 
 
 def load_networks(model: Path) -> Networks:
-    """Load a model folder in every runtime that serves here. Raises ModelError."""
+    """Load a model folder in every runtime that this machine has.
+
+    Raises:
+        ModelError: The folder is not a model folder, or does not fit this version.
+    """
     loaded: dict[RuntimeName, LightingGraphs] = {
         runtime: load_graphs(model, provider=runtime, allow_untrained=True) for runtime in _runtimes()
     }
@@ -82,8 +86,11 @@ def load_networks(model: Path) -> Networks:
     )
 
 
-def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[Stage]:
-    """3D network, 3D GRU, blending network and 2D GRU: one stage a runtime, PyTorch eager beside the first."""
+def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[BenchStage]:
+    """Return the stages of the networks, one per runtime; PyTorch in eager mode is timed beside the first.
+
+    Stages: 3D network, 3D GRU, blending network and 2D GRU. `volume` is the networks' input.
+    """
     form, sg, blend = networks.form, networks.config.sg, networks.config.blend
     video = form == "video"
     plan: list[tuple[str, tuple[str, ...], Cost, float, str]] = [
@@ -104,20 +111,20 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
         ),
         ("2D GRU", ("video_blend_gru",), network_cost(blend_gru_layers(blend)), 2.1, "both levels"),
     ]
-    modules = _eager(networks) if torch_installed() else None
-    stages: list[Stage] = []
+    modules = _eager_modules(networks) if torch_installed() else None
+    stages: list[BenchStage] = []
     for name, graphs, cost, paper_ms, note in plan:
         for runtime, loaded in networks.loaded.items():
             if not all(graph in loaded.graphs for graph in graphs):
                 continue  # a single-view model has no GRUs
             first = runtime == "cpu"
-            ours = Way(_bound(loaded, graphs, volume))
-            eager = Way(_run_eager(modules, graphs, volume)) if modules is not None and first else None
-            for way in (ours, eager):
-                if way is not None:
-                    way.run()
+            ours = Implementation(_run_bound(loaded, graphs, volume))
+            eager = Implementation(_run_eager(modules, graphs, volume)) if modules is not None and first else None
+            for implementation in (ours, eager):
+                if implementation is not None:
+                    implementation.run()
             title = f"{name}, {_RUNTIME_TITLES[runtime]}"
-            stages.append(Stage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
+            stages.append(BenchStage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
     return stages
 
 
@@ -125,19 +132,21 @@ def _runtimes() -> tuple[RuntimeName, ...]:
     return ("cpu", "openvino") if openvino_device() is not None else ("cpu",)
 
 
-def _inputs(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:
+def _graph_input(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:
+    """Return the volume for the input of that name, and random values for the others."""
     if name == "volume":
         return np.ascontiguousarray(volume[None])
     return np.random.default_rng(0).random(shape, dtype=np.float32)
 
 
-def _bound(
+def _run_bound(
     loaded: LightingGraphs, names: tuple[str, ...], volume: Float[np.ndarray, "5 z y x"]
 ) -> Callable[[], object]:
+    """Return a function that runs the graphs one after the other, with buffers that are bound beforehand."""
     bound = []
     for name in names:
         graph = loaded.graphs[name]
-        feed = {key: _inputs(key, shape, volume) for key, shape in graph.inputs.items()}
+        feed = {key: _graph_input(key, shape, volume) for key, shape in graph.inputs.items()}
         bound.append(graph.bind(feed, graph.new_outputs()))
 
     def run() -> None:
@@ -147,8 +156,8 @@ def _bound(
     return run
 
 
-def _eager(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
-    """The same networks as PyTorch modules, with the names and shapes of their inputs."""
+def _eager_modules(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
+    """Return the same networks as PyTorch modules, with the names and shapes of their inputs."""
     from roomlight_export.graphs import graphs_of
     from roomlight_model.networks import build
 
@@ -161,12 +170,13 @@ def _run_eager(
     names: tuple[str, ...],
     volume: Float[np.ndarray, "5 z y x"],
 ) -> Callable[[], object]:
+    """Return a function that runs the modules one after the other in eager mode."""
     import torch
 
     calls: list[tuple[Callable[..., object], list[torch.Tensor]]] = []
     for name in names:
         module, shapes = modules[name]
-        calls.append((module, [torch.from_numpy(_inputs(key, shape, volume)) for key, shape in shapes.items()]))
+        calls.append((module, [torch.from_numpy(_graph_input(key, shape, volume)) for key, shape in shapes.items()]))
 
     @torch.inference_mode()
     def run() -> None:

@@ -1,7 +1,9 @@
-"""Stages the plain PyTorch way, to be timed beside ours: `grid_sample`, whole tensors, no kernel of our own.
+"""Stages in plain PyTorch, to time beside ours: `grid_sample` and whole tensors, without kernels of our own.
 
-Imports PyTorch; `torch_or_none` tells whether it is there. The ray tracing twin is `roomlight_model.render`, the
-accumulation twin `roomlight_model.accumulate`.
+Ray tracing is `roomlight_model.render`, accumulation `roomlight_model.accumulate`: the code that training uses.
+
+Functions import PyTorch when they are called, because `roomlight bench stages` also runs without it: call them only if
+`torch_installed()`.
 """
 
 import importlib.util
@@ -23,19 +25,19 @@ if TYPE_CHECKING:
 
 
 def torch_installed() -> bool:
-    """Whether PyTorch can be imported; nothing is imported to find out."""
+    """Return whether PyTorch can be imported, without importing it."""
     return importlib.util.find_spec("torch") is not None
 
 
 def use_our_threads() -> None:
-    """PyTorch on as many threads as our kernels."""
+    """Give PyTorch as many threads as our kernels have."""
     import torch
 
     torch.set_num_threads(thread_count())
 
 
 def volume_by_grid_sample(grid: VolumeGrid, frame: Frame) -> Callable[[], Float[np.ndarray, "5 z y x"]]:
-    """Volume initialisation over all voxels at once; `roomlight.engine.volume.initial_volume` in whole tensors."""
+    """Return a function that initialises the volume as `roomlight.engine.volume.initial_volume`, all voxels at once."""
     import torch
     from torch.nn import functional
 
@@ -85,7 +87,10 @@ def panorama_by_grid_sample(
     step_m: float,
     far: Far,
 ) -> Callable[[], Float[np.ndarray, "n 3"]]:
-    """SGLV ray tracing, all rays and samples at once; the volume is given as tensors beforehand."""
+    """Return a function that traces all rays and samples at once; the volume is converted to tensors beforehand.
+
+    `position_world` and `directions_world` are in world axes, metres; the result is linear radiance.
+    """
     import torch
 
     from roomlight_model.render import render_rays
@@ -123,7 +128,7 @@ def accumulate_by_tensors(
     detail_depth_m: Float[np.ndarray, "h w"],
     weight: Float[np.ndarray, "h w"],
 ) -> Callable[[], Float[np.ndarray, "h w 3"]]:
-    """The conservative rule and the accumulation on tensors [1, c, h, w]."""
+    """Return a function that applies the conservative rule and the accumulation to tensors [1, c, h, w]."""
     import torch
 
     from roomlight_model.accumulate import Panorama, accumulate, conservative
@@ -147,4 +152,4 @@ def accumulate_by_tensors(
 def _tensor(array: Any) -> "Tensor":
     import torch
 
-    return torch.from_numpy(np.array(array, np.float32))  # a copy: tensors must not be of read-only memory
+    return torch.from_numpy(np.array(array, np.float32))  # a copy: PyTorch warns of read-only memory

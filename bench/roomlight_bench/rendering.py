@@ -1,13 +1,15 @@
 """`roomlight bench rendering`: the rendering layer's importance sampling beside a uniform grid of directions.
 
-The same number of directions a pixel each: the BRDF's own (`roomlight_model.sphere`), and a fixed grid over theta and
-phi of each pixel's hemisphere, as rendering layers before it had (Li et al. 2020). A grid steps over lamps, and where
-it does follows the normal: that is the aliasing of the paper's figure. Importance sampling has noise instead, which
-differs from pixel to pixel and averages out; what a blur leaves of the error is the aliasing. The reference is 2,048
-directions by importance.
+Both use the same number of directions per pixel: drawn by the BRDF (`roomlight_model.sphere`), or a fixed grid over
+theta and phi of each pixel's hemisphere, as in earlier rendering layers (Li et al. 2020). A grid misses lamps between
+its directions, in a pattern that follows the normal: this is the aliasing of the paper's figure. Importance sampling
+has noise instead, which differs from pixel to pixel and averages out. A blur removes noise, so the error that remains
+after it is aliasing. The reference has 2,048 directions by importance.
+
+Importing this module needs PyTorch: pip install 'roomlight[train]'.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -21,9 +23,11 @@ from rich.table import Table
 from roomlight.drawing import Canvas
 from roomlight.images import write_png
 from roomlight.spheres import SphereRenderer
+from roomlight_bench.sphere_sampling import SphereSampling
+from roomlight_bench.timing import ProgressCallback
 
 COUNTS: Final = (16, 64, 256)
-"""Directions a pixel; each is 4 k^2, so that the grid has k rows and 4 k columns."""
+"""Numbers of directions per pixel; each is 4 k^2: the grid has k rows and 4 k columns."""
 _REFERENCE: Final = 2048
 _SIZE: Final = 128
 _BLUR: Final = 3.0
@@ -36,8 +40,7 @@ Pixels = Float[np.ndarray, "n 3"]
 
 @dataclass(frozen=True)
 class SamplingError:
-    """RMS difference to the reference of spheres clamped to [0, 1], as the rendering loss does; and what is left
-    of it after a blur."""
+    """RMS differences from the reference, of spheres clamped to [0, 1] as in the rendering loss, and after a blur."""
 
     samples: int
     uniform: float
@@ -48,7 +51,14 @@ class SamplingError:
 
 @dataclass(frozen=True)
 class RenderingReport:
-    """What was compared; `spheres` are linear pixels of the sphere's mask by (samples, way)."""
+    """Errors and spheres of both samplings.
+
+    Attributes:
+        errors: A row per number of directions.
+        spheres: Linear pixels [n, 3] of the sphere's mask by (directions, "uniform" or "importance").
+        reference: The same pixels from 2,048 directions.
+        renderer: The sphere's geometry.
+    """
 
     errors: tuple[SamplingError, ...]
     spheres: dict[tuple[int, str], Pixels]
@@ -56,15 +66,16 @@ class RenderingReport:
     renderer: SphereRenderer
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values, without the pictures."""
+        """Return plain JSON values, without the spheres."""
         return {"reference_samples": _REFERENCE, "errors": [asdict(error) for error in self.errors]}
 
     def table(self) -> Table:
-        """A row a count."""
+        """Return a table with a row per number of directions."""
         table = Table(
             title="Glossy sphere, RMS error against 2,048 directions",
             title_justify="left",
-            caption=f"clamped to [0, 1] as in the rendering loss; blurred: by {_BLUR} pixels of {self.renderer.size}",
+            caption=f"clamped to [0, 1] as in the rendering loss; blurred: by {_BLUR} of {self.renderer.size} pixels; "
+            "ratio: importance / uniform",
             caption_justify="left",
             box=box.SIMPLE_HEAD,
             show_edge=False,
@@ -83,20 +94,24 @@ class RenderingReport:
         return table
 
     def write_picture(self, path: Path) -> None:
-        """A row a count: uniform, importance, reference. OutputError if it cannot be written."""
-        ways = ("uniform", "importance", "reference")
+        """Write a PNG with a row per number of directions: uniform, importance, reference.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        samplings = ("uniform", "importance", "reference")
         canvas = Canvas(
-            2 * _MARGIN + len(ways) * (self.renderer.size + _GAP) - _GAP,
+            2 * _MARGIN + len(samplings) * (self.renderer.size + _GAP) - _GAP,
             2 * _MARGIN + len(self.errors) * (self.renderer.size + _LABEL + _GAP) - _GAP,
         )
         size = self.renderer.size
         for row, error in enumerate(self.errors):
             top = _MARGIN + row * (size + _LABEL + _GAP)
-            for column, way in enumerate(ways):
+            for column, sampling in enumerate(samplings):
                 left = _MARGIN + column * (size + _GAP)
-                count = _REFERENCE if way == "reference" else error.samples
-                canvas.text((left, top), f"{way}, {count}", width=size)
-                pixels = self.reference if way == "reference" else self.spheres[error.samples, way]
+                count = _REFERENCE if sampling == "reference" else error.samples
+                canvas.text((left, top), f"{sampling}, {count}", width=size)
+                pixels = self.reference if sampling == "reference" else self.spheres[error.samples, sampling]
                 image = np.zeros((size, size, 3), np.float32)
                 image[self.renderer.mask] = pixels
                 canvas.picture((left, top + _LABEL), image, size=(size, size))
@@ -109,11 +124,17 @@ def compare_sampling(
     *,
     counts: Sequence[int] = COUNTS,
     size: int = _SIZE,
-    progress: Callable[[str], object] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> RenderingReport:
-    """Light a glossy sphere both ways at each count, and once with many directions; `view` as for `SphereRenderer`."""
-    from roomlight_bench.sphere_sampling import SphereSampling
+    """Light a glossy sphere by both samplings at each count, and by many directions as the reference.
 
+    Args:
+        panorama: Linear HDR radiance [h, 2h, 3].
+        view: Direction from the camera to the sphere, world axes; see `SphereRenderer`.
+        counts: Numbers of directions per pixel.
+        size: Pixels across the sphere.
+        progress: Called with what is being rendered.
+    """
     renderer = SphereRenderer(view, size=size)
     sampling = SphereSampling(panorama, renderer.normals, view)
     if progress is not None:
@@ -126,15 +147,18 @@ def compare_sampling(
             progress(f"{count} directions")
         spheres[count, "uniform"] = sampling.by_grid(count)
         spheres[count, "importance"] = sampling.by_importance(count)
-        off = [spheres[count, way].clip(0, 1) - reference.clip(0, 1) for way in ("uniform", "importance")]
-        rms = [float(np.sqrt(np.mean(one**2))) for one in (*off, *(_blurred(one, renderer) for one in off))]
+        differences = [
+            spheres[count, sampling].clip(0, 1) - reference.clip(0, 1) for sampling in ("uniform", "importance")
+        ]
+        blurred = [_blurred(difference, renderer) for difference in differences]
+        rms = [float(np.sqrt(np.mean(difference**2))) for difference in (*differences, *blurred)]
         errors.append(SamplingError(count, *rms))
     return RenderingReport(tuple(errors), spheres, reference, renderer)
 
 
-def _blurred(off: Pixels, renderer: SphereRenderer) -> Pixels:
-    """Differences averaged with their neighbours on the sphere."""
+def _blurred(pixels: Pixels, renderer: SphereRenderer) -> Pixels:
+    """Blur pixels with their neighbours on the sphere."""
     image = np.zeros((*renderer.mask.shape, 4), np.float32)
-    image[renderer.mask, :3], image[renderer.mask, 3] = off, 1
+    image[renderer.mask, :3], image[renderer.mask, 3] = pixels, 1
     image = cv2.GaussianBlur(image, (0, 0), _BLUR)
     return (image[..., :3] / np.maximum(image[..., 3:], 1e-6))[renderer.mask]

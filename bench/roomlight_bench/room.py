@@ -1,4 +1,4 @@
-"""A furnished room to measure in: boxes within a box, ray cast in NumPy; a room's geometry, not its beauty.
+"""A furnished room to measure in: boxes within a box, ray cast in NumPy. Only its geometry is realistic.
 
 World frame: metres, y up; the first camera stands at the origin and looks along -z and a little down.
 """
@@ -32,14 +32,23 @@ _HORIZONTAL_FIELD_DEGREES: Final = 58.0
 _PITCH_DEGREES: Final = -20.0
 """People hold a phone a little downwards: the floor and the furniture are in view."""
 PROBE: Final = (0.15, -0.6, -1.35)
-"""Where light is asked for: on the table."""
+"""The probe: on the table."""
 FAINT_ALPHA: Final = (0.02, 0.05)
-"""Opacity of clear air in the volume that stands for a network's: decoders start at 0.05 and are trained downwards."""
+"""Opacity of empty space in the network-like volume: decoders start at 0.05, and training lowers it."""
 
 
 @dataclass(frozen=True)
 class RoomSize:
-    """Sizes of a run; the defaults are those of a session."""
+    """Sizes of a run; the defaults are those of a session.
+
+    Attributes:
+        width: Columns of a frame.
+        height: Rows of a frame.
+        volume_shape: Voxels (z, y, x).
+        panorama_height: Rows of a panorama; columns are twice as many.
+        samples: Samples per ray through the volume.
+        keyframes: Frames of the camera's turn.
+    """
 
     width: int = 320
     height: int = 240
@@ -50,14 +59,14 @@ class RoomSize:
 
 
 def views(count: int, size: RoomSize) -> list[Frame]:
-    """Frames of a camera that turns once around on the spot, bobbing a little; colour and depth are exact."""
+    """Return frames of a camera that turns around once on the spot, bobbing a little; colour and depth are exact."""
     focal = size.width / 2 / np.tan(np.radians(_HORIZONTAL_FIELD_DEGREES / 2))
     lens = Intrinsics(focal, focal, size.width / 2, size.height / 2, size.width, size.height)
     return [_view(index, 2 * np.pi * index / count, lens) for index in range(count)]
 
 
 def network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
-    """The volume of a room as a network gives it: faint opacity and a lobe in every voxel, besides the surfaces."""
+    """Return a volume as a network predicts it: faint opacity and a lobe in every voxel, besides the surfaces."""
     random = np.random.default_rng(seed)
     alpha = random.uniform(*FAINT_ALPHA, grid.shape).astype(np.float32)
     alpha = np.maximum(alpha, np.minimum(surfaces.alpha, np.float32(0.9)))
@@ -73,9 +82,9 @@ def network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
 def _view(index: int, yaw: float, lens: Intrinsics) -> Frame:
     pose = np.eye(4)
     cosine, sine = np.cos(yaw), np.sin(yaw)
-    turn = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
+    rotation = np.array([[cosine, 0, sine], [0, 1, 0], [-sine, 0, cosine]])
     up, ahead = np.sin(np.radians(_PITCH_DEGREES)), np.cos(np.radians(_PITCH_DEGREES))
-    pose[:3, :3] = turn @ [[1, 0, 0], [0, ahead, -up], [0, up, ahead]]
+    pose[:3, :3] = rotation @ [[1, 0, 0], [0, ahead, -up], [0, up, ahead]]
     pose[:3, 3] = [0.2 * sine, 0.05 * np.sin(3 * yaw), 0.1 - 0.1 * cosine]
     rays = lens.rays().astype(np.float64) @ pose[:3, :3].T  # z-depth 1 in the camera, so that t is z-depth
     depth, box = _cast(pose[:3, 3], rays)
@@ -96,7 +105,7 @@ def _view(index: int, yaw: float, lens: Intrinsics) -> Frame:
 def _cast(
     origin: Float[np.ndarray, "3"], rays: Float[np.ndarray, "h w 3"]
 ) -> tuple[Float[np.ndarray, "h w"], Int[np.ndarray, "h w"]]:
-    """Distance in units of the ray, and what it hits: -1 the room itself, else the number of the furniture."""
+    """Return the distance in units of the ray, and what it hits: -1 for the room, else the number of the furniture."""
     slope = np.where(np.abs(rays) < 1e-9, 1e-9, rays)
     depth = np.maximum(*((wall - origin) / slope for wall in _ROOM)).min(axis=-1)
     hit = np.full(depth.shape, -1)
@@ -109,7 +118,7 @@ def _cast(
 
 
 def _colour(points: Float[np.ndarray, "h w 3"], box: Int[np.ndarray, "h w"]) -> Float[np.ndarray, "h w 3"]:
-    """A colour a box, striped, darker away from the lamp; the lamp and a window in the far wall are white."""
+    """Return a striped colour per box, darker away from the lamp; the lamp and a window in the far wall are white."""
     base = np.random.default_rng(1).uniform(0.15, 0.7, (len(_FURNITURE) + 1, 3))[box]
     stripes = 0.8 + 0.2 * np.sign(np.sin(points * 9)).prod(axis=-1, keepdims=True)
     lamp = _FURNITURE[_LAMP].mean(axis=0)

@@ -1,8 +1,8 @@
-"""`roomlight bench server`: a real server process on loopback, phones that stream the sample capture to it, and the
-engine called directly in the same run.
+"""`roomlight bench server`: a server process under streaming phones, beside the engine called directly.
 
-Each part has a server of its own, so that memory is counted from a fresh process, and starts are measured several
-times. Phones and server share this machine's cores: on two of them the phones' share is part of every figure.
+The server listens on loopback, and the phones stream the sample capture. Each row of the load has a server process of
+its own, so that its memory starts from a fresh process; this also measures several starts. Phones and server share
+this machine's cores: on two cores the phones' work is part of every figure.
 """
 
 import asyncio
@@ -26,35 +26,40 @@ from roomlight.sample import sample_capture
 from roomlight.threads import thread_count
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
+from roomlight_bench.reporting import describe_machine
 from roomlight_bench.server_load import FORMS, PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
-from roomlight_bench.server_process import ServerProcess, watching_health
+from roomlight_bench.server_process import ServerProcess, polling_health
 from roomlight_bench.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
-from roomlight_bench.stages_report import machine_here
+from roomlight_bench.timing import ProgressCallback
 from roomlight_client import Client, FrameEncoding, Session
 from roomlight_client.frames import pack_frame
 from roomlight_server.intake import decode_to_size, parse_frame
 
-Progress = Callable[[str], None]
-LATE_AT_MOST: Final = 16
-"""Points asked about late, in one call: each takes some 0.1 s of catching up."""
-_SETTLED: Final = 2
-"""Frames that are left out at the beginning: the first makes the volume, and the second meets cold caches."""
+MAX_LATE_PROBES: Final = 16
+"""Most late probes in one request: each takes about 0.1 s."""
+_WARM_UP_FRAMES: Final = 2
+"""First frames that are not measured: the first one makes the volume, the second one meets cold caches."""
 _SPREAD_M: Final = 0.4
-"""Points lie this far around the one in view, on any side."""
+"""Half the edge of the cube around the point in view in which the other points lie."""
 
 
 @dataclass(frozen=True)
 class ServerBenchOptions:
     """What is measured.
 
-    sessions:  at once, one row each.
-    seconds:   that phones stream, for each row.
-    fps:       frames a second that each phone sends.
-    points:    counts of probes; late ones up to `LATE_AT_MOST`.
-    rounds:    of the questions for light; times are the median of them.
-    passes:    of the frames that go through the server and through the engine here, of which the least time counts: the
-               more of them, the less of what else the machine does is in their difference.
-    frames:    of the sample capture, at most; sent again from the start when they are through.
+    Attributes:
+        sessions: Numbers of sessions at the same time, a row each.
+        seconds: How long phones stream, for each row.
+        fps: Frames per second that each phone sends.
+        points: Numbers of probes, a row each; late probes up to `MAX_LATE_PROBES`.
+        rounds: Requests for light; times are their median.
+        passes: How often the frames go through the server and the engine; the least time of each frame counts. More
+            passes remove more of the machine's other work from the difference.
+        frames: Use at most this many frames of the sample capture; phones start again after the last.
+        model: Model of the sessions.
+        weights: A model folder instead of the shipped weights.
+        allow_untrained: Accept untrained weights.
+        height: Rows of the panoramas.
     """
 
     sessions: tuple[int, ...] = (1, 4, 16, 64)
@@ -64,24 +69,29 @@ class ServerBenchOptions:
     rounds: int = 3
     passes: int = 8
     frames: int | None = None
-    mode: ModelName = "auto"
+    model: ModelName = "auto"
     weights: Path | None = None
     allow_untrained: bool = False
     height: int = 120
 
     @property
     def serve_arguments(self) -> list[str]:
-        """For `roomlight serve`."""
-        held = ["--max-sessions", str(max(self.sessions) + 4), "--max-probes", str(max(self.points))]
-        model = [] if self.weights is None else ["--weights", str(self.weights)]
-        return [*held, "--model", self.mode, *model, *(["--allow-untrained"] if self.allow_untrained else [])]
+        """Arguments of `roomlight serve` that allow what these options measure."""
+        limits = ["--max-sessions", str(max(self.sessions) + 4), "--max-probes", str(max(self.points))]
+        weights = [] if self.weights is None else ["--weights", str(self.weights)]
+        return [*limits, "--model", self.model, *weights, *(["--allow-untrained"] if self.allow_untrained else [])]
 
 
-def run_server_bench(options: ServerBenchOptions, *, progress: Progress | None = None) -> ServerReport:
-    """Measure everything. Raises ModelError and ServerError where no server can be started as asked."""
-    say: Progress = progress or _say_nothing
+def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
+    """Measure overhead, load and probes, about three minutes by default.
+
+    Raises:
+        ModelError: The model is not available.
+        ServerError: The server does not start or stops responding.
+    """
+    report: ProgressCallback = progress or _ignore
     busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
-    say("reading the sample capture")
+    report("reading the sample capture")
     frames = list(open_capture(sample_capture(), CaptureOptions(max_frames=options.frames)))
     probe = point_in_view(frames[0])
     engine = _engine(options)
@@ -94,17 +104,17 @@ def run_server_bench(options: ServerBenchOptions, *, progress: Progress | None =
         ready_ms.append(server.ready_ms)
         return server
 
-    say("starting a server")
+    report("starting a server")
     with ServerProcess(options.serve_arguments) as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
         colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
-        overhead = [_overhead(client, frames[::2], colour, probe, options, say) for colour in colours]
-        probes = [_followed(client, bodies, probe, count, options, say) for count in options.points]
-        probes += _late(client, bodies, probe, options, say)
+        overhead = [_overhead(client, frames[::2], colour, probe, options, report) for colour in colours]
+        probes = [_tracked(client, bodies, probe, count, options, report) for count in options.points]
+        probes += _late(client, bodies, probe, options, report)
     load: list[LoadRow] = []
     for sessions in options.sessions:
-        say(f"{sessions} sessions at once: starting a server")
+        report(f"{sessions} sessions: starting a server")
         with ServerProcess(options.serve_arguments) as server:
-            load.append(_loaded(started(server), bodies, probe, sessions, options, say))
+            load.append(_loaded(started(server), bodies, probe, sessions, options, report))
     return ServerReport(
         model=engine.model,
         seconds=options.seconds,
@@ -113,7 +123,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: Progress | None =
         overhead=tuple(overhead),
         load=tuple(load),
         probes=tuple(probes),
-        machine=machine_here(),
+        machine=describe_machine(),
         threads=thread_count(),
         cores=os.cpu_count() or 1,
         busy=busy,
@@ -123,7 +133,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: Progress | None =
 def _engine(options: ServerBenchOptions) -> Engine:
     return Engine(
         SessionOptions(
-            model=options.mode,
+            model=options.model,
             weights=options.weights,
             allow_untrained=options.allow_untrained,
             height=options.height,
@@ -132,19 +142,24 @@ def _engine(options: ServerBenchOptions) -> Engine:
 
 
 def _open(client: Client, options: ServerBenchOptions) -> Session:
-    return client.open(model=options.mode, height=options.height, reference_exposure=1.0)
+    return client.open(model=options.model, height=options.height, reference_exposure=1.0)
 
 
 def _overhead(
-    client: Client, frames: Sequence[Frame], colour: FrameEncoding, probe: Position, options: ServerBenchOptions, say: Progress
+    client: Client,
+    frames: Sequence[Frame],
+    colour: FrameEncoding,
+    probe: Position,
+    options: ServerBenchOptions,
+    report: ProgressCallback,
 ) -> OverheadRow:
-    """Every frame here and there, in turn; which goes first alternates."""
+    """Process every frame in this process and over HTTP; which goes first alternates."""
     bodies = [pack_frame(frame, colour=colour) for frame in frames]
     rounds: list[list[tuple[float, float, float]]] = []
-    for turn in range(options.passes):
-        say(f"one session, frames as {colour}, round {turn + 1} of {options.passes}")
-        rounds.append(_here_and_there(client, bodies, probe, options))
-    kept = np.array(rounds)[:, min(_SETTLED, len(bodies) - 1) :]
+    for number in range(options.passes):
+        report(f"one session, frames as {colour}, round {number + 1} of {options.passes}")
+        rounds.append(_direct_and_http(client, bodies, probe, options))
+    kept = np.array(rounds)[:, min(_WARM_UP_FRAMES, len(bodies) - 1) :]
     engine_ms, decoded_ms, http_ms = np.median(kept.min(axis=0), axis=0).tolist()
     return OverheadRow(
         colour=colour,
@@ -157,37 +172,42 @@ def _overhead(
     )
 
 
-def _here_and_there(
+def _direct_and_http(
     client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions
 ) -> list[tuple[float, float, float]]:
-    """Of each frame: the engine here, that with decoding, and the server; ms."""
+    """Return the times of each frame in ms: the engine alone, the engine with decoding, and over HTTP."""
     engine, limits = _engine(options), FrameLimits()
     engine.track(probe)
 
-    def here(index: int, body: bytes) -> tuple[float, float]:
-        began_s = time.perf_counter()
+    def direct(index: int, body: bytes) -> tuple[float, float]:
+        start_s = time.perf_counter()
         frame = decode_to_size(parse_frame(body, limits)[0], index, 1.0, 1)
         engine_ms = _timed(lambda: engine.push(frame))
-        return engine_ms, 1e3 * (time.perf_counter() - began_s)
+        return engine_ms, 1e3 * (time.perf_counter() - start_s)
 
-    found: list[tuple[float, float, float]] = []
+    times_ms: list[tuple[float, float, float]] = []
     with _open(client, options) as session:
         session.track(PROBE, probe)
         for index, body in enumerate(bodies):
             if index % 2:
-                engine_ms, decoded_ms = here(index, body)
+                engine_ms, decoded_ms = direct(index, body)
                 http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
             else:
                 http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
-                engine_ms, decoded_ms = here(index, body)
-            found.append((engine_ms, decoded_ms, http_ms))
-    return found
+                engine_ms, decoded_ms = direct(index, body)
+            times_ms.append((engine_ms, decoded_ms, http_ms))
+    return times_ms
 
 
-def _followed(
-    client: Client, bodies: Sequence[bytes], probe: Position, count: int, options: ServerBenchOptions, say: Progress
+def _tracked(
+    client: Client,
+    bodies: Sequence[bytes],
+    probe: Position,
+    count: int,
+    options: ServerBenchOptions,
+    report: ProgressCallback,
 ) -> ProbeRow:
-    """A frame before each question, so that no light is at hand that was computed for the last."""
+    """Measure the light of tracked probes; a frame before each request invalidates the light computed for the last."""
     frame_ms: list[float] = []
     batched_ms: list[float] = []
     single_ms: list[float] = []
@@ -195,12 +215,12 @@ def _followed(
         names = [f"probe-{number}" for number in range(count)]
         for name, position in zip(names, _around(probe, count, seed=count), strict=True):
             session.track(name, position)
-        for turn in range(2 * options.rounds + 1):
-            say(f"{count} followed points, {turn + 1} of {2 * options.rounds + 1}")
-            frame_ms.append(_timed(lambda index=turn: _push(client, session, index, bodies)))
-            if turn == 0:
+        for number in range(2 * options.rounds + 1):
+            report(f"{count} tracked points, {number + 1} of {2 * options.rounds + 1}")
+            frame_ms.append(_timed(lambda index=number: _push(client, session, index, bodies)))
+            if number == 0:
                 continue
-            if turn % 2:
+            if number % 2:
                 batched_ms.append(_timed(lambda: session.lights_at(names, FORMS)))
             else:
                 single_ms.append(_timed(lambda: [session.light_at(name, FORMS) for name in names]))
@@ -209,21 +229,21 @@ def _followed(
 
 
 def _late(
-    client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions, say: Progress
+    client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions, report: ProgressCallback
 ) -> list[ProbeRow]:
-    """Points that nobody asked about before, in a session that has seen the whole capture."""
+    """Measure the light of late probes in a session that has seen the whole capture."""
     rows: list[ProbeRow] = []
     with _open(client, options) as session:
         for index in range(len(bodies)):
-            say(f"late points: frame {index + 1} of {len(bodies)}")
+            report(f"late points: frame {index + 1} of {len(bodies)}")
             _push(client, session, index, bodies)
         keyframes = session.state().keyframes
-        for count in sorted({min(count, LATE_AT_MOST) for count in options.points}):
+        for count in sorted({min(count, MAX_LATE_PROBES) for count in options.points}):
             batched_ms: list[float] = []
             single_ms: list[float] = []
-            for turn in range(options.rounds):
-                say(f"{count} late points, {turn + 1} of {options.rounds}")
-                first, second = (_around(probe, count, seed=1000 * count + 2 * turn + half) for half in (0, 1))
+            for number in range(options.rounds):
+                report(f"{count} late points, {number + 1} of {options.rounds}")
+                first, second = (_around(probe, count, seed=1000 * count + 2 * number + half) for half in (0, 1))
                 batched_ms.append(_timed(lambda points=first: session.lights_at(points, FORMS)))
                 single_ms.append(_timed(lambda points=second: [session.light_at(point, FORMS) for point in points]))
             rows.append(ProbeRow(False, count, keyframes, None, median(batched_ms), median(single_ms)))
@@ -236,36 +256,36 @@ def _loaded(
     probe: Position,
     sessions: int,
     options: ServerBenchOptions,
-    say: Progress,
+    report: ProgressCallback,
 ) -> LoadRow:
-    load = Load(sessions, options.seconds, options.fps, bodies, probe, options.mode, options.height)
+    load = Load(sessions, options.seconds, options.fps, bodies, probe, options.model, options.height)
     before = server.resident_bytes()
 
     async def run() -> tuple[Outcome, list[float], list[tuple[int, int]], int | None]:
-        say(f"{sessions} sessions at once: their first frames")
+        report(f"{sessions} sessions: their first frames")
         async with Phones(server.url, load) as phones:
-            say(f"{sessions} sessions at once: {options.seconds:g} s of frames")
-            with watching_health(server.port) as health_ms:
+            report(f"{sessions} sessions: {options.seconds:g} s of frames")
+            with polling_health(server.port) as end_polling:
                 outcome = await phones.stream()
-                healths = await asyncio.to_thread(health_ms)
+                healths = await asyncio.to_thread(end_polling)
             after = server.resident_bytes()
             states = [await session.state() for session in phones.sessions]
         return outcome, healths, [(state.memory.bytes, state.keyframes) for state in states], after
 
-    outcome, health_ms, held, after = asyncio.run(run())
+    outcome, health_ms, states, after = asyncio.run(run())
     due = outcome.sent + outcome.dropped
     gained = None if before is None or after is None else (after - before) / sessions / 1e6
     return LoadRow(
         sessions=sessions,
         wanted_fps=options.fps,
-        held_fps=outcome.held / options.seconds / sessions,
+        held_fps=outcome.in_time / options.seconds / sessions,
         lost=(outcome.dropped + outcome.superseded) / due,
         frame=Latencies.of(outcome.frame_ms),
         light=Latencies.of(outcome.light_ms),
         health=Latencies.of(health_ms),
         memory_mb=gained,
-        stated_mb=fmean(memory for memory, _ in held) / 1e6,
-        keyframes=fmean(keyframes for _, keyframes in held),
+        stated_mb=fmean(memory for memory, _ in states) / 1e6,
+        keyframes=fmean(keyframes for _, keyframes in states),
     )
 
 
@@ -274,9 +294,9 @@ def _push(client: Client, session: Session, index: int, bodies: Sequence[bytes])
 
 
 def _timed(work: Callable[[], object]) -> float:
-    began_s = time.perf_counter()
+    start_s = time.perf_counter()
     work()
-    return 1e3 * (time.perf_counter() - began_s)
+    return 1e3 * (time.perf_counter() - start_s)
 
 
 def _around(centre: Position, count: int, *, seed: int) -> list[Position]:
@@ -284,5 +304,5 @@ def _around(centre: Position, count: int, *, seed: int) -> list[Position]:
     return [(float(x), float(y), float(z)) for x, y, z in np.asarray(centre) + offsets]
 
 
-def _say_nothing(_: str) -> None:
+def _ignore(_: str) -> None:
     pass

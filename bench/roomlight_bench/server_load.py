@@ -1,7 +1,7 @@
-"""Phones that stream to a server at a steady rate, each a session: what rate is held, and how long answers take.
+"""Phones that stream to a server at a steady rate, one session each: which rate is held, and the response times.
 
-A frame that is due while `IN_FLIGHT` of its phone's are on their way is dropped, as `roomlight stream` does it. After
-each processed frame a phone asks for the light of the probe it tracks. Milliseconds, from the phone's side.
+A phone drops a frame that is due while `IN_FLIGHT` of its frames are unanswered, as `roomlight stream` does. After each
+processed frame it requests the light of the probe that it tracks. Times are milliseconds, measured at the phone.
 """
 
 import asyncio
@@ -18,25 +18,31 @@ from roomlight_client.calls import FRAME_MEDIA_TYPE, Call, Reply
 from roomlight_client.retry import NO_RETRY, Timeouts
 
 IN_FLIGHT: Final = 2
-"""As `roomlight stream`: one frame is uploaded while the other is worked on."""
+"""As in `roomlight stream`: one frame is uploaded while the other is processed."""
 PROBE: Final = "table"
 FORMS: Final = ("sh", "main_light")
-"""What an app shades with; 1 kB."""
+"""The light that an application shades with; 1 kB."""
 LOST: Final = frozenset({"frame-conflict", "session-full"})
-"""A frame that one sent after it overtook on another connection, or that found the session's hands full."""
+"""Problems that count as a lost frame: a newer one overtook it on another connection, or the session queue is full."""
 TIMEOUTS: Final = Timeouts(read_s=300.0)
-"""64 sessions on two cores: a frame may well wait for ten seconds, which is to be measured, not to be an error."""
+"""With 64 sessions on two cores a frame may wait ten seconds: the benchmark measures that, it is not an error."""
 
 
 @dataclass
 class Outcome:
-    """What came of a load. `held` counts the frames processed within the time, latencies are of all processed ones.
+    """Result of a load.
 
-    dropped: not sent, because `IN_FLIGHT` others were on their way. superseded: sent, but a newer one went before.
+    Attributes:
+        sent: Frames sent.
+        in_time: Frames processed before the load's end.
+        dropped: Frames not sent, because `IN_FLIGHT` others were unanswered.
+        superseded: Frames sent that the server skipped for a newer one.
+        frame_ms: Response times of all processed frames.
+        light_ms: Response times of the requests for light.
     """
 
     sent: int = 0
-    held: int = 0
+    in_time: int = 0
     dropped: int = 0
     superseded: int = 0
     frame_ms: list[float] = field(default_factory=list[float])
@@ -45,19 +51,29 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Load:
-    """`bodies`: frame messages without an index, sent in turn, again from the start when they are through."""
+    """What the phones do.
+
+    Attributes:
+        sessions: Number of phones, one session each.
+        seconds: How long they stream.
+        fps: Frames per second that each phone sends.
+        bodies: Frame messages, sent one after the other and again from the start after the last.
+        probe: Position of the tracked probe, world metres.
+        model: Model of the sessions.
+        height: Rows of the panoramas.
+    """
 
     sessions: int
     seconds: float
     fps: float
     bodies: Sequence[bytes]
     probe: Position
-    mode: ModelName
+    model: ModelName
     height: int
 
 
 def frame_call(session_id: str, index: int, body: bytes) -> Call[FrameResult]:
-    """A frame that is packed already: packing is the phone's work, and phones have processors of their own."""
+    """Make the request for a packed frame: packing is the phone's work, which does not load this machine."""
 
     def read(reply: Reply) -> FrameResult:
         return FrameResult.model_validate_json(reply.body)
@@ -67,21 +83,21 @@ def frame_call(session_id: str, index: int, body: bytes) -> Call[FrameResult]:
 
 
 class Phones:
-    """The sessions of a load. In a `with` statement they are opened, and each has had its first frame."""
+    """The phones of a load; the `with` statement opens their sessions and sends each its first frame."""
 
     def __init__(self, url: str, load: Load) -> None:
-        """Nothing is sent yet."""
+        """Prepare the load; nothing is sent yet."""
         self._url, self._load = url, load
         self._stack = AsyncExitStack()
         self.sessions: list[AsyncSession] = []
         self._phones: list[_Phone] = []
 
     async def __aenter__(self) -> "Phones":
-        """A connection of its own each, as phones have; one after the other."""
+        """Connect the phones one after the other, each on a connection of its own."""
         load = self._load
         for number in range(load.sessions):
             client = await self._stack.enter_async_context(AsyncClient(self._url, timeouts=TIMEOUTS))
-            session = await client.open(model=load.mode, height=load.height, reference_exposure=1.0)
+            session = await client.open(model=load.model, height=load.height, reference_exposure=1.0)
             await session.track(PROBE, load.probe)
             phone = _Phone(client, session, load, number)
             await phone.begin()
@@ -94,12 +110,15 @@ class Phones:
         await self._stack.aclose()
 
     async def stream(self) -> Outcome:
-        """All at once, their frames spread evenly over the time between two; returns when all answers are there."""
+        """Stream from all phones at the same time and return when all responses have arrived.
+
+        The phones' frames are staggered evenly over the interval between two frames.
+        """
         outcome = Outcome()
-        began_s = time.perf_counter()
+        start_s = time.perf_counter()
         try:
-            await asyncio.gather(*(phone.stream(began_s, outcome) for phone in self._phones))
-        except ExceptionGroup as group:  # of a phone's tasks: the first that went wrong took the others with it
+            await asyncio.gather(*(phone.stream(start_s, outcome) for phone in self._phones))
+        except ExceptionGroup as group:  # of a phone's tasks: the first failure cancelled the others
             raise group.exceptions[0] from None
         return outcome
 
@@ -107,24 +126,24 @@ class Phones:
 class _Phone:
     def __init__(self, client: AsyncClient, session: AsyncSession, load: Load, number: int) -> None:
         self._client, self._session, self._load, self._number = client, session, load, number
-        self._index = self._flying = 0
-        self._asking = False
+        self._index = self._in_flight = 0
+        self._requesting_light = False
 
     async def begin(self) -> None:
-        """The first frame makes the volume and takes longer."""
+        """Send the first frame, which makes the volume and takes longer than others."""
         await self._client.run(self._call())
 
-    async def stream(self, began_s: float, outcome: Outcome) -> None:
+    async def stream(self, load_start_s: float, outcome: Outcome) -> None:
         load = self._load
-        start_s = began_s + self._number / load.sessions / load.fps
-        end_s = began_s + load.seconds
+        start_s = load_start_s + self._number / load.sessions / load.fps
+        end_s = load_start_s + load.seconds
         async with asyncio.TaskGroup() as tasks:
             for due in range(max(1, round(load.seconds * load.fps))):
                 await asyncio.sleep(max(0.0, start_s + due / load.fps - time.perf_counter()))
-                if self._flying >= IN_FLIGHT:
+                if self._in_flight >= IN_FLIGHT:
                     outcome.dropped += 1
                 else:
-                    self._flying += 1
+                    self._in_flight += 1
                     outcome.sent += 1
                     tasks.create_task(self._send(self._call(), end_s, outcome, tasks))
 
@@ -134,28 +153,28 @@ class _Phone:
         return frame_call(self._session.id, index, bodies[index % len(bodies)])
 
     async def _send(self, call: Call[FrameResult], end_s: float, outcome: Outcome, tasks: asyncio.TaskGroup) -> None:
-        began_s = time.perf_counter()
+        start_s = time.perf_counter()
         try:
             result = await self._client.run(call, retry=NO_RETRY)
         except (BusyError, ConflictError) as error:
             if error.kind not in LOST:
                 raise
-            self._flying -= 1
+            self._in_flight -= 1
             outcome.superseded += 1
             return
         now_s = time.perf_counter()
-        self._flying -= 1
+        self._in_flight -= 1
         if result.status != "processed":
             outcome.superseded += 1
             return
-        outcome.frame_ms.append(1e3 * (now_s - began_s))
-        outcome.held += now_s <= end_s
-        if not self._asking:
-            self._asking = True
-            tasks.create_task(self._ask(outcome))
+        outcome.frame_ms.append(1e3 * (now_s - start_s))
+        outcome.in_time += now_s <= end_s
+        if not self._requesting_light:
+            self._requesting_light = True
+            tasks.create_task(self._request_light(outcome))
 
-    async def _ask(self, outcome: Outcome) -> None:
-        began_s = time.perf_counter()
+    async def _request_light(self, outcome: Outcome) -> None:
+        start_s = time.perf_counter()
         await self._session.light_at(PROBE, FORMS)
-        outcome.light_ms.append(1e3 * (time.perf_counter() - began_s))
-        self._asking = False
+        outcome.light_ms.append(1e3 * (time.perf_counter() - start_s))
+        self._requesting_light = False

@@ -1,4 +1,4 @@
-"""A real `roomlight serve` for the benchmark: a process of its own, on a free port of this machine."""
+"""A `roomlight serve` for the benchmark, in a separate process on a free port of this machine."""
 
 import http.client
 import json
@@ -17,42 +17,50 @@ from typing import Final
 from roomlight.errors import ServerError
 
 _SERVE: Final = "from roomlight_cli.main import main; main()"
-_PATIENCE_S: Final = 300
-"""Until it must be ready: kernels that were never compiled take most of a minute, on a busy machine several."""
+_START_TIMEOUT_S: Final = 300
+"""Limit on the start: compiling the kernels for the first time takes a minute, several on a busy machine."""
 _POLL_S: Final = 0.02
 
 
 class ServerProcess:
-    """Use it in a `with` statement; within, it is ready. Raises ServerError if it ends or takes too long.
+    """A server process; the `with` statement starts it, waits until it is ready, and stops it at its end.
 
-    alive_ms, ready_ms: from the start of the process to the first answer of /healthz, and to 200 of /readyz.
+    Attributes:
+        port: The server's port.
+        alive_ms: Time from the start of the process to the first response of /healthz.
+        ready_ms: Time from the start of the process to status 200 of /readyz.
     """
 
     def __init__(self, arguments: Sequence[str]) -> None:
-        """`arguments` of `roomlight serve`, besides the port. The environment's ROOMLIGHT_* do not reach it, but the
-        number of threads.
+        """Prepare `roomlight serve` with these arguments, besides the port.
+
+        Of the environment's ROOMLIGHT_* variables, the server gets ROOMLIGHT_THREADS alone.
         """
         self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", "--log-level", "warning", *arguments]
-        self._said: deque[str] = deque(maxlen=30)
-        self._told = threading.Event()
+        self._log: deque[str] = deque(maxlen=30)
+        self._port_known = threading.Event()
         self.port = 0
         self.alive_ms = self.ready_ms = 0.0
 
     def __enter__(self) -> "ServerProcess":
-        """Start it, and wait until it is ready."""
+        """Start the server and wait until it is ready.
+
+        Raises:
+            ServerError: The process ends or is not ready in time; the message has its last output.
+        """
         environment = {
             name: value
             for name, value in os.environ.items()
             if not name.startswith("ROOMLIGHT_") or name == "ROOMLIGHT_THREADS"
         }
-        self._began_s = time.perf_counter()
+        self._start_s = time.perf_counter()
         self._process = subprocess.Popen(
             self._command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
         )
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
         try:
-            self._told.wait(_PATIENCE_S)
+            self._port_known.wait(_START_TIMEOUT_S)
             self.alive_ms = self._wait_for("/healthz")
             self.ready_ms = self._wait_for("/readyz")
         except BaseException:
@@ -61,7 +69,7 @@ class ServerProcess:
         return self
 
     def __exit__(self, *_: object) -> None:
-        """Tell it to stop, as Ctrl-C does; kill it if it does not."""
+        """Stop the server as SIGTERM does; kill it if that takes more than 30 seconds."""
         self._process.terminate()
         try:
             self._process.wait(30)
@@ -74,11 +82,11 @@ class ServerProcess:
 
     @property
     def url(self) -> str:
-        """Its address."""
+        """The server's address."""
         return f"http://127.0.0.1:{self.port}"
 
     def resident_bytes(self) -> int | None:
-        """Memory it holds; None where the system does not say (Linux does)."""
+        """Return the resident memory of the process; None on systems without /proc."""
         try:
             status = Path(f"/proc/{self._process.pid}/status").read_text(encoding="utf-8")
         except OSError:
@@ -89,29 +97,29 @@ class ServerProcess:
     def _read(self) -> None:
         assert self._process.stderr is not None
         for line in self._process.stderr:
-            self._said.append(line.decode(errors="replace").rstrip())
-            found = re.search(r"Serving on http://127\.0\.0\.1:(\d+)", self._said[-1])
+            self._log.append(line.decode(errors="replace").rstrip())
+            found = re.search(r"Serving on http://127\.0\.0\.1:(\d+)", self._log[-1])
             if found is not None:
                 self.port = int(found[1])
-                self._told.set()
-        self._told.set()  # it has ended
+                self._port_known.set()
+        self._port_known.set()  # the process has ended: do not wait for its port
 
     def _wait_for(self, path: str) -> float:
-        """Milliseconds from the start until the address answers 200."""
-        while time.perf_counter() - self._began_s < _PATIENCE_S:
+        """Return the milliseconds from the start of the process until `path` returns status 200. Raises ServerError."""
+        while time.perf_counter() - self._start_s < _START_TIMEOUT_S:
             if self._process.poll() is not None or not self.port:
                 break
             if _status(self.port, path) == 200:
-                return 1e3 * (time.perf_counter() - self._began_s)
+                return 1e3 * (time.perf_counter() - self._start_s)
             time.sleep(_POLL_S)
-        told = "\n".join(self._said) or "it said nothing"
+        output = "\n".join(self._log) or "(no output)"
         raise ServerError(
-            f"the server of the benchmark did not get ready; it was started with\n{self._command}\n{told}"
+            f"the benchmark's server did not become ready; it was started with\n{self._command}\n{output}"
         )
 
 
 def _status(port: int, path: str) -> int:
-    """Of a GET; 0 without an answer."""
+    """Return the status of a GET request; 0 without a response."""
     connection = http.client.HTTPConnection("127.0.0.1", port, timeout=10)
     try:
         connection.request("GET", path)
@@ -123,21 +131,24 @@ def _status(port: int, path: str) -> int:
 
 
 @contextmanager
-def watching_health(port: int) -> Generator[Callable[[], list[float]]]:
-    """Poll /healthz meanwhile, from another process (`bench.health`); the function that is given ends it and returns
-    the latencies in milliseconds.
+def polling_health(port: int) -> Generator[Callable[[], list[float]]]:
+    """Poll /healthz from another process (`server_health`) during the `with` statement.
+
+    Yields:
+        A function that ends the polling and returns the latencies in milliseconds. It raises ServerError if the server
+        did not respond.
     """
     command = [sys.executable, "-m", "roomlight_bench.server_health", str(port)]
     process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL)
 
-    def ended() -> list[float]:
+    def end() -> list[float]:
         output, _ = process.communicate()
         if process.returncode != 0:
-            raise ServerError("the server stopped answering /healthz during the benchmark")
+            raise ServerError("the server stopped responding to /healthz during the benchmark")
         return json.loads(output)
 
     with process:
         try:
-            yield ended
+            yield end
         finally:
             process.kill()

@@ -1,4 +1,4 @@
-"""What `roomlight bench server` found: rows, demands, as tables and as JSON. Milliseconds and megabytes (10^6)."""
+"""Report of `roomlight bench server`: rows and criteria, as tables and JSON. Milliseconds and megabytes (10^6)."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -9,18 +9,18 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
-from roomlight_bench.stages_report import Criterion, criteria_table, short
+from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.server_load import IN_FLIGHT
 
 OVERHEAD_SHARE: Final = 0.15
-"""What the network's way may add to a frame's time, at most."""
+"""Limit on the time that HTTP adds to a frame, as a share."""
 HEALTH_MS: Final = 50.0
-"""`/healthz` while frames are processed, at most."""
+"""Limit on the response time of /healthz while frames are processed."""
 
 
 @dataclass(frozen=True)
 class Latencies:
-    """Of `count` answers; None where there were none."""
+    """Percentiles and maximum of `count` response times; None without responses."""
 
     count: int
     p50_ms: float | None
@@ -30,7 +30,7 @@ class Latencies:
 
     @classmethod
     def of(cls, values_ms: Sequence[float]) -> "Latencies":
-        """Percentiles of the values, interpolated."""
+        """Compute the interpolated percentiles of the values."""
         if not values_ms:
             return cls(0, None, None, None, None)
         p50, p95, p99 = (float(value) for value in np.percentile(values_ms, (50, 95, 99)))
@@ -39,12 +39,19 @@ class Latencies:
 
 @dataclass(frozen=True)
 class OverheadRow:
-    """The same frames through the server and by the engine here, in turn: of each frame the least time of the rounds,
-    which leaves out what else the machine was doing; of these the median.
+    """The same frames through the server and through the engine in this process, alternating.
 
-    engine_ms:  the engine called directly.
-    decoded_ms: the same from the message's bytes: parsed, decoded, at the working size.
-    http_ms:    sent, processed, answered.
+    Times are medians over the frames of each frame's least time over the rounds: the least time leaves out other work
+    on the machine.
+
+    Attributes:
+        colour: Encoding of the frames' colour.
+        body_bytes: Mean size of a frame message.
+        frames: Number of frames.
+        rounds: Number of rounds.
+        engine_ms: The engine called directly.
+        decoded_ms: The same with parsing, decoding and resizing the message.
+        http_ms: The frame sent, processed and answered over HTTP.
     """
 
     colour: str
@@ -57,22 +64,30 @@ class OverheadRow:
 
     @property
     def share(self) -> float:
-        """What HTTP adds to a frame that comes as bytes in either case, as a share of it."""
+        """Time that HTTP adds to a frame that is decoded in either case, as a share of that time."""
         return self.http_ms / self.decoded_ms - 1
 
     @property
     def share_of_engine(self) -> float:
-        """What HTTP and decoding add to the engine's own time, as a share of it."""
+        """Time that HTTP and decoding add to the engine's own time, as a share of it."""
         return self.http_ms / self.engine_ms - 1
 
 
 @dataclass(frozen=True)
 class LoadRow:
-    """So many sessions at once. Rates are frames a second of one session; `lost` is the share of the frames due that
-    was dropped by the phone or overtaken on the server.
+    """A number of sessions at the same time.
 
-    memory_mb:  resident memory that the process gained, a session; None where the system does not say.
-    stated_mb:  what the sessions say of themselves, in the mean.
+    Attributes:
+        sessions: Number of sessions.
+        wanted_fps: Frames per second and session that were due.
+        held_fps: Frames per second and session that were processed in time.
+        lost: Share of the due frames that the phone dropped or the server skipped.
+        frame: Response times of frames.
+        light: Response times of light.
+        health: Response times of /healthz.
+        memory_mb: Growth of the process's resident memory per session; None on systems without /proc.
+        stated_mb: Memory that the sessions report for themselves, mean.
+        keyframes: Keyframes per session, mean.
     """
 
     sessions: int
@@ -89,13 +104,18 @@ class LoadRow:
 
 @dataclass(frozen=True)
 class ProbeRow:
-    """Light at `count` points in one call and in as many calls; medians.
+    """Light at several points; times are medians.
 
-    followed:  tracked from the first frame on; else asked about late, and caught up from `keyframes`.
-    frame_ms:  a frame with so many probes followed.
+    Attributes:
+        tracked: Whether the probes are tracked from the first frame on; else they are late probes.
+        count: Number of points.
+        keyframes: Keyframes of the session.
+        frame_ms: A frame while so many probes are tracked; None for late probes.
+        batched_ms: The light of all points in one request.
+        one_by_one_ms: The light of all points in a request each.
     """
 
-    followed: bool
+    tracked: bool
     count: int
     keyframes: int
     frame_ms: float | None
@@ -105,7 +125,21 @@ class ProbeRow:
 
 @dataclass(frozen=True)
 class ServerReport:
-    """A run of `roomlight bench server`. `busy`: the machine's load average before it began, None where unknown."""
+    """A run of `roomlight bench server`.
+
+    Attributes:
+        model: The engine's model.
+        seconds: How long phones streamed, for each row of `load`.
+        start_alive_ms: Start of each server process to its first response.
+        start_ready_ms: Start of each server process until it accepts sessions.
+        overhead: What HTTP adds to a frame.
+        load: Several sessions at the same time.
+        probes: Light at several points.
+        machine: Processor, system and versions; see `describe_machine`.
+        threads: Threads of the engine.
+        cores: Cores of the machine.
+        busy: Load average of the machine before the run; None where the system has none.
+    """
 
     model: str
     seconds: float
@@ -121,7 +155,7 @@ class ServerReport:
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """The project's demands, and what this run measured."""
+        """The project's criteria, judged on this run."""
         return (
             *(
                 Criterion(
@@ -145,14 +179,14 @@ class ServerReport:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values, with the shares and criteria that follow from them."""
+        """Return plain JSON values, including the shares and criteria that follow from them."""
         values = asdict(self)
         for row, entry in zip(self.overhead, values["overhead"], strict=True):
             entry |= {"share": row.share, "share_of_engine": row.share_of_engine}
         return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
 
     def table(self) -> RenderableType:
-        """Everything, with the machine beneath."""
+        """Return all tables, with the criteria at the end."""
         return Group(
             self._overhead_table(),
             "",
@@ -168,17 +202,18 @@ class ServerReport:
         busy = "" if self.busy is None else f", load average before the run {self.busy:.1f}"
         rounds = self.overhead[0].rounds
         return _table(
-            f"One session, one frame after the other, there and here: median of the frames' least of {rounds}, ms",
+            "One session, one frame after the other, in this process and over HTTP, ms: "
+            f"median of each frame's least of {rounds}",
             f"model {self.model}; {self.threads} engine threads, {self.cores} cores, {self.machine['processor']}"
             f"{busy}; the server started {len(self.start_ready_ms)} times: /healthz after {alive:.1f} s, ready after "
             f"{ready:.1f} s (median; most {max(self.start_ready_ms) / 1e3:.1f})",
-            ("frames as", "kB", "frames", "engine", "and decoding", "HTTP", "HTTP adds", "to the engine alone"),
+            ("colour", "kB", "frames", "engine", "+ decoding", "+ HTTP", "HTTP adds", "to the engine alone"),
             [
                 (
                     row.colour,
                     f"{row.body_bytes / 1e3:.0f}",
                     f"{row.frames}",
-                    *map(short, (row.engine_ms, row.decoded_ms, row.http_ms)),
+                    *map(short_number, (row.engine_ms, row.decoded_ms, row.http_ms)),
                     f"{row.share:+.1%}",
                     f"{row.share_of_engine:+.1%}",
                 )
@@ -188,10 +223,11 @@ class ServerReport:
 
     def _load_table(self) -> Table:
         return _table(
-            f"Sessions at once, each streaming for {self.seconds:g} s: frames a second and session, ms p50 / p95 / p99",
-            "light: of the tracked probe, harmonics and main light, asked after each frame; lost: dropped on the phone "
-            f"because {IN_FLIGHT} were on their way, or overtaken; MB: resident memory a session, with so many "
-            "keyframes; stated: what sessions say of themselves",
+            f"Sessions at the same time, each streaming for {self.seconds:g} s: frames per second and session, "
+            "ms p50 / p95 / p99",
+            "light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped by the "
+            f"phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: resident "
+            "memory per session with so many keyframes; stated: what sessions report for themselves",
             ("sessions", "wanted", "held", "lost", "frame", "light", "/healthz", "most", "MB", "stated", "keyframes"),
             [
                 (
@@ -202,8 +238,8 @@ class ServerReport:
                     *map(_percentiles, (row.frame, row.light, row.health)),
                     _or_dash(row.health.most_ms),
                     _or_dash(row.memory_mb),
-                    short(row.stated_mb),
-                    short(row.keyframes),
+                    short_number(row.stated_mb),
+                    short_number(row.keyframes),
                 )
                 for row in self.load
             ],
@@ -211,18 +247,18 @@ class ServerReport:
 
     def _probes_table(self) -> Table:
         return _table(
-            "Light at many points of one session: in one call, and in a call each, median ms",
-            "harmonics and main light; followed: tracked from the first frame on, each frame takes them along; late: "
-            "caught up from the keyframes when asked; x: a call each to one call",
-            ("points", "", "keyframes", "a frame", "one call", "a call each", "x"),
+            "Light at several points of one session: in one request, and in a request each, median ms",
+            "harmonics and main light; tracked: from the first frame on, every frame updates them; late: computed from "
+            "the keyframes on request; x: a request each / one request",
+            ("points", "", "keyframes", "frame", "one request", "a request each", "x"),
             [
                 (
                     f"{row.count}",
-                    "followed" if row.followed else "late",
+                    "tracked" if row.tracked else "late",
                     f"{row.keyframes}",
                     _or_dash(row.frame_ms),
-                    short(row.batched_ms),
-                    short(row.one_by_one_ms),
+                    short_number(row.batched_ms),
+                    short_number(row.one_by_one_ms),
                     f"{row.one_by_one_ms / row.batched_ms:.2f}",
                 )
                 for row in self.probes
@@ -231,7 +267,7 @@ class ServerReport:
 
 
 def _table(title: str, caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
-    """Columns as wide as what stands in them: `print_table` widens the console for them."""
+    """Make a table whose columns are as wide as their content; the console must be wide enough."""
     table = Table(
         title=title,
         title_justify="left",
@@ -253,4 +289,4 @@ def _percentiles(latencies: Latencies) -> str:
 
 
 def _or_dash(value: float | None) -> str:
-    return "-" if value is None else short(value)
+    return "-" if value is None else short_number(value)

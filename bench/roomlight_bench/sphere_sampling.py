@@ -1,6 +1,7 @@
-"""A glossy sphere lit by the rendering layer, and by a grid of directions as such layers had before it: to compare.
+"""A glossy sphere, lit by the rendering layer's importance sampling or by a grid of directions.
 
-The grid is one of theta and phi over each normal's hemisphere, the same about every normal (Li et al. 2020).
+The grid covers theta and phi of each normal's hemisphere and is the same for every normal, as in earlier rendering
+layers (Li et al. 2020). Importing this module needs PyTorch.
 """
 
 import math
@@ -13,12 +14,12 @@ from torch.nn import functional
 
 from roomlight_model.sphere import brdf_and_density, look_up, sample_sphere, shade
 
-_AT_ONCE = 500_000
-"""Directions: a few tens of megabytes."""
+_CHUNK = 500_000
+"""Directions that are evaluated together: a few tens of megabytes."""
 
 
 class SphereSampling:
-    """One panorama, one sphere; linear radiance of its pixels by any number of directions each."""
+    """One sphere lit by one panorama: linear radiance of its pixels, from any number of directions per pixel."""
 
     def __init__(
         self,
@@ -28,22 +29,22 @@ class SphereSampling:
         *,
         seed: int = 0,
     ) -> None:
-        """normals and view (toward the sphere) in world axes, as `roomlight.spheres.SphereRenderer` has them."""
+        """Prepare a sphere; `normals` and `view` are in world axes, as in `roomlight.spheres.SphereRenderer`."""
         self._light = torch.from_numpy(np.ascontiguousarray(panorama, np.float32)).permute(2, 0, 1)[None]
         self._normals = torch.from_numpy(np.ascontiguousarray(normals, np.float32))
         self._to_viewer = functional.normalize(-torch.tensor(view, dtype=torch.float32), dim=0)
         self._generator = torch.Generator().manual_seed(seed)
 
     def by_importance(self, count: int) -> Float[np.ndarray, "n 3"]:
-        """By the BRDF's own directions, other ones at every pixel and every call."""
+        """Sample `count` directions per pixel by the BRDF; they differ between pixels and between calls."""
         parts: list[Tensor] = []
-        for normals in self._normals.split(max(1, _AT_ONCE // count)):
+        for normals in self._normals.split(max(1, _CHUNK // count)):
             samples = sample_sphere(normals, self._to_viewer, samples=count, generator=self._generator)
-            parts.append(shade(samples, self._read(samples.directions)))
+            parts.append(shade(samples, self._radiance(samples.directions)))
         return torch.cat(parts).numpy()
 
     def by_grid(self, count: int) -> Float[np.ndarray, "n 3"]:
-        """By k rows of 4 k directions (count = 4 k^2), each weighted by the solid angle of its cell."""
+        """Use k rows of 4 k directions (count = 4 k^2) for every pixel, weighted by the solid angles of their cells."""
         rows = max(1, round(math.sqrt(count / 4)))
         columns = count // rows
         theta = (torch.arange(rows) + 0.5) / rows * (math.pi / 2)
@@ -58,7 +59,7 @@ class SphereSampling:
         directions = torch.einsum("sa,nai->nsi", local, frame)
         value, _ = brdf_and_density(self._normals, self._to_viewer, directions, 0.5)
         solid_angle = theta.sin() * (math.pi / 2 / rows) * (2 * math.pi / columns)
-        return (value * solid_angle)[..., None].mul(self._read(directions)).sum(1).numpy()
+        return (value * solid_angle)[..., None].mul(self._radiance(directions)).sum(1).numpy()
 
-    def _read(self, directions: Float[Tensor, "n s 3"]) -> Float[Tensor, "n s 3"]:
+    def _radiance(self, directions: Float[Tensor, "n s 3"]) -> Float[Tensor, "n s 3"]:
         return look_up(self._light, directions.reshape(1, -1, 3)).reshape(directions.shape)

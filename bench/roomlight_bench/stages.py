@@ -1,4 +1,4 @@
-"""Every stage of a session in one run: ours, the readable reference, the plain PyTorch way, and the roofline."""
+"""`roomlight bench stages`: every stage of a session beside its NumPy reference, plain PyTorch and the roofline."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -16,56 +16,65 @@ from roomlight.engine.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.sglv import Far, Sglv, render_rays, render_rays_reference
 from roomlight.engine.volume import VolumeGrid, initial_volume, initial_volume_reference
+from roomlight.errors import OptionError
 from roomlight.frame import Frame
-from roomlight_bench import costs, plain_torch
+from roomlight_bench import plain_torch, stage_costs
+from roomlight_bench.bench_stage import BenchStage, differences, largest_difference
 from roomlight_bench.network_stages import Networks, export_possible, load_networks, network_stages, untrained_networks
-from roomlight_bench.stages_report import StageRow, StagesReport
 from roomlight_bench.roofline import CeilingRuns, Cost
 from roomlight_bench.room import PROBE, RoomSize, network_like, views
-from roomlight_bench.bench_stage import Stage, differences, largest_difference
-from roomlight_bench.timing import Timing, Way, time_in_turn
+from roomlight_bench.stages_report import StageRow, StagesReport
+from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
 from roomlight_model.config import ModelConfig
 
-Progress = Callable[[str], None]
 SLOW_RUNS: Final = 3
-"""Runs of the references that take seconds."""
+"""Most runs of the references that take seconds."""
 FINE_SAMPLES: Final = 110.0
-"""Samples inside the volume a ray, on the mean, of the row with fine steps: at the engine's own step of one voxel a ray
-from inside takes about 40 before it leaves, while `grid_sample` computes all 128."""
+"""Mean number of samples per ray inside the volume, in the row with fine steps. At the engine's own step of one voxel,
+a ray from inside takes about 40 before it leaves the volume, while `grid_sample` computes all 128."""
 _FILL: Final = "fill beyond the mesh"
-_TRACED_BY_HAND: Final = 32
-"""Rays of the brute-force reference: all 28,800 would take minutes."""
+_BRUTE_FORCE_RAYS: Final = 32
+"""Rays of the brute-force reference; all 28,800 would take minutes."""
 
 
 def run_stages(
     *,
     repeats: int = 7,
     model: Path | None = None,
-    progress: Progress | None = None,
+    progress: ProgressCallback | None = None,
     size: RoomSize | None = None,
     config: ModelConfig | None = None,
 ) -> StagesReport:
-    """Measure everything; two to three minutes by default.
+    """Time every stage; two to three minutes by default.
 
-    `model` is a folder of `roomlight export`; without one, untrained networks of `config` are exported for the run,
-    or left out where the packages for that are not installed. Raises ModelError for a folder that is no model.
+    Args:
+        repeats: Interleaved runs of each stage.
+        model: A model folder of `roomlight export`. Without one, untrained networks of `config` are exported for the
+            run, or left out if the packages for the export are not installed: times do not depend on the weights.
+        progress: Called with what is being measured.
+        size: Sizes of frames, volume and panoramas.
+        config: Widths of the untrained networks.
+
+    Raises:
+        ModelError: `model` is not a model folder.
+        OptionError: `repeats` is less than 1.
     """
     if repeats < 1:
-        raise ValueError(f"at least 1 repeat is needed, got {repeats}")
-    say: Progress = progress or _say_nothing
+        raise OptionError(f"repeats must be at least 1, got {repeats}")
+    report: ProgressCallback = progress or _ignore
     size = size or RoomSize()
-    say("compiling kernels")
+    report("compiling kernels")
     warm_up()
     if plain_torch.torch_installed():
         plain_torch.use_our_threads()
-    networks = _networks(model, config or ModelConfig(), say)
-    say("building the room")
+    networks = _networks(model, config or ModelConfig(), report)
+    report("building the room")
     frames = views(size.keyframes, size)
     grid = VolumeGrid.from_frame(
         frames[0], shape=networks.loaded["cpu"].volume_shape if networks else size.volume_shape
     )
     volume = initial_volume(grid, frames[0])
-    say("warming up every stage")
+    report("warming up every stage")
     stages = [_volume_stage(grid, frames[0])]
     stages += network_stages(networks, volume) if networks else []
     stages += _march_stages(grid, frames, size)
@@ -74,12 +83,20 @@ def run_stages(
     stages.append(_accumulate_stage(frames[0], grid, size))
     stages += _catch_up_stages(frames, size, networks, stages)
     ceiling = CeilingRuns.of()
-    ways = [(index, kind, way) for index, stage in enumerate(stages) for kind, way in _ways(stage)]
-    everything = [Way(ceiling.matmul), Way(ceiling.copy), *(way for _, _, way in ways)]
-    matmul, copy, *timings = time_in_turn(everything, repeats, progress=say)
+    implementations = [
+        (index, kind, implementation)
+        for index, stage in enumerate(stages)
+        for kind, implementation in _implementations(stage)
+    ]
+    everything = [
+        Implementation(ceiling.matmul),
+        Implementation(ceiling.copy),
+        *(implementation for _, _, implementation in implementations),
+    ]
+    matmul, copy, *timings = time_interleaved(everything, repeats, progress=report)
     ceilings = ceiling.ceilings(matmul.least_ms, copy.least_ms)
     timed: dict[tuple[int, str], Timing] = {
-        (index, kind): timing for (index, kind, _), timing in zip(ways, timings, strict=True)
+        (index, kind): timing for (index, kind, _), timing in zip(implementations, timings, strict=True)
     }
     rows = [
         StageRow(
@@ -96,36 +113,38 @@ def run_stages(
         )
         for index, stage in enumerate(stages)
     ]
-    described = "none: the packages of `roomlight export` are not installed, and no --weights were given"
+    described = "none (no weights are given, and the packages that export untrained networks are not installed)"
     if networks:
         described = f"{networks.form}, {'trained' if networks.trained else 'untrained'}"
     return StagesReport.of(rows, ceilings, repeats=repeats, networks=described, torch=plain_torch.torch_installed())
 
 
-def _networks(model: Path | None, config: ModelConfig, say: Progress) -> Networks | None:
+def _networks(model: Path | None, config: ModelConfig, progress: ProgressCallback) -> Networks | None:
     if model is not None:
         return load_networks(model)
-    return untrained_networks(config, progress=say) if export_possible() else None
+    return untrained_networks(config, progress=progress) if export_possible() else None
 
 
-def _ways(stage: Stage) -> list[tuple[str, Way]]:
-    given = (("ours", stage.ours), ("reference", stage.reference), ("torch", stage.torch))
-    return [(kind, way) for kind, way in given if way is not None]
+def _implementations(stage: BenchStage) -> list[tuple[str, Implementation]]:
+    """Return the implementations that the stage has, each with its kind."""
+    kinds = (("ours", stage.ours), ("reference", stage.reference), ("torch", stage.torch))
+    return [(kind, implementation) for kind, implementation in kinds if implementation is not None]
 
 
-def _volume_stage(grid: VolumeGrid, frame: Frame) -> Stage:
+def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
     out = np.empty((5, *grid.shape), np.float32)
-    ours = Way(lambda: initial_volume(grid, frame, out=out))
-    reference = Way(lambda: initial_volume_reference(grid, frame))
-    torch = Way(plain_torch.volume_by_grid_sample(grid, frame)) if plain_torch.torch_installed() else None
+    ours = Implementation(lambda: initial_volume(grid, frame, out=out))
+    reference = Implementation(lambda: initial_volume_reference(grid, frame))
+    torch = Implementation(plain_torch.volume_by_grid_sample(grid, frame)) if plain_torch.torch_installed() else None
     found = differences(ours.run, {"reference": reference.run, "torch": torch.run if torch else None})
-    cost = costs.volume_cost(
+    cost = stage_costs.volume_cost(
         out, in_view=_in_view(grid, frame), pixels=frame.clipped.size, depth_pixels=frame.depth_m.size
     )
-    return Stage("volume initialisation", ours, cost, reference, torch, paper_ms=4.1, differences=found)
+    return BenchStage("volume initialisation", ours, cost, reference, torch, paper_ms=4.1, differences=found)
 
 
 def _in_view(grid: VolumeGrid, frame: Frame) -> int:
+    """Count the voxels whose centres the camera sees."""
     in_camera = transform_points(rigid_inverse(frame.camera_to_world) @ grid.volume_to_world, grid.centres_m())
     xy, depth = frame.intrinsics.project(in_camera)
     with np.errstate(invalid="ignore"):
@@ -133,7 +152,7 @@ def _in_view(grid: VolumeGrid, frame: Frame) -> int:
     return int((inside & (depth > 0)).sum())
 
 
-def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[Stage]:
+def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[BenchStage]:
     backend = ClassicalBackend()
     backend.start(grid)
     for frame in frames:
@@ -150,8 +169,8 @@ def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list
 
 def _march_stage(
     name: str, sglv: Sglv, size: RoomSize, *, far: Far, mean_inside: float | None = None, paper_ms: float | None = None
-) -> Stage:
-    """`mean_inside`: samples that a ray takes inside the volume on the mean; None is the engine's own step."""
+) -> BenchStage:
+    """Time ray tracing; `mean_inside` samples per ray lie inside the volume, None keeps the engine's own step."""
     directions = panorama_directions(size.panorama_height).reshape(-1, 3)
     step_m = sglv.grid.edge_m
     if mean_inside is not None:
@@ -171,18 +190,20 @@ def _march_stage(
         by_grid_sample = plain_torch.panorama_by_grid_sample(
             sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far
         )
-        torch = Way(by_grid_sample)
+        torch = Implementation(by_grid_sample)
     found = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
     inside = _samples_inside(sglv.grid, directions, size.samples, step_m)
-    cost = costs.march_cost(sglv, result[0], inside, boundary=far == "boundary")
+    cost = stage_costs.march_cost(sglv, result[0], inside, boundary=far == "boundary")
     note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
-    return Stage(name, Way(ours), cost, Way(reference, most_runs=SLOW_RUNS), torch, paper_ms, note, found)
+    return BenchStage(
+        name, Implementation(ours), cost, Implementation(reference, max_runs=SLOW_RUNS), torch, paper_ms, note, found
+    )
 
 
 def _samples_inside(
     grid: VolumeGrid, directions: Float[np.ndarray, "n 3"], samples: int, step_m: float
 ) -> Float[np.ndarray, " n"]:
-    """Samples that each ray from the probe, which stands inside, takes before it leaves the volume."""
+    """Count the samples of each ray from the probe before it leaves the volume; the probe is inside."""
     rotation = grid.world_to_volume[:3, :3]
     origin = rotation @ np.asarray(PROBE) + grid.world_to_volume[:3, 3]
     slope = directions.astype(np.float64) @ rotation.T
@@ -191,7 +212,7 @@ def _samples_inside(
     return np.clip(np.ceil(leave / step_m - 0.5), 0, samples)
 
 
-def _mesh_stages(frame: Frame, size: RoomSize) -> list[Stage]:
+def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
     def build() -> FrameMesh:
         mesh = FrameMesh(frame)
         mesh.build()
@@ -201,29 +222,34 @@ def _mesh_stages(frame: Frame, size: RoomSize) -> list[Stage]:
     position, height = np.asarray(PROBE), size.panorama_height
     seen = mesh.render_panorama(position, height=height)
     directions = panorama_directions(height).reshape(-1, 3)
-    chosen = np.linspace(0, len(directions) - 1, min(_TRACED_BY_HAND, len(directions))).astype(int)
+    chosen = np.linspace(0, len(directions) - 1, min(_BRUTE_FORCE_RAYS, len(directions))).astype(int)
 
     def trace() -> Float[np.ndarray, " n"]:
         return _brute_force_depth(mesh, position, directions[chosen])
 
     agreement = {"reference": largest_difference(seen.depth_m.reshape(-1)[chosen], trace())}
     rays, faces = len(directions), len(mesh.faces)
-    look = Stage(
+    panorama = BenchStage(
         "partial-mesh panorama",
-        Way(lambda: mesh.render_panorama(position, height=height)),
-        costs.panorama_cost(rays, faces, int(seen.mask.sum()), frame.clipped.size),
-        reference=Way(trace, times=rays / len(chosen), most_runs=SLOW_RUNS),
+        Implementation(lambda: mesh.render_panorama(position, height=height)),
+        stage_costs.panorama_cost(rays, faces, int(seen.mask.sum()), frame.clipped.size),
+        reference=Implementation(trace, scale=rays / len(chosen), max_runs=SLOW_RUNS),
         note=f"{rays} rays, {faces} triangles",
         differences=agreement,
     )
-    built = Stage("mesh building", Way(build), costs.mesh_cost(len(mesh.vertices), faces), note="once a frame")
-    return [built, look]
+    building = BenchStage(
+        "mesh building", Implementation(build), stage_costs.mesh_cost(len(mesh.vertices), faces), note="once per frame"
+    )
+    return [building, panorama]
 
 
 def _brute_force_depth(
     mesh: FrameMesh, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
 ) -> Float[np.ndarray, " n"]:
-    """Distance of the first triangle along each ray, 0 for none or a back face (Moeller and Trumbore, 1997)."""
+    """Return the distance of the first triangle along each ray, 0 without one or at a back face.
+
+    Moeller and Trumbore, 1997.
+    """
     a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
     edge1, edge2, from_a = b - a, c - a, origin - a
     across = np.cross(from_a, edge1)
@@ -241,32 +267,32 @@ def _brute_force_depth(
     return result
 
 
-def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
-    """What the blending network mixes in beyond the mesh."""
-    seen, state = _first_look(frame, grid, size)
+def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
+    """Time the filled panorama that the blending network gets beyond the mesh."""
+    seen, state = _first_panorama(frame, grid, size)
 
     def fill() -> Float[np.ndarray, "h w 3"]:
         return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
 
-    return Stage(_FILL, Way(fill), costs.fill_cost(state.seen.size), note="with networks")
+    return BenchStage(_FILL, Implementation(fill), stage_costs.fill_cost(state.seen.size), note="with networks")
 
 
-def _first_look(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
-    """What one frame shows a probe, and the panorama that is to take it in."""
+def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
+    """Return what one frame shows of the probe's surroundings, and the empty panorama that accumulates it."""
     height = size.panorama_height
     return FrameMesh(frame).render_panorama(np.asarray(PROBE), height=height), PanoramaState.fresh(
         height, grid.depth_max_m
     )
 
 
-def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
-    seen, state = _first_look(frame, grid, size)
+def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
+    seen, state = _first_panorama(frame, grid, size)
     random = np.random.default_rng(0)
     hdr = random.random(state.radiance.shape, dtype=np.float32)
     weight = np.where(seen.mask, random.random(seen.mask.shape, dtype=np.float32), np.float32(0))
 
-    def apply(to: PanoramaState, how: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
-        how(to, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight)
+    def apply(to: PanoramaState, accumulate_into: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
+        accumulate_into(to, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight)
         return to.radiance
 
     def fresh() -> PanoramaState:
@@ -274,7 +300,7 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
 
     torch = None
     if plain_torch.torch_installed():
-        torch = Way(
+        torch = Implementation(
             plain_torch.accumulate_by_tensors(
                 state, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight
             )
@@ -284,30 +310,32 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> Stage:
         {"reference": lambda: apply(fresh(), accumulate_reference), "torch": torch.run if torch else None},
     )
     ours_state, reference_state = fresh(), fresh()
-    return Stage(
+    return BenchStage(
         "accumulation",
-        Way(lambda: apply(ours_state, accumulate)),
-        costs.accumulate_cost(state.seen.size),
-        Way(lambda: apply(reference_state, accumulate_reference)),
+        Implementation(lambda: apply(ours_state, accumulate)),
+        stage_costs.accumulate_cost(state.seen.size),
+        Implementation(lambda: apply(reference_state, accumulate_reference)),
         torch,
         differences=found,
     )
 
 
 def _catch_up_stages(
-    frames: list[Frame], size: RoomSize, networks: Networks | None, stages: list[Stage]
-) -> list[Stage]:
-    """A point first asked about late: rendered once, then every keyframe looked at, blended and accumulated."""
+    frames: list[Frame], size: RoomSize, networks: Networks | None, stages: list[BenchStage]
+) -> list[BenchStage]:
+    """Time a late probe: the volume is rendered once, then every keyframe is rendered, blended and accumulated."""
     options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
     sessions = [("classical", Session(options), Cost(0.0, 0.0))]
     cost = {stage.name: stage.cost for stage in stages}
     if networks:
         runtime = "openvino" if "openvino" in networks.loaded else "cpu"
-        each = sum((stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0))
+        per_keyframe_network = sum(
+            (stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0)
+        )
         session = Session(options, graphs=networks.loaded[runtime])
-        blended = each * (1 / len(networks.loaded)) + cost[_FILL]
+        blended = per_keyframe_network * (1 / len(networks.loaded)) + cost[_FILL]
         sessions.append((f"{networks.form} networks", session, blended))
-    found: list[Stage] = []
+    found: list[BenchStage] = []
     for name, session, blending in sessions:
         for frame in frames:
             session.push(frame)
@@ -319,9 +347,11 @@ def _catch_up_stages(
             return session.light_at(PROBE)
 
         run()
-        found.append(Stage(f"late probe, {name}", Way(run), total, note=f"{session.keyframes} keyframes"))
+        found.append(
+            BenchStage(f"late probe, {name}", Implementation(run), total, note=f"{session.keyframes} keyframes")
+        )
     return found
 
 
-def _say_nothing(_: str) -> None:
+def _ignore(_: str) -> None:
     pass

@@ -1,34 +1,30 @@
-"""What a benchmark run found: rows, the machine's ceilings, the project's speed criteria, as a table and as JSON."""
+"""Report of `roomlight bench stages`: timed rows, the machine's ceilings and the speed criteria, as table and JSON."""
 
-import platform
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
-from pathlib import Path
 from typing import Any, Final
 
-import numba
-import numpy as np
-import onnxruntime
 from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
 from roomlight.threads import thread_count
+from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
 from roomlight_bench.roofline import Ceilings
 from roomlight_bench.timing import Timing
 
 MARCH_FASTER: Final = 30.0
-"""SGLV ray tracing against `grid_sample` in PyTorch, at least."""
+"""Least speed-up of SGLV ray tracing over `grid_sample` in PyTorch."""
 INITIALISATION_FASTER: Final = 5.0
-"""Volume initialisation against plain NumPy, at least."""
+"""Least speed-up of volume initialisation over plain NumPy."""
 PANORAMA_SHARE: Final = 1 / 3
-"""Partial-mesh panorama against the networks of a frame, at most."""
+"""Limit on the time of the partial-mesh panorama as a share of the SGLV network's."""
 _PAPER: Final = "the paper's times are on its GPU, an RTX 2080 Ti: 77 ms together"
 
 
 @dataclass(frozen=True)
 class StageRow:
-    """One stage, timed. Milliseconds; `roof_ms` is the least that the machine's ceilings allow."""
+    """One timed `BenchStage`; `roof_ms` is the least time in milliseconds that the machine's ceilings allow."""
 
     name: str
     ours: Timing
@@ -42,23 +38,24 @@ class StageRow:
     differences: dict[str, float]
 
     def ratio(self, other: Timing | None) -> float | None:
-        """How many times as long the other way takes: least time to least time."""
+        """Return how many times as long the other implementation takes, by least times; None if it was not timed."""
         return None if other is None else other.least_ms / self.ours.least_ms
 
 
 @dataclass(frozen=True)
-class Criterion:
-    """One of the project's demands on speed, and what this run measured."""
-
-    demand: str
-    measured: float
-    limit: float
-    holds: bool
-
-
-@dataclass(frozen=True)
 class StagesReport:
-    """A run of `roomlight bench stages`."""
+    """A run of `roomlight bench stages`.
+
+    Attributes:
+        rows: The timed stages.
+        ceilings: What the machine can do at most, measured in the same run.
+        criteria: The project's demands that these rows can answer.
+        machine: Processor, system and versions; see `describe_machine`.
+        threads: Threads of our kernels, ONNX Runtime and PyTorch.
+        repeats: Runs of each stage.
+        networks: Which networks were timed, in words.
+        torch: Whether PyTorch was installed.
+    """
 
     rows: tuple[StageRow, ...]
     ceilings: Ceilings
@@ -73,11 +70,11 @@ class StagesReport:
     def of(
         cls, rows: Sequence[StageRow], ceilings: Ceilings, *, repeats: int, networks: str, torch: bool
     ) -> "StagesReport":
-        """The report of these rows, with the criteria judged and the machine described."""
-        return cls(tuple(rows), ceilings, judge(rows), machine_here(), thread_count(), repeats, networks, torch)
+        """Make the report of these rows: judge the criteria and describe the machine."""
+        return cls(tuple(rows), ceilings, judge(rows), describe_machine(), thread_count(), repeats, networks, torch)
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values; `from_json` gives an equal report back."""
+        """Return plain JSON values; `from_json` restores an equal report."""
         return asdict(self) | {"rows": [asdict(row) for row in self.rows], "criteria": list(map(asdict, self.criteria))}
 
     @classmethod
@@ -99,19 +96,19 @@ class StagesReport:
         return cls(**{**values, **parts})
 
     def table(self, *, width: int = 120) -> RenderableType:
-        """The stages, then what the criteria say; below 120 columns without the figures behind the roofline."""
+        """Return the stages and the criteria; below 120 columns of width without the figures behind the roofline."""
         return Group(self._stages_table(brief=width < 120), criteria_table(self.criteria))
 
     def _stages_table(self, *, brief: bool) -> Table:
         table = Table(
-            title=f"Stages of one frame and one probe in ms: ours least / median of {self.repeats}, others least",
+            title=f"Stages of one frame and one probe, ms; ours: least / median of {self.repeats} runs, others: least",
             title_justify="left",
             caption=(
                 f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
-                f"{self.networks}; {'' if self.torch else 'torch not installed: nothing to compare with; '}"
+                f"{self.networks}; {'' if self.torch else 'no comparison with PyTorch, which is not installed; '}"
                 f"ceilings: {self.ceilings.flops_per_s / 1e9:.0f} GFLOP/s (fp32 matrix product), "
-                f"{self.ceilings.bytes_per_s / 1e9:.1f} GB/s (copy); x: times as long as ours, least to least; "
-                f"roof: the least these ceilings allow; {_PAPER}"
+                f"{self.ceilings.bytes_per_s / 1e9:.1f} GB/s (copy); x: times as long as ours, by least times; "
+                f"roof: the least time that these ceilings allow; {_PAPER}"
             ),
             caption_justify="left",
             box=box.SIMPLE_HEAD,
@@ -128,19 +125,19 @@ class StagesReport:
             largest = max(row.differences.values(), default=None)
             table.add_row(
                 f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
-                f"{short(row.ours.least_ms)} / {short(row.ours.median_ms)}",
-                _other(row, row.reference),
-                _other(row, row.torch),
+                f"{short_number(row.ours.least_ms)} / {short_number(row.ours.median_ms)}",
+                _time_and_ratio(row, row.reference),
+                _time_and_ratio(row, row.torch),
                 *(() if brief else ("-" if largest is None else f"{largest:.1e}", *_millions(row.flops, row.bytes))),
-                short(row.roof_ms),
-                short(row.ours.least_ms / row.roof_ms),
+                short_number(row.roof_ms),
+                short_number(row.ours.least_ms / row.roof_ms),
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
         return table
 
 
 def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
-    """The criteria that these rows can answer, on least times."""
+    """Judge the criteria that these rows can answer, on least times."""
     found: list[Criterion] = []
 
     def at_least(row: StageRow, other: Timing | None, limit: float, demand: str) -> None:
@@ -162,7 +159,7 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
             ("partial-mesh panorama", least["partial-mesh panorama"]),
             ("mesh building and panorama together", least["mesh building"] + least["partial-mesh panorama"]),
         ):
-            share = ms / min(network)  # the fastest runtime's: the hardest reading
+            share = ms / min(network)  # of the fastest runtime: the strictest comparison
             found.append(
                 Criterion(
                     f"{name}: under a third of the SGLV network's time", share, PANORAMA_SHARE, share < PANORAMA_SHARE
@@ -171,45 +168,12 @@ def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
     return tuple(found)
 
 
-def criteria_table(criteria: Sequence[Criterion]) -> Table:
-    """Demands, figures and verdicts."""
-    table = Table(title="Criteria", title_justify="left")
-    for heading in ("demand", "measured", ""):
-        table.add_column(heading)
-    for criterion in criteria:
-        verdict = "[green]holds[/green]" if criterion.holds else "[red]does not hold[/red]"
-        table.add_row(criterion.demand, f"{criterion.measured:.3g}", verdict)
-    return table
-
-
-def machine_here() -> dict[str, str]:
-    """What a figure depends on besides the code."""
-    return {
-        "processor": _processor(),
-        "system": platform.platform(terse=True),
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "numba": numba.__version__,
-        "onnxruntime": onnxruntime.__version__,
-    }
-
-
-def _other(row: StageRow, timing: Timing | None) -> str:
+def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:
     ratio = row.ratio(timing)
-    return "-" if timing is None or ratio is None else f"{short(timing.least_ms)}\n[bold]{short(ratio)} x[/bold]"
+    if timing is None or ratio is None:
+        return "-"
+    return f"{short_number(timing.least_ms)}\n[bold]{short_number(ratio)} x[/bold]"
 
 
 def _millions(*values: float) -> tuple[str, ...]:
-    return tuple(short(value / 1e6) for value in values)
-
-
-def short(value: float) -> str:
-    """Three digits, or all before the point."""
-    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
-
-
-def _processor() -> str:
-    listed = Path("/proc/cpuinfo")  # Python's own `platform.processor` is empty on Linux
-    lines = listed.read_text(encoding="utf-8").splitlines() if listed.is_file() else []
-    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
-    return names[0] if names else platform.processor() or platform.machine()
+    return tuple(short_number(value / 1e6) for value in values)

@@ -1,14 +1,20 @@
-"""Fair times on a busy machine: everything is warmed first, then run in turn, A B A B, so that noise hits all alike."""
+"""Fair times on a busy machine.
+
+Implementations run interleaved (A B A B), so that other work on the machine slows all of them alike.
+"""
 
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from statistics import median
 
+ProgressCallback = Callable[[str], object]
+"""Called with one line that says what is being measured."""
+
 
 @dataclass(frozen=True)
 class Timing:
-    """Milliseconds of one way of doing a stage, over `runs` runs."""
+    """Milliseconds of one implementation over `runs` runs."""
 
     least_ms: float
     median_ms: float
@@ -16,29 +22,33 @@ class Timing:
 
 
 @dataclass(frozen=True)
-class Way:
-    """One way of doing a stage.
+class Implementation:
+    """One implementation of a stage.
 
-    `times`: the run is a share of the work, and its time is multiplied by this. `most_runs` spares the slow ones,
-    whose own length already averages the noise out.
+    Attributes:
+        run: Does the work once.
+        scale: Factor on the measured time, for a run that does only a share of the stage's work.
+        max_runs: Limit on the number of runs, for slow implementations: a long run averages noise out by itself.
     """
 
     run: Callable[[], object]
-    times: float = 1.0
-    most_runs: int = 1_000_000
+    scale: float = 1.0
+    max_runs: int = 1_000_000
 
 
-def time_in_turn(ways: Sequence[Way], repeats: int, *, progress: Callable[[str], None]) -> list[Timing]:
-    """Time every way `repeats` times (or as often as it allows), one run of each after the other.
+def time_interleaved(
+    implementations: Sequence[Implementation], repeats: int, *, progress: ProgressCallback
+) -> list[Timing]:
+    """Time every implementation `repeats` times, or `max_runs` times if that is less, one run of each per round.
 
-    Each must have run once before: compilation and allocation are not what is measured.
+    Each must have run once before: compilation and allocation are not to be measured.
     """
-    samples: list[list[float]] = [[] for _ in ways]
-    for turn in range(repeats):
-        progress(f"timing, round {turn + 1} of {repeats}")
-        for way, taken in zip(ways, samples, strict=True):
-            if turn < way.most_runs:
-                began = time.perf_counter()
-                way.run()
-                taken.append((time.perf_counter() - began) * 1e3 * way.times)
-    return [Timing(min(taken), median(taken), len(taken)) for taken in samples]
+    samples_ms: list[list[float]] = [[] for _ in implementations]
+    for number in range(repeats):
+        progress(f"timing, round {number + 1} of {repeats}")
+        for implementation, times_ms in zip(implementations, samples_ms, strict=True):
+            if number < implementation.max_runs:
+                start_s = time.perf_counter()
+                implementation.run()
+                times_ms.append((time.perf_counter() - start_s) * 1e3 * implementation.scale)
+    return [Timing(min(times_ms), median(times_ms), len(times_ms)) for times_ms in samples_ms]

@@ -1,29 +1,36 @@
-"""`roomlight bench train`: what a training step costs, by part, in a run of a few real steps."""
+"""`roomlight bench train`: the cost of a training step by its parts, measured over a few real steps.
+
+Importing this module needs PyTorch: pip install 'roomlight[train]'.
+"""
 
 import tempfile
 import time
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import torch
 from rich import box
 from rich.table import Table
 
-from roomlight_bench.stages_report import machine_here, short
-
-if TYPE_CHECKING:
-    from roomlight_model.training.examples import Recordings
-    from roomlight_model.training.options import TrainOptions
+from roomlight_bench.reporting import describe_machine, short_number
+from roomlight_bench.timing import ProgressCallback
+from roomlight_model.training.clock import PARTS, StepClock
+from roomlight_model.training.examples import Recordings
+from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.trainer import Trainer
 
 _WARM_UP = 3
-"""Steps before the clock: kernels are loaded, memory is allocated."""
+"""Steps before measuring starts: kernels are loaded, memory is allocated."""
 
 
 @dataclass(frozen=True)
 class PartCost:
-    """One part of a step: median and least milliseconds; `beside` is what runs on threads of its own, ahead of need."""
+    """Median and least milliseconds of one part of a step.
+
+    `beside`: the part runs in the background, on threads of its own, ahead of the step that needs its result.
+    """
 
     name: str
     median_ms: float
@@ -33,13 +40,24 @@ class PartCost:
 
 @dataclass(frozen=True)
 class TrainCosts:
-    """A run of `roomlight bench train`."""
+    """A run of `roomlight bench train`.
+
+    Attributes:
+        parts: The parts of a step.
+        step_ms: Mean time from one step to the next.
+        cpu_ms: Mean processor time of a step over all threads.
+        steps: Number of steps measured.
+        stage: The stage of training.
+        batch: Examples per step.
+        volume_shape: Voxels (z, y, x).
+        bf16: Whether the networks compute in bf16; else fp32.
+        threads: Threads of PyTorch.
+        machine: Processor, system and versions; see `describe_machine`.
+    """
 
     parts: tuple[PartCost, ...]
     step_ms: float
-    """From one step to the next, mean."""
     cpu_ms: float
-    """Processor time of a step over all threads, mean."""
     steps: int
     stage: str
     batch: int
@@ -49,18 +67,19 @@ class TrainCosts:
     machine: dict[str, str]
 
     def to_json(self) -> dict[str, Any]:
-        """Plain JSON values."""
+        """Return plain JSON values."""
         return asdict(self)
 
     def table(self) -> Table:
-        """The parts, and what they come to."""
+        """Return a table with a row per part, then the whole step."""
         table = Table(
             title=f"A step of {self.stage}, batch {self.batch}, volume {' x '.join(map(str, self.volume_shape))}, "
             f"{'bf16' if self.bf16 else 'fp32'}",
             title_justify="left",
             caption=(
-                f"{self.steps} steps on {self.threads} threads, {self.machine['processor']}; data is made ahead on "
-                "threads of its own, and its time is theirs alone; processor time hardly grows with other work"
+                f"{self.steps} steps on {self.threads} threads, {self.machine['processor']}; data is prepared in the "
+                "background on threads of its own, which its time counts; processor time hardly grows if the machine "
+                "does other work"
             ),
             caption_justify="left",
             box=box.SIMPLE_HEAD,
@@ -70,38 +89,38 @@ class TrainCosts:
         for heading in ("median ms", "least ms", "of the step"):
             table.add_column(heading, justify="right", no_wrap=True)
         for part in self.parts:
-            share = "beside it" if part.beside else f"{part.median_ms / self.step_ms:.0%}"
-            table.add_row(part.name, short(part.median_ms), short(part.least_ms), share)
+            share = "in background" if part.beside else f"{part.median_ms / self.step_ms:.0%}"
+            table.add_row(part.name, short_number(part.median_ms), short_number(part.least_ms), share)
         table.add_section()
-        table.add_row("a step", short(self.step_ms), "", f"{3600e3 / self.step_ms:,.0f} an hour")
-        table.add_row("processor time", short(self.cpu_ms), "", "")
+        table.add_row("a step", short_number(self.step_ms), "", f"{3600e3 / self.step_ms:,.0f} per hour")
+        table.add_row("processor time", short_number(self.cpu_ms), "", "")
         return table
 
 
-def measure(
-    options: "TrainOptions", recordings: "Recordings", *, steps: int, device: str, progress: Callable[[str], object]
+def measure_training(
+    options: TrainOptions, recordings: Recordings, *, steps: int, device: str, progress: ProgressCallback
 ) -> TrainCosts:
-    """Train in a folder that is thrown away. ModelError where the options or the data make no run."""
-    import torch
+    """Train for `steps` steps, after a few unmeasured ones, in a temporary folder.
 
-    from roomlight_model.training.clock import PARTS, StepClock
-    from roomlight_model.training.trainer import Trainer
-
+    Raises:
+        ModelError: The options or the data do not allow a run.
+    """
     with tempfile.TemporaryDirectory(prefix="roomlight-bench-") as folder:
         trainer = Trainer(options, recordings, Path(folder) / "run", device=torch.device(device))
-        began: list[tuple[float, float]] = []
-        ended: list[tuple[float, float]] = []
+        wall_s: list[float] = []  # at the first and at the last measured step
+        cpu_s: list[float] = []
 
-        def look(now: Trainer) -> None:
-            progress(f"step {now.step} of {steps + _WARM_UP}")
-            at = time.perf_counter(), time.process_time()
-            if now.step == _WARM_UP:
-                now.clock = StepClock()
-                began.append(at)
-            if now.step == steps + _WARM_UP:
-                ended.append(at)
+        def after_step(trainer: Trainer) -> None:
+            progress(f"step {trainer.step} of {steps + _WARM_UP}")
+            if trainer.step == _WARM_UP:
+                trainer.clock = StepClock()
+            if trainer.step in (_WARM_UP, steps + _WARM_UP):
+                wall_s.append(time.perf_counter())
+                cpu_s.append(time.process_time())
 
-        trainer.train(report=lambda _: None, every=look, every_steps=1, stop=lambda: trainer.step >= steps + _WARM_UP)
+        trainer.train(
+            report=lambda _: None, every=after_step, every_steps=1, stop=lambda: trainer.step >= steps + _WARM_UP
+        )
         clock = trainer.clock
     assert clock is not None
     parts: list[PartCost] = []
@@ -109,16 +128,15 @@ def measure(
         beside = name == "data"
         values = (clock.thread_ms if beside else clock.wall_ms).get(name, [0.0])
         parts.append(PartCost(name, median(values), min(values), beside))
-    (wall, cpu), (wall_end, cpu_end) = began[0], ended[0]
     return TrainCosts(
         parts=tuple(parts),
-        step_ms=(wall_end - wall) * 1e3 / steps,
-        cpu_ms=(cpu_end - cpu) * 1e3 / steps,
+        step_ms=(wall_s[1] - wall_s[0]) * 1e3 / steps,
+        cpu_ms=(cpu_s[1] - cpu_s[0]) * 1e3 / steps,
         steps=steps,
         stage=options.stage,
         batch=options.batch,
         volume_shape=options.volume_shape,
         bf16=options.bf16,
         threads=torch.get_num_threads(),
-        machine=machine_here() | {"torch": torch.__version__},
+        machine=describe_machine() | {"torch": torch.__version__},
     )

@@ -17,7 +17,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
-from roomlight.metrics import SphereJudge, ldr_l2, log_l2, smoothness
+from roomlight.metrics import SphereScorer, ldr_l2, log_l2, smoothness
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.capture_scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.estimators import EngineEstimator, Estimator, PredictionFolder
@@ -157,7 +157,7 @@ def evaluate_capture(
                 position: SphereRenderer(view_toward(frame.camera_to_world, position)) for _, position, _ in probes
             }
             scorers = [
-                _ProbeScorer(estimator.name, number, position, truth, SphereJudge(truth, spheres[position]))
+                _ProbeScorer(estimator.name, number, position, truth, SphereScorer(truth, spheres[position]))
                 for number, position, truth in probes
                 for estimator in estimators
             ]
@@ -188,7 +188,7 @@ class _ProbeScorer:
         probe: int,
         position: Position,
         truth: Float[np.ndarray, "h w 3"],
-        judge: SphereJudge,
+        judge: SphereScorer,
     ) -> None:
         self.method = method
         self.position = position

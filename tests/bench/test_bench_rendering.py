@@ -1,4 +1,4 @@
-"""`roomlight bench rendering`: importance sampling aliases less than a grid, and the picture shows it."""
+"""`roomlight bench rendering`: importance sampling aliases less than a grid; table, JSON and picture."""
 
 import json
 
@@ -18,14 +18,14 @@ def report():
 
 
 def test_importance_sampling_aliases_less_at_every_count(report):
-    """Its noise may be as large as the grid's error, but it averages out among neighbours; the grid's does not."""
+    """Noise may be as large as the grid's error, but it averages out between neighbours; aliasing does not."""
     assert [error.samples for error in report.errors] == [16, 64]
     for error in report.errors:
         assert error.importance_blurred < 0.85 * error.uniform_blurred
 
 
-def test_both_ways_are_of_the_same_ball():
-    """In even light a fine grid and the importance samples agree: the difference elsewhere is the sampling's."""
+def test_both_samplings_agree_in_even_light():
+    """Both light the same sphere: their differences in other light come from the sampling."""
     even = compare_sampling(np.full((16, 32, 3), 0.5, np.float32), (0.0, 0.0, -1.0), counts=(1024,), size=16)
     facing = even.renderer.normals[:, 2] > 0.5
     uniform, importance = even.spheres[1024, "uniform"][facing], even.spheres[1024, "importance"][facing]

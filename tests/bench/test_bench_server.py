@@ -1,4 +1,4 @@
-"""`roomlight bench server` on a few small frames: real processes and sockets. Its report is whole; speed is no test."""
+"""`roomlight bench server` on a few small frames: the report is complete and consistent. Speed is not tested."""
 
 import asyncio
 import json
@@ -13,34 +13,36 @@ from roomlight.errors import ModelError, ServerError
 from roomlight.sample import sample_capture
 from roomlight_bench.server import ServerBenchOptions, run_server_bench
 from roomlight_bench.server_load import Load, Phones
-from roomlight_bench.server_process import ServerProcess, watching_health
+from roomlight_bench.server_process import ServerProcess, polling_health
 from roomlight_bench.server_report import Latencies, ServerReport
+from roomlight_cli.console import print_table
 from roomlight_cli.main import app
 from roomlight_client import AsyncClient, ConflictError
 from roomlight_client.errors import refusal
 from roomlight_client.frames import pack_frame
-from roomlight_cli.console import print_table
 
 TINY = ServerBenchOptions(
-    sessions=(1, 2), seconds=1.0, fps=4.0, points=(1, 3), frames=4, mode="classical", height=16, rounds=1, passes=1
+    sessions=(2,), seconds=1.0, fps=4.0, points=(1, 3), frames=4, model="classical", height=16, rounds=1, passes=1
 )
 
 
 @pytest.fixture(scope="module")
-def heard() -> list[str]:
+def progress() -> list[str]:
     return []
 
 
 @pytest.fixture(scope="module")
-def report(heard) -> ServerReport:
-    return run_server_bench(TINY, progress=heard.append)
+def report(progress: list[str]) -> ServerReport:
+    return run_server_bench(TINY, progress=progress.append)
 
 
 def ordered(latencies: Latencies) -> bool:
-    return 0 < latencies.p50_ms <= latencies.p95_ms <= latencies.p99_ms <= latencies.most_ms
+    values = [latencies.p50_ms, latencies.p95_ms, latencies.p99_ms, latencies.most_ms]
+    known = [value for value in values if value is not None]
+    return len(known) == 4 and known[0] > 0 and known == sorted(known)
 
 
-def test_every_row_is_there_and_true_to_itself(report, heard):
+def test_every_row_is_complete_and_consistent(report, progress):
     assert report.model == "classical"
     assert len(report.start_ready_ms) == 1 + len(TINY.sessions)
     for alive_ms, ready_ms in zip(report.start_alive_ms, report.start_ready_ms, strict=True):
@@ -50,7 +52,7 @@ def test_every_row_is_there_and_true_to_itself(report, heard):
         assert 0 < row.engine_ms <= row.decoded_ms
         assert row.share == pytest.approx(row.http_ms / row.decoded_ms - 1)
         assert row.share <= row.share_of_engine
-    assert [row.sessions for row in report.load] == [1, 2]
+    assert [row.sessions for row in report.load] == [2]
     for row in report.load:
         assert row.wanted_fps == 4
         assert 0 <= row.held_fps <= 4
@@ -61,12 +63,12 @@ def test_every_row_is_there_and_true_to_itself(report, heard):
         assert ordered(row.health)
         assert row.stated_mb > 5  # at least one keyframe each
         assert row.keyframes >= 1
-    assert [(row.followed, row.count) for row in report.probes] == [(True, 1), (True, 3), (False, 1), (False, 3)]
+    assert [(row.tracked, row.count) for row in report.probes] == [(True, 1), (True, 3), (False, 1), (False, 3)]
     for row in report.probes:
         assert row.batched_ms > 0
         assert row.one_by_one_ms > 0
-        assert (row.frame_ms is not None) == row.followed
-    assert any("2 sessions at once" in text for text in heard)
+        assert (row.frame_ms is not None) == row.tracked
+    assert any("2 sessions" in text for text in progress)
 
 
 def test_frames_are_lost_or_processed(report):
@@ -76,12 +78,12 @@ def test_frames_are_lost_or_processed(report):
         assert row.held_fps * TINY.seconds * row.sessions <= row.frame.count + 1e-6
 
 
-def test_the_tables_name_every_row_whole(report):
+def test_the_tables_show_every_row_uncut(report):
     console = Console(width=60, force_terminal=False)
     with console.capture() as capture:
         print_table(console, report.table())
     printed = capture.get()
-    for text in ("jpeg", "exact", "followed", "late", "/healthz", "keyframes", "to the engine alone", "2 cores"):
+    for text in ("jpeg", "exact", "tracked", "late", "/healthz", "keyframes", "to the engine alone", "2 cores"):
         assert text.replace("2 cores", f"{report.cores} cores") in " ".join(printed.split())
     assert "…" not in printed
     for criterion in report.criteria:
@@ -90,7 +92,7 @@ def test_the_tables_name_every_row_whole(report):
 
 def test_the_json_holds_everything(report):
     values = json.loads(json.dumps(report.to_json()))
-    assert values["load"][1]["frame"]["p99_ms"] == report.load[1].frame.p99_ms
+    assert values["load"][0]["frame"]["p99_ms"] == report.load[0].frame.p99_ms
     assert values["overhead"][0]["share"] == report.overhead[0].share
     assert len(values["criteria"]) == 2 + len(TINY.sessions)
 
@@ -107,20 +109,22 @@ def test_percentiles_of_nothing_are_none():
     assert Latencies.of([3.0]) == Latencies(1, 3.0, 3.0, 3.0, 3.0)
 
 
-def test_a_server_that_cannot_start_is_an_error_with_its_words():
-    with pytest.raises(ServerError, match="max_sessions"), ServerProcess(["--max-sessions", "-1"]):
+def test_a_server_that_cannot_start_is_an_error_with_its_log():
+    with pytest.raises(ServerError, match="max-sessions: -1"), ServerProcess(["--max-sessions", "-1"]):
         pass
     with pytest.raises(ModelError, match="no trained weights"):
-        run_server_bench(replace(TINY, mode="video"))
+        run_server_bench(replace(TINY, model="video"))
 
 
-def test_health_is_watched_from_another_process():
+@pytest.mark.slow
+def test_health_is_polled_from_another_process():
     with ServerProcess(["--model", "classical"]) as server:
-        assert server.resident_bytes() is None or server.resident_bytes() > 20e6
-        with watching_health(server.port) as ended:
-            assert min(ended()) > 0
-    with pytest.raises(ServerError, match="healthz"), watching_health(server.port) as ended:
-        ended()
+        resident = server.resident_bytes()
+        assert resident is None or resident > 20e6
+        with polling_health(server.port) as end:
+            assert min(end()) > 0
+    with pytest.raises(ServerError, match="healthz"), polling_health(server.port) as end:
+        end()
 
 
 @pytest.mark.parametrize("counts", ["", "0", "1,x", "1001"])
@@ -130,8 +134,9 @@ def test_numbers_of_sessions_are_checked(counts):
     assert "1,4,16" in result.output
 
 
-def test_what_the_server_will_not_take_of_a_busy_phone_is_lost_and_all_else_an_error(monkeypatch):
-    """A newer frame may overtake an older one on another connection: then the older index is spent."""
+@pytest.mark.slow
+def test_refused_frames_are_lost_and_other_errors_raised(monkeypatch):
+    """A newer frame may overtake an older one on another connection; the server then refuses the older index."""
     answers = {1: ("frame-conflict", 409), 2: ("session-full", 429)}
     run = AsyncClient.run
 

@@ -1,23 +1,27 @@
-"""`roomlight bench stages` on a tiny room: that the report is complete, true to itself and readable, never how fast."""
+"""`roomlight bench stages` on a tiny room: the report is complete, consistent and readable. Speed is not tested."""
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from rich.console import Console
+from torch.utils.flop_counter import FlopCounterMode
 
 from roomlight.camera import transform_points
-from roomlight.errors import ModelError
-from roomlight_bench import plain_torch, stages
-from roomlight_bench.stages_report import StageRow, StagesReport, judge
+from roomlight.errors import ModelError, OptionError
+from roomlight_bench import plain_torch, stage_costs, stages
 from roomlight_bench.roofline import CeilingRuns, Ceilings, Cost
 from roomlight_bench.room import PROBE, RoomSize, views
-from roomlight_bench.timing import Timing, Way, time_in_turn
+from roomlight_bench.stages_report import StageRow, StagesReport, judge
+from roomlight_bench.timing import Implementation, Timing, time_interleaved
 from roomlight_cli.console import print_table
+from roomlight_export.graphs import graphs_of, sample_inputs
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import VideoModel
 
-SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=16, samples=100, keyframes=3)
+SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=32, samples=100, keyframes=3)
 CONFIG = ModelConfig(
     SGConfig(volume_shape=(16, 20, 24), channels=8, full_channels=4),
     BlendConfig(height=16, channels=4, full_channels=2),
@@ -37,8 +41,8 @@ OWN_STAGES = (
 
 
 @pytest.fixture(scope="module")
-def report() -> StagesReport:
-    return stages.run_stages(repeats=2, size=SIZE, config=CONFIG)
+def report(tiny_video: tuple[Path, Path]) -> StagesReport:
+    return stages.run_stages(repeats=2, size=SIZE, model=tiny_video[1])
 
 
 def row(name: str, *, ours: float, reference: float | None = None, torch: float | None = None) -> StageRow:
@@ -48,7 +52,7 @@ def row(name: str, *, ours: float, reference: float | None = None, torch: float 
     return StageRow(name, Timing(ours, 2 * ours, 3), timing(reference), timing(torch), None, 1.0, 1.0, 1.0, "", {})
 
 
-def test_every_stage_is_there_with_its_times_and_work(report: StagesReport):
+def test_every_stage_has_its_times_and_work(report: StagesReport):
     names = [row.name for row in report.rows]
     assert set(OWN_STAGES) <= set(names)
     for network in NETWORK_STAGES:
@@ -61,6 +65,13 @@ def test_every_stage_is_there_with_its_times_and_work(report: StagesReport):
         assert stage.bytes > 0
         assert stage.roof_ms == pytest.approx(Cost(stage.flops, stage.bytes).roof_ms(report.ceilings))
     assert sum(stage.paper_ms or 0 for stage in report.rows) == pytest.approx(77.4)  # the paper rounds to 77
+
+
+@pytest.mark.slow
+def test_untrained_networks_are_exported_without_weights():
+    report = stages.run_stages(repeats=1, size=replace(SIZE, panorama_height=16), config=CONFIG)
+    assert report.networks == "video, untrained"
+    assert any(stage.name.startswith("blending network") and stage.torch is not None for stage in report.rows)
 
 
 def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
@@ -95,7 +106,7 @@ def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
     assert len(report.criteria) == 6
 
 
-def test_without_pytorch_the_rest_is_measured_and_the_table_says_so(monkeypatch: pytest.MonkeyPatch):
+def test_without_pytorch_all_other_stages_are_measured(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(plain_torch, "torch_installed", lambda: False)
     monkeypatch.setattr(stages, "export_possible", lambda: False)
     report = stages.run_stages(repeats=1, size=SIZE)
@@ -104,14 +115,14 @@ def test_without_pytorch_the_rest_is_measured_and_the_table_says_so(monkeypatch:
     console = Console(width=300)
     with console.capture() as capture:
         console.print(report.table())
-    assert "torch not installed" in capture.get()
+    assert "no comparison with PyTorch" in " ".join(capture.get().split())
     assert [criterion.demand.split(":")[0] for criterion in report.criteria] == ["volume initialisation"]
 
 
-def test_a_folder_that_is_no_model_is_refused(tmp_path):
+def test_other_folders_and_zero_repeats_are_refused(tmp_path):
     with pytest.raises(ModelError, match=r"model\.json"):
         stages.run_stages(repeats=1, model=tmp_path, size=SIZE)
-    with pytest.raises(ValueError, match="at least 1 repeat"):
+    with pytest.raises(OptionError, match="repeats must be at least 1"):
         stages.run_stages(repeats=0)
 
 
@@ -132,14 +143,17 @@ def test_criteria_hold_and_fail_at_their_limits():
     assert not both.holds
 
 
-def test_ways_are_timed_in_turn_and_as_often_as_they_allow():
+def test_implementations_are_timed_interleaved():
     order: list[str] = []
-    ways = [Way(lambda: order.append("a")), Way(lambda: order.append("b"), most_runs=2, times=1000.0)]
-    heard: list[str] = []
-    first, second = time_in_turn(ways, 3, progress=heard.append)
+    implementations = [
+        Implementation(lambda: order.append("a")),
+        Implementation(lambda: order.append("b"), max_runs=2, scale=1000.0),
+    ]
+    progress: list[str] = []
+    first, second = time_interleaved(implementations, 3, progress=progress.append)
     assert order == ["a", "b", "a", "b", "a"]
     assert (first.runs, second.runs) == (3, 2)
-    assert heard[-1] == "timing, round 3 of 3"
+    assert progress[-1] == "timing, round 3 of 3"
 
 
 def test_the_roof_is_the_slower_of_arithmetic_and_memory():
@@ -151,13 +165,7 @@ def test_the_roof_is_the_slower_of_arithmetic_and_memory():
 
 
 def test_formulas_count_the_networks_as_pytorch_does():
-    """Every convolution and nothing else: PyTorch also counts the two small layers of the global view."""
-    from torch.utils.flop_counter import FlopCounterMode
-
-    from roomlight_bench import costs
-    from roomlight_export.graphs import graphs_of, sample_inputs
-    from roomlight_model.networks import VideoModel
-
+    """The formulas count every convolution; PyTorch also counts the two small layers of the global view."""
     counted: dict[str, float] = {}
     for graph in graphs_of(VideoModel(CONFIG).eval()):
         with FlopCounterMode(display=False) as counter:
@@ -165,20 +173,20 @@ def test_formulas_count_the_networks_as_pytorch_does():
         network = graph.name.replace("_encoder", "").replace("_decoder", "")
         counted[network] = counted.get(network, 0) + counter.get_total_flops()
     formulas = {
-        "single_sg": costs.sg_layers(CONFIG.sg, recurrent=False),
-        "video_sg": costs.sg_layers(CONFIG.sg, recurrent=True),
-        "video_sg_gru": costs.sg_gru_layers(CONFIG.sg),
-        "single_blend": costs.blend_layers(CONFIG.blend, panels=8),
-        "video_blend": costs.blend_layers(CONFIG.blend, panels=13),
-        "video_blend_gru": costs.blend_gru_layers(CONFIG.blend),
+        "single_sg": stage_costs.sg_layers(CONFIG.sg, recurrent=False),
+        "video_sg": stage_costs.sg_layers(CONFIG.sg, recurrent=True),
+        "video_sg_gru": stage_costs.sg_gru_layers(CONFIG.sg),
+        "single_blend": stage_costs.blend_layers(CONFIG.blend, panels=8),
+        "video_blend": stage_costs.blend_layers(CONFIG.blend, panels=13),
+        "video_blend_gru": stage_costs.blend_gru_layers(CONFIG.blend),
     }
     assert counted.keys() == formulas.keys()
     for name, layers in formulas.items():
-        assert costs.network_cost(layers).flops == pytest.approx(counted[name], rel=1e-3)
+        assert stage_costs.network_cost(layers).flops == pytest.approx(counted[name], rel=1e-3)
 
 
 def test_views_agree_on_the_room():
-    """What two views see of the lamp's room lies in the room; the first view has depth, colour and a white window."""
+    """All points that the views see lie in the room; the first view has clipped pixels at its window."""
     frames = views(6, replace(SIZE, width=64, height=48))
     assert frames[0].clipped.any()
     assert not frames[0].clipped.all()
