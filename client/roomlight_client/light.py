@@ -17,7 +17,7 @@ from roomlight.images import decode_colour, decode_grey8
 from roomlight.light.cube import CubeMap
 from roomlight.light.light import FileFormat, Light
 from roomlight.light.main_light import MainLight
-from roomlight.light.spherical_harmonics import Kind, SphericalHarmonics
+from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, parse_light
 from roomlight.wire.messages import EncodedLight, LightFormat, LightResponse
 from roomlight_client.errors import BadReplyError
@@ -25,7 +25,7 @@ from roomlight_client.errors import BadReplyError
 
 @dataclass(frozen=True)
 class LightFile:
-    """One form as a file: its bytes, their media type, and the light's etag (equal as long as the light is the same)."""
+    """One form as a file: bytes, their media type, and the light's etag (equal as long as the light is the same)."""
 
     data: bytes
     media_type: str
@@ -69,7 +69,7 @@ class ReceivedForms:
                 return MainLight(_numbers(values["direction"], 3), _numbers(values["intensity"], 3))
         return None
 
-    def harmonics(self, kind: Kind) -> SphericalHarmonics | None:
+    def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
         """Read `sh` of this kind."""
         for form, _ in self._of("sh"):
             values = form.values or {}

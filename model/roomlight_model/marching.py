@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from roomlight.engine.sglv import MAX_SAMPLES, Far
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 from roomlight_model.kernels.march import SAMPLES, march_forward_backward
 from roomlight_model.render import render_rays
 
@@ -96,4 +96,4 @@ def _run(
                 g_lobes[min(b, len(g_lobes) - 1)], gradients is not None,
             )  # fmt: skip
 
-    shard(volumes, len(alpha))
+    parallel_for(volumes, len(alpha))

@@ -35,7 +35,7 @@ class SGState(NamedTuple):
 
 class Observation(NamedTuple):
     """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m. `ldr` is what the mesh
-    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.engine.fill.continued`).
+    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.engine.fill.fill_unknown`).
 
     Depth is at most `roomlight.engine.blend.farthest_depth_m`, as the session has it: else the conservative rule would
     hold back the first sight of surfaces past the volume.

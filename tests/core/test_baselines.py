@@ -80,7 +80,7 @@ def test_a_probe_at_the_camera_sees_its_whole_frustum() -> None:
     np.testing.assert_allclose(panorama[clear], expected[clear], atol=1e-3)
 
 
-def test_all_around_gives_the_whole_room_and_unseen_parts_are_filled() -> None:
+def test_a_full_pan_gives_the_room_and_gaps_are_filled() -> None:
     method = WarpAndFill(height=30)
     shares = []
     for index in range(4):
@@ -95,7 +95,7 @@ def test_all_around_gives_the_whole_room_and_unseen_parts_are_filled() -> None:
     assert shares[-1] > 0.35
 
 
-def test_asking_late_is_asking_all_along() -> None:
+def test_a_late_probe_equals_one_tracked_from_the_start() -> None:
     tracked, late = WarpAndFill(height=20), WarpAndFill(height=20)
     for index in range(3):
         frame = look((0.1 * index, 0.0, 0.5), 40.0 * index, index=index)
@@ -105,7 +105,7 @@ def test_asking_late_is_asking_all_along() -> None:
     np.testing.assert_array_equal(late.light_at((0.3, 0.2, 0.0)), tracked.light_at((0.3, 0.2, 0.0)))
 
 
-def test_the_nearest_point_wins_and_a_tie_goes_to_the_newest() -> None:
+def test_the_nearest_point_is_kept_and_of_equals_the_newest() -> None:
     intrinsics = Intrinsics(20.0, 20.0, 20.0, 15.0, 40, 30)
 
     def wall(index: int, colour: float, depth_m: float) -> Frame:
@@ -143,6 +143,6 @@ def test_mean_colour_is_the_mean_of_all_pixels_so_far_everywhere() -> None:
 
 
 @pytest.mark.parametrize("method", [MeanColour(4), WarpAndFill(4)])
-def test_a_position_that_is_none_is_refused(method: MeanColour | WarpAndFill) -> None:
+def test_an_invalid_position_is_refused(method: MeanColour | WarpAndFill) -> None:
     with pytest.raises(ProbeError, match="three finite numbers"):
         method.light_at((0.0, float("nan"), 0.0))

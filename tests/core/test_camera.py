@@ -64,7 +64,7 @@ def test_a_resized_camera_sees_the_same_view(width, height):
         ("height", -3, "image size|principal point"),
     ],
 )
-def test_a_lens_that_cannot_be_is_refused_by_name(field, value, message):
+def test_an_impossible_lens_is_refused_by_name(field, value, message):
     with pytest.raises(ValueError, match=message) as caught:
         dataclasses.replace(CAMERA, **{field: value})
     assert str(value) in str(caught.value)
@@ -108,7 +108,7 @@ def _with(entries):
         (np.zeros((4, 4)) + np.diag([0, 0, 0, 1.0]), "scales|mirror"),
     ],
 )
-def test_what_is_no_pose_is_refused_with_its_reason(pose, message):
+def test_an_invalid_pose_is_refused_with_the_reason(pose, message):
     with pytest.raises(ValueError, match=message):
         check_rigid(pose)
 
@@ -125,7 +125,7 @@ def test_points_keep_their_precision():
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: np.linalg.norm(q) > 0.1), st.floats(0.5, 4))
-def test_a_quaternion_of_any_length_is_a_rotation_and_so_is_its_opposite(quaternion, length):
+def test_a_quaternion_of_any_length_or_sign_is_the_same_rotation(quaternion, length):
     q, translation = np.array(quaternion), np.array([1.0, 2.0, 3.0])
     pose = pose_from_quaternion(q, translation)
     assert check_rigid(pose) == pytest.approx(pose, abs=1e-9)

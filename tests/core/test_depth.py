@@ -24,7 +24,7 @@ def test_clean_depth_knows_only_positive_finite_numbers():
     assert clean_depth(np.array([[np.nan, np.inf, -1.0, 0.0, 3.0, 1e300]])).tolist() == [[0, 0, 0, 0, 3.0, 0]]
 
 
-def test_known_pixels_keep_their_bits_and_none_stays_unknown(holed):
+def test_known_pixels_keep_their_bits_and_all_are_filled(holed):
     filled = complete_depth(holed)
     known = holed > 0
     assert (filled[known] == holed[known]).all()
@@ -55,6 +55,6 @@ def test_any_size_is_completed_from_one_known_pixel(shape):
 
 
 @pytest.mark.parametrize("value", [0.0, 2.0])
-def test_all_unknown_and_all_known_are_returned_as_they_are(value):
+def test_all_unknown_and_all_known_maps_are_unchanged(value):
     depth = np.full((30, 40), value, np.float32)
     assert complete_depth(depth) is depth

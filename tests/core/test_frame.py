@@ -20,14 +20,14 @@ def _changed(**parts):
     ("parts", "message"),
     [
         ({"intrinsics": FRAME.intrinsics.resized(320, 240)}, "160 x 120 but its intrinsics are for 320 x 240"),
-        ({"depth_m": FRAME.depth_m[:1, :1]}, "1 x 1 is no depth map"),
+        ({"depth_m": FRAME.depth_m[:1, :1]}, "1 x 1 is too small"),
         ({"depth_m": FRAME.depth_m[:, :60]}, "60 x 60 has another aspect"),
         ({"camera_to_world": np.full((4, 4), np.nan)}, "NaN or infinity"),
         ({"camera_to_world": 2 * np.eye(4)}, "last row"),
         ({"camera_to_world": camera_at((0.0, 0.0, 2e4))}, r"2e\+04 m from the origin"),
     ],
 )
-def test_parts_that_do_not_fit_are_refused_by_frame(parts, message):
+def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
     with pytest.raises(FrameError, match=message) as caught:
         _changed(**parts)
     assert "room frame 7" in str(caught.value)
@@ -43,7 +43,7 @@ def test_parts_that_do_not_fit_are_refused_by_frame(parts, message):
         ({"depth_m": np.ones((60, 80, 1), np.float32)}, r"\(60, 80, 1\), not float metres"),
     ],
 )
-def test_arrays_of_another_kind_are_refused_by_frame(parts, message):
+def test_arrays_of_another_dtype_are_refused_by_frame(parts, message):
     # not through __init__, where the test run's own check of annotations would be first
     frame = object.__new__(Frame)
     for field in dataclasses.fields(Frame):
@@ -53,7 +53,7 @@ def test_arrays_of_another_kind_are_refused_by_frame(parts, message):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -0.01])
-def test_radiance_that_is_none_is_refused_with_its_count(value):
+def test_invalid_radiance_is_refused_with_its_count(value):
     image = FRAME.image.copy()
     image[3, 5:7, 0] = value
     with pytest.raises(FrameError, match=r"^room frame 7: 2 of 57600 radiances"):
@@ -61,7 +61,7 @@ def test_radiance_that_is_none_is_refused_with_its_count(value):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, -1.0])
-def test_depth_that_is_none_is_unknown(value):
+def test_invalid_depth_becomes_unknown(value):
     depth = FRAME.depth_m.copy()
     depth[10:20, 30] = value
     frame = _changed(depth_m=depth)
@@ -69,7 +69,7 @@ def test_depth_that_is_none_is_unknown(value):
     assert (frame.depth_m > 0).sum() == depth.size - 10
 
 
-def test_arrays_of_other_precision_and_layout_become_the_kernels():
+def test_arrays_of_other_types_become_contiguous_float32():
     mirrored = np.asfortranarray(FRAME.image[..., ::-1].astype(np.float64))
     frame = _changed(image=mirrored, depth_m=FRAME.depth_m.astype(np.float16))
     for array in (frame.image, frame.depth_m):
@@ -78,7 +78,7 @@ def test_arrays_of_other_precision_and_layout_become_the_kernels():
     assert (frame.image == FRAME.image[..., ::-1]).all()
 
 
-def test_sound_arrays_are_taken_without_a_copy():
+def test_valid_arrays_are_not_copied():
     again = _changed(index=8)
     assert again.image is FRAME.image
     assert again.depth_m is FRAME.depth_m
@@ -111,7 +111,7 @@ def test_depth_smaller_than_the_target_stays_as_it_is():
     assert FRAME.resized(100, 100).depth_m is FRAME.depth_m
 
 
-def test_the_box_turns_with_the_image():
+def test_the_box_is_swapped_for_an_upright_image():
     upright = dataclasses.replace(
         FRAME,
         image=np.ascontiguousarray(FRAME.image.transpose(1, 0, 2)),

@@ -52,6 +52,16 @@ def test_import_loads_no_heavy_library():
     assert not loaded & {"onnxruntime", "av", "cv2", "numba", "numpy", "OpenEXR", "embreex", "torch", "pydantic"}
 
 
+@pytest.mark.parametrize("option", ["model='large'", "provider='cuda'", "unknown_depth='near'"])
+def test_an_unknown_name_in_an_option_is_an_option_error(option):
+    """In a process of its own, without the test run's type checks."""
+    code = f"import roomlight as rl\ntry: rl.SessionOptions({option})\nexcept rl.OptionError as error: print(error)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    name, value = option.split("=")
+    assert done.stdout.startswith(f"{name} must be one of ")
+    assert done.stdout.rstrip().endswith(f"got {value}")
+
+
 def test_the_version_is_stated_once():
     assert re.fullmatch(r"\d+\.\d+\.\d+", rl.__version__)
     root = Path(rl.__file__).parents[2]

@@ -43,7 +43,7 @@ def mean_of(cube):
 
 @pytest.mark.parametrize(("face", "direction", "across", "down"), CORNERS)
 @pytest.mark.parametrize("size", [16, 32, 64])
-def test_a_lamp_lands_in_the_corner_that_opengls_table_names(face, direction, across, down, size: int) -> None:
+def test_a_lamp_is_in_the_corner_of_opengls_table(face, direction, across, down, size: int) -> None:
     faces = CubeMap.from_panorama(lit(120, [(direction, 4, 10.0)]), size=size).faces
     found, row, column = np.unravel_index(np.argmax(faces[..., 0]), faces.shape[:3])
     assert FACES[found] == face
@@ -52,7 +52,7 @@ def test_a_lamp_lands_in_the_corner_that_opengls_table_names(face, direction, ac
 
 
 @pytest.mark.parametrize("face", range(6))
-def test_a_lamp_on_an_axis_lands_in_the_centre_of_its_face(face: int) -> None:
+def test_a_lamp_on_an_axis_is_in_the_centre_of_its_face(face: int) -> None:
     axis = [0.0, 0.0, 0.0]
     axis[face // 2] = -1.0 if face % 2 else 1.0
     faces = CubeMap.from_panorama(lit(120, [(axis, 3, 10.0)]), size=16).faces[..., 0]
@@ -76,7 +76,7 @@ def test_texels_cover_the_sphere() -> None:
     np.testing.assert_allclose(weighted.sum(axis=0), 0, atol=1e-12)
 
 
-def test_a_step_beyond_a_rim_finds_the_texel_next_door() -> None:
+def test_a_step_beyond_an_edge_is_the_neighbouring_texel() -> None:
     size = 8
     directions = cube_directions(size)
     neighbours = padded_indices(size).reshape(6, size + 2, size + 2)
@@ -149,7 +149,7 @@ def test_cube_to_panorama_to_cube(size: int, height: int, rms: float) -> None:
 
 
 def test_texels_are_the_means_of_what_they_cover() -> None:
-    """Against a slow twin: pixels of a much finer panorama, each counted in the texel its centre falls in."""
+    """Against a slow reference: pixels of a much finer panorama, each counted in the texel its centre falls in."""
     coarse = CubeMap.from_panorama(room(120), size=16)
     fine = np.repeat(np.repeat(room(120), 5, axis=0), 5, axis=1)
     directions = panorama_directions(600).reshape(-1, 3).astype(np.float64)
@@ -165,7 +165,7 @@ def test_texels_are_the_means_of_what_they_cover() -> None:
     assert np.median(np.abs(found / expected - 1)) < 1e-3
 
 
-def test_the_sparse_kernel_is_its_matrix() -> None:
+def test_the_sparse_kernel_equals_its_matrix() -> None:
     resample = panorama_to_cube(16, 16)
     matrix = np.zeros((6 * 256, 16 * 32))
     np.add.at(matrix, (np.repeat(np.arange(6 * 256), np.diff(resample.starts)), resample.sources), resample.weights)
@@ -214,14 +214,14 @@ def test_observed_cube_shows_what_was_seen() -> None:
 
 
 @pytest.mark.parametrize("size", [0, 1, 8, 15, 17, 48, 512, -16])
-def test_sizes_that_are_not_handed_out(size: int) -> None:
-    with pytest.raises(ValueError, match=f"16, 32, 64, 128, 256 pixels wide, got {size}"):
+def test_sizes_out_of_range(size: int) -> None:
+    with pytest.raises(ValueError, match=f"16, 32, 64, 128, 256 pixels, got {size}"):
         CubeMap.from_panorama(room(16), size=size)
     with pytest.raises(ValueError, match=f"got {size}"):
         observed_cube(np.zeros((16, 32), np.float32), size=size)
 
 
-def test_panoramas_that_a_cube_does_not_become() -> None:
+def test_panorama_heights_out_of_range() -> None:
     cube = CubeMap.from_panorama(room(16), size=16)
     for height in (0, 3, 513):
         with pytest.raises(ValueError, match=f"4 to 512 rows, got {height}"):
@@ -230,7 +230,7 @@ def test_panoramas_that_a_cube_does_not_become() -> None:
         CubeMap(np.zeros((6, 512, 512, 3), np.float32)).to_panorama(16)
 
 
-def test_numbers_that_are_none() -> None:
+def test_invalid_numbers() -> None:
     faces = np.zeros((6, 4, 4, 3), np.float32)
     faces[5, 1, 2, 0] = np.inf
     with pytest.raises(ValueError, match=r"face -Z, row 1, column 2"):

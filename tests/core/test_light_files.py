@@ -82,7 +82,7 @@ def test_exposures_out_of_range(exposure_ev: float) -> None:
 
 
 @pytest.mark.parametrize("encode", [to_exr, to_hdr, to_png])
-def test_files_of_what_is_no_panorama(encode) -> None:
+def test_invalid_panoramas_are_not_encoded(encode) -> None:
     with pytest.raises(ValueError, match="twice as wide as high"):
         encode(np.zeros((8, 8, 3), np.float32))
     with pytest.raises(ValueError, match="finite"):
@@ -131,7 +131,7 @@ def test_confidence_as_png_and_floats() -> None:
         (np.zeros((2, 4)), "4 to 4096 rows, this has 2"),
     ],
 )
-def test_what_cannot_have_been_observed(observed, rule: str) -> None:
+def test_invalid_observed_shares(observed, rule: str) -> None:
     for function in (coverage, confidence_png, confidence_bytes):
         with pytest.raises(ValueError, match=rule):
             function(observed)

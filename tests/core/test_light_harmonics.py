@@ -132,7 +132,7 @@ def test_layouts() -> None:
         assert (back.phase, back.quantity, back.kind) == ("positive", "irradiance", "ambient")
 
 
-def test_phases_are_two_spellings_of_one_light() -> None:
+def test_both_phases_are_the_same_light() -> None:
     directions = panorama_directions(6).reshape(-1, 3)
     phased = project(room(20))
     positive = phased.with_phase("positive")
@@ -156,7 +156,7 @@ def test_total_is_ambient_and_the_main_light_together(phase) -> None:
     np.testing.assert_array_equal(given.coefficients, ambient.coefficients)
 
 
-def test_ambient_is_the_room_with_its_lamp_out() -> None:
+def test_ambient_is_the_room_without_its_lamp() -> None:
     dark = lit(120, [], level=0.3)
     lamp = lit(120, [((0.3, 0.9, 0.2), 6, [20.0, 15.0, 10.0])], level=0.3)
     ambient = project(lamp, kind="ambient")
@@ -180,13 +180,13 @@ def test_mean_light_is_the_first_coefficient() -> None:
     ("shape", "rule"),
     [((8, 16), r"\(H, 2H, 3\)"), ((8, 16, 4), r"\(H, 2H, 3\)"), ((8, 17, 3), "17 x 8"), ((3, 6, 3), "4 to 4096 rows")],
 )
-def test_shapes_that_are_no_panorama(shape, rule: str) -> None:
+def test_invalid_panorama_shapes(shape, rule: str) -> None:
     with pytest.raises(ValueError, match=rule):
         check_panorama(np.zeros(shape, np.float32))
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_numbers_that_are_none(value: float) -> None:
+def test_invalid_numbers(value: float) -> None:
     panorama = lit(8, [], level=1.0)
     panorama[3, 5, 1] = value
     with pytest.raises(ValueError, match=r"finite numbers only, got .* in row 3, column 5"):
@@ -200,11 +200,11 @@ def test_values_beyond_float32_are_refused() -> None:
         check_panorama(np.full((8, 16, 3), 1e300))
 
 
-def test_a_light_is_taken_out_of_total_radiance_only() -> None:
+def test_a_light_is_subtracted_from_total_radiance_only() -> None:
     light = main_light(room(16))
-    with pytest.raises(ValueError, match="not of total irradiance"):
+    with pytest.raises(ValueError, match="not from total irradiance"):
         project(room(16)).irradiance().without(light)
-    with pytest.raises(ValueError, match="not of ambient radiance"):
+    with pytest.raises(ValueError, match="not from ambient radiance"):
         project(room(16)).without(light).without(light)
 
 

@@ -6,7 +6,7 @@ from light_rooms import lit, quarter_turn, room, turned
 
 from roomlight.light.cube import CubeMap
 from roomlight.light.cube_geometry import cube_directions, cube_solid_angles, direction_to_face, texel_index
-from roomlight.light.prefilter import SMALLEST, prefilter
+from roomlight.light.prefilter import MIN_SIZE, prefilter
 from roomlight.light.spherical_harmonics import project
 
 
@@ -37,7 +37,7 @@ def test_white_furnace(size: int) -> None:
 def test_levels_and_roughness_are_stated() -> None:
     mips = prefilter(CubeMap.from_panorama(room(60), size=64))
     assert [level.size for level in mips.levels] == [64, 32, 16, 8, 4]
-    assert mips.levels[-1].size == SMALLEST
+    assert mips.levels[-1].size == MIN_SIZE
     assert mips.roughness == (0, 0.25, 0.5, 0.75, 1)
     assert len(mips.to_bytes()) == sum(6 * size * size * 8 for size in (64, 32, 16, 8, 4))
 
@@ -102,6 +102,6 @@ def test_turning_the_room_turns_every_level() -> None:
 
 
 @pytest.mark.parametrize("size", [1, 4, 12, 48])
-def test_sizes_without_a_chain(size: int) -> None:
-    with pytest.raises(ValueError, match=f"a power of two of 8 pixels or more, got {size}"):
+def test_sizes_without_a_chain_of_levels(size: int) -> None:
+    with pytest.raises(ValueError, match=f"a power of two of 8 pixels or more; got {size}"):
         prefilter(CubeMap(np.zeros((6, size, size, 3), np.float32)))

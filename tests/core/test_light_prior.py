@@ -30,7 +30,7 @@ def test_harmonics_of_one_band_hold_all_of_it():
     np.testing.assert_allclose(harmonics.evaluate(rays)[:, 0], LEVEL + UPWARD * rays[:, 1], atol=1e-5)
 
 
-def test_its_main_light_hangs_above_and_is_soft():
+def test_the_priors_main_light_is_soft_and_from_above():
     """Less than a quarter of what falls on a floor, so that no shadow of it is more than a hint."""
     light = main_light(prior_panorama(120))
     assert light.direction[1] > 0.995  # 6 degrees: a lobe that wide has no sharper peak

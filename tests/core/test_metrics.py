@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from roomlight.metrics import (
     METRICS,
-    SphereJudge,
+    SphereScorer,
     angular_error_deg,
     interval_means,
     intervals,
@@ -43,7 +43,7 @@ def test_radiance_below_zero_counts_as_none() -> None:
     assert log_l2(np.full((4, 8, 3), np.float32(-5)), np.zeros((4, 8, 3), np.float32)) == 0
 
 
-def test_ldr_error_does_not_see_past_white() -> None:
+def test_ldr_error_ignores_light_above_white() -> None:
     white = np.ones((4, 8, 3), np.float32)
     assert ldr_l2(50 * white, white) == 0
     assert ldr_l2(0.5 * white, 50 * white) == pytest.approx(0.25)
@@ -59,7 +59,7 @@ def test_solid_angle_weights_count_the_pole_less() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(scale=st.floats(1e-3, 1e3), seed=st.integers(0, 100))
-def test_si_rmse_does_not_see_scale(scale: float, seed: int) -> None:
+def test_si_rmse_ignores_scale(scale: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     prediction, truth = rng.random((50, 3)), rng.random((50, 3))
     assert si_rmse(scale * prediction, truth) == pytest.approx(si_rmse(prediction, truth), rel=1e-6)
@@ -84,7 +84,7 @@ def test_angular_error_of_known_angles() -> None:
 
 @settings(max_examples=30, deadline=None)
 @given(angle=st.floats(0.01, 60), scale=st.floats(0.01, 100))
-def test_angular_error_of_a_turned_hue_is_the_turn(angle: float, scale: float) -> None:
+def test_angular_error_of_a_rotated_colour_is_the_angle(angle: float, scale: float) -> None:
     turn = np.radians(angle)
     first = np.tile([1.0, 0.0, 0.5], (4, 1))
     axis = np.array([0.0, 1.0, 0.0])  # at right angles to the colour
@@ -99,9 +99,9 @@ def test_black_agrees_with_black_only() -> None:
     assert angular_error_deg(grey, black) == 90
 
 
-def test_sphere_scores_are_zero_for_the_truth_and_see_what_they_should() -> None:
+def test_sphere_scores_are_zero_for_the_truth_and_detect_errors() -> None:
     truth = panorama(3, 32)
-    judge = SphereJudge(truth, SphereRenderer((0.0, 0.0, -1.0), size=24))
+    judge = SphereScorer(truth, SphereRenderer((0.0, 0.0, -1.0), size=24))
     assert judge.scores(truth) == pytest.approx(dict.fromkeys(judge.scores(truth), 0), abs=1e-5)
     brighter = judge.scores(2 * truth)
     assert brighter.pop("render_l2") > 0.001  # this one sees the scale, the others do not
@@ -113,7 +113,7 @@ def test_sphere_scores_are_zero_for_the_truth_and_see_what_they_should() -> None
 
 
 def test_every_metric_has_a_column() -> None:
-    judge = SphereJudge(panorama(height=8), SphereRenderer((0.0, 0.0, -1.0), size=8))
+    judge = SphereScorer(panorama(height=8), SphereRenderer((0.0, 0.0, -1.0), size=8))
     measured = {"log_l2", "ldr_l2", "smoothness", *judge.scores(panorama(height=8))}
     assert {metric.key for metric in METRICS} == measured
 

@@ -61,7 +61,7 @@ def dense(spheres: SphereRenderer, panorama: np.ndarray, material: Material) -> 
     # The limits are twice what was measured: 64 samples for the lobe, 32 and 16 rows for matte and diffuse.
     [("glossy", 0.01, 0.03), ("matte", 0.01, 0.12), ("diffuse", 0.01, 0.03)],
 )
-def test_balls_agree_with_dense_integration(material: Material, of_mean: float, rms: float) -> None:
+def test_spheres_agree_with_dense_integration(material: Material, of_mean: float, rms: float) -> None:
     spheres = SphereRenderer(VIEW, size=20)
     panorama = room(120)
     expected = dense(spheres, panorama, material)
@@ -79,14 +79,14 @@ def test_white_furnace(material: Material, height: int) -> None:
     np.testing.assert_allclose(pixels, np.broadcast_to(panorama[0, 0], pixels.shape), rtol=1e-5)
 
 
-def test_the_glossy_ball_makes_no_light() -> None:
+def test_the_glossy_sphere_adds_no_energy() -> None:
     pixels = SphereRenderer(VIEW, size=32).pixels(np.ones((120, 240, 3), np.float32), "glossy")
     assert (pixels > GLOSSY_ALBEDO + 0.03).all()
     assert (pixels < 1.0).all()
 
 
 @pytest.mark.parametrize("material", MATERIALS)
-def test_balls_are_linear_in_light(material: Material) -> None:
+def test_spheres_are_linear_in_light(material: Material) -> None:
     spheres = SphereRenderer(VIEW, size=16)
     first, second = room(40, 1), room(40, 2)
     together = spheres.pixels(2 * first + second, material)
@@ -154,7 +154,7 @@ def test_a_view_without_direction_is_refused(view: tuple[float, float, float]) -
 
 
 def test_sizes_are_checked() -> None:
-    with pytest.raises(ValueError, match="too small"):
+    with pytest.raises(ValueError, match="4 pixels or more, got 2"):
         SphereRenderer(VIEW, size=2)
     with pytest.raises(ValueError, match="twice as wide"):
         SphereRenderer(VIEW).pixels(np.zeros((10, 10, 3), np.float32), "mirror")

@@ -7,22 +7,22 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomlight.threads import shard, thread_count
+from roomlight.threads import parallel_for, thread_count
 
 
 @given(st.integers(0, 500), st.integers(1, 9))
-def test_every_index_is_worked_on_once(count, pieces):
+def test_every_index_is_processed_once(count, pieces):
     touched = np.zeros(count, int)
 
     def work(start, stop):
         touched[start:stop] += 1
 
-    shard(work, count, pieces_per_thread=pieces)
+    parallel_for(work, count, pieces_per_thread=pieces)
     assert (touched == 1).all()
 
 
 @pytest.mark.parametrize("threads", ["1", "2"])
-def test_an_error_in_a_piece_is_the_callers(monkeypatch, threads):
+def test_an_error_in_a_piece_is_raised_to_the_caller(monkeypatch, threads):
     monkeypatch.setenv("ROOMLIGHT_THREADS", threads)
 
     def work(start, stop):
@@ -30,10 +30,10 @@ def test_an_error_in_a_piece_is_the_callers(monkeypatch, threads):
             raise ZeroDivisionError("piece of 37")
 
     with pytest.raises(ZeroDivisionError, match="piece of 37"):
-        shard(work, 100)
+        parallel_for(work, 100)
 
 
-def test_after_an_error_nothing_writes_any_more(monkeypatch):
+def test_no_piece_writes_after_an_error(monkeypatch):
     monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
     begun, ended, failed = [], [], threading.Event()
 
@@ -47,18 +47,18 @@ def test_after_an_error_nothing_writes_any_more(monkeypatch):
         ended.append(start)
 
     with pytest.raises(ZeroDivisionError):
-        shard(work, 100)
+        parallel_for(work, 100)
     assert sorted(ended) == sorted(begun)[1:]
 
 
 @pytest.mark.parametrize(("asked", "given_"), [("3", 3), ("1", 1), ("64", 64)])
-def test_the_environment_sets_the_width(monkeypatch, asked, given_):
+def test_the_environment_sets_the_thread_count(monkeypatch, asked, given_):
     monkeypatch.setenv("ROOMLIGHT_THREADS", asked)
     assert thread_count() == given_
 
 
 @pytest.mark.parametrize("asked", ["", "0", "-2", "many", "²"])
-def test_a_width_that_is_none_is_as_if_unset(monkeypatch, asked):
+def test_an_invalid_thread_count_is_ignored(monkeypatch, asked):
     monkeypatch.delenv("ROOMLIGHT_THREADS", raising=False)
     default = thread_count()
     monkeypatch.setenv("ROOMLIGHT_THREADS", asked)

@@ -1,7 +1,7 @@
-"""What a lighting model does for a session: volumes into an SGLV, a probe's views into HDR and weight.
+"""The interface of a lighting model: initial volumes into an SGLV, a probe's views into HDR panorama and weight.
 
-Two kinds stand behind it: `classical` (no networks) and `networks` (ONNX graphs). A backend holds one
-session's state; what sessions share (loaded graphs) lives outside it.
+Implemented by `classical_backend` (no networks) and `network_backend` (ONNX graphs). A backend holds the state of one
+session; loaded graphs are shared between sessions.
 """
 
 from dataclasses import dataclass
@@ -18,19 +18,20 @@ from roomlight.engine.volume import VolumeGrid
 
 @dataclass(frozen=True)
 class Estimate:
-    """For one probe and frame: the HDR panorama L. (everywhere) and the raw weight L_M (0 where unseen)."""
+    """For one probe and frame: the HDR panorama L. [H, 2H, 3] (everywhere) and the raw weight L_M [H, 2H] (0 where the
+    frame's mesh is not seen)."""
 
     hdr: Float[np.ndarray, "h w 3"]
     weight: Float[np.ndarray, "h w"]
 
 
 FILL_UPDATE: Final = 0.5
-"""Share of a new inference taken over at each frame: what was never seen need not jump when a frame shows a little
-more. Against 1, on three path-traced rooms: smoothness 0.48 instead of 0.72 (1e-3) and log-L2 0.0709 instead of 0.0707
+"""Share of a new inference taken over at each frame, so that unobserved directions do not jump from frame to frame.
+Against 1, on three path-traced rooms: smoothness 0.48 instead of 0.72 (1e-3) and log-L2 0.0709 instead of 0.0707
 with the classical model, 0.33 instead of 0.82 and 0.0676 instead of 0.0672 with the single-view networks."""
 
 ProbeMemory = object
-"""A backend's own memory of one probe (2D hidden states); opaque to the session."""
+"""A backend's state of one probe (2D hidden states); opaque to the session."""
 
 
 class Backend(Protocol):
@@ -38,22 +39,22 @@ class Backend(Protocol):
 
     name: str
     far: Far
-    """How rays that leave the volume end (see `roomlight.engine.sglv`)."""
+    """What a ray gets where it leaves the volume (see `roomlight.engine.sglv`)."""
 
     def start(self, grid: VolumeGrid) -> None:
-        """The volume's frame is known: make the state."""
+        """Allocate the state for this volume, at the first frame."""
         ...
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
-        """Where the frame's initial volume is to be written (bound to the graphs, no copy)."""
+        """Return the buffer for the frame's initial volume (bound to the graphs, no copy)."""
         ...
 
     def update(self) -> Sglv:
-        """Take the volume in the buffer as the next frame's; return the SGLV after it."""
+        """Process the volume in the buffer as the next frame; return the SGLV after it."""
         ...
 
     def new_probe(self) -> ProbeMemory:
-        """Memory for a probe that has seen nothing."""
+        """Return the state of a probe that has observed nothing."""
         ...
 
     def estimate(
@@ -66,5 +67,9 @@ class Backend(Protocol):
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Estimate:
-        """Light of one probe before this frame's details are blended into `state`."""
+        """Estimate the light of one probe before this frame's details are blended into `state`.
+
+        rendered, transmittance:  the SGLV ray traced at the probe, [H, 2H, 3] and [H, 2H].
+        partial:                  what the probe sees of the frame's mesh.
+        """
         ...

@@ -1,9 +1,9 @@
-"""Lighting without networks: the honest baseline, and what runs until trained weights are there.
+"""Lighting without networks: the baseline, and the model that runs without trained weights.
 
-SGLV: the initial volumes of all frames, averaged voxel by voxel over the frames that saw the voxel (as
-surface or as empty). Blending: what the mesh shows wins, under the paper's conservative rule. What neither
-saw is filled from its surroundings by push-pull; what shines brighter than white lends them no more than white,
-because windows and lamps end at their frames while walls go on.
+SGLV: the initial volumes of all frames, averaged voxel by voxel over the frames that observed the voxel (as surface or
+as empty). Blending: the mesh's radiance replaces the rest, under the paper's conservative rule. Directions that neither
+shows are filled from their surroundings by push-pull. Pixels brighter than white contribute white to the fill, because
+windows and lamps end at their frames while walls go on.
 """
 
 from dataclasses import dataclass
@@ -20,42 +20,41 @@ from roomlight.engine.mesh import PartialPanorama
 from roomlight.engine.sglv import Far, Sglv
 from roomlight.engine.volume import VolumeGrid
 
-VOLUME_TRUST: Final = 0.01
+VOLUME_WEIGHT: Final = 0.01
 """Weight of the SGLV's rendering against the mesh's in the fill: its voxels are 10 to 25 cm wide, and the band of
 five voxels behind each surface is seen edge-on by a probe. Mean log-L2 over three path-traced rooms: 0.072 at 0.3,
-0.071 at 0.1, 0.068 at 0.01; in the fill that only it reaches, it is still better than nothing."""
+0.071 at 0.1, 0.068 at 0.01. Where only the SGLV reaches, it is better than none."""
 
 
 @dataclass
 class _Memory:
-    """Frames that a probe has seen."""
+    """Number of frames blended into a probe."""
 
     frames: int = 0
 
 
 class ClassicalBackend:
-    """One session's classical model; see the module's text."""
+    """The classical model of one session; see the module docstring."""
 
     name = "classical"
     far: Far = "none"
 
     def __init__(self) -> None:
-        """Nothing is allocated until the first frame has fixed the volume."""
         self._grid: VolumeGrid | None = None
 
     def start(self, grid: VolumeGrid) -> None:
-        """Allocate the sums for this volume."""
+        """Allocate the sums over frames for this volume."""
         self._grid = grid
         self._volume = np.zeros((5, *grid.shape), np.float32)
         self._fused = FusedVolume.fresh(grid.shape)
         self._sglv = Sglv.empty(grid)
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
-        """Where the session writes the frame's initial volume."""
+        """Return the buffer for the frame's initial volume."""
         return self._volume
 
     def update(self) -> Sglv:
-        """Average the new volume in: alpha over the frames that observed a voxel, colour by alpha."""
+        """Add the volume to the average: alpha over the frames that observed a voxel, colour weighted by alpha."""
         fused = self._fused
         fused.add(self._volume)
         np.divide(fused.opacity, fused.count, out=self._sglv.alpha, where=fused.count > 0)
@@ -64,7 +63,7 @@ class ClassicalBackend:
         return self._sglv
 
     def new_probe(self) -> ProbeMemory:
-        """What the classical model remembers of a probe besides its panorama."""
+        """Return the state of a probe besides its panorama."""
         return _Memory()
 
     def estimate(
@@ -77,16 +76,16 @@ class ClassicalBackend:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Estimate:
-        """HDR: what was seen, then the volume's rendering with little trust, spread by push-pull."""
+        """Estimate the HDR panorama: observed radiance and, with little weight, the SGLV, spread by push-pull."""
         del depth_max_m
         assert isinstance(memory, _Memory)
         detail, known = latest_detail(state, partial.radiance, partial.depth_m, mask=partial.mask)
         opaque = 1 - transmittance
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
-        trust = (1 - known) * VOLUME_TRUST * opaque**4
-        weight = known + trust
+        volume_weight = (1 - known) * VOLUME_WEIGHT * opaque**4
+        weight = known + volume_weight
         volume = at_most_white(rendered / np.maximum(opaque, 1e-3)[..., None])
-        mixed = known[..., None] * at_most_white(detail) + trust[..., None] * volume
+        mixed = known[..., None] * at_most_white(detail) + volume_weight[..., None] * volume
         hdr = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
         if memory.frames > 0:
             hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)

@@ -1,10 +1,10 @@
-"""What a clipped pixel is worth. An 8-bit camera says only "at least white"; where the pixel lies says more.
+"""Estimated radiance of clipped pixels. The camera's value says "at least white"; the depth map says more.
 
-Three kinds, told apart by depth: pixels the depth sensor could not see are windows and lamps; clipped pixels on
-surfaces that face up are mostly glare, which the camera sees and a probe does not; the rest are bright walls,
-curtains and shades. Gains are in units of white. Mean log-L2 of the classical model over 31 frames of three path-traced
+Three kinds are distinguished by depth: pixels without depth are windows and lamps; clipped pixels on surfaces that face
+up are mostly glare, which the camera sees and a probe does not; the rest are bright walls, curtains and shades. Gains
+are in units of white. Mean log-L2 of the classical model over 31 frames of three path-traced
 rooms: all 1: 0.086; all 2: 0.080; up-facing 1: 0.076; windows 4 as well: 0.069; up-facing 0.7: 0.068. Windows at 6
-would give 0.066, but three rooms are few to fit a number to.
+would give 0.066, but three rooms are too few to fit a number to.
 """
 
 from dataclasses import replace
@@ -17,19 +17,20 @@ from jaxtyping import Bool, Float
 from roomlight.frame import Frame
 
 WINDOW_GAIN: Final = 4.0
-"""Clipped where depth is unknown: windows at day and lamps lie between 2 and 60 times white."""
+"""Where depth is unknown: windows by day and lamps lie between 2 and 60 times white."""
 GLARE_GAIN: Final = 0.7
-"""Clipped on up-facing surfaces (floors, tables): most of it is gone from where the probe is."""
+"""On surfaces that face up (floors, tables): most of the glare does not reach the probe."""
 BRIGHT_GAIN: Final = 2.0
-"""Clipped elsewhere."""
+"""On all other surfaces."""
 UP_FACING: Final = 0.8
-"""A surface faces up if its normal's y is above this: within 37 degrees of the zenith, so noise of depth passes."""
+"""A surface faces up if its normal's y is above this: within 37 degrees of the zenith, so that noisy depth
+passes."""
 
 
 def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-    """The frame with radiance above white put back into its clipped pixels.
+    """Multiply the clipped pixels of a frame by the gain of their kind; the returned frame has the depth `depth_m`.
 
-    `frame.depth_m` is the sensor's (0 = unknown), `depth_m` the completed one, which the returned frame has.
+    `frame.depth_m` is the sensor's depth (0 = unknown), `depth_m` the completed one.
     """
     size = frame.clipped.shape[1], frame.clipped.shape[0]
     unknown = _resize(frame.depth_m <= 0, size)
@@ -40,7 +41,8 @@ def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
 
 
 def _normals_y(frame: Frame) -> Float[np.ndarray, "dh dw"]:
-    """World y of the unit surface normals: central differences of points averaged over 3 x 3 pixels; 0 at the rim."""
+    """Return world y of the unit surface normals, by central differences of points averaged over 3 x 3 pixels; 0 at
+    the image border."""
     depth = frame.depth_m
     lens = frame.intrinsics.resized(depth.shape[1], depth.shape[0])
     rotation = frame.camera_to_world[:3, :3].astype(np.float32)

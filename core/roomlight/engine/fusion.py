@@ -1,4 +1,4 @@
-"""Initial volumes of a stream's frames made one: the mean over the frames that saw a voxel."""
+"""Fusion of the frames' initial volumes: the mean over the frames that observed a voxel."""
 
 from dataclasses import dataclass
 
@@ -8,9 +8,11 @@ from jaxtyping import Float
 
 @dataclass(frozen=True)
 class FusedVolume:
-    """Sums over frames, updated in place: alpha C and alpha, and how many frames saw the voxel, as surface or as empty.
+    """Sums over frames of one grid, updated in place; float32.
 
-    All frames' volumes are of one grid.
+    colour:   sum of alpha C.
+    opacity:  sum of alpha.
+    count:    number of frames that observed the voxel, as surface or as empty.
     """
 
     colour: Float[np.ndarray, "z y x 3"]
@@ -19,21 +21,21 @@ class FusedVolume:
 
     @classmethod
     def fresh(cls, shape: tuple[int, int, int]) -> "FusedVolume":
-        """Nothing seen yet; `shape` is [z, y, x]."""
+        """Return empty sums; `shape` is (z, y, x)."""
         return cls(np.zeros((*shape, 3), np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.float32))
 
     def add(self, volume: Float[np.ndarray, "5 z y x"]) -> None:
-        """Take in the initial volume of one more frame."""
+        """Add the initial volume of one more frame."""
         opacity = volume[3]
-        self.opacity[:] += opacity  # 0 where not seen
+        self.opacity[:] += opacity  # 0 where not observed
         self.count[:] += (opacity > 0) | (volume[4] < 0)
         for channel in range(3):
             self.colour[..., channel] += volume[channel]
 
     def write(self, out: Float[np.ndarray, "5 z y x"]) -> None:
-        """The mean as an initial volume: c and alpha are means, e = -1 where frames saw the voxel and all saw it empty.
+        """Write the mean as an initial volume: c and alpha are means, e = -1 where every observation was empty.
 
-        Of one frame it is that frame's volume, to the bit.
+        The mean of one frame is that frame's volume, to the bit.
         """
         frames = np.maximum(self.count, 1)
         for channel in range(3):

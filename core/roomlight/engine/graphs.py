@@ -1,7 +1,7 @@
-"""A model directory: the ONNX graphs of `roomlight export`, checked and loaded once, shared by all sessions.
+"""Model directories: the ONNX graphs of `roomlight export`, checked and loaded once, shared by all sessions.
 
-`model.json` names the form, the configuration, the training card and each graph's digest. Forms: `single` has
-single_{sg_encoder,sg_decoder,blend_encoder,blend_decoder}; `video` has these for its first frame and
+`model.json` states the network form, the configuration, the training card and each graph's digest. Form `single` has
+single_{sg_encoder,sg_decoder,blend_encoder,blend_decoder}; `video` has these for its first frame, and
 video_{sg_encoder,sg_gru,sg_decoder,blend_encoder,blend_gru,blend_decoder}.
 """
 
@@ -18,11 +18,12 @@ from jaxtyping import Float32
 from roomlight.engine.providers import Provider, open_graph, resolve_provider
 from roomlight.errors import ModelError
 
-Form = Literal["single", "video"]
+NetworkForm = Literal["single", "video"]
+"""Single-view networks take one volume, of a frame or fused; video networks keep hidden states between frames."""
 Buffers = dict[str, Float32[np.ndarray, "..."]]
 """Arrays by the names of a graph's inputs or outputs; their ranks differ, `Graph.bind` checks the shapes."""
 FORMAT: Final = 1
-"""Of `model.json`; written by `roomlight_export.exporting`."""
+"""Version of `model.json`; written by `roomlight_export.exporting`."""
 DESCRIPTION: Final = "model.json"
 SINGLE_GRAPHS: Final = (
     "single_sg_encoder",
@@ -39,14 +40,18 @@ VIDEO_GRAPHS: Final = (
     "video_blend_decoder",
 )
 SHIPPED: Final = Path(__file__).parent / "weights"
-"""Trained weights that come with the package: one directory a form."""
+"""Trained weights inside the package: a directory for each network form."""
 
 
 class Graph:
-    """One loaded graph, run on buffers that stay where they are."""
+    """A loaded graph, run on fixed buffers."""
 
     def __init__(self, session: ort.InferenceSession, name: str) -> None:
-        """Read the static shapes of inputs and outputs."""
+        """Read the static shapes of inputs and outputs.
+
+        Raises:
+            ModelError: a shape is dynamic.
+        """
         self._session = session
         self.name = name
         self.inputs = {node.name: tuple(node.shape) for node in session.get_inputs()}
@@ -56,11 +61,15 @@ class Graph:
                 raise ModelError(f"graph {name}: {key} has the shape {shape}; RoomLight's graphs have static shapes")
 
     def new_outputs(self) -> Buffers:
-        """Zeroed buffers for every output."""
+        """Return zeroed buffers for every output."""
         return {name: np.zeros(shape, np.float32) for name, shape in self.outputs.items()}
 
     def bind(self, inputs: Buffers, outputs: Buffers) -> "BoundGraph":
-        """Fix the buffers once: every later run reads and writes them in place, without a copy."""
+        """Bind the buffers once: every later run reads and writes them in place, without a copy.
+
+        Raises:
+            ModelError: names, sizes or memory layout do not fit the graph.
+        """
         binding = self._session.io_binding()
         for wanted, given, bind in (
             (self.inputs, inputs, binding.bind_ortvalue_input),
@@ -79,7 +88,7 @@ class Graph:
 
 @dataclass(frozen=True)
 class BoundGraph:
-    """A graph with its buffers; `arrays` keeps them alive, because ONNX Runtime holds addresses alone."""
+    """A graph with its buffers; `arrays` keeps them alive, because ONNX Runtime holds only their addresses."""
 
     session: ort.InferenceSession
     binding: ort.IOBinding
@@ -95,37 +104,38 @@ class LightingGraphs:
     """A loaded model directory."""
 
     path: Path
-    form: Form
+    form: NetworkForm
     card: dict[str, Any]
     provider: Literal["cpu", "openvino"]
     graphs: dict[str, Graph]
     filled: bool
-    """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or the volume stands alone there."""
+    """Whether a fill is mixed in beyond the mesh (`BlendConfig.filled`), or only the volume is used there."""
 
     @property
     def volume_shape(self) -> tuple[int, int, int]:
-        """(z, y, x) of the volumes the graphs were exported for."""
+        """Shape (z, y, x) of the volumes that the graphs take."""
         z, y, x = self.graphs["single_sg_encoder"].inputs["volume"][-3:]
         return z, y, x
 
     @property
     def panorama_height(self) -> int:
-        """Height of the panoramas the blending graphs were exported for."""
+        """Rows of the panoramas that the blending graphs take."""
         return self.graphs["single_blend_encoder"].inputs["panels"][-2]
 
 
 def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: bool = False) -> LightingGraphs:
     """Load and check a model directory.
 
-    Raises ModelError if it is none, if a graph is missing or is not the one its digest names, or if the
-    weights were never trained and `allow_untrained` does not say that this is meant.
+    Raises:
+        ModelError: it is not a model directory, a graph is missing or differs from its digest, the provider is not
+            available, or the weights were never trained and `allow_untrained` is False.
     """
     index = read_description(path)
     form, card, entries = index["form"], index["card"], index["graphs"]
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
-            "their light would be noise; pass --allow-untrained if that is what you want"
+            "their light would be noise; set allow_untrained=True to use them nevertheless"
         )
     resolved = resolve_provider(provider)
     graphs: dict[str, Graph] = {}
@@ -143,7 +153,11 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
 
 
 def read_description(path: Path) -> dict[str, Any]:
-    """A model directory's `model.json`: form, and the mappings config, card and graphs. Raises ModelError."""
+    """Read `model.json` of a model directory: form, and the mappings config, card and graphs.
+
+    Raises:
+        ModelError: it is missing or damaged.
+    """
     index_path = path / DESCRIPTION
     try:
         index = json.loads(index_path.read_text(encoding="utf-8"))
@@ -154,7 +168,7 @@ def read_description(path: Path) -> dict[str, Any]:
     except ValueError as error:
         raise ModelError(f"{index_path}: is not JSON ({error})") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
-        raise ModelError(f"{index_path}: not a RoomLight model of format {FORMAT} with the form single or video")
+        raise ModelError(f"{index_path}: is not a RoomLight model of format {FORMAT} whose form is single or video")
     parts = {name: {} if index.get(name) is None else index[name] for name in ("config", "card", "graphs")}
     blend = parts["config"].get("blend", {}) if isinstance(parts["config"], dict) else None
     if not all(isinstance(part, dict) for part in (*parts.values(), blend)):

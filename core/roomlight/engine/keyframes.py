@@ -1,7 +1,7 @@
-"""A bounded store of keyframes, chosen for coverage: what a probe first asked about late is caught up from.
+"""A bounded store of keyframes, chosen for coverage: a position first asked about late is computed from them.
 
-Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; vertices
-outside the volume count in the cell of its shell that is nearest.
+Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; a vertex
+outside the volume counts in the nearest cell of its outer layer.
 """
 
 from collections.abc import Iterator
@@ -13,12 +13,13 @@ from jaxtyping import Bool, Float
 
 from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.volume import VolumeGrid
+from roomlight.errors import OptionError
 
 DEFAULT_KEYFRAMES: Final = 24
 """A keyframe of 320 x 240 pixels takes 5.4 MB (resident memory over 24 of them: 2.2 of image and mesh, the rest
-Embree's copy and tree), so these 130 MB a session; they cover two turns around a room at 58 degrees of view."""
-WORTH_KEEPING: Final = 0.04
-"""A frame enters if this share of its cells is in no keyframe yet: 4 % is a turn of about 2.5 degrees."""
+Embree's copy and tree), so 24 take 130 MB a session; they cover two pans around a room at 58 degrees of view."""
+MIN_NEW_SHARE: Final = 0.04
+"""A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
 _CELL: Final = 2
 
 
@@ -32,30 +33,33 @@ class Keyframe:
 
 
 class KeyframeStore:
-    """At most `capacity` keyframes, in order of time; the one that covers least on its own makes room."""
+    """At most `capacity` keyframes in order of time; when full, the one with the fewest cells of its own is dropped."""
 
     def __init__(self, grid: VolumeGrid, capacity: int = DEFAULT_KEYFRAMES) -> None:
-        """An empty store for frames of this volume."""
+        """Make an empty store for frames of this volume.
+
+        Raises:
+            OptionError: `capacity` is below 1.
+        """
         if capacity < 1:
-            raise ValueError(f"a keyframe store holds at least 1 frame, asked for {capacity}")
+            raise OptionError(f"capacity of a keyframe store must be 1 or more, got {capacity}")
         self._grid = grid
         self.capacity = capacity
         self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
         self._keyframes: list[Keyframe] = []
 
     def __len__(self) -> int:
-        """Keyframes held."""
         return len(self._keyframes)
 
     def __iter__(self) -> Iterator[Keyframe]:
-        """Keyframes in order of time, as they are now: offers during a catch-up do no harm."""
+        """Iterate in order of time over the keyframes as they are now; offers during the iteration do not change it."""
         return iter(tuple(self._keyframes))
 
     def offer(self, index: int, mesh: FrameMesh) -> bool:
-        """Keep the frame if it shows something new; returns whether it was kept."""
+        """Keep the frame if it shows enough new cells; return whether it was kept."""
         cells = self._cells_of(mesh.vertices[mesh.known])
         total = int(cells.sum())
-        if total == 0 or int((cells & (self._counts == 0)).sum()) < WORTH_KEEPING * total:
+        if total == 0 or int((cells & (self._counts == 0)).sum()) < MIN_NEW_SHARE * total:
             return False
         offered = Keyframe(index, mesh, cells)
         self._keyframes.append(offered)
@@ -68,15 +72,15 @@ class KeyframeStore:
         return True
 
     def covered_cells(self) -> int:
-        """Cells that at least one keyframe shows."""
+        """Return the number of cells that at least one keyframe shows."""
         return int((self._counts > 0).sum())
 
     def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
         grid = self._grid
         local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
         shape = [-(-n // _CELL) for n in grid.shape]
-        # What lies outside counts in the shell's nearest cell: a session that begins with a close-up has a
-        # small volume, and the room around it must still be remembered.
+        # Vertices outside count in the nearest cell: a session that begins with a close-up has a small volume, and
+        # keyframes of the room around it must still be kept.
         cells = (local - grid.lower_m) / (grid.voxel_m * _CELL)
         x, y, z = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
         covered = np.zeros(len(self._counts), bool)

@@ -1,4 +1,4 @@
-"""How many bytes a session holds, and the most it can come to: counted from shapes, and measured where Embree holds."""
+"""Memory of a session, now and at most: counted from array shapes; measured where Embree allocates."""
 
 import ctypes
 import sys
@@ -11,7 +11,7 @@ from roomlight.engine.graphs import Graph, LightingGraphs
 from roomlight.engine.volume import VOLUME_SHAPE
 
 KEYFRAME_BYTES: Final = 5_400_000
-"""Resident, of one frame of 320 x 240 with its mesh (measured, see `roomlight.engine.keyframes`)."""
+"""Resident memory of one frame of 320 x 240 with its mesh (measured, see `roomlight.engine.keyframes`)."""
 _CLASSICAL_CHANNELS: Final = 21
 """Float32 a voxel: the volume's 5, the sums' 5, the SGLV's 11."""
 _STATE_CHANNELS: Final = 5
@@ -28,31 +28,34 @@ class Footprint:
 
     @classmethod
     def of(cls, graphs: LightingGraphs | None, height: int) -> "Footprint":
-        """For these graphs (None: classical) and panoramas of this height."""
+        """Count for these graphs (None: classical) and panoramas of `height` rows."""
         panorama = 4 * _STATE_CHANNELS * 2 * height * height
         if graphs is None:
             return cls(4 * _CLASSICAL_CHANNELS * int(np.prod(VOLUME_SHAPE)), panorama)
         loaded = graphs.graphs
         volume = _floats(loaded["single_sg_encoder"].inputs) + 2 * _floats(loaded["single_sg_decoder"].outputs)
         blend = _floats(loaded["single_blend_encoder"].inputs) + _outputs(loaded["single_blend_encoder"])
-        blend += 2 * _outputs(loaded["single_blend_decoder"])  # the weight, and the mask of its size
+        blend += 2 * _outputs(loaded["single_blend_decoder"])  # the weight, and a mask of the same size
         volume += _outputs(loaded["single_sg_encoder"])
-        if graphs.form == "video":  # hidden states twice over, and the fresh features
+        if graphs.form == "video":  # hidden states in two buffers, and the new features
             volume += 2 * _outputs(loaded["video_sg_encoder"])
             blend += _floats(loaded["video_blend_encoder"].inputs) + 2 * _outputs(loaded["video_blend_encoder"])
         else:  # the frame's own volume, and the sums over frames
             volume += 2 * _floats(loaded["single_sg_encoder"].inputs)
         return cls(4 * volume, panorama + 4 * blend)
 
-    def held(self, *, keyframes: int, probes: int, started: bool) -> int:
-        """Bytes with so many keyframes and probes; nothing is allocated before the first frame."""
+    def total(self, *, keyframes: int, probes: int, started: bool) -> int:
+        """Return the bytes of a session with so many keyframes and probes.
+
+        `started`: whether the first frame was processed; nothing but probes is allocated before it.
+        """
         return (self.volume + (keyframes + 1) * self.keyframe) * started + probes * self.probe
 
 
-def give_back() -> None:
-    """Hand freed memory back to the system, where the C library would keep it (glibc).
+def release_free_memory() -> None:
+    """Return freed memory to the operating system, where the C library (glibc) would keep it.
 
-    After three sessions of 31 frames had ended: 738 MB resident before, 277 after, as before the first of them.
+    After three sessions of 31 frames had ended: 738 MB resident before the call, 277 after it, as before the first one.
     """
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None) if sys.platform == "linux" else None
     if trim is not None:

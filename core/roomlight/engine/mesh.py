@@ -1,9 +1,9 @@
 """The partial mesh of one frame, and what a probe sees of it: LDR panorama, mask, depth (paper, 4.1, 4.2).
 
-Vertices are depth pixels in world metres; a triangle never crosses a depth edge. Ray traced with Embree, textured from
-a pyramid of the image at the level whose pixels are as large as a panorama's pixel there: one of 60 image pixels alone
-is noise. Classical model over three path-traced rooms, every third frame: log-L2 0.0718 with point samples, 0.0688 with
-the pyramid.
+Vertices are depth pixels in world metres; no triangle crosses a depth edge. The mesh is ray traced with Embree and
+textured from a pyramid of the image, at the level whose pixels are as large as the panorama's pixel: one image pixel of
+the 60 that it covers would be noise. Classical model over three path-traced rooms, every third frame: log-L2 0.0718
+with point samples, 0.0688 with the pyramid.
 """
 
 from dataclasses import dataclass, replace
@@ -17,27 +17,27 @@ from jaxtyping import Bool, Float, Int
 from roomlight.camera import transform_points
 from roomlight.conventions import panorama_rays
 from roomlight.frame import Frame
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 
 EDGE_RATIO = 1.08
-"""Neighbouring vertices farther apart in depth than this ratio are two surfaces. At a vertex every 0.36
-degrees a plane must be seen at under 5 degrees of grazing to reach it; sofa edges against walls are at 1.2
-and more."""
+"""Neighbouring vertices whose depths differ by more than this ratio belong to two surfaces. With a vertex every 0.36
+degrees, a plane exceeds it only under 5 degrees of grazing angle; sofa edges against walls are at 1.2 and more."""
 MAX_VERTICES = 160 * 120
-"""Vertices of a mesh at most. Over 38k triangles embreex takes 17 ms (13 of them to copy the mesh element by element,
+"""Most vertices of a mesh. Over 38k triangles embreex takes 17 ms (13 of them to copy the mesh element by element,
 whatever its types), over 153k 126 ms. Against those 153k the mask of a 120 x 240 panorama is wrong in 2.4 % of its
 pixels; a mesh of 107 x 80 would cost 8 ms and be wrong in 4.7 %."""
 
 TEXTURE_LEVELS = 4
-"""Of the texture's pyramid, each half of the one before: a panorama's pixel seldom spans over 8 of the image's."""
+"""Levels of the texture pyramid, each half of the one before: a panorama's pixel seldom spans over 8 image pixels."""
 
 
 @dataclass(frozen=True)
 class PartialPanorama:
     """What a probe sees of one frame's mesh.
 
-    radiance: [H, 2H, 3] linear RGB, 0 where unseen;  mask: [H, 2H] seen;  depth_m: [H, 2H] distance along the
-    ray in metres, 0 where unseen.
+    radiance:  [H, 2H, 3] linear RGB, 0 where the mask is False.
+    mask:      [H, 2H] directions in which the mesh is seen.
+    depth_m:   [H, 2H] distance along the ray in metres, 0 where the mask is False.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
@@ -45,7 +45,7 @@ class PartialPanorama:
     depth_m: Float[np.ndarray, "h w"]
 
     def within(self, farthest_m: float) -> "PartialPanorama":
-        """The same with what is farther away taken to be there."""
+        """Clamp the depth to `farthest_m`."""
         return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
 
 
@@ -53,7 +53,7 @@ class FrameMesh:
     """A frame's depth as a textured triangle mesh, ready to be ray traced from any point."""
 
     def __init__(self, frame: Frame, *, max_vertices: int = MAX_VERTICES) -> None:
-        """Triangulate; a frame with no triangle (all depth unknown) is a mesh that nobody sees."""
+        """Triangulate. A frame without depth has no triangle, and is seen from nowhere."""
         self.levels = _pyramid(frame.image)
         depth, uv = _vertex_grid(frame.depth_m, max_vertices)
         k = frame.intrinsics
@@ -70,9 +70,9 @@ class FrameMesh:
         self._scene: EmbreeScene | None = None
 
     def build(self) -> None:
-        """Build Embree's tree now (17 ms) rather than in the first look.
+        """Build Embree's tree now (17 ms) rather than at the first panorama.
 
-        One ray is fired, because the build is lazy and unlocked.
+        One ray is traced, because Embree builds on first use, without a lock.
         """
         if self._scene is None and len(self.faces):
             scene = EmbreeScene()
@@ -101,8 +101,8 @@ class FrameMesh:
             bary[start:stop, 0], bary[start:stop, 1] = hits["u"], hits["v"]
             normal[start:stop] = hits["Ng"]
 
-        shard(trace, rays, pieces_per_thread=1)
-        # A back face was seen by the camera from its other side: its colour from here is not known.
+        parallel_for(trace, rays, pieces_per_thread=1)
+        # The camera saw a back face from its other side: its colour on this side is not known.
         seen = (face >= 0) & ((normal * directions).sum(axis=-1) < 0)
         faces = self.faces[face[seen]]
         corners = self._pixel[faces]  # [n, 3, 2]
@@ -112,7 +112,7 @@ class FrameMesh:
         column[seen], row[seen] = pixel[:, 0], pixel[:, 1]
         maps = column.reshape(shape), row.reshape(shape)
         mask = seen.reshape(shape)
-        # image pixels that a panorama's pixel spans on the surface it sees
+        # image pixels that a panorama's pixel spans on the surface
         span = np.zeros(rays, np.float32)
         span[seen] = self._focal_px * np.pi / height * distance[seen] / self._depth_m[faces[:, 0]]
         radiance = self._texture(maps, span.reshape(shape))
@@ -123,9 +123,9 @@ class FrameMesh:
     def _texture(
         self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
     ) -> Float[np.ndarray, "h w 3"]:
-        """The image at (column, row), bilinear, at the level whose look-ups average over about `span` pixels."""
+        """Sample the image bilinearly at (column, row), on the pyramid level that averages over about `span` pixels."""
         radiance = np.empty((*span.shape, 3), np.float32)
-        # level k is a box of 2^k pixels, read by a tent of twice that: together the variance of a box of sqrt(3) 2^k
+        # level k is a box filter of 2^k pixels, sampled by a tent twice as wide: the variance of a box of sqrt(3) 2^k
         level = np.clip(np.rint(np.log2(np.maximum(span, 1) / np.sqrt(3))), 0, len(self.levels) - 1)
         for number, image in enumerate(self.levels):
             here = level == number
@@ -139,7 +139,7 @@ class FrameMesh:
 
 
 def _pyramid(image: Float[np.ndarray, "h w 3"]) -> list[Float[np.ndarray, "lh lw 3"]]:
-    """The image and its halvings by area, as far as both sides have 8 pixels."""
+    """Halve the image by area, up to `TEXTURE_LEVELS` levels of at least 8 pixels a side; the image itself is first."""
     levels = [image]
     while len(levels) < TEXTURE_LEVELS and min(levels[-1].shape[:2]) >= 16:
         height, width = levels[-1].shape[:2]
@@ -148,24 +148,24 @@ def _pyramid(image: Float[np.ndarray, "h w 3"]) -> list[Float[np.ndarray, "lh lw
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:
-    """Two triangles a quad of a depth grid, counter-clockwise seen from the camera, where no corner is unknown
-    and no two corners lie across a depth edge (`EDGE_RATIO`).
+    """Make two triangles of each quad of a depth grid, counter-clockwise seen from the camera.
 
-    0.3 ms for 160 x 120: corners are compared as shifted grids; gathering them by face took 3 ms.
+    A triangle with an unknown corner, or across a depth edge (`EDGE_RATIO`), is left out. 0.3 ms for 160 x 120: corners
+    are compared as shifted grids; gathering them by face took 3 ms.
     """
     width = depth.shape[1]
     a, b, c, d = depth[:-1, :-1], depth[1:, :-1], depth[:-1, 1:], depth[1:, 1:]  # a c / b d
-    upper, lower = _whole(a, b, c), _whole(c, b, d)
+    upper, lower = _one_surface(a, b, c), _one_surface(c, b, d)
     faces = np.empty((len(upper) + len(lower), 3), np.int32)
     faces[: len(upper)] = upper[:, None] + np.array([0, width, 1], np.int32)
     faces[len(upper) :] = lower[:, None] + np.array([1, width, width + 1], np.int32)
     return faces
 
 
-def _whole(
+def _one_surface(
     first: Float[np.ndarray, "h w"], second: Float[np.ndarray, "h w"], third: Float[np.ndarray, "h w"]
 ) -> Int[np.ndarray, " n"]:
-    """Of quads whose triangle has these corner depths: the vertex index of corner a, where it is one surface."""
+    """Return the vertex index of corner a of each quad whose triangle, of these corner depths, is one surface."""
     low = np.minimum(np.minimum(first, second), third)
     high = np.maximum(np.maximum(first, second), third)
     quad = np.flatnonzero((low > 0) & (high <= EDGE_RATIO * low))
@@ -175,7 +175,7 @@ def _whole(
 def _vertex_grid(
     depth_m: Float[np.ndarray, "h w"], max_vertices: int
 ) -> tuple[Float[np.ndarray, "gh gw"], Float[np.ndarray, "gh gw 2"]]:
-    """Every n-th depth sample (a mean would be a surface between two) and its (u, v) in the image."""
+    """Take every n-th depth sample (a mean would lie between two surfaces), with its (u, v) in the image."""
     height, width = depth_m.shape
     stride = 1
     while len(range(stride // 2, height, stride)) * len(range(stride // 2, width, stride)) > max_vertices:

@@ -1,12 +1,12 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
-Single view: every frame's initial volume joins those of the frames before (`roomlight.engine.fusion`), and the mean is
-encoded and decoded as if it were one frame's; what a probe has seen accumulates as in the video form. What is inferred
-moves half-way at each frame (`FILL_UPDATE`): the SGLV, and what each probe makes of it. The paper's single view
-forgets all of it.
+Single view: every frame's initial volume is fused with those before (`roomlight.engine.fusion`), and the mean is
+encoded and decoded like one frame's. A probe's panorama accumulates as in the video form. Inferred values (the SGLV and
+each probe's HDR panorama) move half-way to the new estimate at each frame (`FILL_UPDATE`). The paper's single view
+keeps nothing between frames.
 
 Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
-then on encoder, GRU, decoder, and the decoder merges with the SGLV before by V_u. Every state has two buffers, and
+then on encoder, GRU, decoder, and the decoder merges with the previous SGLV by V_u. Every state has two buffers, and
 each frame's graphs read one and write the other: nothing is copied.
 """
 
@@ -27,17 +27,20 @@ from roomlight.errors import ModelError
 
 
 class NetworkBackend:
-    """One session's state on shared graphs."""
+    """The state of one session on shared graphs."""
 
     far: Far = "boundary"
 
     def __init__(self, graphs: LightingGraphs) -> None:
-        """States are allocated when the first frame has fixed the volume."""
         self._graphs = graphs
         self.name = graphs.form
 
     def start(self, grid: VolumeGrid) -> None:
-        """Allocate and bind the 3D states."""
+        """Allocate and bind the 3D states.
+
+        Raises:
+            ModelError: the graphs were exported for another volume shape.
+        """
         g = self._graphs.graphs
         if tuple(grid.shape) != self._graphs.volume_shape:
             raise ModelError(
@@ -74,7 +77,7 @@ class NetworkBackend:
                 )
 
     def volume_buffer(self) -> Float[np.ndarray, "5 z y x"]:
-        """Where the session writes the frame's initial volume: in the video form the encoder's bound input."""
+        """Return the buffer for the frame's initial volume: in the video form the encoder's bound input."""
         return self._frame_volume
 
     def update(self) -> Sglv:
@@ -85,25 +88,25 @@ class NetworkBackend:
         if self._frames == 0 or self._fused is not None:
             steps, result = self._first, self._sglv[0]
         else:
-            turn = (self._frames - 1) % 2
-            steps, result = self._next[turn], self._sglv[1 - turn]
+            parity = (self._frames - 1) % 2
+            steps, result = self._next[parity], self._sglv[1 - parity]
         for step in steps:
             step.run()
         self._frames += 1
-        return result if self._fused is None else self._settled()
+        return result if self._fused is None else self._move_towards_new()
 
-    def _settled(self) -> Sglv:
-        """The SGLV half-way between the one before and this frame's; what is seen empty is cleared at once."""
-        fresh, held = self._sglv
+    def _move_towards_new(self) -> Sglv:
+        """Move the kept SGLV half-way to this frame's; voxels observed as empty are cleared at once."""
+        new, kept = self._sglv
         share = np.float32(FILL_UPDATE if self._frames > 1 else 1)
         empty = self._volume[4] < 0
-        for now, kept in ((fresh.alpha, held.alpha), (fresh.lobes, held.lobes)):
-            kept += share * (now - kept)
-            kept[empty] = 0
-        return held
+        for target, values in ((new.alpha, kept.alpha), (new.lobes, kept.lobes)):
+            values += share * (target - values)
+            values[empty] = 0
+        return kept
 
     def new_probe(self) -> ProbeMemory:
-        """2D hidden states for one probe, bound."""
+        """Return the 2D hidden states of one probe, bound to the graphs."""
         return _ProbeNetworks(self._graphs)
 
     def estimate(
@@ -116,8 +119,11 @@ class NetworkBackend:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Estimate:
-        """HDR: the SGLV as rendered; beyond the mesh, the network's share of a fill of what was seen, and its colour.
-        Weight: the network's."""
+        """Estimate HDR panorama and weight.
+
+        HDR: the SGLV as rendered; beyond the mesh mixed with a fill of the observed radiance, by the network's weight.
+        Weight: the network's, within the mesh.
+        """
         del transmittance
         assert isinstance(memory, _ProbeNetworks)
         first = memory.frames == 0
@@ -131,8 +137,7 @@ class NetworkBackend:
 
 @dataclass
 class _ProbeNetworks:
-    """One probe's blending graphs with their buffers; panoramas of other heights are resampled for the
-    weights alone."""
+    """One probe's blending graphs with their buffers; panoramas of other heights are resampled, for the weight only."""
 
     graphs: LightingGraphs
     frames: int = field(default=0, init=False)
@@ -173,7 +178,7 @@ class _ProbeNetworks:
         partial: PartialPanorama,
         depth_max_m: float,
     ) -> Float[np.ndarray, "h w"]:
-        """The raw blending weight L_M for this frame; beyond the mesh, that of the fill in `partial.radiance`."""
+        """Compute the raw blending weight L_M of this frame; beyond the mesh, of the fill in `partial.radiance`."""
         mask = partial.mask.astype(np.float32)
         first = self.frames == 0 or self.graphs.form == "single"
         target, height = (self._panels8 if first else self._panels13)[0], self._height
@@ -204,7 +209,7 @@ def _resample(image: Float[np.ndarray, "h w *c"], height: int) -> Float[np.ndarr
 
 
 def _nearest(plane: Float[np.ndarray, "h w"], height: int) -> Float[np.ndarray, "{height} 2*{height}"]:
-    """For masks and depth: a mean across an edge is a surface that does not exist, and half a mask is none."""
+    """Resample masks and depth by nearest neighbour: a mean across an edge would be a surface that does not exist."""
     if plane.shape[0] == height:
         return plane
     return cv2.resize(plane, (2 * height, height), interpolation=cv2.INTER_NEAREST_EXACT)

@@ -1,12 +1,12 @@
-"""One stream of frames and the light it reveals: the engine's only door.
+"""The session: a stream of frames in, light at any point out.
 
     session = Session(SessionOptions(model="classical"))
     for frame in open_capture(path):
         session.push(frame)
-    light = session.light_at((0.2, -0.1, 0.5))
+    light = session.light_at((0.2, -0.1, -1.5))
 
-Positions are world metres, y up. Light is relative linear RGB (see `roomlight.conventions`). A session is not
-thread-safe: its owner serialises the calls.
+Positions are world metres, y up. Light is relative linear RGB (`roomlight.conventions`). A session is not thread-safe:
+its owner serialises the calls.
 """
 
 import time
@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
@@ -33,27 +33,33 @@ from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.providers import Provider
 from roomlight.engine.sglv import Sglv, check_position, render_panorama
 from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
-from roomlight.errors import ModelError, ProbeError
+from roomlight.errors import ModelError, OptionError, ProbeError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
 
 ModelName = Literal["auto", "classical", "single", "video"]
+"""`SessionOptions.model`."""
 
 WORKING_SIZE = (320, 240)
-"""Frames are brought to this size (width, height; turned for upright images), the paper's: eight pixels to one of a
+"""Frames are reduced to this size (width, height; swapped for upright images), the paper's: eight pixels for one of a
 panorama of 120 rows."""
 
 
 @dataclass(frozen=True)
 class SessionOptions:
-    """How a session works; see each field.
+    """Options of a session.
 
-    model:          auto = the form of `weights`; without them the trained networks that come with the package, video
-                    before single-view; else classical.
-    weights:        a model directory of `roomlight export` instead of the shipped weights.
-    height:         of the panoramas (width is twice that).
-    keyframes:      how many frames are kept to catch up probes that are first asked about late.
-    unknown_depth:  how pixels without depth enter (see `roomlight.depth`).
+    model:            classical (no networks), single or video (networks), or auto: the network form of `weights`;
+                      without `weights` the networks inside the package, video before single; else classical.
+    weights:          a model directory of `roomlight export`, instead of the weights inside the package.
+    provider:         runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
+    allow_untrained:  accept weights that were never trained, for tests.
+    height:           rows of the panoramas, 16 to 2048; they have twice as many columns.
+    keyframes:        most frames kept for positions that are first asked about late, 1 or more.
+    unknown_depth:    where pixels without depth are placed (`roomlight.depth`).
+
+    Raises:
+        OptionError: a value is out of range, or a name is unknown.
     """
 
     model: ModelName = "auto"
@@ -65,16 +71,24 @@ class SessionOptions:
     unknown_depth: UnknownDepth = "rim"
 
     def __post_init__(self) -> None:
-        """Refuse, by ValueError, sizes that make no panorama and a store that holds nothing."""
+        for name, allowed in (("model", ModelName), ("provider", Provider), ("unknown_depth", UnknownDepth)):
+            if getattr(self, name) not in get_args(allowed):
+                raise OptionError(f"{name} must be one of {', '.join(get_args(allowed))}; got {getattr(self, name)!r}")
         if not 16 <= self.height <= 2048:
-            raise ValueError(f"panorama height must be 16 to 2048 pixels, got {self.height}")
+            raise OptionError(f"height must be 16 to 2048 rows of the panorama, got {self.height}")
         if self.keyframes < 1:
-            raise ValueError(f"at least 1 keyframe is kept for probes asked late, got {self.keyframes}")
+            raise OptionError(f"keyframes must be 1 or more, got {self.keyframes}")
 
 
 @dataclass(frozen=True)
 class FrameReport:
-    """What one frame did: milliseconds by stage, whether it is a keyframe, each tracked probe's coverage."""
+    """Report of one frame.
+
+    index:     of the frame.
+    stage_ms:  milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend.
+    keyframe:  whether it was kept as a keyframe.
+    coverage:  of each tracked probe, in the order of `Session.handles`.
+    """
 
     index: int
     stage_ms: dict[str, float]
@@ -101,16 +115,18 @@ class _Clock:
 
 
 def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
-    """The graphs that these options mean; None is the classical model. Load once, share between sessions.
+    """Load the graphs that the options select; None for the classical model. Load once, share between sessions.
 
-    Raises ModelError if a form is asked for whose weights are not there, or do not have it.
+    Raises:
+        OptionError: model="video" contradicts `weights`, which are single-view.
+        ModelError: the weights are missing, damaged or untrained, or the provider is not available.
     """
     if options.model == "classical":
         return None
     if options.weights is not None:
         graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
         if options.model == "video" and graphs.form == "single":
-            raise ModelError(f"{options.weights}: holds single-view weights only; use --model single or auto")
+            raise OptionError(f'{options.weights}: holds single-view weights only; use model="single" or "auto"')
         return replace(graphs, form="single") if options.model == "single" else graphs
     # A video folder holds the single-view graphs too: its first frame needs them.
     folders = {"single": ("single", "video"), "video": ("video",), "auto": ("video", "single")}
@@ -121,8 +137,8 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
     if options.model == "auto":
         return None
     raise ModelError(
-        f"model '{options.model}': no trained weights come with this version; "
-        "give --weights DIR (from `roomlight export`) or use --model classical"
+        f'model="{options.model}": this version contains no trained weights for it; '
+        'set weights to a model directory (from `roomlight export`) or use model="classical"'
     )
 
 
@@ -131,10 +147,17 @@ def _shipped(folder: str) -> bool:
 
 
 class Session:
-    """A stream's whole state: SGLV, hidden states, tracked probes, keyframes."""
+    """The state of one stream: SGLV, hidden states, tracked probes, keyframes."""
 
     def __init__(self, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None) -> None:
-        """Begin empty, on loaded (shared) `graphs` or on what the options name. Raises ModelError."""
+        """Begin without frames.
+
+        graphs:  loaded graphs, shared with other sessions; default: those that the options select.
+
+        Raises:
+            OptionError: the options contradict each other (see `choose_graphs`).
+            ModelError: the weights cannot be used (see `choose_graphs`).
+        """
         self.options = options or SessionOptions()
         chosen = graphs or choose_graphs(self.options)
         self._backend: Backend = NetworkBackend(chosen) if chosen else ClassicalBackend()
@@ -157,24 +180,30 @@ class Session:
 
     @property
     def grid(self) -> VolumeGrid | None:
-        """The volume's frame; None before the first frame."""
+        """Pose and size of the lighting volume; None before the first frame."""
         return self._grid
 
     @property
     def sglv(self) -> Sglv | None:
-        """The lighting volume after the last frame; None before the first. Overwritten by the next frame."""
+        """The lighting volume after the last frame; None before the first. The next frame overwrites it."""
         return self._sglv
 
     @property
     def keyframes(self) -> int:
-        """Keyframes held."""
+        """Number of keyframes held."""
         return len(self._keyframes) if self._keyframes else 0
 
     def track(self, position: Position) -> int:
-        """Follow a position from now on, caught up; returns its handle: 0, 1, 2, ... Raises ProbeError."""
+        """Track a position: every later frame is blended into its panorama. Return its handle: 0, 1, 2, ...
+
+        The panorama begins with what the keyframes and the last frame show, as in `light_at`.
+
+        Raises:
+            ProbeError: the position is not usable.
+        """
         x, y, z = check_position(position).tolist()
         handle = self._next_handle
-        if self._sglv is None:  # the volume's size, and so the probe's memory, comes with the first frame
+        if self._sglv is None:  # the first frame fixes the volume's size, and with it the probe's state
             self._waiting[handle] = (x, y, z)
         else:
             self._probes[handle] = self._new_probe((x, y, z))
@@ -182,12 +211,20 @@ class Session:
         return handle
 
     def untrack(self, handle: int) -> None:
-        """No longer follow a position; its handle is not used again. Raises ProbeError if it is none."""
+        """Stop tracking a position; its handle is not used again.
+
+        Raises:
+            ProbeError: no tracked probe has this handle.
+        """
         if self._probes.pop(handle, None) is None and self._waiting.pop(handle, None) is None:
-            raise ProbeError(f"there is no tracked probe {handle} to give up")
+            raise ProbeError(f"no tracked probe has the handle {handle}")
 
     def push(self, frame: Frame) -> FrameReport:
-        """Take the next frame. Raises FrameError if it cannot be used; the session is then as before."""
+        """Process the next frame.
+
+        Raises:
+            FrameError: the frame cannot be used; the session is unchanged.
+        """
         clock = _Clock()
         with clock.stage("prepare"):
             frame = frame.resized(*WORKING_SIZE)
@@ -223,11 +260,15 @@ class Session:
 
     @property
     def handles(self) -> tuple[int, ...]:
-        """Of the tracked positions, in the order of `lights` and of a report's coverage."""
+        """Handles of the tracked positions, in the order of `lights` and of a report's coverage."""
         return (*self._probes, *self._waiting)
 
     def light(self, handle: int) -> Light:
-        """The light at a tracked position, as of the last frame."""
+        """Return the light at a tracked position after the last frame.
+
+        Raises:
+            ProbeError: no tracked probe has this handle, or no frame was pushed yet.
+        """
         if handle not in self._probes:
             tracked = f"this session tracks {len(self._probes)}"
             reason = "no frame has been pushed yet" if handle in self._waiting else tracked
@@ -235,9 +276,10 @@ class Session:
         return self._light_of(self._probes[handle])
 
     def light_at(self, position: Position) -> Light:
-        """The light at any position, seen through the keyframes and the last frame.
+        """Return the light at any position, from the keyframes and the last frame.
 
-        Raises ProbeError before the first frame, and for a position that is none.
+        Raises:
+            ProbeError: no frame was pushed yet, or the position is not usable.
         """
         if self._sglv is None:
             raise ProbeError(f"no light at {position} yet: push a frame first")
@@ -245,7 +287,7 @@ class Session:
         return self._light_of(self._new_probe((x, y, z)))
 
     def lights(self) -> Sequence[Light]:
-        """The light at every tracked position, in order of their handles."""
+        """Return the light at every tracked position, in the order of `handles`."""
         return [self._light_of(probe) for probe in self._probes.values()]
 
     def _fresh_probe(self, position: Position) -> _Probe:
@@ -254,10 +296,10 @@ class Session:
         return _Probe(position, state, self._backend.new_probe())
 
     def _new_probe(self, position: Position) -> _Probe:
-        """A probe that has seen what the keyframes and the last frame show, in order of time.
+        """Make a probe into which the keyframes and the last frame are blended, in order of time.
 
-        The SGLVs of those moments are gone: every look is blended over the present one, which has seen more. 2D hidden
-        states run through the same looks, from the first on.
+        The SGLVs of those moments are gone: every frame is blended over the present SGLV, which has observed more. 2D
+        hidden states run through the same frames from the first on.
         """
         assert self._keyframes is not None
         assert self._latest is not None
@@ -310,8 +352,10 @@ class Session:
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:
-    """Compile (or load from numba's cache) every kernel a session uses, on a frame of 32 x 24 pixels; and run graphs
-    once, for their first run plans their memory."""
+    """Compile (or load from numba's cache) every kernel of a session on a frame of 32 x 24 pixels, and run the graphs.
+
+    The first run of a graph plans its memory.
+    """
     intrinsics = Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24)
     grey, near = np.full((24, 32, 3), 0.5, np.float32), np.ones((24, 32), np.float32)
     session = Session(SessionOptions(model="classical", height=16), graphs=graphs)

@@ -4,10 +4,9 @@ Frame: the volume's (see `roomlight.engine.volume`); directions s of the lobes t
 opacity alpha, and one lobe: weight w(3), bandwidth lambda, unit direction s(3). Radiance is relative linear
 RGB.
 
-Samples stand at t = t_enter + (i + 0.5) step along a ray, one voxel side apart, until the ray leaves the
-volume (122 at most across its diagonal, hence the default of 128). What is left of a ray there takes the
-values at the exit point (`far="boundary"`), so that the volume's shell acts as distant light; `far="none"` is
-equation 1 alone.
+Samples lie at t = t_enter + (i + 0.5) step along a ray, one voxel side apart, until the ray leaves the volume (122 at
+most across its diagonal, hence the default of 128). The remaining transmittance takes the values at the exit point
+(`far="boundary"`), so that the volume's outer layer acts as distant light; `far="none"` is equation 1 alone.
 """
 
 from dataclasses import dataclass
@@ -20,7 +19,7 @@ from roomlight.conventions import panorama_rays
 from roomlight.engine.kernels.march import march_rays
 from roomlight.engine.volume import VolumeGrid
 from roomlight.errors import ProbeError
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 
 Far = Literal["boundary", "none"]
 LOBE_CHANNELS = 10
@@ -38,12 +37,16 @@ class Sglv:
 
     @classmethod
     def empty(cls, grid: VolumeGrid) -> "Sglv":
-        """A volume that holds nothing: every ray passes."""
+        """Return a volume of zeros: every ray passes."""
         return cls(grid, np.zeros(grid.shape, np.float32), np.zeros((*grid.shape, LOBE_CHANNELS), np.float32))
 
 
 def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
-    """The position as float64, or ProbeError if it is not three finite numbers within 1 km of the origin."""
+    """Return the position as float64.
+
+    Raises:
+        ProbeError: it is not three finite numbers within 1 km of the origin.
+    """
     position = np.asarray(position_world, np.float64)
     if position.shape != (3,) or not np.isfinite(position).all() or np.abs(position).max() > 1000:
         raise ProbeError(f"probe position {position_world} must be three finite numbers in metres, within 1 km")
@@ -59,9 +62,12 @@ def render_rays(
     step_m: float | None = None,
     far: Far = "boundary",
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Radiance [n, 3] along unit world directions from a world position (metres), and each ray's remainder.
+    """Render the SGLV along unit world directions from a world position (metres): radiance [n, 3], transmittance [n].
 
     A ray that misses the volume (position outside) gets radiance 0 and transmittance 1.
+
+    Raises:
+        ProbeError: the position is not usable.
     """
     grid = sglv.grid
     position = check_position(position_world)
@@ -83,14 +89,18 @@ def render_rays(
         radiance,
         transmittance,
     )
-    shard(lambda start, stop: march_rays(*arguments, start, stop), len(directions))
+    parallel_for(lambda start, stop: march_rays(*arguments, start, stop), len(directions))
     return radiance, transmittance
 
 
 def render_panorama(
     sglv: Sglv, position_world: tuple[float, float, float], *, height: int = 120, far: Far = "boundary"
 ) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
-    """HDR panorama [H, 2H, 3] at a world position, and what is left of each ray [H, 2H] (1 = saw nothing)."""
+    """Render the HDR panorama [H, 2H, 3] at a world position, and each ray's transmittance [H, 2H] (1 = nothing hit).
+
+    Raises:
+        ProbeError: the position is not usable.
+    """
     radiance, transmittance = render_rays(sglv, position_world, panorama_rays(height), far=far)
     return radiance.reshape(height, 2 * height, 3), transmittance.reshape(height, 2 * height)
 
@@ -104,7 +114,7 @@ def render_rays_reference(
     step_m: float | None = None,
     far: Far = "boundary",
 ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
-    """Readable twin of `render_rays`: equations 1 and 2 in float64 NumPy, no early exit."""
+    """Compute `render_rays` by equations 1 and 2 in float64 NumPy, without early exit: its readable reference."""
     grid = sglv.grid
     step = grid.edge_m if step_m is None else step_m
     rotation = grid.world_to_volume[:3, :3]
@@ -136,7 +146,7 @@ def render_rays_reference(
 
 
 def _trilinear(sglv: Sglv, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 11"]:
-    """(alpha, c, w, lambda, s) at points of the volume frame; held beyond the outermost centres."""
+    """Interpolate (alpha, c, w, lambda, s) at points of the volume frame; constant beyond the outermost centres."""
     grid = sglv.grid
     counts = np.array(grid.shape[::-1])
     index = np.clip((points - grid.lower_m) / grid.voxel_m - 0.5, 0, counts - 1)

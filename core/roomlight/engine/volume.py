@@ -16,21 +16,21 @@ from roomlight.camera import rigid_inverse
 from roomlight.engine.kernels.volume_init import initialise_slices
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 
 VOLUME_SHAPE: Final = (64, 60, 84)
 """Voxels along z, y, x (the paper's table)."""
 VOLUME_RANGE: Final = np.array([[-1.1, 1.1], [-0.8, 0.8], [-1.2, 0.5]])
 """Extent along x, y, z in units of the first frame's greatest depth (the paper's table)."""
 DEPTH_MAX_QUANTILE: Final = 0.995
-"""D_max is this quantile of the known depth: one stray pixel must not blow the whole volume up."""
+"""D_max is this quantile of the known depth: one stray pixel must not enlarge the whole volume."""
 DEPTH_MAX_FLOOR_M: Final = 0.5
-"""D_max is at least this: a session that begins with a hand before the lens gets a volume of 1.1 m, not of nothing."""
+"""Least D_max: a session that begins with a hand before the lens gets a volume 1.1 m wide."""
 
 
 @dataclass(frozen=True)
 class VolumeGrid:
-    """Where the volume stands: fixed by the first frame, kept through the session."""
+    """Pose and size of the volume: fixed by the first frame, constant through the session."""
 
     volume_to_world: Float[np.ndarray, "4 4"]
     depth_max_m: float
@@ -38,12 +38,16 @@ class VolumeGrid:
 
     @classmethod
     def from_frame(cls, frame: Frame, *, shape: tuple[int, int, int] = VOLUME_SHAPE) -> "VolumeGrid":
-        """The volume of a session that begins with this frame. Raises FrameError if no depth is known."""
+        """Make the volume of a session that begins with this frame.
+
+        Raises:
+            FrameError: no depth is known.
+        """
         known = frame.depth_m[frame.depth_m > 0]
         if known.size == 0:
             raise FrameError(
-                f"{frame.source or f'frame {frame.index}'}: no pixel has a depth, so the volume has no size; "
-                "begin with a frame whose depth is known"
+                f"{frame.source or f'frame {frame.index}'}: no pixel has a depth, so the size of the volume is "
+                "unknown; begin with a frame whose depth is known"
             )
         depth_max_m = max(DEPTH_MAX_FLOOR_M, float(np.quantile(known, DEPTH_MAX_QUANTILE)))
         return cls(frame.camera_to_world, depth_max_m, shape)
@@ -74,7 +78,7 @@ class VolumeGrid:
         return rigid_inverse(self.volume_to_world)
 
     def centres_m(self) -> Float[np.ndarray, "z y x 3"]:
-        """Voxel centres (x, y, z) in the volume frame, float64."""
+        """Return the voxel centres (x, y, z) in the volume frame, float64."""
         axes = [
             low + (np.arange(count) + 0.5) * edge
             for low, edge, count in zip(self.lower_m, self.voxel_m, self.shape[::-1], strict=True)
@@ -83,7 +87,7 @@ class VolumeGrid:
         return np.stack([x, y, z], axis=-1)
 
     def contains(self, position_world: tuple[float, float, float]) -> bool:
-        """Whether a world position (metres) lies inside the volume."""
+        """Return whether a world position (metres) lies inside the volume."""
         inside = self.world_to_volume[:3, :3] @ np.asarray(position_world) + self.world_to_volume[:3, 3]
         return bool(((inside >= self.lower_m) & (inside <= self.upper_m)).all())
 
@@ -95,16 +99,15 @@ def initial_volume(
     far_unknown: bool = True,
     out: Float[np.ndarray, "5 z y x"] | None = None,
 ) -> Float[np.ndarray, "5 z y x"]:
-    """Initial volume of one frame: colour c (3), opacity alpha, emptiness e (paper, section 4.1), float32.
+    """Compute the initial volume of one frame: colour c (3), opacity alpha, emptiness e (paper, section 4.1), float32.
 
     With v the voxel's side, z its depth in this camera and D the depth map at its projection (bilinear):
     alpha = clip(4((z - D)/v + 1), 0, 1) in front of the surface and clip(4((D - z)/v + 5), 0, 1) behind it,
     c = alpha C, e = -1 where (D - z)/v > 3. Outside the frustum everything is 0.
 
-    Pixels without depth (windows, far walls) enter with D = where their ray leaves the volume, less one
-    voxel, and claim no emptiness (e = 0): they are mostly the brightest light of the room.
-    `far_unknown=False` drops them, for comparison. `out` is written in place when given (the session's bound
-    buffer).
+    Pixels without depth (windows, far walls) get D = where their ray leaves the volume, less one voxel, and mark no
+    voxel as empty (e = 0): they are mostly the brightest light of the room. `far_unknown=False` drops them, for
+    comparison. `out` is written in place if given (the session's bound buffer).
     """
     volume = np.empty((5, *grid.shape), np.float32) if out is None else out
     camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
@@ -123,14 +126,14 @@ def initial_volume(
         far_unknown,
         volume,
     )
-    shard(lambda start, stop: initialise_slices(*arguments, start, stop), grid.shape[0])
+    parallel_for(lambda start, stop: initialise_slices(*arguments, start, stop), grid.shape[0])
     return volume
 
 
 def initial_volume_reference(
     grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True
 ) -> Float[np.ndarray, "5 z y x"]:
-    """Readable twin of `initial_volume` in plain NumPy, equation by equation."""
+    """Compute `initial_volume` in NumPy, equation by equation: its readable reference."""
     camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
     centres = grid.centres_m()
     in_camera = centres @ camera_from_volume[:3, :3].T + camera_from_volume[:3, 3]
@@ -170,7 +173,7 @@ def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -
 def _bilinear_known(
     depth_m: Float[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Bilinear depth over the known samples alone, and the share of the weight that was known."""
+    """Interpolate depth bilinearly over the known samples only; return it with the known share of the weight."""
     corners, weights = _corners(depth_m.shape[1], depth_m.shape[0], uv)
     total, share = np.zeros(len(uv)), np.zeros(len(uv))
     for (row, column), weight in zip(corners, weights, strict=True):
@@ -183,7 +186,7 @@ def _bilinear_known(
 def _corners(
     width: int, height: int, uv: Float[np.ndarray, "n 2"]
 ) -> tuple[list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]], list[Float[np.ndarray, " n"]]]:
-    """(row, column) of the four samples around each (u, v), and their bilinear weights."""
+    """Return (row, column) of the four samples around each (u, v), and their bilinear weights."""
     column = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
     row = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
     i0, j0 = column.astype(int), row.astype(int)
@@ -199,7 +202,7 @@ def _exit_depth(
     points: Float[np.ndarray, "n 3"],
     depth: Float[np.ndarray, " n"],
 ) -> Float[np.ndarray, " n"]:
-    """z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
+    """Return the z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
     direction = points - camera
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         wall = np.where(direction > 0, grid.upper_m, grid.lower_m)

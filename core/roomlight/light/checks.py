@@ -1,30 +1,35 @@
-"""What every form of light asks of a panorama, checked in one place."""
+"""Checks of panoramas that all forms of light share."""
 
 import numpy as np
 from jaxtyping import Float, Shaped
 
-FEWEST_ROWS = 4
-"""Below this a panorama cannot tell the nine harmonics apart."""
-MOST_ROWS = 4096
+MIN_ROWS = 4
+"""With fewer rows the nine harmonics cannot be fitted."""
+MAX_ROWS = 4096
 
 
 def check_panorama(panorama: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "h w 3"]:
-    """The panorama as contiguous float32; ValueError if it is not H x 2H x 3, 4 to 4096 rows, of finite numbers."""
+    """Return the panorama as contiguous float32.
+
+    Raises:
+        ValueError: it is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
+    """
     if panorama.ndim != 3 or panorama.shape[2] != 3:
         raise ValueError(f"a panorama has shape (H, 2H, 3), got {panorama.shape}")
     return _check_map(panorama, "a panorama")
 
 
 def check_observed(observed: Shaped[np.ndarray, "*shape"]) -> Float[np.ndarray, "h w"]:
-    """How far each direction was observed, as contiguous float32.
+    """Return the observed shares as contiguous float32.
 
-    ValueError if it is not H x 2H of numbers in [0, 1].
+    Raises:
+        ValueError: they are not [H, 2H] with 4 to 4096 rows of numbers in [0, 1].
     """
     if observed.ndim != 2:
-        raise ValueError(f"what was observed has shape (H, 2H), got {observed.shape}")
-    checked = _check_map(observed, "what was observed")
+        raise ValueError(f"observed has shape (H, 2H), got {observed.shape}")
+    checked = _check_map(observed, "observed")
     if checked.min() < 0 or checked.max() > 1:
-        raise ValueError(f"what was observed lies in [0, 1], got {checked.min()} to {checked.max()}")
+        raise ValueError(f"observed lies in [0, 1], got {checked.min()} to {checked.max()}")
     return checked
 
 
@@ -32,8 +37,8 @@ def _check_map(values: Shaped[np.ndarray, "h w *c"], name: str) -> Float[np.ndar
     height, width = values.shape[:2]
     if width != 2 * height:
         raise ValueError(f"{name} is twice as wide as high, this is {width} x {height}")
-    if not FEWEST_ROWS <= height <= MOST_ROWS:
-        raise ValueError(f"{name} has {FEWEST_ROWS} to {MOST_ROWS} rows, this has {height}")
+    if not MIN_ROWS <= height <= MAX_ROWS:
+        raise ValueError(f"{name} has {MIN_ROWS} to {MAX_ROWS} rows, this has {height}")
     with np.errstate(over="ignore"):
         checked = np.ascontiguousarray(values, np.float32)
     if not np.isfinite(checked).all():

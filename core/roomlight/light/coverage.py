@@ -1,7 +1,7 @@
 """How much of the light was observed, and how much is inferred.
 
-`observed` [H, 2H] comes from blending (`PanoramaState.seen`): 1 where frames showed a direction, 0 where the model
-filled it in, in between where a blending weight stood.
+`observed` [H, 2H] is the accumulated blending weight (`PanoramaState.seen`): 1 where frames showed a direction, 0 where
+the model inferred it, and values between.
 """
 
 import numpy as np
@@ -13,16 +13,19 @@ from roomlight.light.checks import check_observed, check_panorama
 
 
 def coverage(observed: Float[np.ndarray, "h w"]) -> float:
-    """Share of the sphere that was observed, by solid angle, in [0, 1]."""
+    """Return the share of the sphere that was observed, by solid angle, in [0, 1]."""
     observed = check_observed(observed)
     share = (observed * panorama_solid_angles(len(observed))).sum(dtype=np.float64) / (4 * np.pi)
     return min(1.0, float(share))
 
 
 def light_coverage(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h2 w2"]) -> float:
-    """Share of the light (luminance x solid angle) that comes from observed directions; 1 if there is no light.
+    """Return the share of the light (luminance x solid angle) from observed directions; 1 if there is no light.
 
-    A room half seen, its lamp included, may have nine tenths of its light measured.
+    Half a room with its lamp may hold nine tenths of the light.
+
+    Raises:
+        ValueError: the sizes differ.
     """
     observed, panorama = check_observed(observed), check_panorama(panorama)
     if panorama.shape[:2] != observed.shape:
@@ -31,15 +34,15 @@ def light_coverage(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndar
             f"and {observed.shape[1]} x {observed.shape[0]}"
         )
     power = np.maximum(panorama @ LUMINANCE, 0) * panorama_solid_angles(len(observed))
-    everything = power.sum(dtype=np.float64)
-    return min(1.0, float((power * observed).sum(dtype=np.float64) / everything)) if everything > 0 else 1.0
+    total = power.sum(dtype=np.float64)
+    return min(1.0, float((power * observed).sum(dtype=np.float64) / total)) if total > 0 else 1.0
 
 
 def confidence_png(observed: Float[np.ndarray, "h w"]) -> bytes:
-    """The confidence panorama as an 8-bit grey PNG: 255 = observed, 0 = inferred."""
+    """Encode `observed` as an 8-bit grey PNG: 255 = observed, 0 = inferred."""
     return encode_png(np.rint(check_observed(observed) * 255).astype(np.uint8))
 
 
 def confidence_bytes(observed: Float[np.ndarray, "h w"]) -> bytes:
-    """The confidence panorama as float32, little endian, row after row."""
+    """Encode `observed` as float32, little endian, row after row."""
     return check_observed(observed).astype("<f4").tobytes()

@@ -1,4 +1,4 @@
-"""The panorama as a cube map: six square faces in OpenGL's order and orientation (see `cube_geometry`)."""
+"""Cube maps: six square faces in OpenGL's order and orientation (see `cube_geometry`)."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from roomlight.errors import OptionError
 from roomlight.light.checks import check_observed, check_panorama
 from roomlight.light.cube_geometry import FACES, cube_solid_angles
 from roomlight.light.ktx2 import encode_ktx2
-from roomlight.light.resample import MOST_ROWS, SparseMap, cube_to_panorama, panorama_to_cube
+from roomlight.light.resample import MAX_ROWS, SparseMap, cube_to_panorama, panorama_to_cube
 from roomlight.spheres import resize_panorama
 
 SIZES: Final = (16, 32, 64, 128, 256)
@@ -23,12 +23,15 @@ _LARGEST_HALF: Final = 65504.0
 
 @dataclass(frozen=True)
 class CubeMap:
-    """Faces +X -X +Y -Y +Z -Z [6, s, s, 3], float32 linear RGB; row 0 is stored first (OpenGL's t = 0)."""
+    """Faces +X -X +Y -Y +Z -Z, [6, s, s, 3] float32 linear RGB; row 0 is stored first (OpenGL's t = 0).
+
+    Raises:
+        ValueError: a value is not finite.
+    """
 
     faces: Float[np.ndarray, "6 s s 3"]
 
     def __post_init__(self) -> None:
-        """Refuse, by ValueError, what is not finite."""
         if not np.isfinite(self.faces).all():
             face, row, column = np.argwhere(~np.isfinite(self.faces))[0, :3]
             where = f"face {FACES[face]}, row {row}, column {column}"
@@ -36,13 +39,17 @@ class CubeMap:
 
     @classmethod
     def from_panorama(cls, panorama: Float[np.ndarray, "h w 3"], *, size: int = DEFAULT_SIZE) -> "CubeMap":
-        """The mean of the panorama's light over each texel; size 16, 32, 64, 128 or 256.
+        """Average the panorama's light over each texel; size 16, 32, 64, 128 or 256.
 
         0.5 ms for 120 x 240 to 32 on one core, 8 ms to 256; the first of a size takes 0.2 to 2 s more.
+
+        Raises:
+            OptionError: another size.
+            ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
         """
         panorama = check_panorama(panorama)
         resample = _to_cube(len(panorama), size)
-        panorama = resize_panorama(panorama, _rows_read(len(panorama), size))
+        panorama = resize_panorama(panorama, _reduced_rows(len(panorama), size))
         return cls(resample(panorama.reshape(-1, 3)).reshape(6, size, size, 3))
 
     @property
@@ -51,58 +58,68 @@ class CubeMap:
         return self.faces.shape[1]
 
     def to_panorama(self, height: int) -> Float[np.ndarray, "{height} 2*{height} 3"]:
-        """The mean of the cube's light over each pixel of a panorama of 4 to 512 rows."""
-        if not 4 <= height <= MOST_ROWS:
-            raise OptionError(f"a cube map becomes a panorama of 4 to {MOST_ROWS} rows, got {height}")
+        """Average the cube's light over each pixel of a panorama of 4 to 512 rows.
+
+        Raises:
+            OptionError: another height.
+            ValueError: the faces are wider than 256 pixels.
+        """
+        if not 4 <= height <= MAX_ROWS:
+            raise OptionError(f"a cube map becomes a panorama of 4 to {MAX_ROWS} rows, got {height}")
         if self.size > SIZES[-1]:
             raise ValueError(f"a cube map of up to {SIZES[-1]} pixels becomes a panorama, this has {self.size}")
         pixels = cube_to_panorama(height, self.size)(self.faces.reshape(-1, 3))
         return pixels.reshape(height, 2 * height, 3)
 
     def mips(self) -> tuple["CubeMap", ...]:
-        """This cube and its halves down to 1 pixel, each the mean over four texels by solid angle."""
+        """Return this cube and its halvings down to 1 pixel, each the mean over four texels by solid angle."""
         levels: list[CubeMap] = [self]
         while levels[-1].size % 2 == 0:
             levels.append(CubeMap(halved(levels[-1].faces)))
         return tuple(levels)
 
     def rgba16f(self, alpha: Float[np.ndarray, "6 s s"] | None = None) -> Float16[np.ndarray, "6 s s 4"]:
-        """Half floats with alpha (1 unless given), clipped to 65504 so that no infinity reaches a renderer."""
+        """Return half floats with alpha (1 unless given), clipped to 65504 so that no infinity reaches a renderer."""
         image = np.empty((*self.faces.shape[:3], 4), np.float16)
         image[..., :3] = np.clip(self.faces, -_LARGEST_HALF, _LARGEST_HALF)
         image[..., 3] = 1 if alpha is None else alpha
         return image
 
     def to_bytes(self, alpha: Float[np.ndarray, "6 s s"] | None = None) -> bytes:
-        """`rgba16f`, little endian, face after face and row after row: 8 bytes a pixel, 6 s s pixels."""
+        """Encode `rgba16f`, little endian, face after face and row after row: 8 bytes a pixel, 6 s s pixels."""
         return self.rgba16f(alpha).astype("<f2").tobytes()
 
     def to_ktx2(self, alpha: Float[np.ndarray, "6 s s"] | None = None, *, mipmaps: bool = False) -> bytes:
-        """`rgba16f` as a KTX2 file, with its mip levels down to 1 pixel if asked."""
+        """Encode `rgba16f` as a KTX2 file; `mipmaps` adds the levels down to 1 pixel."""
         if not mipmaps:
             return encode_ktx2([self.rgba16f(alpha)])
         levels = self.mips()
         alphas: Sequence[Float[np.ndarray, "6 s s"] | None] = [None] * len(levels)
         if alpha is not None:
-            shells = CubeMap(np.repeat(alpha[..., None], 3, axis=-1)).mips()
-            alphas = [shell.faces[..., 0] for shell in shells]
-        return encode_ktx2([level.rgba16f(seen) for level, seen in zip(levels, alphas, strict=True)])
+            alpha_cube = CubeMap(np.repeat(alpha[..., None], 3, axis=-1)).mips()
+            alphas = [level.faces[..., 0] for level in alpha_cube]
+        return encode_ktx2([level.rgba16f(alpha) for level, alpha in zip(levels, alphas, strict=True)])
 
 
 def observed_cube(
     observed: Float[np.ndarray, "h w"], *, size: int = DEFAULT_SIZE
 ) -> Float[np.ndarray, "6 {size} {size}"]:
-    """How far each texel was observed, 0 .. 1: the alpha channel of a cube map that tells seen from inferred."""
+    """Average `observed` over each texel, 0 to 1: the alpha channel of a cube map.
+
+    Raises:
+        OptionError: a size that no cube map has.
+        ValueError: `observed` is not [H, 2H] with 4 to 4096 rows of numbers in [0, 1].
+    """
     observed = check_observed(observed)
     resample = _to_cube(len(observed), size)
-    rows = _rows_read(len(observed), size)
+    rows = _reduced_rows(len(observed), size)
     if rows < len(observed):
         observed = resize_panorama(np.repeat(observed[..., None], 3, axis=-1), rows)[..., 0]
     return np.clip(resample(observed.reshape(-1, 1)), 0, 1).reshape(6, size, size)
 
 
 def halved(faces: Float[np.ndarray, "6 s s c"]) -> Float[np.ndarray, "6 t t c"]:
-    """Faces of half the width that shed the same light: four texels' mean, weighted by solid angle."""
+    """Return faces of half the width with the same light: the mean of four texels, weighted by solid angle."""
     size, channels = faces.shape[1], faces.shape[3]
     weight = cube_solid_angles(size)
     blocks = (faces * weight[..., None]).reshape(6, size // 2, 2, size // 2, 2, channels).sum(axis=(2, 4))
@@ -112,9 +129,9 @@ def halved(faces: Float[np.ndarray, "6 s s c"]) -> Float[np.ndarray, "6 t t c"]:
 def _to_cube(height: int, size: int) -> SparseMap:
     if size not in SIZES:
         raise OptionError(f"size of a cube map's face must be {', '.join(map(str, SIZES))} pixels, got {size}")
-    return panorama_to_cube(_rows_read(height, size), size)
+    return panorama_to_cube(_reduced_rows(height, size), size)
 
 
-def _rows_read(height: int, size: int) -> int:
-    """Rows of the panorama that is read: a whole fraction of its own when its pixels are far finer than texels."""
-    return height // -(-height // min(MOST_ROWS, 8 * size))
+def _reduced_rows(height: int, size: int) -> int:
+    """Return the rows to reduce the panorama to first: an integer fraction, if its pixels are far finer than texels."""
+    return height // -(-height // min(MAX_ROWS, 8 * size))

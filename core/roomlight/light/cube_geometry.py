@@ -1,4 +1,4 @@
-"""How directions lie on the six faces of a cube map: OpenGL's table.
+"""Directions on the six faces of a cube map, by OpenGL's table.
 
 Faces come in the order +X -X +Y -Y +Z -Z. On a face, `across` runs with the columns and `down` with the rows (row 0
 is stored first), both -1 .. 1 over the face (OpenGL's sc / |ma| and tc / |ma|):
@@ -12,9 +12,9 @@ is stored first), both -1 .. 1 over the face (OpenGL's sc / |ma| and tc / |ma|):
 | +Z   | +x     | -y   | +y          | -x             |
 | -Z   | -x     | -y   | +y          | +x             |
 
-A sampler that is given a world direction returns the light from that direction. As every GL cube map, a face looks
-mirrored to someone inside the cube. three.js treats cube textures that it did not render itself as left-handed and
-negates x before it looks up: `environmentTexture` of `client/js/src/three.ts` mirrors the faces for it.
+A sampler that gets a world direction returns the light from that direction. As in every GL cube map, a face seen from
+inside the cube is mirrored. three.js treats cube textures that it did not render itself as left-handed and negates x
+before the look-up: `environmentTexture` of `client/js/src/three.ts` mirrors the faces for it.
 """
 
 from functools import lru_cache
@@ -42,7 +42,7 @@ _AXES: Final = np.array(
 def face_to_direction(
     face: Int[np.ndarray, " n"], across: Float[np.ndarray, " n"], down: Float[np.ndarray, " n"]
 ) -> Float[np.ndarray, "n 3"]:
-    """Unit directions of points on faces; points a little beyond a face's rim lie on its neighbour."""
+    """Return the unit directions of points on faces; a point a little beyond a face's edge lies on its neighbour."""
     local = np.stack([across, down, np.ones_like(across)], axis=-1)
     direction = np.einsum("na,nax->nx", local, _AXES[face])
     return direction / np.linalg.norm(direction, axis=-1, keepdims=True)
@@ -51,7 +51,7 @@ def face_to_direction(
 def direction_to_face(
     direction: Float[np.ndarray, "n 3"],
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """(face, across, down) of directions of any length but 0; inverse of `face_to_direction`."""
+    """Return (face, across, down) of directions of any length but 0; inverse of `face_to_direction`."""
     axis = np.argmax(np.abs(direction), axis=-1)
     major = np.take_along_axis(direction, axis[:, None], axis=-1)[:, 0]
     face = 2 * axis + (major < 0)
@@ -60,14 +60,14 @@ def direction_to_face(
 
 
 def cube_directions(size: int) -> Float[np.ndarray, "6*{size}*{size} 3"]:
-    """Unit directions of the texel centres, face by face and row by row."""
+    """Return the unit directions of the texel centres, face by face and row by row."""
     ticks = (np.arange(size) + 0.5) / size * 2 - 1
     face, down, across = np.meshgrid(np.arange(6), ticks, ticks, indexing="ij")
     return face_to_direction(face.reshape(-1), across.reshape(-1), down.reshape(-1))
 
 
 def cube_solid_angles(size: int) -> Float[np.ndarray, "{size} {size}"]:
-    """Exact solid angle in steradians of each texel of one face; six faces cover 4 pi."""
+    """Return the exact solid angle in steradians of each texel of one face; six faces cover 4 pi."""
     edges = np.linspace(-1, 1, size + 1)
     x, y = np.meshgrid(edges, edges)
     corner = np.arctan2(x * y, np.sqrt(x * x + y * y + 1))
@@ -77,7 +77,7 @@ def cube_solid_angles(size: int) -> Float[np.ndarray, "{size} {size}"]:
 def texel_index(
     face: Int[np.ndarray, " n"], column: Int[np.ndarray, " n"], row: Int[np.ndarray, " n"], *, size: int
 ) -> Int[np.ndarray, " n"]:
-    """Index of texels in a list of all faces; one step beyond a face's rim finds the texel next door."""
+    """Return the index of texels in a list of all faces; one step beyond a face's edge is the neighbouring texel."""
     inside = (column >= 0) & (column < size) & (row >= 0) & (row < size)
     index = (face * size + row) * size + column
     outside = np.flatnonzero(~inside)
@@ -91,7 +91,7 @@ def texel_index(
 
 @lru_cache(maxsize=16)
 def padded_indices(size: int) -> Int[np.ndarray, " n"]:
-    """Texel indices [6 (s + 2) (s + 2)] of all faces with a rim of one texel of their neighbours; kept, read-only."""
+    """Return texel indices [6 (s + 2) (s + 2)] of the faces, each with a border of neighbours' texels; read-only."""
     steps = np.arange(-1, size + 1)
     face, row, column = (grid.reshape(-1) for grid in np.meshgrid(np.arange(6), steps, steps, indexing="ij"))
     index = texel_index(face, column, row, size=size)

@@ -1,11 +1,11 @@
-"""Cube maps of half floats as a KTX 2.0 file: VK_FORMAT_R16G16B16A16_SFLOAT, six faces, levels uncompressed.
+"""Cube maps of half floats as KTX 2.0 files: VK_FORMAT_R16G16B16A16_SFLOAT, six faces, levels uncompressed.
 
 Layout (KTX 2.0 specification, little endian): identifier, header, index, level index (largest level first), data
 format descriptor, key/value data, then the levels, the smallest first, each at a multiple of 8 bytes. Orientation is
-`rd`: rows go down, as OpenGL's cube table has them.
+`rd`: rows go down, as in OpenGL's cube table.
 
-three.js: `KTX2Loader` (to r187) takes cubes of compressed formats only and makes a flat texture of this one. `cubeOf`
-(`client/js/src/cube.ts`) reads it, and `environmentTexture` (`three.ts`) makes a `CubeTexture` of it.
+three.js: `KTX2Loader` (to r187) supports cubes of compressed formats only and reads this file as a flat texture.
+`cubeOf` (`client/js/src/cube.ts`) reads it, and `environmentTexture` (`three.ts`) makes a `CubeTexture` of it.
 """
 
 import struct
@@ -27,10 +27,12 @@ _TEXEL_BYTES: Final = 8
 def encode_ktx2(
     levels: Sequence[Float16[np.ndarray, "6 _ _ 4"]], *, metadata: Mapping[str, str] | None = None
 ) -> bytes:
-    """A KTX2 file of RGBA levels [6, s, s, 4], each half as wide as the one before it, linear BT.709, straight alpha.
+    """Encode RGBA levels [6, s, s, 4], each half as wide as the one before it: linear BT.709, straight alpha.
 
-    `metadata`: further keys and texts (a key that begins with KTX is the standard's own). ValueError if the levels
-    are none, or do not halve.
+    `metadata`: further keys and texts (keys that begin with KTX are reserved by the standard).
+
+    Raises:
+        ValueError: there is no level, or the widths do not halve.
     """
     sizes = [level.shape[1] for level in levels]
     if not levels or any(b != max(1, a // 2) or a == 1 for a, b in pairwise(sizes)):
@@ -53,7 +55,7 @@ def encode_ktx2(
         "<12s9I4I2Q",
         _IDENTIFIER,
         _R16G16B16A16_SFLOAT,
-        2,  # bytes of a channel, for machines of the other byte order
+        2,  # bytes of a channel, for byte swapping
         sizes[0],
         sizes[0],
         0,  # depth: not a volume
@@ -72,7 +74,7 @@ def encode_ktx2(
 
 
 def _descriptor() -> bytes:
-    """Khronos data format descriptor: linear BT.709 RGBA, signed 16-bit floats."""
+    """Return the Khronos data format descriptor: linear BT.709 RGBA, signed 16-bit floats."""
     block = struct.pack(
         "<IHH4B4B8B",
         0,  # Khronos, basic format

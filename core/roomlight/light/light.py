@@ -28,7 +28,7 @@ from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
 from roomlight.light.encode import to_exr, to_hdr, to_png
 from roomlight.light.main_light import MainLight, main_light
 from roomlight.light.prefilter import SpecularMips, prefilter
-from roomlight.light.spherical_harmonics import Kind, SphericalHarmonics, project
+from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics, project
 from roomlight.spheres import resize_panorama
 
 FileFormat = Literal["exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular"]
@@ -60,27 +60,27 @@ class FormReader(Protocol):
     """Reader of the forms that a server sent; each method returns None for a form that is not there."""
 
     def panorama(self) -> Float32[np.ndarray, "h w 3"] | None:
-        """Linear RGB [H, 2H, 3]."""
+        """Return linear RGB [H, 2H, 3]."""
         ...
 
     def observed(self) -> Float32[np.ndarray, "h w"] | None:
-        """How far each direction was observed, 0 to 1."""
+        """Return how far each direction was observed, 0 to 1, [H, 2H]."""
         ...
 
     def main_light(self) -> MainLight | None:
-        """The main directional light."""
+        """Return the main directional light."""
         ...
 
-    def harmonics(self, kind: Kind) -> SphericalHarmonics | None:
-        """L2 harmonics of this kind."""
+    def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
+        """Return the L2 harmonics of this kind."""
         ...
 
     def cube(self, size: int | None) -> CubeMap | None:
-        """The cube map, if its faces have this size (None: any)."""
+        """Return the cube map, if its faces have this size (None: any)."""
         ...
 
     def file(self, file_format: FileFormat) -> bytes | None:
-        """The bytes of a form."""
+        """Return the bytes of a form."""
         ...
 
     def missing(self, form: str, request: str) -> RoomLightError:
@@ -244,9 +244,9 @@ class Light:
             alpha = None if observed is None else observed_cube(observed, size=cube.size)
             return cube.to_bytes(alpha) if file_format == "cube" else cube.to_ktx2(alpha)
         if file_format == "confidence":
-            observed = self.observed
-            channels = np.repeat(observed[..., None], 3, axis=-1)
-            return confidence_png(np.clip(resize_panorama(channels, len(observed) if size is None else size)[..., 0], 0, 1))
+            observed = np.repeat(self.observed[..., None], 3, axis=-1)
+            observed = resize_panorama(observed, len(observed) if size is None else size)[..., 0]
+            return confidence_png(np.clip(observed, 0, 1))
         panorama = self._panorama_for(file_format, f"'{file_format}'")
         panorama = resize_panorama(panorama, len(panorama) if size is None else size)
         if file_format == "exr":
@@ -315,7 +315,7 @@ class Light:
             self._observed = self._forms.observed()
         return self._observed
 
-    def _harmonics(self, kind: Kind) -> SphericalHarmonics:
+    def _harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics:
         received = None if self._forms is None else self._forms.harmonics(kind)
         if received is not None:
             return received

@@ -1,14 +1,14 @@
-"""The main directional light of a panorama: what casts the shadows.
+"""The main directional light of a panorama: the one that casts the shadows.
 
-The main light is the lobe (lamp, window, bright wall) that sheds the most light above the room's level, not the
-brightest pixel: a wide window outshines a glint. The room's level is the median luminance by solid angle. Within
-about 25 degrees of the lobe's peak, what exceeds that level is the main light:
+The main light is the lobe (lamp, window, bright wall) with the most light above the room's level, not the brightest
+pixel: a wide window sheds more light than a glint. The room's level is the median luminance by solid angle. Within
+about 25 degrees of the lobe's peak, the light above that level is the main light:
 
     intensity = sum over the lobe of (share above the level) x radiance x solid angle
 
 which is its irradiance on a surface that faces it (three.js's `DirectionalLight.intensity` x colour), in the
-panorama's units x steradian. Put as a point at `direction` it has harmonics intensity x basis(direction), and the
-ambient harmonics are total minus exactly those.
+panorama's unit x steradian. As a point at `direction` it has harmonics intensity x basis(direction), and the ambient
+harmonics are total minus exactly those.
 """
 
 from dataclasses import dataclass
@@ -24,10 +24,10 @@ from roomlight.spheres import resize_panorama
 
 _SEARCH_ROWS: Final = 24  # 7.5 degrees a pixel, under a kernel of 12
 _KERNELS_DEG: Final = (12.0, 12.0, 12.0, 6.0, 6.0, 6.0, 6.0)
-"""Widths (standard deviation) of the steps to the peak: from the whole lobe's to one that parts lamps 15 degrees
+"""Widths (standard deviation) of the steps to the peak: from that of a lobe to one that separates lamps 15 degrees
 apart."""
 _LOBE_DEG: Final = (20.0, 30.0)  # all of the light above the level counts up to the first, none from the second on
-_FAINTEST: Final = 1e-4  # of all light: below it the lobe is rounding of an even surrounding
+_FAINTEST: Final = 1e-4  # of all light: a fainter lobe is a rounding error of even light
 
 
 @dataclass(frozen=True)
@@ -48,8 +48,8 @@ class MainLight:
 def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
     """Find the main light; 1.5 ms for 120 x 240 on one core. Negative radiance counts as black.
 
-    Products are einsum's, on this thread alone: BLAS spreads them over its own threads, which beside a working engine
-    wait for a core (12 to 16 ms in all, at a load of 8 on two cores).
+    Products are computed with einsum, on this thread alone: BLAS uses its own threads, which wait for a core beside a
+    running engine (12 to 16 ms in all, at a load of 8 on two cores).
     """
     panorama = np.maximum(check_panorama(panorama), 0)
     height = panorama.shape[0]
@@ -76,17 +76,17 @@ def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
     inner, outer = np.radians(_LOBE_DEG)
     angle = np.arccos(np.clip(_along(rays, direction), -1, 1))
     ramp = np.clip((outer - angle) / (outer - inner), 0, 1)
-    window = ramp * ramp * (3 - 2 * ramp)  # a smooth rim: a lamp that crosses it does not flicker
+    window = ramp * ramp * (3 - 2 * ramp)  # a smooth edge: a lamp that crosses it does not flicker
     intensity = np.einsum("i,ij->j", window * share * solid_angle, radiance)
-    everything = float(coarse.reshape(-1) @ search.solid_angle)
-    if intensity @ LUMINANCE <= _FAINTEST * everything:
+    total = float(coarse.reshape(-1) @ search.solid_angle)
+    if intensity @ LUMINANCE <= _FAINTEST * total:
         return MainLight(np.array([0.0, 1.0, 0.0]), np.zeros(3))
     return MainLight(direction, intensity)
 
 
 @dataclass(frozen=True)
 class _Search:
-    """Light gathered about every direction of a coarse panorama."""
+    """Weights that gather light about every direction of a coarse panorama."""
 
     kernel: Float[np.ndarray, "n n"]
     solid_angle: Float[np.ndarray, " n"]

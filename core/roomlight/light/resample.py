@@ -1,12 +1,12 @@
-"""Panorama to cube map and back by overlap: what light a pixel holds arrives, and a constant stays constant.
+"""Panorama to cube map and back by overlap: light is conserved, and a constant stays constant.
 
 A resampling is a sparse matrix of solid angles A[texel, pixel], estimated by points on the sphere that each belong to
 one target and, bilinearly, to the four sources around them. It is then balanced (Sinkhorn) until its rows sum to the
 targets' exact solid angles and its columns to the sources'. A panorama's light is kept within 1e-4, and that of any
-single pixel within 0.2 %, where points alone are off by 3 %.
+single pixel within 0.2 %; points without balancing are off by 3 %.
 
-Near a panorama's poles pixels are slivers that few points would meet: there neighbours in a row are read together, in
-groups about as wide as a row is high.
+Near a panorama's poles, pixels are so narrow that few points would fall into them: there neighbours in a row are read
+together, in groups about as wide as a row is high.
 """
 
 from collections.abc import Iterable
@@ -19,13 +19,13 @@ from jaxtyping import Float, Int
 
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
 from roomlight.light.cube_geometry import cube_directions, cube_solid_angles, direction_to_face, texel_index
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 
-MOST_ROWS: Final = 512
-"""Of the panorama's side of a matrix: as many as the texels of a cube of 256 around its horizon take, and to spare."""
+MAX_ROWS: Final = 512
+"""Most rows of the panorama of a matrix: enough for the texels of a cube of 256 around its horizon."""
 _BALANCED: Final = 1e-4
-_SWEEPS: Final = 100  # the slivers at the poles are the last to settle
-_ONE_THREAD: Final = 400_000  # entries: below a millisecond's work a pool costs more than it saves
+_SWEEPS: Final = 100  # the narrow pixels at the poles converge last
+_ONE_THREAD: Final = 400_000  # entries: for less than a millisecond of work a pool costs more than it saves
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class SparseMap:
     weights: Float[np.ndarray, " m"]
 
     def __call__(self, values: Float[np.ndarray, "n c"]) -> Float[np.ndarray, "r c"]:
-        """Weighted means of the sources' values (float32), a row each."""
+        """Return the weighted means of the sources' values, float32, a row each."""
         from roomlight.light.kernels.gather import gather_rows  # numba: 0.5 s that clients without cube maps save
 
         rows = len(self.starts) - 1
@@ -47,7 +47,7 @@ class SparseMap:
         if len(self.sources) < _ONE_THREAD:
             gather_rows(*arguments, 0, rows)
         else:
-            shard(lambda begin, end: gather_rows(*arguments, begin, end), rows)
+            parallel_for(lambda begin, end: gather_rows(*arguments, begin, end), rows)
         return out
 
 
@@ -82,9 +82,9 @@ class _Overlap:
 
 @lru_cache(maxsize=5)  # every size of cube at one height: 25 MB at 120 rows, 60 MB at 512
 def panorama_to_cube(rows: int, size: int) -> SparseMap:
-    """The map from the pixels of a panorama of `rows` (up to `MOST_ROWS`) to the texels of a cube."""
+    """Make the map from the pixels of a panorama of `rows` (up to `MAX_ROWS`) to the texels of a cube."""
     group, area = _pixel_groups(rows)
-    parts = max(2 if size <= 128 else 1, -(-rows // size))  # a side: points half a pixel apart, or less
+    parts = max(2 if size <= 128 else 1, -(-rows // size))  # points along a texel's side: half a pixel apart, or less
     fine = size * parts
     face, row, column = np.unravel_index(np.arange(6 * fine * fine), (6, fine, fine))
     target = (face * size + row // parts) * size + column // parts
@@ -101,7 +101,7 @@ def panorama_to_cube(rows: int, size: int) -> SparseMap:
         len(area),
     ).balanced(np.tile(cube_solid_angles(size).reshape(-1), 6), area)
     members = np.bincount(group.reshape(-1), minlength=len(area))
-    firsts = np.cumsum(members) - members  # a group's pixels stand side by side, and groups in the pixels' order
+    firsts = np.cumsum(members) - members  # a group's pixels are adjacent, and groups are in the pixels' order
     repeats = members[overlap.source]
     spread = np.arange(repeats.sum()) - np.repeat(np.cumsum(repeats) - repeats, repeats)
     pixel = np.repeat(firsts[overlap.source], repeats) + spread
@@ -112,7 +112,7 @@ def panorama_to_cube(rows: int, size: int) -> SparseMap:
 
 @lru_cache(maxsize=5)
 def cube_to_panorama(rows: int, size: int) -> SparseMap:
-    """The map from the texels of a cube to the pixels of a panorama of `rows` (up to `MOST_ROWS`)."""
+    """Make the map from the texels of a cube to the pixels of a panorama of `rows` (up to `MAX_ROWS`)."""
     parts = max(2, -(-4 * size // rows))  # points half a texel apart, where texels are smallest
     fine = rows * parts
     row, column = np.unravel_index(np.arange(2 * fine * fine), (fine, 2 * fine))
@@ -135,12 +135,12 @@ def cube_to_panorama(rows: int, size: int) -> SparseMap:
 
 
 def _pixel_groups(rows: int) -> tuple[Int[np.ndarray, "h w"], Float[np.ndarray, " g"]]:
-    """The group of each pixel, counted row by row, and the groups' solid angles."""
+    """Return the group of each pixel, numbered row by row, and the groups' solid angles."""
     columns = np.arange(2 * rows)
     sine = np.sin((np.arange(rows) + 0.5) / rows * np.pi)
     wanted = np.where(sine < 0.5, 4 * np.ceil(rows * sine / 2), 2 * rows).astype(
         int
-    )  # fours: a quarter turn keeps them
+    )  # multiples of four: rotations by 90 degrees keep them
     within = columns * wanted[:, None] // (2 * rows)  # [h w]
     group = within + (np.cumsum(wanted) - wanted)[:, None]
     solid_angle = np.repeat(panorama_solid_angles(rows)[:, 0].astype(np.float64), 2 * rows)

@@ -1,7 +1,7 @@
-"""Light as nine spherical harmonics a channel (L2), in the signs and orders that AR clients expect.
+"""Light as nine spherical harmonics a channel (L2), in the signs and orders that AR platforms expect.
 
-Order: C00, C1-1, C10, C11, C2-2, C2-1, C20, C21, C22, over the world axes (m = -1, 0, 1 of the first band go with
-y, z, x). Each basis function has unit norm over the sphere.
+Order: C00, C1-1, C10, C11, C2-2, C2-1, C20, C21, C22, over the world axes (m = -1, 0, 1 of band 1 belong to y, z, x).
+Each basis function has unit norm over the sphere.
 
 | phase            | basis                                                | who uses it                             |
 |------------------|------------------------------------------------------|-----------------------------------------|
@@ -12,14 +12,14 @@ y, z, x). Each basis function has unit norm over the sphere.
 | quantity    | evaluating it gives                                                                              |
 |-------------|--------------------------------------------------------------------------------------------------|
 | radiance    | the light from a direction, un-convolved (ARCore, WebXR)                                         |
-| irradiance  | the light on a surface facing a direction, pi for a sphere of 1 (three.js `LightProbe`: the same |
-|             | as `shGetIrradianceAt`, so give that class radiance)                                             |
+| irradiance  | the light on a surface facing a direction, pi in constant radiance 1 (three.js `LightProbe` does |
+|             | this itself by `shGetIrradianceAt`, so give it radiance)                                         |
 
-| kind     | what is in it                                                                                       |
+| kind     | content                                                                                             |
 |----------|-----------------------------------------------------------------------------------------------------|
 | total    | all of the panorama                                                                                 |
-| ambient  | what the main light leaves: exactly total - intensity x basis(direction), so that ambient harmonics |
-|          | and a directional light together shade as total does (OpenXR's two kinds)                           |
+| ambient  | all but the main light: exactly total - intensity x basis(direction), so that ambient harmonics and |
+|          | a directional light together shade as total does (OpenXR's two kinds)                               |
 """
 
 from dataclasses import dataclass, replace
@@ -35,53 +35,60 @@ from roomlight.light.main_light import MainLight, main_light
 
 Phase = Literal["condon-shortley", "positive"]
 Quantity = Literal["radiance", "irradiance"]
-Kind = Literal["total", "ambient"]
-Layout = Literal["interleaved", "planar"]
-"""27 numbers: interleaved = r0 g0 b0 r1 g1 b1 .. (ARCore, WebXR); planar = r0 .. r8 g0 .. g8 b0 .. b8 (ARKit)."""
+HarmonicsKind = Literal["total", "ambient"]
+CoefficientOrder = Literal["interleaved", "planar"]
+"""Order of 27 numbers: interleaved r0 g0 b0 r1 g1 b1 .. (ARCore, WebXR), planar r0 .. r8 g0 .. g8 b0 .. b8 (ARKit)."""
 
 _PHASE: Final = np.array([1, -1, 1, -1, 1, -1, 1, -1, 1], np.float64)  # (-1)^m
 _COSINE_LOBE: Final = np.repeat([np.pi, 2 * np.pi / 3, np.pi / 4], [1, 3, 5])
-"""What a clamped cosine does to each band (Ramamoorthi and Hanrahan 2001)."""
-_AZIMUTHS: Final = 8  # enough to tell 1, cos, sin, cos 2, sin 2 of the azimuth apart
+"""Factors of a clamped cosine for each band (Ramamoorthi and Hanrahan 2001)."""
+_AZIMUTHS: Final = 8  # enough to separate 1, cos, sin, cos 2, sin 2 of the azimuth
 
 
 @dataclass(frozen=True)
 class SphericalHarmonics:
-    """Coefficients [9, 3] (RGB), with the statement of what they mean."""
+    """Coefficients [9, 3] (RGB), with their phase, quantity and kind.
+
+    Raises:
+        ValueError: a coefficient is not finite.
+    """
 
     coefficients: Float[np.ndarray, "9 3"]
     phase: Phase = "condon-shortley"
     quantity: Quantity = "radiance"
-    kind: Kind = "total"
+    kind: HarmonicsKind = "total"
 
     def __post_init__(self) -> None:
-        """Refuse, by ValueError, coefficients that are not finite."""
         if not np.isfinite(self.coefficients).all():
-            raise ValueError(f"harmonics are finite numbers, got {self.coefficients.tolist()}")
+            raise ValueError(f"harmonics must be finite numbers, got {self.coefficients.tolist()}")
 
     @classmethod
     def from_flat(
         cls,
         values: Float[np.ndarray, " n"],
         *,
-        layout: Layout,
+        layout: CoefficientOrder,
         phase: Phase,
         quantity: Quantity = "radiance",
-        kind: Kind = "total",
+        kind: HarmonicsKind = "total",
     ) -> "SphericalHarmonics":
-        """Harmonics from their 27 numbers; inverse of `flat`. ValueError if they are not 27."""
+        """Make harmonics from their 27 numbers; inverse of `flat`.
+
+        Raises:
+            ValueError: they are not 27 finite numbers.
+        """
         if values.shape != (27,):
             raise ValueError(f"L2 harmonics in RGB are 27 numbers, got {values.size}")
         coefficients = values.reshape(9, 3) if layout == "interleaved" else values.reshape(3, 9).T
         return cls(coefficients.astype(np.float64), phase, quantity, kind)
 
-    def flat(self, layout: Layout) -> Float[np.ndarray, "27"]:
-        """The 27 numbers, float32."""
+    def flat(self, layout: CoefficientOrder) -> Float[np.ndarray, "27"]:
+        """Return the 27 numbers, float32."""
         ordered = self.coefficients if layout == "interleaved" else self.coefficients.T
         return np.ascontiguousarray(ordered, np.float32).reshape(27)
 
-    def to_json(self, layout: Layout = "interleaved") -> dict[str, Any]:
-        """Return plain JSON values: the 27 coefficients, and the statement of what they mean."""
+    def to_json(self, layout: CoefficientOrder = "interleaved") -> dict[str, Any]:
+        """Return plain JSON values: the 27 coefficients, their layout, phase, quantity and kind."""
         return {
             "coefficients": self.flat(layout).tolist(),
             "layout": layout,
@@ -91,31 +98,35 @@ class SphericalHarmonics:
         }
 
     def with_phase(self, phase: Phase) -> "SphericalHarmonics":
-        """The same light in the other signs."""
+        """Return the same light with the signs of `phase`."""
         if phase == self.phase:
             return self
         return replace(self, coefficients=self.coefficients * _PHASE[:, None], phase=phase)
 
     def irradiance(self) -> "SphericalHarmonics":
-        """Convolved with a clamped cosine: evaluated at a normal, the light that falls on a surface there."""
+        """Convolve with a clamped cosine: evaluated at a normal, the result is the irradiance of a surface."""
         if self.quantity == "irradiance":
             return self
         return replace(self, coefficients=self.coefficients * _COSINE_LOBE[:, None], quantity="irradiance")
 
     def without(self, light: MainLight) -> "SphericalHarmonics":
-        """The ambient remainder: these harmonics (total radiance) minus a directional light's own."""
+        """Subtract a directional light from these harmonics (total radiance): the ambient remainder.
+
+        Raises:
+            ValueError: these are not harmonics of total radiance.
+        """
         if self.kind != "total" or self.quantity != "radiance":
-            raise ValueError(f"a light is taken out of total radiance, not of {self.kind} {self.quantity}")
+            raise ValueError(f"a light is subtracted from total radiance, not from {self.kind} {self.quantity}")
         delta = basis(light.direction[None], phase=self.phase)[0][:, None] * light.intensity
         return replace(self, coefficients=self.coefficients - delta, kind="ambient")
 
     def evaluate(self, directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-        """The quantity along unit world directions; nine harmonics ring, so it may dip below 0 beside a lamp."""
+        """Evaluate along unit world directions; nine harmonics ring, so values beside a lamp may be below 0."""
         return basis(directions, phase=self.phase) @ self.coefficients
 
 
 def basis(directions: Float[np.ndarray, "n 3"], *, phase: Phase) -> Float[np.ndarray, "n 9"]:
-    """The nine basis functions at unit directions, float64."""
+    """Evaluate the nine basis functions at unit directions, float64."""
     x, y, z = directions.astype(np.float64).T
     values = [
         np.full_like(x, np.sqrt(1 / (4 * np.pi))),
@@ -135,15 +146,18 @@ def basis(directions: Float[np.ndarray, "n 3"], *, phase: Phase) -> Float[np.nda
 def project(
     panorama: Float[np.ndarray, "h w 3"],
     *,
-    kind: Kind = "total",
+    kind: HarmonicsKind = "total",
     phase: Phase = "condon-shortley",
     light: MainLight | None = None,
 ) -> SphericalHarmonics:
-    """The L2 radiance harmonics of a panorama: its least-squares fit under exact solid angles.
+    """Project a panorama onto L2 radiance harmonics, by least squares under exact solid angles.
 
-    Light that is band-limited to L2 comes back exactly at any height, where summing basis x solid angle over pixel
-    centres is off by 1e-4 at 120 rows. `light`: the main light to leave out of kind `ambient`, if it is at hand.
-    0.2 ms for 120 x 240 on one core.
+    Light that is band-limited to L2 is recovered exactly at any height; summing basis x solid angle over pixel centres
+    is off by 1e-4 at 120 rows. `light`: the main light that kind `ambient` leaves out; computed unless given. 0.2 ms
+    for 120 x 240 on one core.
+
+    Raises:
+        ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
     """
     panorama = check_panorama(panorama)
     plan = _Projection.of_height(panorama.shape[0])

@@ -12,7 +12,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
-from roomlight.threads import shard
+from roomlight.threads import parallel_for
 from roomlight_generator.rooms.scene import Material, Scene, Texture
 from roomlight_generator.transport.atlas import Atlas, build_atlas
 
@@ -241,4 +241,4 @@ def _in_blocks(work: Callable[[int, int], object], count: int) -> None:
         for block in range(start, stop):
             work(block * _BLOCK, min((block + 1) * _BLOCK, count))
 
-    shard(run, blocks)
+    parallel_for(run, blocks)

@@ -122,7 +122,7 @@ def _look(meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: V
         weight = look.mask.astype(np.float32)
         accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=look.depth_m, weight=weight)
     filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
-    kept = (state.seen > 0) & ~(last.mask & state.lets_in(last.depth_m))
+    kept = (state.seen > 0) & ~(last.mask & state.is_closer(last.depth_m))
     return _Look(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 

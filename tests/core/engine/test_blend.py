@@ -1,4 +1,4 @@
-"""Accumulation of a probe's panorama: the paper's recursion, the conservative rule, and the kernel's twin."""
+"""Accumulation of a probe's panorama: the paper's recursion, the conservative rule, and the kernel's reference."""
 
 import dataclasses
 
@@ -60,7 +60,7 @@ def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**31), st.booleans())
-def test_the_kernel_is_its_readable_twin(seed, binary):
+def test_the_kernel_equals_its_readable_reference(seed, binary):
     fast, slow = _state(seed), _state(seed)
     for step in range(3):
         accumulate(fast, **_views(seed + step, binary=binary))
@@ -74,7 +74,7 @@ def test_the_kernel_is_its_readable_twin(seed, binary):
 
 @settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**31))
-def test_what_was_seen_stays_seen_and_is_a_share(seed):
+def test_observed_pixels_stay_observed_within_0_and_1(seed):
     state = PanoramaState.fresh(HEIGHT, 3.0)
     for step in range(6):
         before = state.seen.copy()
@@ -95,7 +95,7 @@ def test_radiance_is_a_mean_of_what_went_in(seed):
     assert (state.radiance <= high + 1e-4).all()
 
 
-def test_the_first_look_comes_in_whole_and_the_rest_is_the_volumes():
+def test_the_first_frame_is_accepted_fully_and_the_rest_is_sglv():
     state = PanoramaState.fresh(HEIGHT, 3.0)
     views = _constant(weight=1.0)
     views["weight"][:, HEIGHT:] = 0
@@ -153,7 +153,7 @@ def test_all_seen_is_a_coverage_of_one(height):
 
 
 @pytest.mark.parametrize("depth_max_m", [0.1, 0.3, 1.0, 3.0, 12.0])
-def test_whatever_is_seen_first_comes_in_however_far_it_is(depth_max_m):
+def test_the_first_surface_is_accepted_at_any_distance(depth_max_m):
     state = PanoramaState.fresh(HEIGHT, depth_max_m)
     accumulate(state, **_constant(detail=0.5, depth_m=farthest_depth_m(depth_max_m)))
     assert (state.seen == 1).all()
@@ -162,7 +162,7 @@ def test_whatever_is_seen_first_comes_in_however_far_it_is(depth_max_m):
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(0, 2**31))
-def test_beyond_the_mesh_brightness_is_mixed_and_most_colour_is_the_fills(seed):
+def test_beyond_the_mesh_most_colour_comes_from_the_fill(seed):
     rng = np.random.default_rng(seed)
     hdr, ldr = rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32), rng.uniform(0.1, 1, (*SHAPE, 3)).astype(np.float32)
     mask, weight = rng.random(SHAPE) < 0.5, rng.random(SHAPE).astype(np.float32)

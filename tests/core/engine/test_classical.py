@@ -47,7 +47,7 @@ def test_the_same_frame_again_changes_nothing():
     np.testing.assert_allclose(again.lobes, lobes, atol=1e-5)
 
 
-def test_alpha_is_a_mean_over_those_that_saw_and_colour_is_weighted_by_alpha():
+def test_alpha_is_averaged_over_observers_and_colour_by_alpha():
     backend = _started()
     _put(backend, colour=1.0, alpha=1.0)
     _put(backend, colour=4.0, alpha=0.5)
@@ -69,7 +69,7 @@ def _estimate(backend, state, partial, position):
     )
 
 
-def test_light_is_known_everywhere_and_details_weigh_one_where_seen():
+def test_hdr_is_complete_and_details_have_weight_one_where_seen():
     backend = _started()
     initial_volume(GRID, FRAME, out=backend.volume_buffer())
     position = (0.1, 1.2, -0.8)
@@ -82,7 +82,7 @@ def test_light_is_known_everywhere_and_details_weigh_one_where_seen():
     np.testing.assert_allclose(estimate.hdr[partial.mask], partial.radiance[partial.mask], rtol=1e-3, atol=1e-3)
 
 
-def test_a_uniform_room_is_uniform_everywhere():
+def test_a_uniform_room_gives_uniform_light():
     grey = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
     grey.image[:] = 0.4
     backend = _started()
@@ -105,7 +105,7 @@ def test_a_uniform_room_is_uniform_everywhere():
     np.testing.assert_allclose(state.radiance[partial.mask], 0.4, rtol=1e-5)
 
 
-def test_nothing_seen_gives_no_light_and_no_error():
+def test_nothing_observed_gives_no_light_and_no_error():
     backend = _started()
     frame = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
     frame.depth_m[:] = 0
@@ -115,7 +115,7 @@ def test_nothing_seen_gives_no_light_and_no_error():
     assert (estimate.weight == 0).all()
 
 
-def test_what_was_never_seen_does_not_jump():
+def test_unobserved_light_does_not_jump():
     """Half of each new fill is taken over: the first frame's whole, a later frame's half the way."""
     backend = _started()
     state, memory = PanoramaState.fresh(16, 3.0), backend.new_probe()

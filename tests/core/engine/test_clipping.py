@@ -26,7 +26,7 @@ def test_unclipped_pixels_keep_their_bits(frame):
     assert (result.image == frame.image).all()
 
 
-def test_glare_on_the_floor_is_less_and_a_bright_wall_more(frame):
+def test_glare_on_the_floor_is_reduced_and_a_bright_wall_raised(frame):
     every = np.ones(frame.clipped.shape, bool)
     gain = gains(frame, every)
     assert gain[-10, 80] == pytest.approx([GLARE_GAIN] * 3, rel=1e-4)

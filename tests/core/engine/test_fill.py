@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight.engine.fill import at_most_white, continued, push_pull
+from roomlight.engine.fill import at_most_white, fill_unknown, push_pull
 
 SIZES = [(1, 2), (2, 4), (5, 10), (16, 32), (15, 30), (12, 7), (120, 240)]
 
@@ -56,7 +56,7 @@ def test_turning_the_panorama_turns_the_fill(columns: int) -> None:
     np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), columns, axis=1), atol=1e-5)
 
 
-def test_half_a_turn_holds_however_little_is_known() -> None:
+def test_a_rotation_of_180_degrees_commutes_with_sparse_fills() -> None:
     image, weight = scattered(32, 64, 0.0)
     turned = push_pull(np.roll(image, 32, axis=1), np.roll(weight, 32, axis=1))
     np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), 32, axis=1), atol=1e-5)
@@ -72,7 +72,7 @@ def test_it_wraps_around_the_seam() -> None:
     assert filled[8, 15, 0] < 0.2
 
 
-def test_nothing_known_gives_zeros_and_unknown_colour_is_never_read() -> None:
+def test_nothing_known_gives_zeros_unknown_colour_is_not_read() -> None:
     image = np.full((6, 12, 3), np.nan, np.float32)
     weight = np.zeros((6, 12), np.float32)
     np.testing.assert_array_equal(push_pull(image, weight), np.zeros((6, 12, 3)))
@@ -80,41 +80,41 @@ def test_nothing_known_gives_zeros_and_unknown_colour_is_never_read() -> None:
     np.testing.assert_allclose(push_pull(image, weight), 0.25, rtol=1e-5)
 
 
-def test_everything_known_is_returned_as_it_is() -> None:
+def test_a_complete_panorama_is_returned_unchanged() -> None:
     image, _ = scattered(9, 18, 1.0)
     np.testing.assert_array_equal(push_pull(image, np.full((9, 18), 2.0, np.float32)), image)
 
 
-def test_a_half_known_pixel_lies_between_its_colour_and_its_surroundings() -> None:
+def test_a_half_known_pixel_is_mixed_with_its_surroundings() -> None:
     image = np.zeros((8, 16, 1), np.float32)
     weight = np.ones((8, 16), np.float32)
     image[4, 8], weight[4, 8] = 1.0, 0.5
     assert 0.45 < push_pull(image, weight)[4, 8, 0] < 0.75
 
 
-def test_continued_keeps_what_is_known_and_lends_no_more_than_white():
+def test_fill_unknown_keeps_known_and_spreads_at_most_white():
     image = np.full((16, 32, 3), 0.25, np.float32)
     image[6:9, 10:14] = 40.0  # a window
     known = np.zeros((16, 32), np.float32)
     known[4:11, 4:20] = 1
-    filled = continued(image, known)
+    filled = fill_unknown(image, known)
     np.testing.assert_array_equal(filled[known == 1], image[known == 1])
     assert (filled[known == 0] >= 0.25 - 1e-6).all()
     assert (filled[known == 0] <= 1).all()
-    np.testing.assert_array_equal(continued(np.minimum(image, 1), known), push_pull(np.minimum(image, 1), known))
+    np.testing.assert_array_equal(fill_unknown(np.minimum(image, 1), known), push_pull(np.minimum(image, 1), known))
 
 
-def test_warm_light_lends_its_own_colour():
+def test_warm_light_fills_in_its_own_colour():
     """Cut at white channel by channel, a lamp of (4, 2, 1) would lend (1, 1, 1)."""
     image = np.full((16, 32, 3), 0.25, np.float32)
     image[:, 10:14] = 4.0, 2.0, 1.0
     known = np.zeros((16, 32), np.float32)
     known[:, 10:14] = 1
-    lent = continued(image, known)[known == 0]
+    lent = fill_unknown(image, known)[known == 0]
     np.testing.assert_allclose(lent, np.broadcast_to(np.float32([1, 0.5, 0.25]), lent.shape), rtol=1e-5)
 
 
-def test_at_most_white_keeps_what_is_no_brighter():
+def test_at_most_white_keeps_darker_pixels():
     image = np.random.default_rng(0).random((4, 8, 3), np.float32) * 3
     cut = at_most_white(image)
     dim = image.max(-1) <= 1

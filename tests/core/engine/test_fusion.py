@@ -52,6 +52,6 @@ def test_the_order_of_frames_does_not_matter():
 
 
 @pytest.mark.parametrize("times", [2, 30])
-def test_a_frame_again_and_again_is_that_frame(times):
+def test_a_repeated_frame_is_that_frame(times):
     (frame,) = volumes(1, seed=3)
     np.testing.assert_allclose(fused([frame] * times), frame, rtol=1e-5)

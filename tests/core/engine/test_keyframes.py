@@ -40,7 +40,7 @@ def test_the_store_is_bounded_and_in_order_of_time(turn, capacity):
 
 
 @pytest.mark.parametrize("capacity", [3, 5, 8])
-def test_coverage_is_kept_better_than_by_the_first_or_the_last(turn, capacity):
+def test_kept_frames_cover_more_than_the_first_or_last_frames(turn, capacity):
     count = len(turn[1])
     chosen = _store(turn, capacity).covered_cells()
     first = _store(turn, capacity, range(capacity)).covered_cells()
@@ -48,12 +48,12 @@ def test_coverage_is_kept_better_than_by_the_first_or_the_last(turn, capacity):
     assert chosen > 1.1 * max(first, last)
 
 
-def test_enough_room_keeps_nearly_everything_that_was_seen(turn):
+def test_a_large_store_keeps_nearly_all_observed_cells(turn):
     everything = _store(turn, 1000).covered_cells()
     assert _store(turn, 10).covered_cells() > 0.9 * everything
 
 
-def test_what_is_counted_is_what_the_kept_frames_show(turn):
+def test_covered_cells_are_those_of_the_kept_frames(turn):
     store = _store(turn, 6)
     shown = np.any([key.cells for key in store], axis=0)
     assert store.covered_cells() == shown.sum()
@@ -67,7 +67,7 @@ def test_the_same_frame_twice_is_refused(turn):
     assert len(store) == 1
 
 
-def test_frames_are_told_apart_without_their_indices(turn):
+def test_frames_are_distinguished_without_their_indices(turn):
     grid, meshes = turn
     by_index, by_itself = (KeyframeStore(grid, 2) for _ in range(2))
     for index, mesh in enumerate(meshes[:9]):
@@ -82,7 +82,7 @@ def test_a_frame_without_depth_is_refused(turn):
     assert store.covered_cells() == 0
 
 
-def test_a_session_that_begins_with_a_close_up_still_remembers_the_room():
+def test_keyframes_after_a_close_up_cover_the_room():
     """D_max of 0.4 m makes a volume of under a metre: the room around it lies outside."""
     close = ROOM.frame(camera_at((0.0, 1.5, -2.1)), **SIZE)
     grid = VolumeGrid.from_frame(close)
@@ -93,7 +93,7 @@ def test_a_session_that_begins_with_a_close_up_still_remembers_the_room():
     assert store.covered_cells() > 100
 
 
-def test_offers_during_a_walk_do_no_harm(turn):
+def test_offers_during_iteration_do_not_change_it(turn):
     grid, meshes = turn
     store = KeyframeStore(grid, 3)
     store.offer(0, meshes[0])
@@ -104,6 +104,6 @@ def test_offers_during_a_walk_do_no_harm(turn):
 
 
 @pytest.mark.parametrize("capacity", [0, -1])
-def test_a_store_for_nothing_is_refused(turn, capacity):
+def test_a_store_of_capacity_zero_is_refused(turn, capacity):
     with pytest.raises(ValueError, match=str(capacity)):
         KeyframeStore(turn[0], capacity)

@@ -7,7 +7,7 @@ import pytest
 
 from roomlight.engine.fusion import FusedVolume
 from roomlight.engine.graphs import load_graphs
-from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, give_back
+from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, release_free_memory
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.sglv import Sglv
 from rooms import BoxRoom, camera_at
@@ -55,9 +55,9 @@ def test_the_networks_volume_and_probe(tiny_video, form):
 
 
 @pytest.mark.parametrize(("started", "expected"), [(False, 300), (True, 300 + 1000 + 3 * KEYFRAME_BYTES)])
-def test_what_is_held(started, expected):
-    assert Footprint(1000, 100).held(keyframes=2, probes=3, started=started) == expected
+def test_the_total_counts_the_parts(started, expected):
+    assert Footprint(1000, 100).total(keyframes=2, probes=3, started=started) == expected
 
 
-def test_giving_back_does_no_harm():
-    give_back()
+def test_releasing_memory_runs_anywhere():
+    release_free_memory()

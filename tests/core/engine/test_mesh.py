@@ -135,7 +135,7 @@ def test_an_occluder_hides_the_wall_behind_it():
     assert np.quantile(relative, 0.05) > 0.999
 
 
-def test_a_frame_without_depth_is_seen_by_nobody():
+def test_a_frame_without_depth_is_seen_from_nowhere():
     frame = ROOM.frame(POSE)
     nothing = dataclasses.replace(frame, depth_m=np.zeros_like(frame.depth_m))
     seen = FrameMesh(nothing).render_panorama(POSE[:3, 3], height=24)
@@ -146,7 +146,7 @@ def test_a_frame_without_depth_is_seen_by_nobody():
 
 @given(st.integers(2, 700), st.integers(2, 700), st.integers(4, 5000))
 @settings(deadline=None)
-def test_the_vertex_budget_is_kept_by_whole_samples(height, width, budget):
+def test_the_vertex_limit_is_kept_by_skipping_samples(height, width, budget):
     depth = np.arange(1, height * width + 1, dtype=np.float32).reshape(height, width)
     vertices, uv = _vertex_grid(depth, budget)
     assert vertices.size <= budget
@@ -181,7 +181,7 @@ def _checkered(frame, size_px):
     return dataclasses.replace(frame, image=image)
 
 
-def test_what_is_finer_than_a_panoramas_pixel_is_averaged_not_sampled():
+def test_texture_finer_than_a_panorama_pixel_is_averaged():
     frame = _checkered(BoxRoom().frame(POSE, width=320, height=240), 1)
     seen = FrameMesh(frame).render_panorama(POSE[:3, 3], height=48)  # 14 image pixels to one
     assert abs(seen.radiance[seen.mask] - 0.5).max() < 0.01
@@ -225,6 +225,6 @@ def test_building_twice_is_building_once():
 
 
 @pytest.mark.parametrize("height", [16, 17, 120])
-def test_panoramas_have_the_height_asked_for(height):
+def test_panoramas_have_the_requested_height(height):
     seen = FrameMesh(ROOM.frame(POSE, width=32, height=24)).render_panorama(POSE[:3, 3], height=height)
     assert seen.mask.shape == seen.depth_m.shape == (height, 2 * height)

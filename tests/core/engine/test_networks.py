@@ -91,7 +91,7 @@ def test_the_video_engine_is_the_recursion_in_pytorch(tiny_video):
 
 
 @torch.inference_mode()
-def test_the_single_engine_goes_half_way_to_what_the_mean_of_the_volumes_tells(tiny_video):
+def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
     session = Session(_options(tiny_video, "single"))
     assert session.model == "single"
     model = load_checkpoint(tiny_video[0]).model.single
@@ -109,7 +109,7 @@ def test_the_single_engine_goes_half_way_to_what_the_mean_of_the_volumes_tells(t
     assert np.abs(alpha - wanted.alpha).max() > 1e-2  # it is not there yet
 
 
-def test_the_single_engine_does_not_mind_a_frame_twice(tiny_video):
+def test_single_view_is_unchanged_by_a_repeated_frame(tiny_video):
     session = Session(_options(tiny_video, "single"))
     session.push(FRAMES[0])
     alpha, lobes = session.sglv.alpha.copy(), session.sglv.lobes.copy()
@@ -118,7 +118,7 @@ def test_the_single_engine_does_not_mind_a_frame_twice(tiny_video):
     np.testing.assert_allclose(session.sglv.lobes, lobes, rtol=1e-4, atol=1e-5)
 
 
-def test_what_the_single_engine_infers_moves_half_way(graphs):
+def test_single_view_inference_moves_half_way(graphs):
     backend = NetworkBackend(dataclasses.replace(graphs, form="single"))
     backend.start(GRID)
     memory, random, shape = backend.new_probe(), np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
@@ -137,7 +137,7 @@ def test_what_the_single_engine_infers_moves_half_way(graphs):
     np.testing.assert_array_equal(second.weight, first.weight)
 
 
-def test_the_video_engine_remembers_them(tiny_video):
+def test_the_video_model_keeps_earlier_frames(tiny_video):
     session = Session(_options(tiny_video, "video"))
     session.push(FRAMES[0])
     first = session.sglv.alpha.copy()
@@ -193,7 +193,7 @@ def test_streaming_again_gives_the_same_bits(tiny_video, form):
 
 
 @pytest.mark.parametrize("form", ["single", "video"])
-def test_finer_panoramas_give_the_graphs_one_of_their_surfaces_never_a_mean(graphs, form):
+def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
     """Blocks of 3 x 3 with one surface in the middle and others around: the weight is that of the middle one's."""
     backend = NetworkBackend(dataclasses.replace(graphs, form=form))
     backend.start(GRID)
@@ -221,7 +221,7 @@ def _thrice(image):
     return np.repeat(np.repeat(image, 3, axis=0), 3, axis=1)
 
 
-def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
+def test_sessions_on_shared_graphs_do_not_influence_each_other(graphs):
     first, second, alone = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3))
     for session in (first, second, alone):
         session.track(PROBE)
@@ -233,7 +233,7 @@ def test_two_sessions_on_the_same_loaded_graphs_do_not_meet(graphs):
     np.testing.assert_array_equal(first.light(0).panorama, alone.light(0).panorama)
 
 
-def test_warming_up_runs_every_graph_and_leaves_nothing_behind(graphs):
+def test_warm_up_runs_every_graph_and_keeps_no_state(graphs):
     warm_up(graphs)
     fresh, warm = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(2))
     for session in (fresh, warm):

@@ -22,7 +22,7 @@ def test_a_file_that_is_no_graph_is_refused_by_name(tmp_path):
         open_graph(path, "cpu")
 
 
-def test_auto_is_openvino_only_where_it_serves(monkeypatch):
+def test_auto_is_openvino_only_where_it_is_supported(monkeypatch):
     monkeypatch.setattr(providers, "openvino_device", lambda: None)
     assert resolve_provider("auto") == "cpu"
     assert resolve_provider("cpu") == "cpu"

@@ -1,4 +1,4 @@
-"""SGLV ray tracing: equations 1 and 2, conservation, equivariance, and the kernel against its readable twin."""
+"""SGLV ray tracing: equations 1 and 2, conservation, equivariance, and the kernel against its readable reference."""
 
 import dataclasses
 
@@ -53,7 +53,7 @@ def _directions(count=400, seed=1):
     samples=st.sampled_from([1, 17, 128]),
     step_m=st.sampled_from([None, 0.1, 0.7]),
 )
-def test_the_kernel_is_its_readable_twin(seed, opacity, sparse, position, far, samples, step_m):
+def test_the_kernel_equals_its_readable_reference(seed, opacity, sparse, position, far, samples, step_m):
     sglv = _random(seed, opacity=opacity, sparse=sparse)
     how = {"samples": samples, "step_m": step_m, "far": far}
     fast, left = render_rays(sglv, position, _directions(), **how)
@@ -67,7 +67,7 @@ def test_the_kernel_is_its_readable_twin(seed, opacity, sparse, position, far, s
     assert np.isfinite(fast).all()
 
 
-def test_position_outside_sees_the_volume_from_there_and_nothing_past_it():
+def test_a_position_outside_sees_the_volume_and_nothing_else():
     sglv = _constant(alpha=1.0)
     outside = (40.0, 1.5, -0.3)
     towards = np.array([[-1, 0, 0]], np.float32)
@@ -78,7 +78,7 @@ def test_position_outside_sees_the_volume_from_there_and_nothing_past_it():
 
 
 @pytest.mark.parametrize("alpha", [0.0, 0.01, 0.2, 0.9])
-def test_weights_and_what_is_left_of_a_ray_sum_to_one(alpha):
+def test_weights_and_transmittance_sum_to_one(alpha):
     sglv = _constant(alpha=alpha)
     radiance, left = render_rays(sglv, CENTRE, _directions(), far="none")
     assert radiance == pytest.approx(np.repeat(1 - left[:, None], 3, axis=1), abs=1e-5)
@@ -120,7 +120,7 @@ def _centre_of(grid):
 
 
 @pytest.mark.parametrize("bandwidth", [0.0, 1.5, 30.0])
-def test_one_voxel_shines_as_the_lobe_equation_says(bandwidth):
+def test_one_voxel_follows_the_lobe_equation(bandwidth):
     sglv = Sglv.empty(GRID)
     at = (3, 6, 9)
     sglv.alpha[at] = 1
@@ -214,7 +214,7 @@ def test_a_panorama_is_its_rays():
 
 
 @pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, np.inf, 0.0), (0.0, 0.0, -1001.0), (1e300, 0.0, 0.0)])
-def test_a_position_that_is_none_is_refused(position):
+def test_an_invalid_position_is_refused(position):
     with pytest.raises(ProbeError, match="three finite numbers"):
         check_position(position)
     with pytest.raises(ProbeError):

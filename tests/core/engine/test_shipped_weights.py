@@ -15,7 +15,7 @@ from roomlight.spheres import SphereRenderer, view_toward
 FOLDER = SHIPPED / "single"
 
 
-def test_they_are_under_20_mb_and_their_card_says_where_they_come_from():
+def test_weights_are_under_20_mb_and_the_card_states_the_origin():
     assert sum(path.stat().st_size for path in FOLDER.rglob("*")) < 20e6
     described = json.loads((FOLDER / "model.json").read_text())
     stages, most, card = [], 0, described["card"]
@@ -61,7 +61,7 @@ def scores():
     return scored([next(iter(capture))], capture.probes)
 
 
-def test_a_walk_makes_no_worse_what_they_saw_first():
+def test_a_walk_keeps_the_accuracy_of_the_first_frames():
     """Every tenth frame of the sample's walk, which ends at another wall: seen alone, each would forget the others."""
     capture = open_capture(sample_capture())
     after = scored(list(capture)[::10], capture.probes)
@@ -69,17 +69,17 @@ def test_a_walk_makes_no_worse_what_they_saw_first():
     assert after["single"][0] < 1.8 * after["classical"][0]
 
 
-def test_a_ball_is_lit_better_than_by_the_classical_model(scores):
+def test_a_sphere_is_lit_better_than_by_the_classical_model(scores):
     assert scores["single"][1] < 0.6 * scores["classical"][1]
 
 
-def test_panoramas_are_not_far_from_the_classical_models(scores):
+def test_panoramas_are_close_to_the_classical_models(scores):
     """Over many rooms they are nearer to the truth. Here, where small spots light the ceiling, wide glows stand in for
     them: right for objects, wrong in most pixels."""
     assert scores["single"][0] < 1.8 * scores["classical"][0]
 
 
-def test_they_are_taken_without_being_told():
+def test_shipped_weights_are_the_default():
     chosen = choose_graphs(SessionOptions(provider="cpu"))
     assert chosen is not None
     assert (chosen.path, chosen.form) == (FOLDER, "single")

@@ -1,4 +1,4 @@
-"""Volume initialisation: the paper's numbers at known places, and the kernel against its readable twin."""
+"""Volume initialisation: the paper's numbers at known places, and the kernel against its readable reference."""
 
 import dataclasses
 
@@ -75,13 +75,13 @@ def test_the_volume_stands_in_the_first_camera():
 
 
 @pytest.mark.parametrize("depth_m", [0.02, 0.3, 0.49])
-def test_a_close_up_makes_no_volume_smaller_than_the_floor(depth_m):
+def test_a_close_up_gets_the_least_volume_size(depth_m):
     grid = VolumeGrid.from_frame(_plane_frame(depth_m))
     assert grid.depth_max_m == DEPTH_MAX_FLOOR_M
     assert grid.upper_m[0] - grid.lower_m[0] == pytest.approx(1.1)
 
 
-def test_one_stray_pixel_does_not_blow_the_volume_up():
+def test_one_stray_pixel_does_not_enlarge_the_volume():
     frame = _plane_frame(2.0)
     frame.depth_m[5, 5] = 900.0
     assert VolumeGrid.from_frame(frame).depth_max_m == pytest.approx(2.0)
@@ -136,7 +136,7 @@ def test_values_at_known_distances_behind_a_plane(offset, alpha, emptiness):
         assert volume[:3, k, 30, 42] == pytest.approx(0.5 * np.array([alpha] * 3), abs=1e-3)
 
 
-def test_colour_is_opacity_times_the_image_and_emptiness_is_three_voxels_in_front():
+def test_colour_is_alpha_times_image_and_empty_is_ahead_of_it():
     frame = ROOM.frame(camera_at((0, 1.5, 0), 30))
     grid = VolumeGrid.from_frame(frame)
     volume = initial_volume(grid, frame)
@@ -171,7 +171,7 @@ def _random_frame(seed, *, depth_size, unknown, pose, image_size=(48, 36)):
     shift=st.tuples(*[st.floats(-4, 4)] * 3),
     far_unknown=st.booleans(),
 )
-def test_the_kernel_is_its_readable_twin(seed, depth_size, unknown, yaw, pitch, shift, far_unknown):
+def test_the_kernel_equals_its_readable_reference(seed, depth_size, unknown, yaw, pitch, shift, far_unknown):
     first = camera_at((0.3, 1.5, 0.2), 25, -8)
     grid = VolumeGrid(first, 4.0, SMALL)
     moved = camera_at(np.array((0.3, 1.5, 0.2)) + shift, yaw, pitch)
@@ -186,14 +186,14 @@ def test_the_kernel_is_its_readable_twin(seed, depth_size, unknown, yaw, pitch, 
     assert np.isfinite(fast).all()
 
 
-def test_the_kernel_is_its_twin_tightly_on_a_smooth_room():
+def test_the_kernel_equals_its_reference_in_a_smooth_room():
     grid = VolumeGrid.from_frame(ROOM.frame(camera_at((0, 1.5, 0), 0)))
     frame = ROOM.frame(camera_at((0.5, 1.2, 0.3), 40, 5), depth_size=(64, 48))
     difference = abs(initial_volume(grid, frame) - initial_volume_reference(grid, frame))
     assert np.quantile(difference.max(axis=0), 0.9999) < 1e-3  # the rest: voxels on the very edge of a threshold
 
 
-def test_unknown_pixels_stand_at_the_far_boundary_and_claim_no_emptiness():
+def test_unknown_pixels_are_on_the_far_boundary_none_is_empty():
     frame = _plane_frame(4.0)
     grid = VolumeGrid.from_frame(frame)
     frame.depth_m[:] = 0
@@ -210,7 +210,7 @@ def test_unknown_pixels_stand_at_the_far_boundary_and_claim_no_emptiness():
     assert (initial_volume(grid, frame, far_unknown=False) == 0).all()
 
 
-def test_half_known_corners_decide_by_weight_and_keep_the_known_depth():
+def test_half_known_corners_count_by_weight_and_keep_known_depth():
     frame = _plane_frame(3.0)
     frame.depth_m[:, ::4] = 0  # a lost column: every voxel between has at least one known neighbour
     grid = VolumeGrid(np.eye(4), 4.0)

@@ -1,2 +1,1 @@
-"""Compiled kernels. Each stands beside a readable twin elsewhere in the package, and a test holds the two
-together."""
+"""Compiled kernels. Each has a readable reference in NumPy elsewhere in the package, and a test that compares them."""

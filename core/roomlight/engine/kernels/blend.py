@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Accumulation of one probe's panorama, in place; readable twin: `roomlight.engine.blend.accumulate_reference`."""
+"""Accumulation of one probe's panorama, in place; readable reference: `roomlight.engine.blend.accumulate_reference`."""
 
 import numpy as np
 from numba import njit

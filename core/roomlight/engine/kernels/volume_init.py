@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Volume initialisation, one [z] slice after the other; readable twin:
+"""Volume initialisation, one [z] slice after the other; readable reference:
 `roomlight.engine.volume.initial_volume_reference`."""
 
 import numpy as np

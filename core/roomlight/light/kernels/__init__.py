@@ -1,1 +1,1 @@
-"""Compiled kernels of the light forms; each has a readable reference in the tests."""
+"""Compiled kernels of the forms of light; each has a readable reference in the tests."""
