@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from roomlight.light.light import Light
     from roomlight.light.main_light import MainLight
     from roomlight.light.spherical_harmonics import SphericalHarmonics
-    from roomlight.placement import point_in_view
+    from roomlight.placement import point_at_pixel, point_in_view
     from roomlight.sample import sample_capture
 
 __version__ = "0.1.0"
@@ -81,6 +81,7 @@ __all__ = [
     "WireError",
     "__version__",
     "open_capture",
+    "point_at_pixel",
     "point_in_view",
     "sample_capture",
 ]
@@ -98,6 +99,7 @@ _MODULES: Final = {
     "SessionOptions": "roomlight.engine.session",
     "SphericalHarmonics": "roomlight.light.spherical_harmonics",
     "open_capture": "roomlight.captures",
+    "point_at_pixel": "roomlight.placement",
     "point_in_view": "roomlight.placement",
     "sample_capture": "roomlight.sample",
 }

@@ -10,12 +10,19 @@ import numpy as np
 from jaxtyping import Float
 
 FOCAL_LENGTH: Final = (0.01, 100.0)
-"""Shortest and longest focal length in units of the image's side: from 179 degrees to half a degree of view."""
+"""Shortest and longest focal length, relative to the image's side: from 179 degrees to half a degree of view."""
 
 
 @dataclass(frozen=True)
 class Intrinsics:
-    """A pinhole camera for an image of `width` x `height` pixels; pixel centres are at half integers."""
+    """A pinhole camera for an image of `width` x `height` pixels; pixel centres are at half integers.
+
+    fx, fy:  focal length in pixels.
+    cx, cy:  principal point in pixels.
+
+    Raises:
+        ValueError: no lens has these values; the message names field and value.
+    """
 
     fx: float
     fy: float
@@ -25,7 +32,6 @@ class Intrinsics:
     height: int
 
     def __post_init__(self) -> None:
-        """Refuse values that no lens has: an error here names the field and the value."""
         if self.width < 1 or self.height < 1:
             raise ValueError(f"image size must be positive, got {self.width} x {self.height}")
         low, high = FOCAL_LENGTH
@@ -33,20 +39,20 @@ class Intrinsics:
             if not np.isfinite(value) or value <= 0:
                 raise ValueError(f"focal length {name} must be positive and finite, got {value}")
             if not low <= value / size <= high:
-                raise ValueError(f"focal length {name} = {value:g} for {size} pixels is no lens's")
+                raise ValueError(f"focal length {name} = {value:g} does not fit {size} pixels; check its unit (pixels)")
         for name, value, size in (("cx", self.cx, self.width), ("cy", self.cy, self.height)):
             if not np.isfinite(value) or not -size <= value <= 2 * size:
                 raise ValueError(f"principal point {name} = {value} is far outside the image ({size} pixels)")
-        for name in ("fx", "fy", "cx", "cy"):  # NumPy's own scalars would turn float32 rays into float64
+        for name in ("fx", "fy", "cx", "cy"):  # NumPy scalars would promote float32 rays to float64
             object.__setattr__(self, name, float(getattr(self, name)))
 
     def resized(self, width: int, height: int) -> "Intrinsics":
-        """The same camera for the same view resampled to another pixel size (K scales with the ratio)."""
+        """Return the camera of the same view resampled to another size in pixels (K scales with the ratio)."""
         sx, sy = width / self.width, height / self.height
         return Intrinsics(self.fx * sx, self.fy * sy, self.cx * sx, self.cy * sy, width, height)
 
     def rays(self) -> Float[np.ndarray, "{self.height} {self.width} 3"]:
-        """Camera-frame rays through the pixel centres with z = -1: `depth * ray` is the point seen."""
+        """Return camera-frame rays through the pixel centres with z = -1: `depth * ray` is the point seen."""
         x = (np.arange(self.width, dtype=np.float32) + 0.5 - self.cx) / self.fx
         y = -(np.arange(self.height, dtype=np.float32) + 0.5 - self.cy) / self.fy
         rays = np.empty((self.height, self.width, 3), np.float32)
@@ -58,7 +64,7 @@ class Intrinsics:
     def project(
         self, points_camera: Float[np.ndarray, "*shape 3"]
     ) -> tuple[Float[np.ndarray, "*shape 2"], Float[np.ndarray, "*shape"]]:
-        """Image coordinates (column, row; pixel centres at half integers) and z-depth of camera-frame points.
+        """Project camera-frame points to image coordinates (column, row; pixel centres at half integers) and z-depth.
 
         Points at or behind the camera plane (depth <= 0) get coordinates of NaN.
         """
@@ -72,11 +78,14 @@ class Intrinsics:
 
 
 def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Return the pose as a clean float64 rigid transform, or raise ValueError saying what is wrong with it.
+    """Return the pose as a clean float64 rigid transform.
 
-    Rounding in text files is repaired (nearest rotation by SVD); NaN, inf, mirror images, scales and shears
-    are not: they are lost tracking or a misread convention. A rotation within 1e-12 stays to the bit, so that a pose
-    that was cleaned before it crossed the network is the same pose after it.
+    Rounding in text files is repaired (nearest rotation by SVD). A rotation within 1e-12 keeps its bits, so that a pose
+    that was cleaned before transmission is the same pose after it.
+
+    Raises:
+        ValueError: the pose holds NaN, infinity, a mirror image, a scale or a shear: lost tracking or a misread
+            convention.
     """
     matrix = np.asarray(camera_to_world, np.float64)
     if matrix.shape != (4, 4):
@@ -100,7 +109,7 @@ def check_rigid(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, 
 
 
 def rigid_inverse(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-    """Inverse of a rigid transform (rotation transposed; no matrix inversion)."""
+    """Invert a rigid transform (rotation transposed; no matrix inversion)."""
     rotation = transform[:3, :3].T
     inverse = np.eye(4)
     inverse[:3, :3] = rotation
@@ -111,7 +120,11 @@ def rigid_inverse(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4
 def pose_from_quaternion(
     quaternion_xyzw: Float[np.ndarray, "4"], translation: Float[np.ndarray, "3"]
 ) -> Float[np.ndarray, "4 4"]:
-    """Rigid 4 x 4 transform from a quaternion (x, y, z, w; any length but zero) and metres."""
+    """Make a rigid 4 x 4 transform from a quaternion (x, y, z, w; any length but zero) and a translation in metres.
+
+    Raises:
+        ValueError: the quaternion is zero or not finite.
+    """
     q = np.asarray(quaternion_xyzw, np.float64)
     norm = np.linalg.norm(q)
     if not np.isfinite(norm) or norm < 1e-6:
@@ -130,6 +143,6 @@ def pose_from_quaternion(
 def transform_points(
     transform: Float[np.ndarray, "4 4"], points: Float[np.ndarray, "*shape 3"]
 ) -> Float[np.ndarray, "*shape 3"]:
-    """Apply a rigid transform to points; computed in the points' own precision."""
+    """Apply a rigid transform to points, in the precision of the points."""
     matrix = transform.astype(points.dtype)
     return points @ matrix[:3, :3].T + matrix[:3, 3]

@@ -1,4 +1,4 @@
-"""The conventions, once. Everything else in RoomLight quotes this table, and tests hold the code to it.
+"""Conventions of RoomLight: axes, units, images, colour. Tests check the code against this table.
 
 | what          | convention                                                                              |
 |---------------|-----------------------------------------------------------------------------------------|
@@ -6,12 +6,12 @@
 | camera        | x right, y up, z backward (OpenGL); poses are camera-to-world, 4 x 4                     |
 | image         | pixel (column i, row j) has its centre at (i + 0.5, j + 0.5); row 0 is the top           |
 | depth         | z-depth (along the optical axis) in metres; 0 = unknown                                 |
-| radiance      | linear RGB, relative: 1.0 is what the session's reference exposure shows as white        |
+| radiance      | linear RGB, relative: 1.0 is white at the session's reference exposure                   |
 | panorama      | equirectangular, H x 2H, world-aligned: u = 0.5 + atan2(z, x) / 2pi, v = acos(y) / pi;   |
 |               | +Y in the top row, the centre column looks along +X, right of it comes +Z               |
 | volume        | the first camera's frame; arrays are [z, y, x] or [channel, z, y, x]                     |
 
-A reader converts every other convention to this one, once, at the edge.
+Readers convert every other convention to this one, when a file or message is read.
 """
 
 from functools import lru_cache
@@ -25,10 +25,9 @@ Position = tuple[float, float, float]
 NO_FRAME: Final = -1
 """Frame index of a light to which no frame contributed."""
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
-"""Rec. 709's weights of linear RGB; their sum is 1."""
+"""Rec. 709 weights of linear RGB; their sum is 1."""
 OPENCV_TO_OPENGL: Final = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Right-multiply a camera-to-world pose given in OpenCV axes (x right, y down, z forward) by this to get
-ours."""
+"""Right factor that converts a camera-to-world pose from OpenCV axes (x right, y down, z forward) to these."""
 
 
 def srgb_to_linear(encoded: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
@@ -39,7 +38,7 @@ def srgb_to_linear(encoded: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*
 
 
 def linear_to_srgb(linear: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
-    """Encode linear radiance as sRGB in [0, 1]; what lies outside [0, 1] is clipped, as a camera clips it."""
+    """Encode linear radiance as sRGB in [0, 1]; values outside [0, 1] are clipped, as in a camera."""
     clipped = np.clip(linear, 0.0, 1.0)
     low = clipped * 12.92
     high = 1.055 * np.maximum(clipped, 0.0031308) ** (1 / 2.4) - 0.055
@@ -75,7 +74,7 @@ def uv_to_direction(uv: Float[np.ndarray, "*shape 2"]) -> Float[np.ndarray, "*sh
 
 
 def panorama_directions(height: int) -> Float[np.ndarray, "{height} 2*{height} 3"]:
-    """Unit world directions of the pixel centres of an H x 2H panorama, float32."""
+    """Return the unit world directions of the pixel centres of a panorama, float32 [H, 2H, 3]."""
     columns = (np.arange(2 * height) + 0.5) / (2 * height)
     rows = (np.arange(height) + 0.5) / height
     u, v = np.meshgrid(columns, rows)
@@ -84,22 +83,25 @@ def panorama_directions(height: int) -> Float[np.ndarray, "{height} 2*{height} 3
 
 @lru_cache(maxsize=8)
 def panorama_rays(height: int) -> Float[np.ndarray, "2*{height}*{height} 3"]:
-    """`panorama_directions` as a list [H * 2H, 3], row by row; kept, and read-only."""
+    """Return `panorama_directions` as a list [H * 2H, 3], row by row; cached and read-only."""
     directions = panorama_directions(height).reshape(-1, 3)
     directions.setflags(write=False)
     return directions
 
 
 def panorama_solid_angles(height: int) -> Float[np.ndarray, "{height} 1"]:
-    """Exact solid angle in steradians of one pixel of each row; all pixels together cover 4 pi."""
+    """Return the exact solid angle in steradians of one pixel of each row; all pixels together cover 4 pi."""
     edges = np.cos(np.linspace(0.0, np.pi, height + 1))
     return ((edges[:-1] - edges[1:]) * (np.pi / height))[:, None].astype(np.float32)
 
 
 def rotation_to_y_up(world_up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4"]:
-    """Shortest rotation (4 x 4, float64) that turns the given up direction into +Y.
+    """Return the shortest rotation (4 x 4, float64) from the given up direction to +Y.
 
     Z-up worlds (nerfstudio, Blender) become x' = x, y' = z, z' = -y.
+
+    Raises:
+        ValueError: the direction is zero or not finite.
     """
     up = np.asarray(world_up, np.float64)
     norm = np.linalg.norm(up)
@@ -109,7 +111,7 @@ def rotation_to_y_up(world_up: Float[np.ndarray, "3"]) -> Float[np.ndarray, "4 4
     target = np.array([0.0, 1.0, 0.0])
     cosine = float(up @ target)
     rotation = np.eye(4)
-    if cosine < -1 + 1e-9:  # upside down: half a turn about x
+    if cosine < -1 + 1e-9:  # upside down: 180 degrees about x
         rotation[:3, :3] = np.diag([1.0, -1.0, -1.0])
         return rotation
     axis = np.cross(up, target)

@@ -1,7 +1,7 @@
-"""Depth maps made whole: what to assume where the sensor gave nothing.
+"""Completion of depth maps: values for the pixels that the sensor left out.
 
-Depth is z-depth in metres, 0 = unknown. Pixels without depth are mostly windows, lamps and shiny things: the
-brightest light of a room. Dropping them loses it; putting them on the volume's far boundary misplaces it, for a
+Depth is z-depth in metres, 0 = unknown. Pixels without depth are mostly windows, lamps and shiny surfaces: the
+brightest light of a room. Dropping them loses it; placing them on the volume's far boundary misplaces it, because a
 window's light comes through its frame. So a hole takes the depth of its rim, interpolated smoothly in inverse depth
 (planes stay planes). Mean log-L2 of the classical model over 31 frames of three path-traced captures, exact depth /
 depth as a phone's: dropped 0.086 / 0.090, on the far boundary of the volume 0.085 / 0.089, at the rim 0.068 / 0.069
@@ -15,21 +15,21 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 UnknownDepth = Literal["rim", "far", "drop"]
-"""How pixels without depth enter: at their rim's depth, on the volume's far boundary, or not at all."""
+"""Where pixels without depth are placed: at the depth of the hole's rim, on the volume's far boundary, or nowhere."""
 
 MAX_DEPTH_M: Final = 100_000.0
-"""Deeper is no reading but a damaged one. Millimetres taken for metres stay below it, for a later check to name."""
+"""Deeper values are damaged readings. Millimetres taken for metres stay below it, and a later check names them."""
 _NEAREST_INVERSE: Final = 20.0
-"""1/m: nothing is assumed closer than 5 cm."""
+"""In 1/m: no depth is assumed to be below 5 cm."""
 _SWEEPS: Final = 4
-"""Of smoothing at each level: a hole of 40 x 30 pixels in a slanted plane is filled within 0.4 % of the plane, and
-within 1.7 % without any."""
+"""Smoothing passes at each level: a hole of 40 x 30 pixels in a slanted plane is filled within 0.4 % of the plane;
+without smoothing within 1.7 %."""
 
 
 def clean_depth(depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
-    """Depth as contiguous float32 with everything that is not positive and at most `MAX_DEPTH_M` set to 0 (unknown).
+    """Return depth as contiguous float32; values that are not in (0, `MAX_DEPTH_M`] become 0 (unknown).
 
-    The array itself where it is so already.
+    Returns the array itself if nothing changes.
     """
     with np.errstate(over="ignore"):
         depth = np.ascontiguousarray(depth_m, np.float32)
@@ -41,7 +41,7 @@ def clean_depth(depth_m: Float[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]
 def complete_depth(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
     """Fill unknown pixels from the rim of their hole, smoothly in inverse depth; known ones keep their bits.
 
-    A coarse-to-fine pyramid (2 ms for 320 x 240). All unknown stays all unknown.
+    A coarse-to-fine pyramid (2 ms for 320 x 240). A map without any depth stays as it is.
     """
     known = depth_m > 0
     if known.all() or not known.any():

@@ -1,4 +1,4 @@
-"""One observation of the room: colour, depth, camera. What every reader yields and every session takes."""
+"""A frame: colour, depth and camera. Readers yield frames, sessions take them."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -12,29 +12,35 @@ from roomlight.depth import clean_depth
 from roomlight.errors import FrameError
 
 CLIPPED_SRGB8: Final = 250
-"""An 8-bit value from here up is taken as clipped: JPEG ringing and noise keep true white below 255."""
+"""8-bit values from here up count as clipped: JPEG ringing and noise keep true white below 255."""
 
 MAX_POSITION_M: Final = 10_000.0
-"""Farthest camera from the origin: past it float32 metres lose the millimetre, and no indoor capture goes there."""
+"""Largest coordinate of a camera: beyond it float32 metres cannot represent a millimetre; no indoor capture is so
+large."""
 MAX_RADIANCE: Final = 1e12
-"""Brightest pixel: white is 1 and the sun a million; from about 1e19 up its square is no float32."""
+"""Brightest pixel: white is 1 and the sun a million; from about 1e19 up its square overflows float32."""
 ASPECT_TOLERANCE: Final = 0.03
-"""How far the aspects of depth and image may differ, as a share."""
+"""Largest relative difference between the aspect ratios of depth and image."""
 
 
 @dataclass(frozen=True)
 class Frame:
-    """RGB-D with a pose, in RoomLight's conventions.
+    """An RGB-D image with a pose, in RoomLight's conventions (`roomlight.conventions`).
 
-    What makes no frame is a FrameError: parts that do not fit, radiance that is not finite or below 0, a pose that
-    is not rigid. So kernels, which check nothing, only ever see finite, contiguous float32.
+    Every value is checked here, so that the kernels, which check nothing, get finite, contiguous float32.
 
     image:            linear RGB radiance, float32 [h, w, 3], relative to the session's reference exposure.
     clipped:          bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least this.
     depth_m:          z-depth in metres, float32 [dh, dw], 0 = unknown (what is not finite or below 0 becomes 0);
-                      same view as the image, any size.
+                      same view as the image, any size of at least 2 x 2.
     intrinsics:       of the image (depth's are the same, resized).
     camera_to_world:  rigid 4 x 4, float64.
+    index:            number of the frame in its stream.
+    timestamp_s:      seconds, from any origin.
+    source:           name of the frame in messages, e.g. its file.
+
+    Raises:
+        FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
     """
 
     index: int
@@ -47,7 +53,6 @@ class Frame:
     source: str = ""
 
     def __post_init__(self) -> None:
-        """Hold the parts to each other; a mismatch is one frame's error, with its name in the message."""
         name = self.source or f"frame {self.index}"
         if self.image.dtype.kind != "f" or self.image.ndim != 3 or self.image.shape[2] != 3:
             raise FrameError(
@@ -69,7 +74,7 @@ class Frame:
             raise FrameError(f"{name}: the clipping mask {self.clipped.shape} does not fit the image")
         depth_height, depth_width = self.depth_m.shape
         if min(depth_height, depth_width) < 2:
-            raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is no depth map")
+            raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is too small; 2 x 2 is the least")
         if abs(depth_width / depth_height - width / height) > ASPECT_TOLERANCE * width / height:
             raise FrameError(
                 f"{name}: depth of {depth_width} x {depth_height} has another aspect than the image "
@@ -82,19 +87,19 @@ class Frame:
         far_m = float(np.abs(pose[:3, 3]).max())
         if far_m > MAX_POSITION_M:
             raise FrameError(
-                f"{name}: the pose is {far_m:.3g} m from the origin; this is lost tracking or another unit "
-                f"(up to {MAX_POSITION_M:.0f} m are taken)"
+                f"{name}: the pose is {far_m:.3g} m from the origin; tracking was lost, or the unit is not "
+                f"metres (limit: {MAX_POSITION_M:.0f} m)"
             )
         object.__setattr__(self, "image", _checked_image(self.image, name))
         object.__setattr__(self, "depth_m", clean_depth(self.depth_m))
         object.__setattr__(self, "camera_to_world", pose)
 
     def resized(self, max_width: int, max_height: int) -> "Frame":
-        """This frame with image and depth brought into a box, aspect kept; never enlarged.
+        """Reduce image and depth to fit into a box, with the same aspect; nothing is enlarged.
 
-        The box turns with the image: a phone held upright gives up no more pixels than one held level. Colour is
-        averaged by area in linear light; depth takes the nearest sample, because a mean across an edge is a surface
-        that does not exist.
+        Width and height of the box are swapped for an upright image, so that both orientations keep as many pixels.
+        Colour is averaged by area in linear light. Depth takes the nearest sample, because a mean across an edge is a
+        surface that does not exist.
         """
         height, width = self.image.shape[:2]
         if (height > width) != (max_height > max_width):
@@ -119,7 +124,7 @@ class Frame:
 
 
 def _checked_image(image: Float[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:
-    """As contiguous float32. The check costs 1.6 ms for 1920 x 1440 pixels, 0.02 ms for 320 x 240."""
+    """Return contiguous float32, checked: 1.6 ms for 1920 x 1440 pixels, 0.02 ms for 320 x 240."""
     with np.errstate(over="ignore"):
         radiance = np.ascontiguousarray(image, np.float32)
     if radiance.size == 0 or not (radiance.min() >= 0 and radiance.max() <= MAX_RADIANCE):  # NaN compares as neither

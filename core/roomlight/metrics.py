@@ -1,9 +1,8 @@
-"""How far an estimated panorama is from the true one: the paper's metrics and the three-sphere ones.
+"""Errors of an estimated panorama against the true one: the paper's metrics, and those of three spheres.
 
-Panoramas are linear HDR radiance, float32 [h, 2h, 3], world-aligned. The paper's losses (sections 3 and 4,
-equations of L2, LR and Lsm) are sums; as in its tables, means over pixels and channels are reported here.
-They are plain pixel means, as the paper's, which counts the poles too much; `solid_angle=True` weights
-pixels by what they cover.
+Panoramas are linear HDR radiance, float32 [h, 2h, 3], world-aligned. The paper's losses (sections 3 and 4, equations of
+L2, LR and Lsm) are sums; as in its tables, means over pixels and channels are reported here. They are plain pixel
+means, as in the paper, which overweights the poles; `solid_angle=True` weights pixels by solid angle.
 """
 
 from dataclasses import dataclass
@@ -29,7 +28,7 @@ SPHERES: Final[tuple[Material, ...]] = ("mirror", "matte", "diffuse")
 
 @dataclass(frozen=True)
 class Metric:
-    """A column of the results: its key in JSON, its heading, and the factor the paper prints it with."""
+    """A column of the results: its key in JSON, its heading, and the factor of the paper's tables."""
 
     key: str
     title: str
@@ -44,7 +43,7 @@ METRICS: Final = (
     *(Metric(f"si_rmse_{sphere}", f"si-RMSE {sphere}") for sphere in SPHERES),
     *(Metric(f"angular_deg_{sphere}", f"angular {sphere} (deg)") for sphere in SPHERES),
 )
-"""Everything measured, in the order of tables. For all of them less is better."""
+"""All metrics, in the order of the tables. For all of them lower is better."""
 
 
 def log_l2(prediction: Panorama, truth: Panorama, *, solid_angle: bool = False) -> float:
@@ -67,10 +66,9 @@ def smoothness(current: Panorama, previous: Panorama, *, solid_angle: bool = Fal
 
 
 def si_rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
-    """Scale-invariant RMSE of sphere pixels: after the prediction is multiplied by the one best factor (>=
-    0).
+    """Scale-invariant RMSE of sphere pixels: after multiplying the prediction by the best factor (>= 0).
 
-    In the truth's units of radiance. A black prediction has no scale to find: its error is the truth's RMS.
+    In the truth's unit of radiance. A black prediction has no factor: its error is the truth's RMS.
     """
     pixels, reference = prediction.astype(np.float64), truth.astype(np.float64)
     energy = (pixels * pixels).sum()
@@ -79,13 +77,12 @@ def si_rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"
 
 
 def angular_error_deg(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
-    """Mean angle between the RGB vectors of corresponding sphere pixels, in degrees: colour without
-    brightness.
+    """Mean angle between the RGB vectors of corresponding sphere pixels, in degrees: colour without brightness.
 
-    Two black pixels agree (0); a black pixel against one with colour is as wrong as can be (90).
+    Two black pixels count 0, a black pixel against one with colour 90, the most.
     """
     pixels, reference = prediction.astype(np.float64), truth.astype(np.float64)
-    # atan2 of cross and dot: arccos of the dot alone loses angles below 0.02 degrees to rounding
+    # atan2 of cross and dot: arccos of the dot product loses angles below 0.02 degrees to rounding
     sine = np.linalg.norm(np.cross(pixels, reference), axis=-1)
     cosine = (pixels * reference).sum(axis=-1)
     angle = np.degrees(np.arctan2(sine, cosine))
@@ -94,8 +91,8 @@ def angular_error_deg(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndar
     return float(angle.mean())
 
 
-class SphereJudge:
-    """Compares spheres lit by a prediction with those lit by one truth, whose pictures are rendered once.
+class SphereScorer:
+    """Compares spheres lit by a prediction with spheres lit by the truth, whose pictures are rendered once.
 
     `si_rmse_*` and `angular_deg_*` of mirror, matte silver and diffuse spheres (linear radiance, pixels of
     the sphere only), and `render_l2`, the paper's rendering loss: its glossy sphere, clamped to [0, 1], mean
@@ -103,13 +100,13 @@ class SphereJudge:
     """
 
     def __init__(self, truth: Panorama, spheres: SphereRenderer) -> None:
-        """`spheres` says from where the spheres are seen; one renderer may serve many judges."""
+        """`spheres` determines the view of the spheres; scorers may share a renderer."""
         self._spheres = spheres
         self._truth = {sphere: spheres.pixels(truth, sphere) for sphere in SPHERES}
         self._glossy = np.clip(spheres.pixels(truth, "glossy"), 0, 1)
 
     def scores(self, prediction: Panorama) -> dict[str, float]:
-        """The seven sphere metrics by their keys in `METRICS`."""
+        """Return the seven sphere metrics by their keys in `METRICS`."""
         glossy = np.clip(self._spheres.pixels(prediction, "glossy"), 0, 1)
         scores = {"render_l2": float(np.mean((glossy - self._glossy) ** 2, dtype=np.float64))}
         for sphere in SPHERES:
@@ -120,12 +117,15 @@ class SphereJudge:
 
 
 def intervals(frames: int) -> tuple[range, ...]:
-    """The paper's five intervals as ranges of frame positions (from 0) in a sequence of `frames`.
+    """Return the paper's five intervals as ranges of frame indices (from 0) in a sequence of `frames`.
 
-    For 31 frames these are the paper's [1,8) [8,14) [14,20) [20,26) [26,31], counted from 0; for other
-    lengths the borders keep their share of the sequence, and in one of fewer than five frames some are
-    empty. The smoothness at position i is that of frames i and i + 1, so its last interval, [26,30], ends
-    one earlier: use `intervals(frames)` and cut at `frames - 1`.
+    For 31 frames these are the paper's [1,8) [8,14) [14,20) [20,26) [26,31], counted from 0. For other lengths the
+    borders keep their share of the sequence; with fewer than five frames some intervals are empty. The smoothness at
+    index i is that of frames i and i + 1, so its last interval, [26,30], ends one earlier: use `intervals(frames)` and
+    cut at `frames - 1`.
+
+    Raises:
+        ValueError: `frames` is negative.
     """
     if frames < 0:
         raise ValueError(f"a sequence has 0 frames or more, not {frames}")
@@ -137,6 +137,9 @@ def interval_means(values: Float[np.ndarray, " n"], frames: int) -> Float[np.nda
     """Mean of per-frame values in each interval of a sequence of `frames`; NaN where an interval is empty.
 
     `values` has `frames` entries, or `frames - 1` for the smoothness.
+
+    Raises:
+        ValueError: `values` has another length.
     """
     if len(values) not in (frames, max(0, frames - 1)):
         raise ValueError(f"{len(values)} values do not belong to a sequence of {frames} frames")

@@ -1,16 +1,16 @@
-"""Spheres lit by a panorama: shown beside results, and compared by the rendering loss and sphere metrics.
+"""Spheres lit by a panorama: for pictures of results, and for the rendering loss and sphere metrics.
 
 A sphere is seen orthographically along `view` (a world direction, from the camera toward the sphere), world +Y
 up in the picture; image row 0 is the top. Radiance is linear. Materials:
 
-| name    | what                                                                                             |
+| name    | model                                                                                            |
 |---------|--------------------------------------------------------------------------------------------------|
 | mirror  | perfect reflection                                                                               |
 | glossy  | the paper's rendering layer: diffuse albedo 0.8 + GGX lobe (Karis 2013), roughness 0.2, F0 0.05  |
 | matte   | matte silver: a white GGX conductor of roughness 0.5, energy-conserving                          |
 | diffuse | white Lambertian: irradiance / pi                                                                |
 
-A mirror, matte or diffuse sphere in a constant panorama has exactly that constant everywhere (white furnace).
+A mirror, matte or diffuse sphere in a constant panorama has exactly that constant radiance (white furnace).
 """
 
 from dataclasses import dataclass
@@ -21,27 +21,26 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Shaped
 
-from roomlight.conventions import direction_to_uv, panorama_directions, panorama_solid_angles
+from roomlight.conventions import Position, direction_to_uv, panorama_directions, panorama_solid_angles
+from roomlight.errors import OptionError
 
 Material = Literal["mirror", "glossy", "matte", "diffuse"]
 
 GLOSSY_ALBEDO: Final = 0.8
 GLOSSY_ROUGHNESS: Final = 0.2
 GLOSSY_F0: Final = 0.05
-"""Reflectance at normal incidence: not in the paper; 0.05 is in its authors' public renderers."""
+"""Reflectance at normal incidence: not in the paper; its authors' public renderers use 0.05."""
 MATTE_ROUGHNESS: Final = 0.5
 
-_GLOSSY_SAMPLES: Final = 64  # rms 0.5 % of the mean off dense integration in a real room
+_GLOSSY_SAMPLES: Final = 64  # rms 0.5 % of the mean against dense integration, in a real room
 _MIRROR_STRATA: Final = 4  # 4 x 4 rays a pixel: a pixel of a 64-px sphere spans 3.6 degrees of a 1.5-degree panorama
-_MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide: rms 1.2 % off, same room
-_DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine: rms 0.4 % off, same room
+_MATTE_ROWS: Final = 32  # 5.6 degrees a pixel under a lobe 28 degrees wide: rms 1.2 %, same room
+_DIFFUSE_ROWS: Final = 16  # 11 degrees a pixel under a cosine: rms 0.4 %, same room
 _LOOKUP_COLUMNS: Final = 4096  # cv2.remap takes maps of fewer than 32768 rows and columns
 
 
-def view_toward(
-    camera_to_world: Float[np.ndarray, "4 4"], position: tuple[float, float, float]
-) -> tuple[float, float, float]:
-    """The world direction in which a camera sees a sphere at `position`; its axis if it stands there."""
+def view_toward(camera_to_world: Float[np.ndarray, "4 4"], position: Position) -> tuple[float, float, float]:
+    """Return the world direction in which a camera sees a sphere at `position`; at the camera itself, its axis."""
     line = np.asarray(position, np.float64) - camera_to_world[:3, 3]
     if np.linalg.norm(line) < 0.01:
         line = -camera_to_world[:3, 2]
@@ -50,16 +49,20 @@ def view_toward(
 
 
 class SphereRenderer:
-    """Renders spheres of one size for one view; what depends on a panorama's height is kept after first use."""
+    """Renders spheres of one size for one view; tables for a panorama's height are kept after first use."""
 
     def __init__(self, view: tuple[float, float, float], *, size: int = 64) -> None:
-        """`view`: world direction the camera looks along (any length but 0); `size`: pixels across."""
+        """`view`: world direction of the camera's axis (any length but 0); `size`: pixels across.
+
+        Raises:
+            OptionError: `view` is zero or not finite, or `size` is below 4.
+        """
         direction = np.asarray(view, np.float64)
         length = np.linalg.norm(direction)
         if not np.isfinite(length) or length < 1e-9:
-            raise ValueError(f"a view is a finite direction that is not zero, got {view}")
+            raise OptionError(f"view must be a finite direction that is not zero, got {view}")
         if size < 4:
-            raise ValueError(f"a sphere of {size} pixels is too small to show anything; take 4 or more")
+            raise OptionError(f"size of a sphere must be 4 pixels or more, got {size}")
         self.size = size
         self._to_viewer = -direction / length
         up = np.array([0.0, 1.0, 0.0])
@@ -80,7 +83,7 @@ class SphereRenderer:
 
     @cached_property
     def coverage(self) -> Float[np.ndarray, "{self.size} {self.size}"]:
-        """Share of each pixel that the sphere covers, for pasting it onto a picture without steps."""
+        """Share of each pixel that the sphere covers, for antialiased pasting onto a picture."""
         x, y = self._grid(8)
         inside = (x * x + y * y < 1).astype(np.float32)
         return inside.reshape(self.size, 8, self.size, 8).mean(axis=(1, 3))
@@ -94,14 +97,18 @@ class SphereRenderer:
     def render(
         self, panorama: Float[np.ndarray, "h w 3"], material: Material
     ) -> Float[np.ndarray, "{self.size} {self.size} 3"]:
-        """The sphere's picture, linear; the rim's colours go on outside the mask (blend by `coverage`)."""
+        """Return the sphere's picture, linear; the rim's colours continue outside the mask (blend by `coverage`)."""
         image = np.zeros((self.size, self.size, 3), np.float32)
         image[self.mask] = self.pixels(panorama, material)
         rim = cv2.dilate(image, np.ones((3, 3), np.uint8))
         return np.where(self.mask[..., None], image, rim)
 
     def pixels(self, panorama: Float[np.ndarray, "h w 3"], material: Material) -> Float[np.ndarray, "n 3"]:
-        """Linear radiance of the mask's pixels only, in row order: what metrics compare."""
+        """Return the linear radiance [n, 3] of the mask's pixels, in row order; metrics compare these.
+
+        Raises:
+            ValueError: the panorama is not twice as wide as high.
+        """
         height, width = panorama.shape[:2]
         if width != 2 * height:
             raise ValueError(f"a panorama is twice as wide as high, this is {width} x {height}")
@@ -126,7 +133,7 @@ class SphereRenderer:
 
     def _normals(self, x: Float[np.ndarray, " n"], y: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n 3"]:
         radius = np.hypot(x, y)
-        shrink = np.minimum(1.0, 0.999 / np.maximum(radius, 1e-9))  # rays past the rim count as the rim
+        shrink = np.minimum(1.0, 0.999 / np.maximum(radius, 1e-9))  # rays beyond the rim are moved to the rim
         x, y = x * shrink, y * shrink
         z = np.sqrt(1 - x * x - y * y)
         normals = x[:, None] * self._right + y[:, None] * self._up + z[:, None] * self._to_viewer
@@ -145,7 +152,7 @@ class SphereRenderer:
         return self._reflect(self._normals(x, y))
 
     def _dense_weights(self, material: Material, rows: int) -> Float[np.ndarray, "n d"]:
-        """Weight of each pixel of a panorama of `rows` rows in each sphere pixel; each row sums to 1."""
+        """Return the weight of each pixel of a panorama of `rows` rows in each sphere pixel; each row sums to 1."""
         light = panorama_directions(rows).reshape(-1, 3)
         solid_angle = np.broadcast_to(panorama_solid_angles(rows), (rows, 2 * rows)).reshape(-1)
         n_l = np.maximum(self.normals @ light.T, 0)  # [n, d]
@@ -154,7 +161,7 @@ class SphereRenderer:
             half = light + self._to_viewer.astype(np.float32)
             half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-6)
             n_h = np.clip(self.normals @ half.T, 0, 1)
-            # F = 1 and n.v, constant in a row, cancel in the normalisation, which also gives back what a
+            # F = 1 and n.v, constant in a row, cancel in the normalisation, which also restores the energy that a
             # single bounce off rough metal loses
             alpha = MATTE_ROUGHNESS**2
             weights *= _ggx(n_h, alpha) * _geometry(n_l, MATTE_ROUGHNESS)
@@ -173,11 +180,10 @@ class SphereRenderer:
         return lobe
 
     def _glossy_lookups(self, height: int) -> list["_Lookup"]:
-        """Filtered importance sampling (Krivanek and Colbert 2008) of the lobe: finest panorama level first.
+        """Sample the lobe by filtered importance sampling (Krivanek and Colbert 2008), finest panorama level first.
 
-        Half vectors follow GGX over a fixed Hammersley set; each sample reads the level whose pixels are as
-        wide as the share of the sphere that the sample stands for, so a lamp of one pixel is neither missed
-        nor doubled.
+        Half vectors follow GGX over a fixed Hammersley set. Each sample reads the level whose pixels are as wide as the
+        sample's solid angle, so that a lamp of one pixel is neither missed nor counted twice.
         """
         count, normals = _GLOSSY_SAMPLES, self.normals
         viewer = self._to_viewer.astype(np.float32)
@@ -233,13 +239,13 @@ class _Lookup:
         count = len(uv)
         lines = max(1, -(-count // _LOOKUP_COLUMNS))
         maps = np.zeros((2, lines * _LOOKUP_COLUMNS), np.float32)
-        maps[0, :count] = uv[:, 0] * (2 * rows) + 0.5  # one column and row of padding stand before the first
+        maps[0, :count] = uv[:, 0] * (2 * rows) + 0.5  # one column and one row of padding come before the first
         maps[1, :count] = uv[:, 1] * rows + 0.5
         column, row = maps.reshape(2, lines, _LOOKUP_COLUMNS)
         return cls(rows, count, column, row, None if weight is None else weight.astype(np.float32), pixel)
 
     def __call__(self, panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "n 3"]:
-        """Radiance at each direction."""
+        """Return the radiance at each direction."""
         padded = cv2.copyMakeBorder(panorama, 1, 1, 0, 0, cv2.BORDER_REPLICATE)
         padded = cv2.copyMakeBorder(padded, 0, 0, 1, 1, cv2.BORDER_WRAP)
         read = cv2.remap(padded, self.column, self.row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
@@ -255,10 +261,9 @@ class _Lookup:
 
 
 def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np.ndarray, "{rows} 2*{rows} 3"]:
-    """The panorama with another number of rows; as it is (not a copy) when it has them already.
+    """Resample a panorama to another number of rows; with the same number it is returned itself, not a copy.
 
-    Smaller: the area mean weighted by solid angle, so that the light it sheds is kept. Larger: bilinear,
-    wrapping.
+    Smaller: the area mean weighted by solid angle, so that the light is conserved. Larger: bilinear, wrapping.
     """
     height = panorama.shape[0]
     if rows == height:
@@ -273,7 +278,7 @@ def resize_panorama(panorama: Float[np.ndarray, "h w 3"], rows: int) -> Float[np
 
 
 def _ggx(n_h: Float[np.ndarray, "*shape"], alpha: float) -> Float[np.ndarray, "*shape"]:
-    """GGX (Trowbridge-Reitz) distribution of half vectors; alpha is roughness squared as in Karis 2013."""
+    """GGX (Trowbridge-Reitz) distribution of half vectors; alpha is roughness squared, as in Karis 2013."""
     return alpha**2 / (np.pi * (n_h * n_h * (alpha**2 - 1) + 1) ** 2)
 
 

@@ -1,7 +1,7 @@
-"""Sharding of kernels over a thread pool of our own.
+"""Parallel loops of kernels on a thread pool.
 
-Kernels release the GIL and run serially; rows are split here. numba's own threading layer aborts the process
-when two threads enter a parallel region at once, which a server does all day.
+Kernels release the GIL and run serially; rows are split here. numba's own threading layer aborts the process when two
+threads enter a parallel region at once, as in a server.
 """
 
 import os
@@ -12,10 +12,10 @@ from itertools import pairwise
 
 
 def thread_count() -> int:
-    """Threads used for one request: `ROOMLIGHT_THREADS`, or the cores this process may run on, at most 8."""
-    asked = os.environ.get("ROOMLIGHT_THREADS", "")
-    if asked.isdecimal() and int(asked) > 0:
-        return int(asked)
+    """Return the threads used for one request: `ROOMLIGHT_THREADS`, or the cores of this process, at most 8."""
+    setting = os.environ.get("ROOMLIGHT_THREADS", "")
+    if setting.isdecimal() and int(setting) > 0:
+        return int(setting)
     return min(8, len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1)
 
 
@@ -24,11 +24,11 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_count(), thread_name_prefix="roomlight")
 
 
-def shard(work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4) -> None:
-    """Call `work(start, stop)` over all of range(count), in pieces on the pool; returns when all are done.
+def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4) -> None:
+    """Call `work(start, stop)` for pieces of range(count) on the pool; return when all have ended.
 
-    More pieces than threads even out rays of unequal length. An exception in a piece is raised here, after
-    the other pieces have ended: nothing writes to the caller's buffers behind its back.
+    More pieces than threads balance rays of unequal length. An exception in a piece is raised here after the other
+    pieces have ended, so that none still writes to the caller's buffers.
     """
     threads = thread_count()
     if threads == 1 or count < 2 * threads:
