@@ -29,7 +29,7 @@ def bench_server(
         sessions=arguments.parse_counts(sessions),
         seconds=seconds,
         fps=fps,
-        mode=model,
+        model=model,
         weights=weights,
         allow_untrained=allow_untrained,
     )
