@@ -1,4 +1,4 @@
-"""Session servers on real sockets for the tests, a plain HTTP client, frame messages, an engine that can be held."""
+"""Servers on real sockets for the tests, a plain HTTP client, frame messages, an engine that waits on demand."""
 
 import http.client
 import json
@@ -18,11 +18,11 @@ from roomlight_server.settings import ServerSettings
 from rooms import BoxRoom, camera_at
 
 SMALL = {"mode": "classical", "height": 16, "reference_exposure": 1.0}
-"""Options of a session that is quick."""
+"""Options of a fast session."""
 
 
 class RunningServer:
-    """A server in a thread of its own, on a free port; use it in a `with` statement."""
+    """A server in its own thread on a free port; use it in a `with` statement."""
 
     def __init__(self, *, clock=None, **settings):
         self.settings = ServerSettings(port=0, **settings)
@@ -34,11 +34,11 @@ class RunningServer:
     def _run(self):
         startup = self._server.startup
 
-        async def startup_and_tell(sockets=None):
+        async def startup_and_signal(sockets=None):
             await startup(sockets)
             self._up.set()
 
-        self._server.startup = startup_and_tell
+        self._server.startup = startup_and_signal
         self._server.run()
         self._up.set()
 
@@ -64,7 +64,7 @@ class RunningServer:
         return self._server.servers[0].sockets[0].getsockname()[1]
 
     def call(self, method, path, body=None, *, token=None, headers=None, timeout=60):
-        """One request on a connection of its own; a dict is sent as JSON."""
+        """Send one request on a new connection; a dict is sent as JSON."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=timeout)
         given = {} if token is None else {"Authorization": f"Bearer {token}"}
         if isinstance(body, dict):
@@ -100,7 +100,7 @@ class Answer:
 
     @property
     def kind(self):
-        """Of a problem, after checking that it is one."""
+        """The kind of a problem; asserts that the answer is a problem."""
         assert self.headers["content-type"] == "application/problem+json", self
         assert {"type", "title", "status", "detail"} <= self.json.keys()
         assert self.json["status"] == self.status
@@ -108,7 +108,7 @@ class Answer:
 
 
 class InThread:
-    """A call in a thread; `result` waits for it."""
+    """A call that runs in a thread; `result` waits for it."""
 
     def __init__(self, work, *args, **kwargs):
         self._outcome = []
@@ -121,7 +121,7 @@ class InThread:
 
 
 class HeldSession(Session):
-    """An engine that waits for `release()` in every push, and fails on the frames in `broken`."""
+    """An engine that waits for `release()` in every push and raises the errors in `broken`, by frame index."""
 
     entered = threading.Semaphore(0)
     gate = threading.Semaphore(0)
@@ -148,9 +148,9 @@ class HeldSession(Session):
 
 
 @cache
-def box_shot(turn):
+def box_shot(yaw_degrees):
     room = BoxRoom(size_m=(4.0, 2.6, 3.6), lamp=((0.5, 2.6, 0.3), 0.3))
-    return room.frame(camera_at((0.2, 1.4, 0.8), yaw_degrees=float(turn)), width=48, height=36)
+    return room.frame(camera_at((0.2, 1.4, 0.8), yaw_degrees=float(yaw_degrees)), width=48, height=36)
 
 
 def header_of(shot, **changes):
@@ -172,7 +172,7 @@ def parts_of(shot):
 
 
 @cache
-def frame(turn=0, **changes):
-    """A frame message of a box room, the camera turned by so many degrees."""
-    shot = box_shot(turn)
+def frame(yaw_degrees=0, **changes):
+    """Return a frame message of a box room."""
+    shot = box_shot(yaw_degrees)
     return pack(FrameHeader.model_validate_json(json.dumps(header_of(shot, **changes))), *parts_of(shot))

@@ -91,7 +91,7 @@ class FrameQueue:
         self._done(entry)
         entry.settle(result)
 
-    def refused(self, entry: Entry, error: ProblemError) -> None:
+    def reject(self, entry: Entry, error: ProblemError) -> None:
         """Record that the frame was rejected without a change to the engine.
 
         Its index becomes free again, unless a newer frame was accepted.
@@ -104,11 +104,11 @@ class FrameQueue:
             self._last = self._before_last
         entry.fail(error)
 
-    def count_refused(self) -> None:
+    def count_rejected(self) -> None:
         """Count a frame that was rejected before it was accepted."""
         self._counts["refused"] += 1
 
-    def abandon(self, error: ProblemError) -> None:
+    def end_all(self, error: ProblemError) -> None:
         """End all pending frames with this error, because the session ends."""
         for entry in (self._waiting, self._processing):
             if entry is not None:

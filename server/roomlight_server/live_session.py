@@ -142,11 +142,11 @@ class LiveSession:
             try:
                 entry = await self._accept_in_order(body, index)
             except WireError as error:
-                self._queue.count_refused()
+                self._queue.count_rejected()
                 self._metrics.refused.labels("bad-frame").inc()
                 raise ProblemError.from_wire(error) from error
             except ProblemError as error:
-                self._queue.count_refused()
+                self._queue.count_rejected()
                 self._metrics.refused.labels(error.kind).inc()
                 raise
         if self._queue.has_waiting and self._runner is None:
@@ -220,7 +220,7 @@ class LiveSession:
 
     def _reject(self, entry: Entry, problem: ProblemError) -> None:
         self._metrics.refused.labels("bad-frame").inc()
-        self._queue.refused(entry, problem)
+        self._queue.reject(entry, problem)
 
     def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:
         coverage = dict(zip(engine.handles, report.coverage, strict=True))
@@ -366,7 +366,7 @@ class LiveSession:
         self._ended = reason
         self._engine = None
         self._lights.clear()
-        self._queue.abandon(reason)
+        self._queue.end_all(reason)
         self._workers.release_memory()
         for listener in tuple(self._listeners):
             listener()

@@ -1,4 +1,4 @@
-"""Frame messages into frames: every colour and depth encoding, exposure, confidence, HEIC."""
+"""Decoding of frame messages: every colour and depth encoding, exposure, confidence, HEIC."""
 
 import io
 import json
@@ -51,7 +51,7 @@ def png(array):
 
 
 @pytest.mark.parametrize("encoding", ["rgb8", "png", "jpeg", "linear_f32"])
-def test_colour_comes_as_linear_light(encoding):
+def test_every_colour_encoding_decodes_to_linear_light(encoding):
     linear = srgb8_to_linear(RGB)
     clipped = RGB.max(axis=-1) >= 250
     data = {
@@ -71,7 +71,7 @@ def test_colour_comes_as_linear_light(encoding):
     assert frame.camera_to_world[:3, 3].tolist() == [0.5, 1.5, -2.0]
 
 
-def test_heic_is_read_where_its_decoder_is_installed():
+def test_heic_decodes_if_the_decoder_is_installed():
     stream = io.BytesIO()
     pillow_heif.from_bytes("RGB", (WIDTH, HEIGHT), RGB.tobytes()).save(stream, format="HEIF", quality=95)
     frame = decode_frame(message(("heic", stream.getvalue())), 0)
@@ -84,7 +84,7 @@ def test_heic_is_read_where_its_decoder_is_installed():
         assert caught.value.field == "colour"
 
 
-def test_without_the_decoder_heic_is_refused_with_advice(monkeypatch):
+def test_heic_without_the_decoder_is_rejected_with_advice(monkeypatch):
     monkeypatch.setattr("roomlight.wire.decoding.heic_available", lambda: False)
     with pytest.raises(WireError, match=r"roomlight\[heic\]"):
         decode_frame(message(("heic", b"\0\0\0\x18ftypheic")), 0)
@@ -95,7 +95,7 @@ def test_without_the_decoder_heic_is_refused_with_advice(monkeypatch):
     [("uint16_mm", "<u2", 1000, 5.1e-4), ("float16_m", "<f2", 1, 1e-3), ("float32_m", "<f4", 1, 0)],
 )
 @pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
-def test_depth_comes_in_metres(format_, dtype, scale, tolerance, encoding):
+def test_every_depth_format_decodes_to_metres(format_, dtype, scale, tolerance, encoding):
     if encoding == "png" and format_ != "uint16_mm":
         with pytest.raises(WireError, match="png encodes uint16_mm only"):
             message(depth=(format_, "png", png(np.ones((HEIGHT, WIDTH), np.uint16))))
@@ -118,7 +118,7 @@ def test_unknown_depth_is_zero():
 
 
 @pytest.mark.parametrize("encoding", ["raw", "zstd", "png"])
-def test_confidence_removes_depth(encoding):
+def test_depth_of_low_confidence_becomes_unknown(encoding):
     levels = np.zeros((HEIGHT, WIDTH), np.uint8)
     levels[:, 20:], levels[:, 40:] = 1, 2
     data = {"raw": levels.tobytes(), "zstd": compress(levels.tobytes()), "png": png(levels)}[encoding]
@@ -127,7 +127,7 @@ def test_confidence_removes_depth(encoding):
         assert (frame.depth_m[0] > 0).sum() == known
 
 
-def test_radiance_is_in_units_of_the_reference_exposure():
+def test_radiance_is_relative_to_the_reference_exposure():
     plain = decode_frame(message(), 0).image
     np.testing.assert_allclose(decode_frame(message(exposure=4.0), 0).image, plain / 4, rtol=1e-6)
     np.testing.assert_array_equal(decode_frame(message(exposure=4.0), 0, reference_exposure=4.0).image, plain)
@@ -147,13 +147,13 @@ def test_radiance_is_in_units_of_the_reference_exposure():
         ),
     ],
 )
-def test_depth_that_is_none_is_refused(depth, rule):
+def test_unusable_depth_is_rejected(depth, rule):
     with pytest.raises(WireError, match=rule) as caught:
         decode_frame(message(depth=depth), 0)
     assert caught.value.field == "depth"
 
 
-def test_an_image_that_an_exif_mark_turns_is_refused():
+def test_an_image_with_an_exif_rotation_is_rejected():
     upright = cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH, 3), np.uint8))[1].tobytes()
     tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
     body = b"Exif\0\0" + tiff

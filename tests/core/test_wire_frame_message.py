@@ -1,4 +1,4 @@
-"""Frame messages: bytes that all clients share, round trips, and what is refused. `python THIS` writes the vector."""
+"""Frame messages: the shared example bytes, round trips, rejected messages. Run as a script, it writes the vector."""
 
 import json
 import math
@@ -39,13 +39,13 @@ def header_dict(width=4, height=3, **changes):
 
 
 def parts_of(header):
-    """Parts of the lengths that the header states, with some pattern."""
+    """Return parts of the lengths that the header states, filled with a pattern."""
     sizes = [header[name]["bytes"] for name in ("colour", "depth", "confidence") if name in header]
     return [bytes((7 * at + number) % 251 for at in range(size)) for number, size in enumerate(sizes)]
 
 
 def build(header, *parts):
-    """A message as any client would build it, right or wrong."""
+    """Build a message without checks."""
     text = json.dumps(header).encode()
     return b"RLF1" + struct.pack("<I", len(text)) + text + b"".join(parts)
 
@@ -56,7 +56,7 @@ def message(**changes):
 
 
 def edited(path, value):
-    """A whole message but for one value of its header."""
+    """Return a valid message except for one value of its header."""
     header = header_dict()
     *way, last = path.split(".")
     place = header
@@ -66,14 +66,14 @@ def edited(path, value):
     return build(header, *parts_of(header_dict()))
 
 
-def refusal(body, limits=None):
+def error_of(body, limits=None):
     with pytest.raises(WireError) as caught:
         parse(body, limits)
     return caught.value
 
 
 def vectors():
-    """What Python, TypeScript and Swift must all pack alike: every field, then as few as there can be."""
+    """Yield the messages that every client must pack identically: with all fields, and with the fewest."""
     full = header_dict(
         index=7,
         exposure=0.5,
@@ -101,7 +101,7 @@ def write_vector():
 
 
 @pytest.mark.parametrize("which", [0, 1])
-def test_the_shared_vector_is_what_is_packed_and_parsed(which):
+def test_the_shared_vector_is_packed_and_parsed_exactly(which):
     vector = json.loads(VECTOR.read_text())["vectors"][which]
     body = BYTES.read_bytes()[vector["offset"] : vector["offset"] + vector["length"]]
     header = FrameHeader.model_validate_json(json.dumps(vector["header"]))
@@ -113,12 +113,12 @@ def test_the_shared_vector_is_what_is_packed_and_parsed(which):
     assert [bytes(part) for part in found] == parts
 
 
-def test_a_pose_is_sixteen_numbers_column_by_column():
+def test_a_pose_is_written_column_by_column():
     assert column_major(POSE)[12:15] == [1.5, -0.25, 2.0]
     np.testing.assert_allclose(parse(message()).camera_to_world, POSE, atol=1e-15)
 
 
-def test_a_clean_pose_crosses_to_the_bit():
+def test_a_rigid_pose_is_transmitted_bit_exactly():
     turned = parse(message()).camera_to_world
     again = parse(message(camera_to_world=column_major(turned))).camera_to_world
     assert turned.tobytes() == again.tobytes()
@@ -136,7 +136,7 @@ def test_optional_fields_have_defaults():
 
 @settings(max_examples=50, deadline=None)
 @given(st.floats(-100, 100), st.floats(1e-3, 1e3), st.integers(0, 2**53 - 1), st.integers(2, 40), st.integers(2, 40))
-def test_every_number_survives(position, exposure, index, width, height):
+def test_every_number_is_transmitted_exactly(position, exposure, index, width, height):
     pose = POSE.copy()
     pose[0, 3] = position
     whole = header_dict(width, height, exposure=exposure, index=index, camera_to_world=column_major(pose))
@@ -186,15 +186,15 @@ def test_every_number_survives(position, exposure, index, width, height):
         ("surprise", 1, "surprise"),
     ],
 )
-def test_a_wrong_value_is_refused_by_its_name(path, value, field):
-    error = refusal(edited(path, value))
+def test_an_invalid_field_is_rejected_by_name(path, value, field):
+    error = error_of(edited(path, value))
     assert error.field == field
     assert error.rule
     assert error.value
     assert error.kind in ("bad-frame", "too-large")
 
 
-def test_a_broken_envelope_is_refused():
+def test_a_damaged_message_is_rejected():
     body = message()
     for damaged, field in (
         (b"", ""),
@@ -211,26 +211,26 @@ def test_a_broken_envelope_is_refused():
         (b"RLF1" + struct.pack("<I", 12_000) + b"[" * 12_000, ""),
         (b"RLF1" + struct.pack("<I", 4) + b"\xff\xfe{}", ""),
     ):
-        assert refusal(damaged).field == field
+        assert error_of(damaged).field == field
 
 
-def test_limits_are_kept_before_anything_is_decoded():
+def test_limits_are_checked_before_decoding():
     small = FrameLimits(max_body_bytes=100)
-    assert refusal(message(), small).kind == "too-large"
-    assert refusal(message(), FrameLimits(max_colour_pixels=11)).field == "intrinsics"
-    assert refusal(message(), FrameLimits(max_depth_pixels=11)).field == "depth"
+    assert error_of(message(), small).kind == "too-large"
+    assert error_of(message(), FrameLimits(max_colour_pixels=11)).field == "intrinsics"
+    assert error_of(message(), FrameLimits(max_depth_pixels=11)).field == "depth"
 
 
-def test_raw_parts_must_have_the_size_of_their_pixels():
+def test_a_raw_part_must_match_its_size_in_pixels():
     whole = header_dict()
     whole["depth"]["bytes"] = 23
-    assert refusal(build(whole, *parts_of(whole))).field == "depth.bytes"
+    assert error_of(build(whole, *parts_of(whole))).field == "depth.bytes"
     whole = header_dict(colour={"encoding": "rgb8", "bytes": 37})
-    assert refusal(build(whole, *parts_of(whole))).field == "colour.bytes"
+    assert error_of(build(whole, *parts_of(whole))).field == "colour.bytes"
     whole = header_dict(confidence={"width": 4, "height": 3, "bytes": 11})
-    assert refusal(build(whole, *parts_of(whole))).field == "confidence.bytes"
+    assert error_of(build(whole, *parts_of(whole))).field == "confidence.bytes"
     whole = header_dict(confidence={"width": 8, "height": 6, "bytes": 48})
-    assert refusal(build(whole, *parts_of(whole))).field == "confidence"
+    assert error_of(build(whole, *parts_of(whole))).field == "confidence"
 
 
 def with_colour(encoding, data):
@@ -248,37 +248,37 @@ def encoded(suffix, width=4, height=3, dtype=np.uint8, channels=(3,)):
     return cv2.imencode(suffix, np.zeros((height, width, *channels), dtype))[1].tobytes()
 
 
-def test_images_must_have_the_stated_size_and_kind():
+def test_an_image_must_have_the_stated_size_and_encoding():
     for encoding, suffix in (("jpeg", ".jpg"), ("png", ".png")):
         assert isinstance(parse(with_colour(encoding, encoded(suffix))), FrameMessage)
-        assert refusal(with_colour(encoding, encoded(suffix, 40, 30))).field == "colour"
-        assert refusal(with_colour(encoding, encoded(suffix)[:-20])).field == "colour"
-        assert refusal(with_colour(encoding, b"\x76\x2f\x31\x01" + bytes(50))).field == "colour"
-    assert refusal(with_colour("jpeg", encoded(".png"))).field == "colour"
-    assert refusal(with_colour("heic", encoded(".png"))).field == "colour"
+        assert error_of(with_colour(encoding, encoded(suffix, 40, 30))).field == "colour"
+        assert error_of(with_colour(encoding, encoded(suffix)[:-20])).field == "colour"
+        assert error_of(with_colour(encoding, b"\x76\x2f\x31\x01" + bytes(50))).field == "colour"
+    assert error_of(with_colour("jpeg", encoded(".png"))).field == "colour"
+    assert error_of(with_colour("heic", encoded(".png"))).field == "colour"
     grey = encoded(".png", dtype=np.uint16, channels=())
     assert isinstance(parse(with_depth("uint16_mm", "png", grey)), FrameMessage)
-    assert refusal(with_depth("float32_m", "png", grey)).field == "depth.encoding"
+    assert error_of(with_depth("float32_m", "png", grey)).field == "depth.encoding"
     big = encoded(".png", 4000, 3000, np.uint16, ())
-    assert refusal(with_depth("uint16_mm", "png", big)).field == "depth"
+    assert error_of(with_depth("uint16_mm", "png", big)).field == "depth"
 
 
-def test_a_png_bomb_is_refused_by_its_header():
+def test_a_png_bomb_is_rejected_by_its_header():
     bomb = bytearray(encoded(".png"))
     bomb[16:24] = struct.pack(">II", 60_000, 60_000)
-    assert refusal(with_colour("png", bytes(bomb))).value == "60000 x 60000"
+    assert error_of(with_colour("png", bytes(bomb))).value == "60000 x 60000"
 
 
-def test_zstd_must_state_the_right_size_or_none():
+def test_zstd_must_state_the_right_size_or_no_size():
     compress = zstandard.ZstdCompressor().compress
     assert isinstance(parse(with_depth("uint16_mm", "zstd", compress(bytes(24)))), FrameMessage)
-    assert refusal(with_depth("uint16_mm", "zstd", compress(bytes(10**7)))).field == "depth"
-    assert refusal(with_depth("uint16_mm", "zstd", b"not zstd at all")).field == "depth"
+    assert error_of(with_depth("uint16_mm", "zstd", compress(bytes(10**7)))).field == "depth"
+    assert error_of(with_depth("uint16_mm", "zstd", b"not zstd at all")).field == "depth"
     streamed = zstandard.ZstdCompressor(write_content_size=False).compress(bytes(24))
     assert isinstance(parse(with_depth("uint16_mm", "zstd", streamed)), FrameMessage)
 
 
-def test_pack_holds_the_header_to_the_parts():
+def test_pack_checks_the_lengths_of_the_parts():
     header = FrameHeader.model_validate_json(json.dumps(header_dict()))
     with pytest.raises(WireError, match=r"depth\.bytes"):
         pack(header, bytes(36), bytes(5))
@@ -286,7 +286,7 @@ def test_pack_holds_the_header_to_the_parts():
         pack(header, bytes(36), bytes(24), bytes(3))
 
 
-def test_whole_numbers_may_have_a_point_as_in_json():
+def test_an_integer_may_be_written_with_a_decimal_point():
     plain = json.dumps(header_dict(index=7), separators=(",", ":"))
     pointed = plain
     for name, value in (("version", 1), ("index", 7), ("width", 4), ("height", 3)):
@@ -316,7 +316,7 @@ def test_whole_numbers_may_have_a_point_as_in_json():
         ('{"index":"\udc80"}', None),
     ],
 )
-def test_an_index_is_read_from_a_message_that_is_wrong(header, index):
+def test_the_index_of_an_invalid_message_is_read(header, index):
     text = header.encode(errors="surrogateescape")
     assert stated_index(struct.pack("<4sI", b"RLF1", len(text)) + text) == index
     assert stated_index(struct.pack("<4sI", b"RLF2", len(text)) + text) is None

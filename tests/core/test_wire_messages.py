@@ -30,7 +30,7 @@ def response(**more):
     return LightResponse(frame=7, results=lights) if not more else LightAnswer(frame=7, results=lights, **more)
 
 
-def test_a_light_message_is_read_as_it_was_written():
+def test_a_light_message_round_trips():
     parts = [b"first", b"", b"other", b""]
     body = pack_light(response(), parts)
     read, data = parse_light(body, LightResponse)
@@ -41,7 +41,7 @@ def test_a_light_message_is_read_as_it_was_written():
 
 
 @pytest.mark.parametrize("damage", [b"", b"RLF1", b"RLL1\xff\0\0\0{}", b"RLL1\x02\0\0\0{}"])
-def test_what_is_no_light_message_is_refused(damage):
+def test_a_damaged_light_message_is_rejected(damage):
     with pytest.raises(WireError):
         parse_light(damage, LightResponse)
     whole = pack_light(response(), [b"first", b"", b"other", b""])
@@ -50,7 +50,7 @@ def test_what_is_no_light_message_is_refused(damage):
             parse_light(wrong, LightResponse)
 
 
-def test_json_carries_data_in_base64():
+def test_json_contains_data_in_base64():
     form = with_data(response().results[0].forms[1], b"first")
     plain = json.loads(form.model_dump_json(exclude_none=True))
     assert base64.b64decode(plain["data"]) == b"first"
@@ -58,23 +58,23 @@ def test_json_carries_data_in_base64():
 
 
 @pytest.mark.parametrize("text", ["a", "A-Z_09", "x" * 64])
-def test_ids(text):
+def test_valid_ids_are_accepted(text):
     assert is_id(text)
 
 
 @pytest.mark.parametrize("text", ["", "x" * 65, "a b", "a/b", "..", "a\n", "\u00e9", "a\0"])
-def test_what_is_no_id(text):
+def test_invalid_ids_are_rejected(text):
     assert not is_id(text)
 
 
-def test_forms_know_their_sizes():
+def test_the_size_of_a_form_depends_on_its_format():
     assert LightForm(format="cube", size=256).size == 256
     for wrong in ({"format": "cube", "size": 24}, {"format": "exr", "size": 7}, {"format": "exr", "size": 513}):
         with pytest.raises(ValidationError):
             LightForm(**wrong)
 
 
-def test_requests_are_strict():
+def test_requests_are_validated_strictly():
     assert SessionRequest.model_validate_json("{}").height == 120
     for text in ('{"height": "120"}', '{"height": true}', '{"heigth": 120}', '{"reference_exposure": NaN}'):
         with pytest.raises(ValidationError):

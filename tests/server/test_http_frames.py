@@ -1,4 +1,4 @@
-"""Frames over a real socket: order, replays, the queue, what an engine's failure leaves, multipart."""
+"""Frames over a real socket: order, replays, the queue, engine failures, multipart."""
 
 import json
 import socket
@@ -23,7 +23,7 @@ def server():
 
 @pytest.fixture
 def held(monkeypatch):
-    """A server whose engine waits in every push."""
+    """Yield a server whose engine waits in every push."""
     HeldSession.reset()
     monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=3) as running:
@@ -33,7 +33,7 @@ def held(monkeypatch):
 
 
 def queued(server, index, **more):
-    """Send without waiting for the engine."""
+    """Send a frame without waiting for the engine."""
     answer = server.push(index, headers={"Prefer": "respond-async"}, **more)
     assert (answer.status, answer.json["status"]) == (202, "queued")
 
@@ -47,7 +47,7 @@ def test_a_frame_is_processed_and_reported(server):
     assert {"prepare", "volume", "sglv", "mesh"} <= result["stage_ms"].keys()
 
 
-def test_the_same_bytes_again_are_a_replay_and_others_a_conflict(server):
+def test_equal_bytes_are_a_replay_and_others_a_conflict(server):
     server.open("order")
     first = server.push(5, name="order")
     again = server.push(5, name="order")
@@ -67,21 +67,21 @@ def test_gaps_are_allowed_and_counted(server):
     assert (counts["gaps"], counts["accepted"], counts["last_index"]) == (13, 5, 20)
 
 
-def test_lost_tracking_is_skipped_and_counted(server):
+def test_a_frame_without_tracking_is_skipped_and_counted(server):
     server.open("lost")
     server.open("brave", SMALL | {"use_limited_tracking": True})
-    fates = {}
+    outcomes = {}
     for name in ("lost", "brave"):
         for index, state in enumerate(("normal", "limited", "not_available")):
-            fates[name, state] = server.push(index, frame(tracking_state=state), name=name).json["status"]
-    assert fates == {
+            outcomes[name, state] = server.push(index, frame(tracking_state=state), name=name).json["status"]
+    assert outcomes == {
         ("lost", "normal"): "processed", ("lost", "limited"): "skipped", ("lost", "not_available"): "skipped",
         ("brave", "normal"): "processed", ("brave", "limited"): "processed", ("brave", "not_available"): "skipped",
     }  # fmt: skip
     assert server.state("lost")["frames"]["skipped"] == 2
 
 
-def test_the_newest_frame_wins_and_the_others_are_told(held):
+def test_the_newest_frame_supersedes_a_waiting_one(held):
     first = InThread(held.push, 0)
     HeldSession.wait_entered()
     second = InThread(held.push, 1, frame(1), headers={"X": "waits"})
@@ -96,19 +96,19 @@ def test_the_newest_frame_wins_and_the_others_are_told(held):
 
 
 def wait_for_queue(server, last):
-    """Until the frame was accepted: each request goes through the loop once."""
+    """Wait until the frame is accepted, by requests to the event loop."""
     for _ in range(10_000):
         if server.state()["frames"]["last_index"] == last:
             return
     raise AssertionError(f"frame {last} was not accepted")
 
 
-def test_a_session_with_its_hands_full_says_so(held):
+def test_too_many_frames_in_flight_are_answered_with_429(held):
     waiting = [InThread(held.push, 0)]
     HeldSession.wait_entered()
     waiting.append(InThread(held.push, 1, frame(1)))
     wait_for_queue(held, last=1)
-    waiting.append(InThread(held.push, 1, frame(1)))  # a retry takes a place too
+    waiting.append(InThread(held.push, 1, frame(1)))  # a retry takes a slot too
     for _ in range(10_000):
         if held.state()["frames"]["replayed"]:
             break
@@ -122,7 +122,7 @@ def test_a_session_with_its_hands_full_says_so(held):
     assert held.push(2).status == 200
 
 
-def test_who_does_not_wait_gets_an_answer_at_once(held):
+def test_respond_async_answers_before_the_engine(held):
     queued(held, 0)
     HeldSession.wait_entered()
     queued(held, 1, body=frame(1))
@@ -134,7 +134,7 @@ def test_who_does_not_wait_gets_an_answer_at_once(held):
     assert replay.json["replay"]
 
 
-def test_health_is_answered_while_a_frame_is_worked_on(held):
+def test_health_is_answered_during_a_frame(held):
     for _ in range(10_000):
         if held.call("GET", "/readyz").status == 200:
             break
@@ -146,7 +146,7 @@ def test_health_is_answered_while_a_frame_is_worked_on(held):
 
 
 @pytest.mark.parametrize("failure", [MemoryError("no room"), RuntimeError("ONNX Runtime: bad alloc")])
-def test_an_engine_failure_ends_its_session_alone(held, failure):
+def test_an_engine_failure_ends_only_its_own_session(held, failure):
     held.open("neighbour")
     HeldSession.broken = {1: failure}
     HeldSession.release(2)
@@ -165,7 +165,7 @@ def test_an_engine_failure_ends_its_session_alone(held, failure):
     assert held.open().status == 201
 
 
-def test_a_frame_that_the_engine_will_not_have_leaves_the_order_as_it_was(held):
+def test_a_frame_rejected_by_the_engine_frees_its_index(held):
     HeldSession.broken = {3: FrameError("frame 3: too close to be a room")}
     HeldSession.release(4)
     assert held.push(0).status == 200
@@ -178,7 +178,7 @@ def test_a_frame_that_the_engine_will_not_have_leaves_the_order_as_it_was(held):
     assert held.push(3, frame(9)).json["status"] == "processed"
 
 
-def test_deleting_does_not_leave_anyone_waiting(held):
+def test_deleting_a_session_answers_waiting_requests(held):
     first = InThread(held.push, 0)
     HeldSession.wait_entered()
     second = InThread(held.push, 1, frame(1))
@@ -191,7 +191,7 @@ def test_deleting_does_not_leave_anyone_waiting(held):
     assert held.push(0).status == 200
 
 
-def test_stopping_finishes_the_frame_in_work(held):
+def test_stopping_the_server_finishes_the_running_frame(held):
     port = held.port
     working = InThread(held.push, 0)
     HeldSession.wait_entered()
@@ -204,7 +204,7 @@ def test_stopping_finishes_the_frame_in_work(held):
 
 
 def multipart(parts):
-    """What `curl -F header=... -F colour=@... -F depth=@...` sends."""
+    """Return the body that `curl -F header=... -F colour=@... -F depth=@...` sends."""
     body = b""
     for name, data in parts.items():
         file = "" if name == "header" else f'; filename="{name}"\r\nContent-Type: application/octet-stream'
@@ -220,14 +220,14 @@ def curl_parts(**changes):
     return {"header": json.dumps(header).encode(), "colour": colour, "depth": depth} | changes
 
 
-def test_multipart_is_the_same_frame(server):
+def test_a_multipart_frame_equals_a_binary_one(server):
     server.open("curl")
     body, headers = multipart(curl_parts())
     assert server.push(0, body, name="curl", headers=headers).json["status"] == "processed"
     assert server.push(0, frame(0), name="curl").json["replay"]
 
 
-def test_multipart_of_a_png_of_over_a_megabyte(server):
+def test_a_multipart_frame_may_exceed_a_megabyte(server):
     server.open("big")
     shot = box_shot(0)
     noise = np.random.default_rng(1).integers(0, 255, (720, 960, 3), np.uint8)
@@ -251,7 +251,7 @@ def test_multipart_of_a_png_of_over_a_megabyte(server):
         ({"confidence": b"xxxx"}, "confidence.bytes"),
     ],
 )
-def test_multipart_is_checked_like_a_frame(server, changes, field):
+def test_a_multipart_frame_is_validated(server, changes, field):
     server.open("curl-checked")
     body, headers = multipart(curl_parts(**changes))
     answer = server.push(0, body, name="curl-checked", headers=headers)
@@ -259,7 +259,7 @@ def test_multipart_is_checked_like_a_frame(server, changes, field):
     assert server.state("curl-checked")["frames"]["accepted"] == 0
 
 
-def test_multipart_that_is_none_is_refused(server):
+def test_malformed_multipart_is_rejected(server):
     server.open("curl-broken")
     for headers, body in (
         ({"Content-Type": "multipart/form-data"}, b"x"),
@@ -271,7 +271,7 @@ def test_multipart_that_is_none_is_refused(server):
         assert answer.kind in ("bad-request", "bad-frame")
 
 
-def test_sessions_do_not_wait_for_each_other_longer_than_a_frame(held):
+def test_a_session_waits_at_most_one_frame_of_another(held):
     held.open("other")
     queued(held, 0)
     HeldSession.wait_entered()
@@ -281,8 +281,8 @@ def test_sessions_do_not_wait_for_each_other_longer_than_a_frame(held):
     assert threading.active_count() < 50
 
 
-def test_a_followed_points_light_waits_for_no_other_session(held):
-    """Its own session's next frame stands in the queue behind another's: the light is that of the frame before."""
+def test_light_of_a_named_probe_waits_for_no_other_session(held):
+    """The session's next frame waits behind another session's: the light is that of the frame before."""
     held.call("PUT", "/v1/sessions/room/probes/table", {"position": [0.2, 1.2, -0.2]})
     HeldSession.release()
     assert held.push(0).status == 200
@@ -300,7 +300,7 @@ def test_a_followed_points_light_waits_for_no_other_session(held):
     assert light.headers["roomlight-frame"] == "1"
 
 
-def test_a_frame_that_takes_anothers_place_is_decoded_when_its_turn_comes(held, monkeypatch):
+def test_a_replacing_frame_is_decoded_when_it_is_taken(held, monkeypatch):
     decoded = []
     decode = live_session.decode_to_size
     monkeypatch.setattr(live_session, "decode_to_size", lambda *given: decoded.append(given[1]) or decode(*given))
@@ -317,7 +317,7 @@ def test_a_frame_that_takes_anothers_place_is_decoded_when_its_turn_comes(held, 
     assert held.state()["frames"]["superseded"] == 3
 
 
-def test_one_that_does_not_decode_then_is_refused_and_all_goes_on(held):
+def test_a_frame_that_fails_to_decode_late_is_rejected(held):
     HeldSession.release()
     assert held.push(0).status == 200
     HeldSession.wait_entered()
@@ -327,7 +327,7 @@ def test_one_that_does_not_decode_then_is_refused_and_all_goes_on(held):
     shot = box_shot(3)
     header = header_of(shot, colour={"encoding": "png", "bytes": 0})
     png = cv2.imencode(".png", np.random.default_rng(1).integers(0, 255, shot.image.shape, np.uint8))[1].tobytes()
-    torn = png[:60] + bytes(len(png) - 72) + png[-12:]  # whole by its header and end mark
+    torn = png[:60] + bytes(len(png) - 72) + png[-12:]  # complete by its header and end marker
     header["colour"]["bytes"] = len(torn)
     body = pack(FrameHeader.model_validate_json(json.dumps(header)), torn, parts_of(shot)[1])
     broken = InThread(held.push, 3, body)

@@ -1,4 +1,4 @@
-"""What a careless or hostile client sends over a real socket: refused with a reason, and nothing else happens."""
+"""Malformed and hostile requests over a real socket: they are rejected with a reason and change nothing."""
 
 import http.client
 import json
@@ -33,7 +33,7 @@ def build(header, *parts):
 
 
 def with_parts(colour=None, depth=None, confidence=None, **changes):
-    """A box room's frame with parts given as (description, bytes), lengths filled in."""
+    """Return a frame of a box room; parts are (description, bytes), lengths are filled in."""
     header = header_of(box_shot(0), **changes)
     parts = []
     for name, given, default in zip(("colour", "depth"), (colour, depth), parts_of(box_shot(0)), strict=True):
@@ -47,7 +47,7 @@ def with_parts(colour=None, depth=None, confidence=None, **changes):
 
 
 def png_bomb(width, height):
-    """A valid PNG of a few hundred kilobytes that decodes to gigabytes of nothing."""
+    """Return a valid PNG of a few hundred kilobytes that decodes to gigabytes."""
 
     def chunk(kind, data):
         return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
@@ -78,7 +78,7 @@ def pose(**rows):
 
 
 def streamed(data):
-    """zstd that does not say how much it holds."""
+    """Return zstd data without a stated content size."""
     return {"encoding": "zstd"}, zstandard.ZstdCompressor(write_content_size=False).compress(data)
 
 
@@ -144,7 +144,7 @@ HOSTILE = {
 
 
 @pytest.mark.parametrize("name", HOSTILE)
-def test_hostile_frames_are_refused_and_change_nothing(server, name):
+def test_a_hostile_frame_is_rejected_and_changes_nothing(server, name):
     body, status, field = HOSTILE[name]
     before, tag = server.state(), probe_tag(server)
     answer = server.push(5, body)
@@ -163,12 +163,12 @@ def probe_tag(server):
 
 
 @pytest.mark.parametrize("index", ["-1", "x", "1.5", "9007199254740992", "1e3", "%00", "0x1"])
-def test_an_index_is_a_whole_number(server, index):
+def test_an_index_must_be_an_integer(server, index):
     answer = server.call("PUT", f"/v1/sessions/room/frames/{index}", frame())
     assert (answer.status, answer.json["field"]) == (422, "index")
 
 
-def test_a_body_over_the_limit_is_stopped_whether_it_says_so_or_not(server):
+def test_a_body_over_the_limit_is_rejected_also_if_chunked(server):
     declared = server.push(6, bytes(LIMIT + 1))
     assert (declared.status, declared.kind) == (413, "too-large")
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
@@ -193,7 +193,7 @@ def half_a_frame(server):
     return raw
 
 
-def test_a_body_that_does_not_come_is_given_up(server):
+def test_a_body_that_stops_arriving_is_answered_with_408(server):
     with half_a_frame(server) as raw:
         answer = http.client.HTTPResponse(raw)
         answer.begin()
@@ -201,8 +201,8 @@ def test_a_body_that_does_not_come_is_given_up(server):
         assert json.loads(answer.read())["type"] == "urn:roomlight:problem:body-timeout"
 
 
-def test_a_client_that_hangs_up_takes_no_place(server):
-    for _ in range(10):  # more than have room
+def test_a_disconnected_client_frees_its_frame_slot(server):
+    for _ in range(10):  # more than there are slots
         half_a_frame(server).close()
     assert server.push(0).json["replay"]
     assert server.state()["frames"]["last_index"] == 0
@@ -249,7 +249,7 @@ STRANGE = {
 
 @pytest.mark.parametrize("first", [True, False])
 @pytest.mark.parametrize("name", STRANGE)
-def test_strange_frames_are_taken_or_refused_and_never_break_a_session(server, name, first):
+def test_an_extreme_frame_never_breaks_a_session(server, name, first):
     session = f"{name.replace(' ', '-')}-{first}"
     server.open(session)
     if not first:
@@ -275,7 +275,7 @@ def seeds():
 
 
 def mutated(body, rng):
-    """The message with a few bytes changed, dropped or doubled, or a number of its header made another."""
+    """Return the message with a few bytes changed, dropped or repeated, or with one value of its header replaced."""
     body = bytearray(body)
     length = struct.unpack_from("<I", body, 4)[0]
     kind = rng.randrange(4)
@@ -301,7 +301,7 @@ def mutated(body, rng):
     return bytes(body)
 
 
-def test_mutated_frames_break_nothing(server):
+def test_mutated_frames_never_break_a_session(server):
     server.open("fuzzed", {"mode": "classical", "height": 16})
     rng, bodies = random.Random(7), list(seeds())
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)

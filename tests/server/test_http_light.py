@@ -53,7 +53,7 @@ def panorama(server):
     return np.load(io.BytesIO(answer.body))
 
 
-def test_npy_is_what_the_engine_holds_and_exr_its_half(server):
+def test_npy_is_exact_and_exr_is_its_half_precision(server):
     exact = panorama(server)
     assert (exact.shape, exact.dtype) == ((16, 32, 3), np.float32)
     half, _ = decode_colour(get(server).body, "exr")
@@ -84,7 +84,7 @@ def test_every_form_comes_in_its_media_type(server):
     assert small.shape == (8, 16, 3)
 
 
-def test_numbers_are_those_of_the_panorama(server):
+def test_harmonics_and_main_light_match_the_panorama(server):
     exact = panorama(server)
     values = get(server, "&format=sh").json
     assert values["coefficients"] == project(exact).flat("interleaved").tolist()
@@ -98,7 +98,7 @@ def test_numbers_are_those_of_the_panorama(server):
     assert light["coverage"] == pytest.approx(float(get(server).headers["roomlight-coverage"]), abs=1e-4)
 
 
-def test_an_etag_changes_when_the_light_does_and_only_then(server):
+def test_the_etag_changes_if_and_only_if_the_light_does(server):
     server.open("tagged")
     server.push(0, name="tagged")
     first = get(server, "&format=sh", name="tagged")
@@ -116,8 +116,8 @@ def test_an_etag_changes_when_the_light_does_and_only_then(server):
     assert changed.headers["etag"] != tag
 
 
-def test_a_frame_that_changes_nothing_at_a_point_keeps_its_etag(server):
-    """The same light again is the same tag, though a frame was processed: a late look at keyframes that stayed."""
+def test_equal_light_after_another_frame_has_the_same_etag(server):
+    """Frames may leave the light at a point unchanged: the etag is then the same."""
     server.open("still")
     server.push(0, name="still")
     tags = set()
@@ -129,7 +129,7 @@ def test_a_frame_that_changes_nothing_at_a_point_keeps_its_etag(server):
     assert len({tag for tag, _ in tags}) == len({body for _, body in tags})
 
 
-def test_named_probes_are_followed(server):
+def test_named_probes_are_tracked_moved_and_deleted(server):
     server.open("named")
     path = "/v1/sessions/named/probes"
     assert server.call("PUT", f"{path}/table", POINT).status == 201
@@ -143,8 +143,8 @@ def test_named_probes_are_followed(server):
     assert 0 < first["coverage"]["table"] < 1
     server.push(1, frame(30), name="named")
     assert get(server, "?format=npy", path="/probes/table", name="named").status == 200
-    assert server.call("PUT", f"{path}/table", POINT).status == 200  # nothing changes
-    assert server.call("PUT", f"{path}/table", {"position": [0.0, 1.0, 0.0]}).status == 200  # it moves, caught up
+    assert server.call("PUT", f"{path}/table", POINT).status == 200  # unchanged
+    assert server.call("PUT", f"{path}/table", {"position": [0.0, 1.0, 0.0]}).status == 200
     assert server.call("PUT", f"{path}/late", POINT).status == 201
     state = server.state("named")
     assert state["probes"] == {"table": [0.0, 1.0, 0.0], "late": POINT["position"]}
@@ -160,8 +160,8 @@ def test_named_probes_are_followed(server):
     assert server.call("PUT", f"{path}/fourth", POINT).status == 201
 
 
-def test_a_followed_probe_is_the_engines_own(server):
-    """What a session tracks from the first frame, not a late look at its keyframes."""
+def test_a_named_probe_is_tracked_by_the_engine(server):
+    """Its light is tracked from the first frame, not computed from keyframes."""
     server.open("own")
     server.call("PUT", "/v1/sessions/own/probes/table", POINT)
     for index in range(3):
@@ -171,7 +171,7 @@ def test_a_followed_probe_is_the_engines_own(server):
     assert base64.b64decode(batch["results"][0]["forms"][0]["data"]) == followed
 
 
-def test_a_batch_answers_in_order_and_at_one_moment(server):
+def test_a_batch_answers_in_order_after_the_same_frame(server):
     body = {
         "probes": [POINT, {"position": [0, 1, 0]}],
         "forms": [{"format": "sh"}, {"format": "exr"}, {"format": "cube"}],
@@ -229,7 +229,7 @@ def test_every_form_comes_in_one_request(server):
         ({"probes": [POINT], "forms": [{"format": "png", "exposure_ev": 99}]}, "forms.0.exposure_ev"),
     ],
 )
-def test_a_batch_is_checked_by_name(server, body, field):
+def test_an_invalid_batch_is_rejected_by_field(server, body, field):
     answer = post(server, body)
     assert answer.status in (404, 422)
     assert answer.json["field"] == field, answer.json
@@ -243,12 +243,12 @@ def test_a_batch_is_checked_by_name(server, body, field):
         ("x=0&y=0&z=0&format=cube&size=100", "size"),
     ],
 )  # fmt: skip
-def test_a_query_is_checked_by_name(server, query, field):
+def test_an_invalid_query_is_rejected_by_field(server, query, field):
     answer = get(server, path=f"/probe?{query}")
     assert (answer.status, answer.kind, answer.json.get("field", "")) == (422, "invalid", field)
 
 
-def test_before_the_first_frame_there_is_a_prior_that_says_so(server):
+def test_before_the_first_frame_there_is_a_default_light(server):
     server.open("dark", SMALL)
     server.call("PUT", "/v1/sessions/dark/probes/table", POINT)
     anywhere = get(server, "&format=npy", name="dark")
@@ -273,14 +273,14 @@ def test_before_the_first_frame_there_is_a_prior_that_says_so(server):
     assert post(server, batch, name="dark").json["frame"] == 0
 
 
-def test_problems_are_json_to_the_letter(server):
+def test_a_problem_has_exactly_the_fields_of_the_schema(server):
     problem = json.loads(get(server, path="/probe?x=0&y=0&z=9999").body)
     assert problem["type"].startswith("urn:roomlight:problem:")
     assert {"type", "title", "status", "detail", "field", "value", "rule"} == problem.keys()
 
 
-def test_a_server_that_is_ready_has_made_the_usual_cubes():
-    """Their matrices, a quarter of a second each, are kept by height and width."""
+def test_a_ready_server_has_prepared_the_usual_cube_sizes():
+    """The resampling matrices of the usual sizes, 0.25 s each, are cached."""
     light_forms.warm_up()
     before = panorama_to_cube.cache_info().misses
     light = Light((0.0, 0.0, 0.0), prior_panorama(120), np.zeros((120, 240), np.float32), 0.0)

@@ -1,4 +1,4 @@
-"""The same light over a socket as from the engine called directly, to the byte: a capture, both kinds of model."""
+"""Light over a socket equals that of the engine bit-exactly: a capture, classical model and networks."""
 
 import io
 import json
@@ -22,7 +22,7 @@ EVERY, FRAMES = 4, 6
 
 
 def messages():
-    """The sample's own files as frame messages: JPEG and PNG as they lie on disk."""
+    """Yield the files of the sample as frame messages: JPEG and PNG as on disk."""
     for number in range(0, EVERY * FRAMES, EVERY):
         entry = INDEX["frames"][number]
         colour, depth = ((SAMPLE / entry[part]).read_bytes() for part in ("colour", "depth"))
@@ -42,7 +42,7 @@ def _png_size(data):
 
 
 def exact_messages():
-    """Frames as the reader gives them, without the loss of a bit: what a replay over the network sends."""
+    """Yield the decoded frames as lossless messages, like a replay over the network."""
     for shot in open_capture(SAMPLE, CaptureOptions(every=EVERY, max_frames=FRAMES)):
         height, width = shot.image.shape[:2]
         colour = shot.image.astype("<f4").tobytes() + shot.clipped.astype(np.uint8).tobytes()
@@ -61,22 +61,22 @@ def exact_messages():
 
 
 def direct(options):
-    """Each frame's panoramas of the followed probe, and the other's at the end."""
+    """Return the light of the tracked probe after each frame, and of the other probe at the end."""
     session = Session(options)
     handle = session.track(PROBES[0])
-    followed = []
+    tracked = []
     for shot in open_capture(SAMPLE, CaptureOptions(every=EVERY, max_frames=FRAMES)):
         session.push(shot)
-        followed.append(session.light(handle))
-    return followed, session.light_at(PROBES[1])
+        tracked.append(session.light(handle))
+    return tracked, session.light_at(PROBES[1])
 
 
 def compare(server, mode, bodies, expected, tmp_path):
-    followed, late = expected
-    height = followed[0].panorama.shape[0]
+    tracked, late = expected
+    height = tracked[0].panorama.shape[0]
     server.open("room", {"mode": mode, "height": height, "reference_exposure": 1.0})
     server.call("PUT", "/v1/sessions/room/probes/table", {"position": PROBES[0]})
-    for (index, body), light in zip(bodies, followed, strict=True):
+    for (index, body), light in zip(bodies, tracked, strict=True):
         assert server.push(index, body).json["status"] == "processed"
         answer = server.call("GET", "/v1/sessions/room/probes/table?format=npy")
         assert np.load(io.BytesIO(answer.body)).tobytes() == light.panorama.tobytes()
@@ -88,13 +88,13 @@ def compare(server, mode, bodies, expected, tmp_path):
 
 
 @pytest.mark.parametrize("bodies", [messages, exact_messages])
-def test_the_classical_model(tmp_path, bodies):
+def test_classical_light_equals_the_engine_bit_exactly(tmp_path, bodies):
     expected = direct(SessionOptions(model="classical", height=48))
     with RunningServer() as server:
         compare(server, "classical", bodies(), expected, tmp_path)
 
 
-def test_networks(tmp_path, tiny_video):
+def test_network_light_equals_the_engine_bit_exactly(tmp_path, tiny_video):
     weights = tiny_video[1]
     expected = direct(SessionOptions(model="video", weights=weights, allow_untrained=True, height=32))
     with RunningServer(model="video", weights=weights, allow_untrained=True) as server:

@@ -1,4 +1,4 @@
-"""Sessions over a real socket: opened, found, owned, expired, counted."""
+"""Sessions over a real socket: opening, joining, ownership, expiry, limits."""
 
 import pytest
 
@@ -8,7 +8,7 @@ TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
 
 
 class Clock:
-    """Goes forward when it is told to."""
+    """A clock that the test sets."""
 
     now_s = 1000.0
 
@@ -64,7 +64,7 @@ def test_a_session_is_joined_by_its_id_alone(server):
     assert again.status == 200
 
 
-def test_state_tells_memory_and_its_bound(server):
+def test_the_state_has_memory_and_its_upper_bound(server):
     server.open("sized")
     empty = server.state("sized")
     assert empty["memory"]["bytes"] == 0
@@ -88,7 +88,7 @@ def test_deleting_ends_a_session(server):
 
 
 @pytest.mark.parametrize("name", ["a.b", "%2e%2e", "a%20b", "a%0a", "%C3%A9", "x" * 65, "a%00", "*"])
-def test_ids_are_plain(server, name):
+def test_a_session_id_with_other_characters_is_rejected(server, name):
     answer = server.call("PUT", f"/v1/sessions/{name}", SMALL)
     assert (answer.status, answer.json["field"]) == (422, "session_id")
 
@@ -96,7 +96,7 @@ def test_ids_are_plain(server, name):
 @pytest.mark.parametrize(
     "path", ["/v1/sessions/..%2f..%2fetc", "/v1/sessions/a%2f", "/v1/sessions/", "/../x", "/nothing"]
 )
-def test_paths_that_are_none_are_not_found(server, path):
+def test_an_unknown_path_is_not_found(server, path):
     answer = server.call("PUT", path, SMALL)
     assert answer.status == 404
     assert answer.kind == "not-found"
@@ -113,14 +113,14 @@ def test_paths_that_are_none_are_not_found(server, path):
         ({"hieght": 120}, "hieght"),
     ],
 )
-def test_options_are_checked_by_name(server, options, field):
+def test_an_invalid_option_is_rejected_by_name(server, options, field):
     answer = server.call("PUT", "/v1/sessions/picky", options)
     assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", field)
     assert answer.json["rule"]
     assert server.call("GET", "/v1/sessions/picky").status == 404
 
 
-def test_a_body_that_is_no_json_is_refused(server):
+def test_a_body_that_is_not_json_is_rejected(server):
     for body in (b"{", b"\xff", b"[" * 5000, b'{"height": ' + b"9" * 5000 + b"}", b'{"reference_exposure": NaN}'):
         answer = server.call("PUT", "/v1/sessions/json", body, headers={"Content-Type": "application/json"})
         assert answer.status in (400, 422)
@@ -129,7 +129,7 @@ def test_a_body_that_is_no_json_is_refused(server):
     assert (long.status, long.kind) == (413, "too-large")
 
 
-def test_sessions_belong_to_the_token_that_made_them():
+def test_a_session_belongs_to_the_token_that_opened_it():
     with RunningServer(tokens=TOKENS) as server:
         mine, yours = ({"token": token} for token in TOKENS)
         for wrong in (
@@ -143,7 +143,7 @@ def test_sessions_belong_to_the_token_that_made_them():
             assert answer.headers["www-authenticate"] == "Bearer"
         assert server.open(**mine).status == 201
         assert server.call("GET", "/v1/sessions/room", **yours).status == 404
-        assert server.open(**yours).status == 201  # another of the same name
+        assert server.open(**yours).status == 201  # another session of the same id
         server.push(0, **mine)
         assert server.state(**mine)["frames"]["processed"] == 1
         assert server.state(**yours)["frames"]["processed"] == 0
@@ -168,7 +168,7 @@ def test_idle_sessions_expire_and_used_ones_do_not():
         assert "\nroomlight_sessions 1.0" in text
 
 
-def test_a_full_server_says_when_to_come_back():
+def test_a_full_server_answers_with_retry_after():
     clock = Clock()
     with RunningServer(clock=clock, max_sessions=2, idle_expiry_s=30.0) as server:
         server.open("one")
@@ -183,14 +183,14 @@ def test_a_full_server_says_when_to_come_back():
         assert server.open("four").status == 201
 
 
-def test_a_session_that_could_grow_too_large_is_refused():
+def test_a_session_that_could_grow_too_large_is_rejected():
     with RunningServer(max_session_bytes=190 * 2**20) as server:
         assert server.open("low").status == 201
         answer = server.call("PUT", "/v1/sessions/high", SMALL | {"height": 512})
         assert (answer.status, answer.json["field"]) == (422, "height")
 
 
-def test_pages_of_other_origins_are_refused_unless_allowed(server):
+def test_a_web_origin_is_rejected_unless_allowed(server):
     for headers in ({"Origin": "https://evil.example"}, {"Host": "evil.example"}):
         answer = server.call("PUT", "/v1/sessions/page", SMALL, headers=headers)
         assert (answer.status, answer.kind) == (403, "forbidden-origin")
@@ -201,11 +201,11 @@ def test_pages_of_other_origins_are_refused_unless_allowed(server):
         answer = open_server.call("PUT", "/v1/sessions/page", SMALL, headers=headers)
         assert answer.status == 201
         assert answer.headers["access-control-allow-origin"] == "https://app.example"
-        asked = {"Access-Control-Request-Method": "PUT", "Access-Control-Request-Headers": "authorization"}
-        assert open_server.call("OPTIONS", "/v1/sessions/page", headers=headers | asked).status == 200
+        requested = {"Access-Control-Request-Method": "PUT", "Access-Control-Request-Headers": "authorization"}
+        assert open_server.call("OPTIONS", "/v1/sessions/page", headers=headers | requested).status == 200
 
 
-def test_a_method_that_is_none_is_told_what_there_is(server):
+def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
     answer = server.call("PATCH", "/v1/sessions/room")
     assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "DELETE, GET, PUT")
 
@@ -224,7 +224,7 @@ def test_the_document_describes_every_route(server):
     assert server.call("GET", "/docs").status == 200
 
 
-def test_a_model_that_the_server_has_no_weights_of_is_not_the_clients_mistake(server):
+def test_a_model_without_weights_is_answered_with_409(server):
     answer = server.call("PUT", "/v1/sessions/untrained", {"mode": "video"})
     assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
     assert "auto" in answer.json["rule"]

@@ -98,12 +98,12 @@ def test_an_empty_token_file_is_an_error(tmp_path):
         load_settings(token_file=path)
 
 
-def test_missing_weights_are_an_error_before_a_socket_is_opened():
+def test_missing_weights_are_reported_before_listening():
     with pytest.raises(ModelError, match="no trained weights"):
         serve(ServerSettings(model="video", port=0), listening=print)
 
 
-def test_an_address_that_is_taken_or_none_is_named():
+def test_an_unusable_address_is_named():
     free = ServerSettings(port=0)
     with listen(free) as first:
         port = first.getsockname()[1]
@@ -116,7 +116,7 @@ def test_an_address_that_is_taken_or_none_is_named():
         listen(ServerSettings(host="no such host", port=0))
 
 
-def test_logs_are_lines_of_json():
+def test_a_log_record_is_one_line_of_json():
     try:
         raise ValueError("two\nlines")
     except ValueError:
@@ -129,7 +129,7 @@ def test_logs_are_lines_of_json():
     assert "ValueError" in line["traceback"]
 
 
-def test_the_server_gets_ready_and_counts():
+def test_the_server_becomes_ready_and_counts():
     with RunningServer() as server:
         for _ in range(10_000):
             if server.call("GET", "/readyz").status == 200:

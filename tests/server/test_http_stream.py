@@ -1,4 +1,4 @@
-"""The WebSocket over a real socket: frames in, fates and light out, refusals that do not end it."""
+"""The WebSocket over a real socket: frames, their outcomes, light, and errors that keep the connection open."""
 
 import json
 from contextlib import contextmanager
@@ -24,7 +24,7 @@ def server():
 
 
 class Stream:
-    """A connection: messages as dicts, whatever order kinds come in."""
+    """A connection with messages as dicts."""
 
     def __init__(self, socket):
         self.socket = socket
@@ -36,14 +36,14 @@ class Stream:
         return self.socket.recv(timeout=60)
 
     def next(self, kind):
-        """The next message of a kind; the others may stand between."""
+        """Return the next message of a kind and drop those before it."""
         for _ in range(20):
             message = self.receive()
             if isinstance(message, str) and json.loads(message)["type"] == kind:
                 return json.loads(message)
-        raise AssertionError(f"no {kind} came")
+        raise AssertionError(f"no message of type {kind}")
 
-    def refused(self, message):
+    def rejected(self, message):
         self.send(message)
         return self.next("problem")["problem"]
 
@@ -54,7 +54,7 @@ def streaming(server, name="room", **more):
         yield Stream(socket)
 
 
-def test_frames_go_in_and_light_comes_out(server):
+def test_frames_are_answered_and_subscribed_light_is_sent(server):
     server.open("flow")
     with streaming(server, "flow") as stream:
         stream.send({"type": "track", "name": "table", "position": POINT})
@@ -64,8 +64,8 @@ def test_frames_go_in_and_light_comes_out(server):
         assert (prior["frame"], prior["results"][0]["coverage"]) == (-1, 0)
         for index in range(3):
             stream.send(frame(30 * index, index=index))
-            fate = stream.next("frame")
-            assert (fate["index"], fate["status"]) == (index, "processed")
+            outcome = stream.next("frame")
+            assert (outcome["index"], outcome["status"]) == (index, "processed")
             update = stream.next("lighting")
             assert update["frame"] == index
             assert update["results"][0]["name"] == "table"
@@ -76,7 +76,7 @@ def test_frames_go_in_and_light_comes_out(server):
     assert server.state("flow")["frames"]["processed"] == 3
 
 
-def test_binary_forms_come_as_light_messages(server):
+def test_binary_forms_are_sent_as_light_messages(server):
     server.open("binary")
     server.push(0, name="binary")
     with streaming(server, "binary") as stream:
@@ -93,21 +93,21 @@ def test_binary_forms_come_as_light_messages(server):
         assert len(parts[0][0]) == 6 * 16 * 16 * 8
 
 
-def test_refusals_do_not_end_the_connection(server):
+def test_a_rejected_message_keeps_the_connection_open(server):
     server.open("patient")
     with streaming(server, "patient") as stream:
-        assert stream.refused(frame(0))["field"] == "index"  # a frame here states its index
-        assert stream.refused(b"")["status"] == 422
-        assert stream.refused(b"garbage that is no frame")["field"] == "magic"
-        assert stream.refused("{")["status"] == 422
-        assert stream.refused("[]")["status"] == 422
-        assert stream.refused({"type": "dance"})["status"] == 422
-        assert stream.refused({"type": "track", "name": "a/b", "position": POINT})["field"] == "track.name"
-        assert stream.refused({"type": "untrack", "name": "nobody"})["status"] == 404
+        assert stream.rejected(frame(0))["field"] == "index"  # required on a WebSocket
+        assert stream.rejected(b"")["status"] == 422
+        assert stream.rejected(b"garbage that is no frame")["field"] == "magic"
+        assert stream.rejected("{")["status"] == 422
+        assert stream.rejected("[]")["status"] == 422
+        assert stream.rejected({"type": "dance"})["status"] == 422
+        assert stream.rejected({"type": "track", "name": "a/b", "position": POINT})["field"] == "track.name"
+        assert stream.rejected({"type": "untrack", "name": "nobody"})["status"] == 404
         assert (
-            stream.refused({"type": "subscribe", "forms": [{"format": "specular", "size": 256}] * 8})["status"] == 422
+            stream.rejected({"type": "subscribe", "forms": [{"format": "specular", "size": 256}] * 8})["status"] == 422
         )
-        assert stream.refused("x" * 70_000)["status"] == 413
+        assert stream.rejected("x" * 70_000)["status"] == 413
         light = {"type": "light", "request": "r7", "probes": [{"position": POINT}], "forms": [{"format": "sh"}]}
         stream.send(light)
         early = stream.next("light")
@@ -123,29 +123,29 @@ def test_refusals_do_not_end_the_connection(server):
         assert stream.next("light")["results"][0]["coverage"] > 0
 
 
-def test_a_refused_frame_is_named_wherever_its_header_can_be_read(server):
+def test_a_rejected_frame_is_named_if_its_index_is_readable(server):
     server.open("named")
     whole = frame(0, index=5)
     with streaming(server, "named") as stream:
 
-        def index_of_refusal(message):
+        def index_of_problem(message):
             stream.send(message)
             return stream.next("problem").get("index")
 
-        assert index_of_refusal(whole[:-1]) == 5  # a part is missing
-        assert index_of_refusal(whole.replace(b'"exposure":1', b'"exposure":0')) == 5
-        assert index_of_refusal(whole.replace(b'"fx"', b'"xf"')) == 5
-        assert index_of_refusal(b"garbage") is None
-        assert index_of_refusal(whole.replace(b'"index":5', b'"index":-')) is None
+        assert index_of_problem(whole[:-1]) == 5  # a part is missing
+        assert index_of_problem(whole.replace(b'"exposure":1', b'"exposure":0')) == 5
+        assert index_of_problem(whole.replace(b'"fx"', b'"xf"')) == 5
+        assert index_of_problem(b"garbage") is None
+        assert index_of_problem(whole.replace(b'"index":5', b'"index":-')) is None
         stream.send(whole)
         assert stream.next("frame")["status"] == "processed"
-        assert index_of_refusal(frame(1, index=5)) == 5  # a conflict
+        assert index_of_problem(frame(1, index=5)) == 5  # a conflict
         server.call("DELETE", "/v1/sessions/named")
-        assert "index" not in stream.next("problem")  # the session's end, not a frame's
+        assert "index" not in stream.next("problem")  # the end of the session, not of a frame
 
 
 def fail_once(function, error):
-    """The function, whose first call raises the error instead."""
+    """Return the function with a first call that raises the error."""
     errors = [error]
 
     def wrapper(*args, **kwargs):
@@ -165,7 +165,7 @@ def test_an_unexpected_error_of_a_frame_is_answered(server, monkeypatch, caplog)
         event = stream.next("problem")
         assert (event["index"], event["problem"]["status"]) == (3, 500)
         assert event["problem"]["type"] == "urn:roomlight:problem:internal"
-        assert "decoder broke" not in json.dumps(event)  # the log has it, the client does not
+        assert "decoder broke" not in json.dumps(event)  # only in the log
         stream.send(frame(0, index=4))
         assert stream.next("frame")["status"] == "processed"
     logged = next(record for record in caplog.records if record.message == "unexpected error on a stream")
@@ -187,7 +187,7 @@ def test_an_unexpected_error_of_a_light_is_answered(server, monkeypatch):
 
 
 def test_a_frame_is_answered_if_the_engine_breaks_after_it(monkeypatch):
-    """The report of a frame fails: the client is told, and the session has failed."""
+    """The engine's report of a frame is inconsistent: the frame is answered and the session has failed."""
     monkeypatch.setattr(Session, "handles", property(lambda _: ["no such probe"]))
     with RunningServer() as server:
         server.open()
@@ -218,7 +218,7 @@ def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
             assert stream.next("frame")["index"] == 2
 
 
-def test_the_newest_frame_wins_here_too(monkeypatch):
+def test_the_newest_frame_of_a_stream_wins(monkeypatch):
     HeldSession.reset()
     monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=3) as server:
@@ -226,17 +226,17 @@ def test_the_newest_frame_wins_here_too(monkeypatch):
         with streaming(server) as stream:
             stream.send(frame(0, index=0))
             HeldSession.wait_entered()
-            for index in (1, 2, 3, 4):  # more than have room: the connection waits, no frame is refused
+            for index in (1, 2, 3, 4):  # more than there are slots: the server stops reading
                 stream.send(frame(index, index=index))
             assert stream.next("frame") | {"coverage": {}} == {
                 "type": "frame", "index": 1, "status": "superseded", "replay": False, "stage_ms": {}, "coverage": {},
             }  # fmt: skip
             HeldSession.release(10)
-            fates = {}
-            while not fates.keys() >= {0, 2, 3, 4}:
-                fate = stream.next("frame")
-                fates[fate["index"]] = fate["status"]
-            assert (fates[0], fates[4]) == ("processed", "processed")
+            outcomes = {}
+            while not outcomes.keys() >= {0, 2, 3, 4}:
+                outcome = stream.next("frame")
+                outcomes[outcome["index"]] = outcome["status"]
+            assert (outcomes[0], outcomes[4]) == ("processed", "processed")
         counts = server.state()["frames"]
         assert counts["accepted"] == counts["processed"] + counts["superseded"] == 5
 
@@ -252,7 +252,7 @@ def test_a_connection_ends_with_its_session(server):
 
 
 @pytest.mark.parametrize(("name", "status", "code"), [("nobody", 404, 4404), ("a.b", 422, 4422)])
-def test_no_session_no_stream(server, name, status, code):
+def test_a_stream_without_a_session_is_closed_with_its_code(server, name, status, code):
     with streaming(server, name) as stream:
         assert stream.next("problem")["problem"]["status"] == status
         with pytest.raises(ConnectionClosed) as closed:
@@ -260,7 +260,7 @@ def test_no_session_no_stream(server, name, status, code):
         assert closed.value.rcvd.code == code
 
 
-def test_a_dropped_connection_leaves_its_session(server):
+def test_a_dropped_connection_keeps_its_session(server):
     server.open("dropped")
     with streaming(server, "dropped") as stream:
         stream.send(frame(0, index=0))
@@ -269,7 +269,7 @@ def test_a_dropped_connection_leaves_its_session(server):
     assert server.push(7, frame(7), name="dropped").json["status"] == "processed"
 
 
-def test_tokens_and_origins_hold_here_too(server):
+def test_a_stream_needs_a_token_and_an_allowed_origin(server):
     server.open("guarded")
     with pytest.raises(InvalidStatus, match="403"), streaming(server, "guarded", origin="https://evil.example"):
         pass
