@@ -1,26 +1,27 @@
-"""The small dataset in `tests/data/rooms`: real sequences of the generator, short, for tests that need real light.
+"""The small dataset in `tests/data/rooms`: short sequences of the generator, for tests that need realistic light.
 
-`python tests/fixture_rooms.py` makes it anew (two minutes): procedural furniture alone, so that nobody needs to be
-credited, two rooms of the train split and two of the test split, a sequence of four frames in each.
+`python tests/fixture_rooms.py` generates it again (two minutes): two rooms of the train split and two of the test
+split, with a sequence of four frames each. All furniture is procedural, so that no library has to be credited.
 """
 
 import shutil
 import sys
 from pathlib import Path
 
+from roomlight.dataset.recording import Split
 from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.rooms.furniture import Catalogue, catalogue
 from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.sequences.render import render_walks, solve_lighting
 
 FOLDER = Path(__file__).parent / "data" / "rooms"
-ROOMS = {"train": 2, "test": 2}
+ROOMS: dict[Split, int] = {"train": 2, "test": 2}
 FRAMES = 4
 SEED = 21
 
 
-def lit_room(room_index, *, seed=SEED, split="train"):
-    """A room with its light solved, without a library."""
+def lit_room(room_index, *, seed=SEED, split: Split = "train"):
+    """A room with its lighting solved, furnished without a library."""
     models = Catalogue().with_procedural([*procedural_models("train"), *procedural_models("test")])
     return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
 
@@ -34,7 +35,7 @@ def render_room(room_index, *, seed, split, furniture, count, frames):
 
 def main():
     shutil.rmtree(FOLDER, ignore_errors=True)
-    catalogue.INSTALLED_FOLDER = FOLDER  # what is installed here has no part in it
+    catalogue.INSTALLED_FOLDER = FOLDER  # furniture installed on this machine must not be used
     for split, rooms in ROOMS.items():
         options = GenerateOptions(
             rooms,

@@ -1,7 +1,7 @@
 """A coloured box room with exact answers, for the tests: frames from any camera, panoramas at any point.
 
 World: metres, y up; the room is centred on the origin in x and z and stands on y = 0. Each wall has a smooth
-pattern of its own, so that a mistake of axes or of half a pixel shows as a colour.
+pattern of its own, so that swapped axes or an offset of half a pixel change the colours.
 """
 
 from dataclasses import dataclass
@@ -16,12 +16,19 @@ WALLS = np.array(
     [[0.8, 0.3, 0.2], [0.2, 0.6, 0.3], [0.5, 0.4, 0.3], [0.9, 0.9, 0.8], [0.2, 0.3, 0.8], [0.7, 0.6, 0.2]],
     np.float64,
 )
-"""Base colour of the walls -x, +x, -y, +y, -z, +z."""
+"""Base colours of the walls at -x, +x, -y, +y, -z, +z."""
 
 
 @dataclass(frozen=True)
 class BoxRoom:
-    """`size_m` along x, y, z; `lamp` is (centre, radius) of a round light on the wall that it touches."""
+    """A box room.
+
+    Attributes:
+        size_m: Size along x, y, z.
+        block: Opposite corners of a block in the room.
+        lamp: Centre and radius of a round lamp on the wall that it touches.
+        lamp_radiance: Grey radiance of the lamp.
+    """
 
     size_m: tuple[float, float, float] = (6.0, 3.0, 5.0)
     block: tuple[tuple[float, float, float], tuple[float, float, float]] | None = None
@@ -29,7 +36,7 @@ class BoxRoom:
     lamp_radiance: float = 8.0
 
     def cast(self, origins, directions):
-        """Radiance [..., 3] and distance [...] of rays with unit directions from inside the room."""
+        """Radiance [..., 3] and distance [...] along rays with unit directions from inside the room."""
         origins, directions = np.broadcast_arrays(np.asarray(origins, np.float64), np.asarray(directions, np.float64))
         half = np.array([self.size_m[0] / 2, self.size_m[1] / 2, self.size_m[2] / 2])
         centre = np.array([0, self.size_m[1] / 2, 0])
@@ -60,15 +67,15 @@ class BoxRoom:
         return self.cast(np.asarray(position), panorama_directions(height))
 
     def frame(self, camera_to_world, *, index=0, width=160, height=120, depth_size=None, fov_degrees=75.0):
-        """What a camera sees: linear image, exact z-depth (at `depth_size` = (width, height) if given)."""
+        """The camera's linear image and exact z-depth (of `depth_size` = (width, height) if given)."""
         k = pinhole(width, height, fov_degrees)
-        image, depth = self._look(k, camera_to_world)
+        image, depth = self._render(k, camera_to_world)
         if depth_size is not None:
-            _, depth = self._look(k.resized(*depth_size), camera_to_world)
+            _, depth = self._render(k.resized(*depth_size), camera_to_world)
         clipped = np.zeros((height, width), bool)
         return Frame(index, image, clipped, depth, k, camera_to_world, source=f"room frame {index}")
 
-    def _look(self, k, camera_to_world):
+    def _render(self, k, camera_to_world):
         rays = k.rays().astype(np.float64)
         length = np.linalg.norm(rays, axis=-1)
         directions = (rays / length[..., None]) @ camera_to_world[:3, :3].T
@@ -77,7 +84,7 @@ class BoxRoom:
 
 
 def pinhole(width, height, fov_degrees=75.0):
-    """A camera with square pixels and a horizontal field of view, its centre a little off the image's."""
+    """Intrinsics with square pixels and this horizontal field of view; the principal point is off-centre."""
     focal = width / 2 / np.tan(np.radians(fov_degrees) / 2)
     return Intrinsics(focal, focal, width / 2 + 1.25, height / 2 - 0.75, width, height)
 
@@ -85,20 +92,20 @@ def pinhole(width, height, fov_degrees=75.0):
 def camera_at(position, yaw_degrees=0.0, pitch_degrees=0.0):
     """Camera-to-world pose: yaw 0 looks along -z, 90 along -x (counter-clockwise from above); pitch > 0 up."""
     yaw, pitch = np.radians(yaw_degrees), np.radians(pitch_degrees)
-    turn = turn_about_y(yaw)
-    tilt = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    yaw_rotation = rotation_about_y(yaw)
+    pitch_rotation = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
     pose = np.eye(4)
-    pose[:3, :3] = turn @ tilt
+    pose[:3, :3] = yaw_rotation @ pitch_rotation
     pose[:3, 3] = position
     return pose
 
 
-def turn_about_y(radians):
+def rotation_about_y(radians):
     """Rotation matrix about y, counter-clockwise seen from above."""
     c, s = np.cos(radians), np.sin(radians)
     return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
 def pan(room, count=12, *, start_degrees=0.0, step_degrees=10.0, position=(0.3, 1.4, 0.2), **options):
-    """Frames of a camera that turns on the spot."""
+    """Frames of a camera that rotates about its own position, `step_degrees` per frame."""
     return [room.frame(camera_at(position, start_degrees + i * step_degrees), index=i, **options) for i in range(count)]

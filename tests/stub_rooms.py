@@ -1,9 +1,13 @@
-"""A stand-in for the renderer: small recordings in no time, made by name in the workers of a generator.
+"""A renderer for tests: small recordings made quickly, called by its name in the workers of a generator.
 
-What it does can be steered from outside its process by a folder named in the environment variable STUB_ROOMS:
-`steer.json` holds {"fails": {room: walk}} (at that walk, on its first attempt), {"hopeless": room} (on every attempt),
-{"dies": {room: times}} (kills itself at its first walk), {"limit": bytes} (the largest file that may be written) and
-{"gate": [room, walk]} (writes a line to the pipe `reached`, then waits at the pipe `go`).
+Tests control it from outside its process through `steer.json` in the folder that the environment variable STUB_ROOMS
+names:
+
+    {"fails": {room: walk}}   raise at that walk, on the first attempt
+    {"hopeless": room}        raise on every attempt
+    {"dies": {room: times}}   kill the process at the first walk, that many times
+    {"limit": bytes}          limit on the size of a written file
+    {"gate": [room, walk]}    write a line to the pipe `reached`, then wait at the pipe `go`
 """
 
 import json
@@ -24,7 +28,7 @@ TYPES = ("kitchen", "study", "hall")
 
 
 def recording(rng, *, name="one", frames=4, height=24, width=32, probes=2, facts=None):
-    """Something that a camera could have seen: smooth colours, a slanted wall, one lamp, one pane."""
+    """A plausible recording: smooth colours, a slanted wall, one lamp, one pane of glass."""
     y, x = np.mgrid[:height, :width] / height
     phase = rng.uniform(0, 6, (frames, 1, 1, 3))
     colour = np.rint(127 + 100 * np.sin(3 * x[..., None] + 2 * y[..., None] + phase)).astype(np.uint8)
@@ -52,7 +56,7 @@ def recording(rng, *, name="one", frames=4, height=24, width=32, probes=2, facts
 
 
 def render_room(room_index, *, seed, split, furniture, count, frames):
-    """As `room_sequences.render_room`."""
+    """Yield recordings as the generator's own `render_room` does."""
     steer = _steer()
     if "limit" in steer:
         resource.setrlimit(resource.RLIMIT_FSIZE, (steer["limit"], steer["limit"]))
@@ -72,7 +76,7 @@ def render_room(room_index, *, seed, split, furniture, count, frames):
             raise ArithmeticError(f"no light reaches room {room_index}")
         if steer.get("gate") == [room_index, walk]:
             _wait_at_gate()
-        if walk == 0 and _lives_left(room_index, steer.get("dies", {})):
+        if walk == 0 and _dies_again(room_index, steer.get("dies", {})):
             os.kill(os.getpid(), signal.SIGKILL)
         rng = np.random.default_rng([seed, split == "train", room_index, walk])
         yield recording(rng, frames=frames, facts=facts)
@@ -92,8 +96,8 @@ def _wait_at_gate():
         go.read()
 
 
-def _lives_left(room, dies):
-    """Whether this death is still owed; each is written down first."""
+def _dies_again(room, dies):
+    """Whether the process is to be killed once more; counts this time first."""
     path = Path(os.environ.get("STUB_ROOMS", ".")) / f"died-{room}"
     done = len(path.read_text()) if path.exists() else 0
     if done >= dies.get(str(room), 0):

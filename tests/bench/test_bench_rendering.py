@@ -42,5 +42,6 @@ def test_table_json_and_picture(report, tmp_path):
     assert json.loads(json.dumps(report.to_json()))["errors"][1]["samples"] == 64
     report.write_picture(tmp_path / "spheres.png")
     picture = cv2.imread(str(tmp_path / "spheres.png"))
+    assert picture is not None
     assert picture.shape[0] > 2 * 40
     assert picture.shape[1] > 3 * 40

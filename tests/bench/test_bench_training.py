@@ -11,7 +11,7 @@ from roomlight.errors import ModelError
 from roomlight_bench.training import TrainCosts, measure_training
 from roomlight_cli.console import print_table
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.training.clock import PARTS, StepClock
+from roomlight_model.training.step_clock import PARTS, StepClock
 from roomlight_model.training.options import TrainOptions
 
 OPTIONS = TrainOptions(

@@ -1,4 +1,4 @@
-"""Panoramas whose light is known: lamps at given directions, rooms, and light of nine harmonics."""
+"""Panoramas whose light is known: lamps at given directions, and a room with a window and a lamp."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ def unit(x, y, z):
 
 
 def lit(height, lamps, level=0.0):
-    """An even surrounding with lamps (direction, radius in degrees, RGB or grey radiance added)."""
+    """A uniform panorama with round lamps: (direction, radius in degrees, RGB or grey radiance added)."""
     directions = panorama_directions(height)
     panorama = np.full((height, 2 * height, 3), level, np.float32)
     for direction, radius_deg, radiance in lamps:
@@ -21,14 +21,14 @@ def lit(height, lamps, level=0.0):
 
 
 def room(height):
-    """Dim coloured walls, a window of 28 degrees across at radiance 8, and a lamp of 6 degrees at 60."""
+    """Dim coloured walls, a window 28 degrees across of radiance 8, and a lamp 6 degrees across of radiance 60."""
     directions = panorama_directions(height)
-    walls = 0.3 + 0.1 * directions @ np.float32([[1.0, 0.2, -0.5], [0.3, 0.6, 0.9], [-0.4, 0.5, 0.1]])
+    walls = 0.3 + 0.1 * directions @ np.array([[1.0, 0.2, -0.5], [0.3, 0.6, 0.9], [-0.4, 0.5, 0.1]], np.float32)
     return walls + lit(height, [((0.6, 0.3, 0.742), 14, 8.0), ((-0.5, 0.7, -0.51), 3, 60.0)])
 
 
-def disc(radius_deg):
-    """Solid angle in steradians."""
+def cap_solid_angle(radius_deg):
+    """Solid angle in steradians of a round lamp."""
     return 2 * np.pi * (1 - np.cos(np.radians(radius_deg)))
 
 
@@ -38,12 +38,12 @@ def mean_light(panorama):
     return (panorama * weight).sum(axis=(0, 1)) / (4 * np.pi)
 
 
-def quarter_turn(panorama):
-    """The panorama turned by 90 degrees about +Y: what came from +X comes from +Z."""
+def rotate_panorama_90(panorama):
+    """The panorama rotated by 90 degrees about +Y: light from +X then comes from +Z."""
     return np.roll(panorama, panorama.shape[1] // 4, axis=1)
 
 
-def turned(directions):
-    """Directions turned as `quarter_turn` turns a panorama."""
+def rotate_directions_90(directions):
+    """Directions rotated as `rotate_panorama_90` rotates a panorama."""
     x, y, z = np.moveaxis(np.asarray(directions), -1, 0)
     return np.stack([-z, y, x], axis=-1)

@@ -191,7 +191,7 @@ def test_an_invalid_panorama_is_refused_and_the_method_named():
     class Broken:
         names = ("broken",)
 
-        def light(self, _frame, positions):
+        def light(self, frame, positions):  # noqa: ARG002  (named as in the protocol)
             return {"broken": [np.full((120, 240, 3), np.nan, np.float32) for _ in positions]}
 
     with pytest.raises(ModelError, match="broken: returned an invalid panorama for box-0"):
