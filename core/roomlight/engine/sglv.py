@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import panorama_rays
-from roomlight.engine.kernels.march import march_rays
+from roomlight.engine.kernels.march import MarchRays, MarchVolume, march_rays
 from roomlight.engine.volume import VolumeGrid
 from roomlight.errors import ProbeError
 from roomlight.threads import parallel_for
@@ -76,20 +76,10 @@ def render_rays(
     directions = np.ascontiguousarray(directions_world @ rotation.T.astype(np.float32))
     radiance = np.empty((len(directions), 3), np.float32)
     transmittance = np.empty(len(directions), np.float32)
-    arguments = (
-        sglv.alpha,
-        sglv.lobes,
-        origin,
-        directions,
-        grid.lower_m.astype(np.float32),
-        grid.voxel_m.astype(np.float32),
-        np.float32(grid.edge_m if step_m is None else step_m),
-        samples,
-        far == "boundary",
-        radiance,
-        transmittance,
-    )
-    parallel_for(lambda start, stop: march_rays(*arguments, start, stop), len(directions))
+    volume = MarchVolume(sglv.alpha, sglv.lobes, grid.lower_m.astype(np.float32), grid.voxel_m.astype(np.float32))
+    step = np.float32(grid.edge_m if step_m is None else step_m)
+    rays = MarchRays(origin, directions, step, samples, far == "boundary")
+    parallel_for(lambda start, stop: march_rays(volume, rays, radiance, transmittance, start, stop), len(directions))
     return radiance, transmittance
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.camera import rigid_inverse
-from roomlight.engine.kernels.volume_init import initialise_slices
+from roomlight.engine.kernels.volume_init import GridArrays, ViewArrays, initialise_slices
 from roomlight.errors import FrameError
 from roomlight.frame import Frame
 from roomlight.threads import parallel_for
@@ -114,19 +114,9 @@ def initial_volume(
     k = frame.intrinsics
     lens = np.array([k.fx / k.width, k.fy / k.height, k.cx / k.width, k.cy / k.height], np.float32)
     camera_in_volume = rigid_inverse(camera_from_volume)[:3, 3].astype(np.float32)
-    arguments = (
-        frame.image,
-        frame.depth_m,
-        lens,
-        camera_from_volume.astype(np.float32),
-        camera_in_volume,
-        grid.lower_m.astype(np.float32),
-        grid.voxel_m.astype(np.float32),
-        np.float32(grid.edge_m),
-        far_unknown,
-        volume,
-    )
-    parallel_for(lambda start, stop: initialise_slices(*arguments, start, stop), grid.shape[0])
+    view = ViewArrays(frame.image, frame.depth_m, lens, camera_from_volume.astype(np.float32), camera_in_volume)
+    arrays = GridArrays(grid.lower_m.astype(np.float32), grid.voxel_m.astype(np.float32), np.float32(grid.edge_m))
+    parallel_for(lambda start, stop: initialise_slices(view, arrays, far_unknown, volume, start, stop), grid.shape[0])
     return volume
 
 

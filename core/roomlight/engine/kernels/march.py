@@ -3,47 +3,55 @@
 
 One thread, 28,800 rays of 38 samples through a volume that a network could have made (alpha about 0.03
 everywhere): 35 ms as a plain loop over samples and channels, 17 ms as it stands; through the sparse classical
-volume 11.7 and 7 ms. What brought it, in this order (`roomlight bench stages` times the result):
+volume 11.7 and 7 ms. The gains, in this order (`roomlight bench stages` times the result):
 
 - The ten channels of a voxel are added as a vector of 8 and one of 2 (35 to 26 ms). LLVM unrolls a loop over ten
-  channels to scalars, and one of unknown length pays for its alias checks, so the vectors are spelled out.
-- Where samples stand is worked out for `BLOCK` of them at once, in a loop of arithmetic alone: LLVM vectorises it,
-  and does not once it holds a look-up (26 to 17 ms). Blocks of 16 and 64 are no faster.
+  channels to scalars, and one of unknown length has alias checks, so the vectors are written out.
+- Positions of samples are computed for `BLOCK` of them at once, in a loop of arithmetic only: LLVM vectorises it, but
+  not a loop with look-ups (26 to 17 ms). Blocks of 16 and 64 are no faster.
 - Tiles of neighbouring rays instead of rows, and one masked vector of 16 instead of 8 + 2, were tried: no gain.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from jaxtyping import Float32
 from llvmlite import ir
 from numba import njit, types
 from numba.extending import intrinsic
 
 OPAQUE = np.float32(1e-4)
-"""A ray stops when less than this of it is left, and what is left is dropped. In a room with a window of twice white
-the reference differs by 1.2e-3 at a threshold of 1e-3 and by 1.2e-4 at this one, which costs 4 % more time."""
+"""A ray stops when its transmittance is below this; the remainder is dropped. With a window of twice white the
+reference differs by 1.2e-3 at a threshold of 1e-3 and by 1.2e-4 at this one, which costs 4 % more time."""
 BLOCK = 32
-"""Samples placed at once: most rays of a panorama from within a room (38 samples on the mean) take one or two."""
+"""Samples positioned at once: most rays of a panorama from within a room (38 samples on the mean) take one or two."""
+
+
+class MarchVolume(NamedTuple):
+    """The SGLV in the volume frame, metres: lower corner and voxel edges are (x, y, z)."""
+
+    alpha: Float32[np.ndarray, "z y x"]
+    lobes: Float32[np.ndarray, "z y x 10"]
+    lower: Float32[np.ndarray, "3"]
+    voxel: Float32[np.ndarray, "3"]
+
+
+class MarchRays(NamedTuple):
+    """Rays from one origin in the volume frame, metres; `boundary`: the remainder takes the values at the exit."""
+
+    origin: Float32[np.ndarray, "3"]
+    directions: Float32[np.ndarray, "n 3"]
+    step: np.float32
+    samples: int
+    boundary: bool
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def march_rays(
-    alpha,
-    lobes,
-    origin,
-    directions,
-    lower,
-    voxel,
-    step,
-    samples,
-    boundary,
-    radiance,
-    transmittance,
-    start,
-    stop,
-):
-    """Render rays start..stop; `origin` and `directions` in the volume frame, metres. See
-    `roomlight.engine.sglv`."""
+def march_rays(volume, rays, radiance, transmittance, start, stop):
+    """Render rays start..stop into radiance [n, 3] and transmittance [n]; see `roomlight.engine.sglv`."""
+    alpha, lobes, lower, voxel = volume.alpha, volume.lobes, volume.lower, volume.voxel
+    origin, directions = rays.origin, rays.directions
+    step, samples, boundary = rays.step, rays.samples, rays.boundary
     nz, ny, nx = alpha.shape
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     last_x, last_y, last_z = np.float32(nx - 1), np.float32(ny - 1), np.float32(nz - 1)

@@ -1,17 +1,38 @@
 # pyright: reportMissingParameterType=false
-"""Volume initialisation, one [z] slice after the other; readable reference:
+"""Volume initialisation, slice by slice along z; readable reference:
 `roomlight.engine.volume.initial_volume_reference`."""
 
+from typing import NamedTuple
+
 import numpy as np
+from jaxtyping import Float32
 from numba import njit
 
 
+class ViewArrays(NamedTuple):
+    """A frame and its camera: `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` the camera's centre in the volume frame."""
+
+    image: Float32[np.ndarray, "h w 3"]
+    depth_m: Float32[np.ndarray, "dh dw"]
+    lens: Float32[np.ndarray, "4"]
+    camera_from_volume: Float32[np.ndarray, "4 4"]
+    camera: Float32[np.ndarray, "3"]
+
+
+class GridArrays(NamedTuple):
+    """The grid in the volume frame, metres: lower corner and voxel edges (x, y, z), and the mean edge."""
+
+    lower: Float32[np.ndarray, "3"]
+    voxel: Float32[np.ndarray, "3"]
+    edge: np.float32
+
+
 @njit(nogil=True, cache=True, fastmath=True)
-def initialise_slices(
-    image, depth_m, lens, camera_from_volume, camera, lower, voxel, edge, far_unknown, volume, start, stop
-):
-    """Fill volume[:, start:stop]; `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` its centre in the volume
-    frame."""
+def initialise_slices(view, grid, far_unknown, volume, start, stop):
+    """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.initial_volume`."""
+    image, depth_m, lens, camera = view.image, view.depth_m, view.lens, view.camera
+    camera_from_volume = view.camera_from_volume
+    lower, voxel, edge = grid.lower, grid.voxel, grid.edge
     height, width = image.shape[0], image.shape[1]
     depth_height, depth_width = depth_m.shape
     rows, columns = volume.shape[2], volume.shape[3]
