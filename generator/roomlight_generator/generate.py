@@ -12,7 +12,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from roomlight.dataset.folder import FRAMES, Settings, begin, locked, prepare, sequence_name, shards_of
+from roomlight.dataset.folder import (
+    FRAMES,
+    DatasetSettings,
+    create_folder,
+    locked,
+    sequence_name,
+    shards_of,
+    update_manifest,
+)
 from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
@@ -124,8 +132,8 @@ def generate(
         DatasetError: if the dataset was made with other settings, a shard to continue is damaged, or a room cannot be
             made.
     """
-    prepare(out)
-    settings = Settings(
+    create_folder(out)
+    settings = DatasetSettings(
         seed=options.seed,
         shard_size=options.shard_size,
         sequences_per_room=options.sequences_per_room,
@@ -134,7 +142,7 @@ def generate(
         renderer=options.renderer,
     )
     with locked(out):
-        begin(out, settings, split=options.split, sequences=options.sequences)
+        update_manifest(out, settings, split=options.split, sequences=options.sequences)
         shards = {
             shard_path(out, options.split, numbers.start // options.shard_size): numbers
             for numbers in shards_of(options.sequences, options.shard_size)

@@ -233,7 +233,7 @@ def test_splits_share_a_folder_and_no_room(undisturbed, tmp_path):
 )
 def test_other_settings_are_named_and_nothing_changes(change, says, undisturbed):
     before = bytes_of(undisturbed)
-    with pytest.raises(DatasetError, match=f"was made with {says}; give the settings"):
+    with pytest.raises(DatasetError, match=f"was generated with {says}; use the same settings"):
         generate(undisturbed, options(**change))
     assert bytes_of(undisturbed) == before
 
@@ -247,7 +247,7 @@ def test_the_settings_include_the_furniture_by_its_content(tmp_path):
     moved = tmp_path / "moved.sh3f"
     library.rename(moved)
     assert generate(out, options(2, furniture=moved), workers=1).made == 0
-    with pytest.raises(DatasetError, match=r"was made with furniture \w+, not"):
+    with pytest.raises(DatasetError, match=r"was generated with furniture \w+, not"):
         generate(out, options(2))
     moved.write_bytes(b"tables")
     with pytest.raises(DatasetError, match="furniture"):

@@ -1,14 +1,14 @@
-"""Depth as a phone with a LiDAR gives it, made from exact depth when a sequence is loaded.
+"""Simulate the depth maps of a phone with a LiDAR from exact depth, when a sequence is loaded.
 
-Such depth is a network's guess, led by a few hundred laser dots and by the colour picture: smooth, with edges that
-bleed and follow colour, thin things lost, slow flicker that grows with distance, guesses beyond the laser's five
-metres, and nonsense on glass and mirrors. Phones, rooms and recording apps differ, so every sequence draws its own
+A phone's depth is estimated by a network from a few hundred laser dots and the colour image. It is smooth; edges bleed
+and follow colour; thin objects vanish; slow flicker grows with distance; depth beyond the laser's five metres is
+estimated; depth on glass and mirrors is wrong. Phones, rooms and recording apps differ, so every sequence draws its own
 `DepthSensor`. Depth is z-depth in millimetres, 0 = unknown; confidence is 0, 1 or 2 as ARKit's.
 
-The default range is laid around two measurements. Simulated phone depth of three path-traced captures: relative
-deviation 0.7 % up to 4 m, 0.9 % at 5.5 m, 2.3 % at 10 m; alike over 30 of 256 pixels and, from frame to frame, by
-0.55 (the camera turning by 5 degrees). Real iPhone maps: next to no grain (0.05 %), edges some 6 pixels wide from 10
-to 90 % of the jump (3 to 11), relief where there is only texture.
+The default ranges are centred on two measurements. Simulated phone depth of three path-traced captures: relative
+deviation 0.7 % up to 4 m, 0.9 % at 5.5 m, 2.3 % at 10 m; correlated over 30 of 256 pixels and, from frame to frame,
+by 0.55 (the camera rotating by 5 degrees). Real iPhone maps: almost no grain (0.05 %), edges about 6 pixels wide from
+10 to 90 % of the jump (3 to 11), relief where there is only texture.
 """
 
 from dataclasses import dataclass
@@ -23,32 +23,44 @@ from roomlight.dataset.recording import GLASS, MIRROR
 WIDTH: Final = 256
 HEIGHT: Final = 192
 LASER_M: Final = 5.0
-"""Farther than this there are no dots, only the network's idea."""
+"""Reach of the laser dots; beyond it depth is the network's estimate."""
 
 _FLICKER_CELLS: Final = (6, 8)
 _GUESS_MM: Final = 14_000
-"""No phone says more."""
-_LEAST_INVERSE: Final = 0.05
+"""Largest depth that phones report."""
+_MIN_INVERSE_M: Final = 0.05
 _KNOWN: Final = np.uint8(2)
 
 Unseen = Literal["guess", "far", "hole"]
-"""Sky and panes: smoothly filled from around, put far away, or left out as apps that filter do."""
+"""Depth of sky and panes: interpolated from their surroundings, far away, or unknown, as in apps that filter it."""
 
 
 @dataclass(frozen=True)
 class DepthSensor:
-    """How bad one sequence's depth is.
+    """Error parameters of one sequence's depth.
 
-    noise: relative deviation of the slow flicker near the phone; grain: of the noise from pixel to pixel; hold: how
-    alike the flicker is from frame to frame; scale: relative error of everything; jitter: that of each frame.
-    bleed_px, bleed: reach and share of the smoothing that follows colour; softness_px: of every edge. thin_px: near
-    things thinner than this vanish. far_slope: metres told for each metre past `LASER_M`. through: how much farther
-    than they are panes and mirrors seem, relief how uneven.
+    Attributes:
+        noise: Relative standard deviation of the slow flicker near the phone.
+        grain: Relative standard deviation of the noise from pixel to pixel.
+        persistence: Correlation of the flicker between consecutive frames.
+        scale: Relative error of all depth.
+        jitter: Relative standard deviation of each frame's scale.
+        bleed_px: Radius of the smoothing that follows colour.
+        bleed: Share of that smoothing, 0 to 1.
+        softness_px: Standard deviation of the blur of every edge.
+        thin_px: Near objects thinner than this vanish.
+        far_slope: Reported metres for each metre beyond `LASER_M`.
+        sky: Depth of pixels that hit nothing.
+        glass: Depth of panes; "pane" is the pane's own.
+        mirror: Depth of mirrors: their plane's, or far away.
+        through: Factor by which panes and mirrors appear farther than they are.
+        relief: Relative unevenness of estimated depth.
+        unseen_m: Depth of sky that is far away, in metres.
     """
 
     noise: float = 0.007
     grain: float = 0.001
-    hold: float = 0.7
+    persistence: float = 0.7
     scale: float = 0.0
     jitter: float = 0.001
     bleed_px: int = 3
@@ -65,14 +77,14 @@ class DepthSensor:
 
     @classmethod
     def draw(cls, rng: np.random.Generator) -> "DepthSensor":
-        """One at random, from the clean simulations that are about to the worst of the real ones."""
+        """Draw a sensor at random, between the clean simulations that exist and the worst real phones."""
         sky: Unseen = rng.choice(np.array(["guess", "far", "hole"]), p=[0.4, 0.25, 0.35]).item()
         glass = rng.choice(np.array(["pane", "guess", "far", "hole"]), p=[0.3, 0.2, 0.25, 0.25]).item()
         mirror = rng.choice(np.array(["plane", "far"]), p=[0.4, 0.6]).item()
         return cls(
             noise=float(np.exp(rng.normal(np.log(0.007), 0.5))),
             grain=float(rng.uniform(0.001, 0.004)) if rng.random() < 0.4 else 0.0004,
-            hold=float(rng.uniform(0.5, 0.9)),
+            persistence=float(rng.uniform(0.5, 0.9)),
             scale=float(rng.normal(0, 0.006)),
             jitter=float(rng.uniform(0, 0.003)),
             bleed_px=int(rng.integers(1, 6)),
@@ -90,7 +102,7 @@ class DepthSensor:
 
 
 def exact(depth_mm: UInt16[np.ndarray, "f h w"]) -> tuple[UInt16[np.ndarray, "f h w"], UInt8[np.ndarray, "f h w"]]:
-    """The depth itself, with full confidence wherever there is any."""
+    """Return the exact depth, with full confidence where depth is known."""
     return depth_mm, np.where(depth_mm > 0, _KNOWN, np.uint8(0))
 
 
@@ -102,25 +114,29 @@ def arkit_like(
     *,
     sensor: DepthSensor | None = None,
 ) -> tuple[UInt16[np.ndarray, "f 192 256"], UInt8[np.ndarray, "f 192 256"]]:
-    """Phone-like depth and confidence of consecutive frames, 256 x 192 (some 2 ms a frame).
+    """Simulate phone depth and confidence of consecutive frames, 256 x 192 (about 2 ms a frame).
 
-    surface says what each pixel is (`recording.GLASS`, ...); colour, the sRGB frames, leads the edges where given. The
-    sensor is drawn from rng unless given; the same generator state gives the same depth.
+    Args:
+        depth_mm: Exact z-depth in millimetres, 0 where nothing is hit.
+        surface: Kind of surface of each pixel (`recording.GLASS`, ...).
+        colour: sRGB frames whose edges the depth follows; None for no guidance.
+        rng: The generator; the same state gives the same depth.
+        sensor: Error parameters; drawn from `rng` if None.
     """
     sensor = sensor or DepthSensor.draw(rng)
     frames = len(depth_mm)
-    flicker, relief = (_slow_fields(rng, frames, sensor.hold) for _ in range(2))
+    flicker, relief = (_slow_fields(rng, frames, sensor.persistence) for _ in range(2))
     factors = 1 + sensor.scale + sensor.jitter * rng.standard_normal(frames)
-    told = np.empty((frames, HEIGHT, WIDTH), np.uint16)
+    measured_mm = np.empty((frames, HEIGHT, WIDTH), np.uint16)
     confidence = np.empty((frames, HEIGHT, WIDTH), np.uint8)
     for k in range(frames):
         kind = cv2.resize(surface[k], (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
         near = cv2.resize(depth_mm[k], (WIDTH, HEIGHT), interpolation=cv2.INTER_NEAREST_EXACT)
         true_m = near.astype(np.float32) / 1000
         bump = _enlarged(relief[k])
-        believed_m, holes, doubtful = _believed(true_m, kind, bump, sensor)
+        perceived_m, holes, doubtful = _perceived(true_m, kind, bump, sensor)
         guide = None if colour is None else _luma(colour[k])
-        smooth_m = _smoothed(believed_m, guide, sensor)
+        smooth_m = _smoothed(perceived_m, guide, sensor)
         slow = _enlarged(flicker[k])
         deviation = sensor.noise * np.sqrt(1 + (smooth_m / 5.5) ** 4)
         noise = slow * np.minimum(deviation, 0.08) + np.float32(factors[k])
@@ -128,18 +144,18 @@ def arkit_like(
             noise += np.float32(sensor.grain) * rng.standard_normal((HEIGHT, WIDTH), np.float32)
         depth = np.clip(smooth_m * noise * 1000, 1, _GUESS_MM)
         depth[holes] = 0
-        told[k] = np.rint(depth)
-        confidence[k] = _confidence(believed_m, slow, holes, doubtful)
-    return told, confidence
+        measured_mm[k] = np.rint(depth)
+        confidence[k] = _confidence(perceived_m, slow, holes, doubtful)
+    return measured_mm, confidence
 
 
-def _believed(
+def _perceived(
     true_m: Float[np.ndarray, "h w"],
     kind: UInt8[np.ndarray, "h w"],
     bump: Float[np.ndarray, "h w"],
     sensor: DepthSensor,
 ) -> tuple[Float[np.ndarray, "h w"], Bool[np.ndarray, "h w"], Bool[np.ndarray, "h w"]]:
-    """What the phone takes for the room, where it says nothing, and where it should not be trusted."""
+    """Return the depth before noise in metres, the mask of unknown pixels, and the mask of zero confidence."""
     sky, glass, mirror = true_m == 0, kind == GLASS, kind == MIRROR
     doubtful = sky | glass | mirror
     holes = np.zeros_like(sky)
@@ -150,7 +166,7 @@ def _believed(
         if mirror.any():
             uneven = true_m * (1 + sensor.relief * bump)
             depth = np.where(mirror, farther if sensor.mirror == "far" else uneven, depth)
-        guess = _from_around(true_m, ~doubtful) * (1 + sensor.relief * bump)
+        guess = _interpolated(true_m, ~doubtful) * (1 + sensor.relief * bump)
         for place, how, far in (
             (glass & ~sky, sensor.glass, farther),
             (sky, sensor.sky, sensor.unseen_m * (1 + sensor.relief * bump)),
@@ -163,16 +179,16 @@ def _believed(
             holes = cv2.dilate(holes.astype(np.uint8), np.ones((2, 2), np.uint8)) > 0
     past = np.maximum(depth - LASER_M, 0)
     depth = depth - (1 - sensor.far_slope) * past
-    if sensor.thin_px > 1:  # dots miss thin things: the background closes over them
+    if sensor.thin_px > 1:  # laser dots miss thin objects: the background closes over them
         depth = cv2.morphologyEx(depth, cv2.MORPH_CLOSE, np.ones((sensor.thin_px, sensor.thin_px), np.uint8))
     return np.maximum(depth, 0.05).astype(np.float32), holes, doubtful
 
 
-def _from_around(depth_m: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
-    """A smooth guess for what is unknown, from the inverse depths around: the nearer, the more they count."""
+def _interpolated(depth_m: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"]:
+    """Estimate unknown depth from the inverse depths around it; nearer pixels weigh more."""
     inverse = np.where(known, 1 / np.maximum(depth_m, 0.05), 0).astype(np.float32)
     share = known.astype(np.float32)
-    total, weight = np.float32(1e-6) / 4, np.float32(1e-6)  # 4 m where nothing at all is known
+    total, weight = np.float32(1e-6) / 4, np.float32(1e-6)  # 4 m where no pixel is known
     for size in ((32, 24), (12, 9), (4, 3)):
         fine = [cv2.resize(image, size, interpolation=cv2.INTER_AREA) for image in (inverse, share)]
         strength = (size[0] / 32) ** 2 * 0.5 + 0.01
@@ -185,7 +201,7 @@ def _from_around(depth_m: Float[np.ndarray, "h w"], known: Bool[np.ndarray, "h w
 def _smoothed(
     depth_m: Float[np.ndarray, "h w"], guide: Float[np.ndarray, "h w"] | None, sensor: DepthSensor
 ) -> Float[np.ndarray, "h w"]:
-    """Edges bleed: a guided filter (He et al. 2010) on inverse depth, led by luma, mixed with a little plain blur."""
+    """Let edges bleed: a guided filter (He et al. 2010) on inverse depth, guided by luma, and a slight blur."""
     inverse = cv2.GaussianBlur(1 / depth_m, (3, 3), sensor.softness_px)
     if sensor.bleed:
         image = inverse if guide is None else guide
@@ -196,7 +212,7 @@ def _smoothed(
         slope = covariance / (np.maximum(variance, 0) + np.float32(0.002))
         filtered = cv2.blur(slope, size) * (image - mean_image) + cv2.blur(mean, size)
         inverse = inverse + np.float32(sensor.bleed) * (filtered - inverse)
-    return 1 / np.maximum(inverse, np.float32(_LEAST_INVERSE))
+    return 1 / np.maximum(inverse, np.float32(_MIN_INVERSE_M))
 
 
 def _confidence(
@@ -205,7 +221,7 @@ def _confidence(
     holes: Bool[np.ndarray, "h w"],
     doubtful: Bool[np.ndarray, "h w"],
 ) -> UInt8[np.ndarray, "h w"]:
-    """2 on plain surfaces within the laser's reach, 1 at edges and farther, 0 on jumps, panes, sky and far away."""
+    """Return 2 on plain surfaces within the laser's reach, 1 at edges and farther, 0 at jumps, panes and sky."""
     square = np.ones((5, 5), np.uint8)
     jump = (cv2.dilate(depth_m, square) - cv2.erode(depth_m, square)) / depth_m
     wobble = 1 + np.float32(0.05) * slow
@@ -220,14 +236,14 @@ def _luma(colour: UInt8[np.ndarray, "h w 3"]) -> Float[np.ndarray, "192 256"]:
     return cv2.resize(grey, (WIDTH, HEIGHT), interpolation=cv2.INTER_AREA).astype(np.float32) / 255
 
 
-def _slow_fields(rng: np.random.Generator, frames: int, hold: float) -> Float[np.ndarray, "{frames} 6 8"]:
-    """Coarse noise of deviation 1 that lives on from frame to frame (first-order autoregressive)."""
+def _slow_fields(rng: np.random.Generator, frames: int, persistence: float) -> Float[np.ndarray, "{frames} 6 8"]:
+    """Generate coarse noise of standard deviation 1, first-order autoregressive in time."""
     fields = rng.standard_normal((frames, *_FLICKER_CELLS)).astype(np.float32)
     for k in range(1, frames):
-        fields[k] = hold * fields[k - 1] + np.sqrt(1 - hold**2) * fields[k]
+        fields[k] = persistence * fields[k - 1] + np.sqrt(1 - persistence**2) * fields[k]
     return fields
 
 
 def _enlarged(field: Float[np.ndarray, "6 8"]) -> Float[np.ndarray, "192 256"]:
-    """To full size; 1.145 makes up for what the cubic spline averages away (measured)."""
+    """Upsample to full size; 1.145 restores the deviation that the cubic spline averages away (measured)."""
     return np.float32(1.145) * cv2.resize(field, (WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)

@@ -1,4 +1,4 @@
-"""Takes one sequence out of its shard, as a capture folder of its own; makes the sample capture that way too."""
+"""Write one sequence of a dataset as a capture folder; the sample capture is written the same way."""
 
 import shutil
 from collections.abc import Mapping
@@ -10,16 +10,21 @@ from roomlight.files import write_atomic
 
 
 def extract(dataset: Dataset, name: str, out: Path) -> None:
-    """Write the sequence's files to `out`, whole or not at all: a capture that `roomlight replay` reads.
+    """Write a sequence's files to `out`, atomically: a capture that `roomlight replay` reads.
 
-    DatasetError where there is no such sequence or it is damaged; OutputError where `out` holds something already or
-    cannot be written.
+    Raises:
+        DatasetError: The dataset has no such sequence, or the sequence is damaged.
+        OutputError: `out` is not empty, or cannot be written.
     """
     write_capture(dataset.files(dataset.number_of(name)), out)
 
 
 def write_capture(files: Mapping[str, bytes | memoryview], out: Path) -> None:
-    """Write a capture's files, whole or not at all; OutputError where `out` holds something already."""
+    """Write a capture's files, atomically.
+
+    Raises:
+        OutputError: `out` is not empty, or cannot be written.
+    """
     partial = out.with_name(f".{out.name}.part")
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):

@@ -1,7 +1,8 @@
-"""A dataset folder: `dataset.json`, which settings made it; the lock of who writes; the names of its sequences.
+"""A dataset folder: its manifest `dataset.json`, the lock of the process that writes, and the names of its files.
 
-Sequences are numbered from 0 in each split; `sequences_per_room` in a row are walks through one room, and `shard_size`
-in a row are one shard. So the number of a sequence says its name, its room and its shard, whoever makes it and when.
+Sequences are numbered from 0 in each split. `sequences_per_room` consecutive sequences are walks through one room, and
+`shard_size` consecutive sequences are one shard. The number of a sequence therefore determines its name, its room and
+its shard, whichever process generates it.
 """
 
 import fcntl
@@ -26,7 +27,7 @@ LOCK: Final = "dataset.lock"
 FORMAT: Final = "roomlight-dataset"
 VERSION: Final = 1
 FRAMES: Final = 31
-"""In a sequence, where nothing else is asked for."""
+"""Default number of frames in a sequence."""
 _RENAMED: Final = {
     "roomlight_model.dataset.room_sequences:render_room": "roomlight_generator.sequences.render:render_room"
 }
@@ -34,13 +35,17 @@ _RENAMED: Final = {
 
 
 @dataclass(frozen=True)
-class Settings:
-    """What decides the bytes of a dataset.
+class DatasetSettings:
+    """The settings that determine the bytes of a dataset.
 
-    frames:     in each sequence.
-    furniture:  SHA-256 of the furniture library (`digest`), None where all furniture is procedural.
-    renderer:   `module:function` that makes the recordings of a room.
-    generator:  RoomLight's version.
+    Attributes:
+        seed: Seed of all rooms.
+        shard_size: Sequences in a shard.
+        sequences_per_room: Camera walks through each room.
+        frames: Frames in a sequence.
+        furniture: SHA-256 of the furniture library (`digest`); None if all furniture is procedural.
+        renderer: `module:function` that renders the recordings of a room.
+        generator: RoomLight's version.
     """
 
     seed: int
@@ -54,41 +59,45 @@ class Settings:
 
 @dataclass(frozen=True)
 class Manifest:
-    """`dataset.json`: the settings, and how many sequences were asked for in each split."""
+    """`dataset.json`: the settings, and the number of requested sequences of each split."""
 
-    settings: Settings
+    settings: DatasetSettings
     sequences: dict[str, int] = field(default_factory=dict)
 
-    def wanting(self, split: Split, sequences: int) -> "Manifest":
-        """The same dataset with at least so many sequences asked for."""
+    def with_sequences(self, split: Split, sequences: int) -> "Manifest":
+        """Return the manifest with at least this many sequences requested for a split."""
         most = max(sequences, self.sequences.get(split, 0))
         return replace(self, sequences=dict(sorted({**self.sequences, split: most}.items())))
 
     def to_bytes(self) -> bytes:
-        """The file's content."""
+        """Return the content of `dataset.json`."""
         values = {"format": FORMAT, "version": VERSION, **vars(self.settings), "sequences": self.sequences}
         return (json.dumps(values, indent=1) + "\n").encode()
 
 
 def sequence_name(split: str, number: int) -> str:
-    """`train-000012`."""
+    """Return the name of a sequence, such as `train-000012`."""
     return f"{split}-{number:06d}"
 
 
 def read_manifest(folder: Path) -> Manifest:
-    """`dataset.json` of a folder; DatasetError where there is none or it is not one."""
+    """Read the manifest of a dataset folder.
+
+    Raises:
+        DatasetError: The folder has no manifest, or the manifest is damaged or of another version.
+    """
     path = folder / MANIFEST
     try:
         data = path.read_bytes()
     except (FileNotFoundError, NotADirectoryError):
-        raise DatasetError(f"{folder}: is no dataset (it has no {MANIFEST}); name one that generate made") from None
+        raise DatasetError(f"{folder}: is not a dataset: it has no {MANIFEST}; give a generated folder") from None
     except OSError as error:
         raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
     try:
         values: dict[str, Any] = json.loads(data)
         if (values["format"], values["version"]) != (FORMAT, VERSION):
             raise DatasetError(f"{path}: is {values['format']} {values['version']}; {FORMAT} {VERSION} is read")
-        settings = Settings(
+        settings = DatasetSettings(
             seed=int(values["seed"]),
             shard_size=int(values["shard_size"]),
             sequences_per_room=int(values["sequences_per_room"]),
@@ -100,50 +109,59 @@ def read_manifest(folder: Path) -> Manifest:
         return Manifest(settings, {str(split): int(count) for split, count in values["sequences"].items()})
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise DatasetError(
-            f"{path}: is damaged ({type(error).__name__}: {error}); restore it from a copy, or write it by hand: it "
-            "holds the settings that generate was given"
+            f"{path}: is damaged ({type(error).__name__}: {error}); restore it from a copy, or write it by hand from "
+            "the settings of the generate command"
         ) from error
 
 
-def begin(folder: Path, settings: Settings, *, split: Split, sequences: int) -> Manifest:
-    """Make the folder a dataset of these settings, or check that it is one; call it with the lock held.
+def update_manifest(folder: Path, settings: DatasetSettings, *, split: Split, sequences: int) -> Manifest:
+    """Write the folder's manifest, or check that it has these settings; call it with the lock held.
 
-    DatasetError where it was made with other settings, naming the difference; OutputError where it cannot be written.
+    Raises:
+        DatasetError: The dataset was generated with other settings; the message names the differences.
+        OutputError: The manifest cannot be written.
     """
     if (folder / MANIFEST).exists():
         old = read_manifest(folder)
         _check_equal(folder, old.settings, settings)
-        manifest = old.wanting(split, sequences)
+        manifest = old.with_sequences(split, sequences)
         if manifest == old:
             return old
     else:
-        manifest = Manifest(settings).wanting(split, sequences)
+        manifest = Manifest(settings).with_sequences(split, sequences)
     write_atomic(folder / MANIFEST, manifest.to_bytes())
     sync_folder(folder)
     return manifest
 
 
-def prepare(folder: Path) -> None:
-    """Make the folder if there is none; OutputError where it holds something that is no dataset, or is no folder."""
+def create_folder(folder: Path) -> None:
+    """Create the folder if it does not exist.
+
+    Raises:
+        OutputError: The path is a file, holds files but no manifest, or cannot be written.
+    """
     try:
         folder.mkdir(parents=True, exist_ok=True)
         names = {entry.name for entry in folder.iterdir()}
     except FileExistsError:
-        raise OutputError(f"{folder}: is a file; name a folder for the dataset") from None
+        raise OutputError(f"{folder}: is a file; give a folder for the dataset") from None
     except OSError as error:
         raise OutputError(f"{folder}: cannot be written ({error.strerror or error})") from error
     if MANIFEST not in names and names - {LOCK}:
         raise OutputError(
-            f"{folder}: holds {min(names - {LOCK})!r} and no {MANIFEST}, so it is no dataset; "
+            f"{folder}: holds {min(names - {LOCK})!r} but no {MANIFEST}, so it is not a dataset; "
             "choose a new or empty folder"
         )
 
 
 @contextmanager
 def locked(folder: Path) -> Generator[None]:
-    """Be the only one who writes to the folder; OutputError that names the holder where another does.
+    """Hold the folder's lock, so that no other process writes to it.
 
-    The system drops the lock when its holder ends, however it ends, so a file that a killed one left does not matter.
+    The system releases the lock when the process ends, even if it is killed; the lock file that remains has no effect.
+
+    Raises:
+        OutputError: Another process holds the lock; the message names it.
     """
     path = folder / LOCK
     try:
@@ -154,7 +172,7 @@ def locked(folder: Path) -> Generator[None]:
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = os.pread(handle, 200, 0).decode("utf-8", "replace").strip() or "a process that does not say which"
+            holder = os.pread(handle, 200, 0).decode("utf-8", "replace").strip() or "another process"
             raise OutputError(
                 f"{folder}: {holder} is writing to this dataset; wait until it is done, stop it, "
                 "or choose another folder"
@@ -170,27 +188,27 @@ def locked(folder: Path) -> Generator[None]:
 
 
 def shards_of(sequences: int, size: int) -> list[range]:
-    """The numbers of the sequences in each shard of `size`."""
+    """Return the numbers of the sequences in each shard of `size` sequences."""
     return [range(first, min(first + size, sequences)) for first in range(0, sequences, size)]
 
 
 def shard_files(folder: Path, split: str | None = None) -> list[Path]:
-    """The shards that have an index, in order; of one split, or of all."""
+    """Return the shards that have an index, in order, of one split or of all."""
     named = re.compile(rf"{split or '(train|test)'}-[0-9]{{5,}}")
     return sorted(path.with_suffix(".tar") for path in folder.glob("*.jsonl") if named.fullmatch(path.stem))
 
 
-def _told(value: object) -> object:
-    return "procedural alone" if value is None else value
+def _shown(value: object) -> object:
+    return "none (procedural)" if value is None else value
 
 
-def _check_equal(folder: Path, old: Settings, new: Settings) -> None:
+def _check_equal(folder: Path, old: DatasetSettings, new: DatasetSettings) -> None:
     differences = [
-        f"{name.replace('_', ' ')} {_told(vars(old)[name])}, not {_told(value)}"
+        f"{name.replace('_', ' ')} {_shown(vars(old)[name])}, not {_shown(value)}"
         for name, value in vars(new).items()
         if vars(old)[name] != value
     ]
     if differences:
         raise DatasetError(
-            f"{folder}: was made with {'; '.join(differences)}; give the settings it was made with, or another folder"
+            f"{folder}: was generated with {'; '.join(differences)}; use the same settings, or another folder"
         )

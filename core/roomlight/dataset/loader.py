@@ -1,7 +1,7 @@
-"""Reads a dataset: any sequence by number, or all of them in a shuffled stream for training. Needs no PyTorch.
+"""Read a dataset: any sequence by number, or all sequences in a shuffled stream for training. Needs no PyTorch.
 
-Nothing is extracted: a sequence is read by its place in its shard, its checksum compared (each time: 1.5 ms for 2.5
-MB), and only the frames asked for are decoded.
+Nothing is extracted: a sequence is read at its offset in its shard, its checksum is compared (each time: 1.5 ms for
+2.5 MB), and only the requested frames are decoded.
 """
 
 from collections import deque
@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from jaxtyping import UInt8, UInt16
 
-from roomlight.dataset import sequence_files as layout
+from roomlight.dataset import sequence_files
 from roomlight.dataset.archive import unpack
 from roomlight.dataset.folder import Manifest, read_manifest, shard_files
 from roomlight.dataset.recording import Recording, Split
@@ -25,11 +25,13 @@ DepthKind = Literal["exact", "arkit"]
 
 
 @dataclass(frozen=True, eq=False)
-class Example:
-    """A sequence as a network meets it: the recording (only the frames asked for), and the depth its phone gave.
+class StreamedSequence:
+    """A sequence of a stream: the recording with the requested frames, and their measured depth.
 
-    depth_mm is z-depth, 0 = unknown, of the recording's frames: the exact one, or 256 x 192 as a LiDAR phone's;
-    confidence is 0, 1 or 2 as ARKit's.
+    Attributes:
+        recording: The recording.
+        depth_mm: z-depth of its frames in millimetres, 0 = unknown: exact, or 256 x 192 as a LiDAR phone's.
+        confidence: 0, 1 or 2 as ARKit's.
     """
 
     recording: Recording
@@ -39,15 +41,19 @@ class Example:
 
 @dataclass(frozen=True)
 class StreamOptions:
-    """How to go through a dataset once.
+    """Options of one pass over a dataset.
 
-    seed, epoch:  of the order and of the phones' depth; another epoch is another order.
-    frames:       which to decode, None for all; a network of a single view wants (0,).
-    part:         (k, n) gives every n-th shard from the k-th on, for one of n training processes.
-    buffer:       sequences that the shuffling looks ahead over: neighbours in a shard are walks through one room, so
-                  it should be several shards.
-    workers:      threads that decode ahead. The order does not depend on them.
-    damaged:      "raise" the DatasetError of a damaged sequence, or "skip" it.
+    Attributes:
+        seed: Seed of the order and of the simulated depth.
+        epoch: Number of the pass; each has another order.
+        frames: Frames to decode, None for all; a single-view network needs (0,).
+        depth: Exact depth, or simulated phone depth.
+        part: (k, n) selects every n-th shard from the k-th on, for one of n training processes.
+        shuffle: Whether to shuffle shards and sequences.
+        buffer: Length of the shuffling window in sequences. Neighbours in a shard are walks through one room, so that
+            the window should span several shards.
+        workers: Threads that decode ahead; the order does not depend on them.
+        damaged: "raise" the DatasetError of a damaged sequence, or "skip" the sequence.
     """
 
     seed: int = 0
@@ -62,65 +68,69 @@ class StreamOptions:
 
 
 @dataclass(frozen=True)
-class _Place:
+class _StoredSequence:
     tar: Path
     entry: Entry
 
 
 class Dataset:
-    """The finished sequences of a folder, in the order of their names; those finished later are not seen.
+    """The finished sequences of a folder in the order of their names, as of when it was opened.
 
-    Damage shows when a sequence is read, as a DatasetError that names it; the others are not touched by it.
+    Damage is found when a sequence is read: a DatasetError names it, and other sequences stay readable.
     """
 
     def __init__(self, folder: Path, split: Split | None = None) -> None:
-        """Read the indices, of one split or of both; DatasetError where the folder is no dataset."""
+        """Read the indices of one split, or of both.
+
+        Raises:
+            DatasetError: The folder is not a dataset, or an index cannot be read.
+        """
         self.folder = folder
         self.manifest: Manifest = read_manifest(folder)
-        places: list[_Place] = []
+        places: list[_StoredSequence] = []
         self.damaged_lines: list[str] = []
         for tar in shard_files(folder, split):
             index = read_index(tar)
-            places += [_Place(tar, entry) for entry in index.entries]
+            places += [_StoredSequence(tar, entry) for entry in index.entries]
             self.damaged_lines += [f"{index_path(tar)}: line {number} is damaged" for number in index.damaged]
         self._places = sorted(places, key=lambda place: place.entry.name)
         self._numbers = {place.entry.name: number for number, place in enumerate(self._places)}
 
     def __len__(self) -> int:
-        """How many sequences are finished."""
+        """Return the number of finished sequences."""
         return len(self._places)
 
     def __getitem__(self, number: int) -> Recording:
-        """A whole sequence; `read` decodes less of it."""
+        """Read a whole sequence; `read` decodes selected frames."""
         return self.read(number)
 
     def __iter__(self) -> Iterator[Recording]:
-        """Every sequence, in order."""
+        """Read every sequence, in order."""
         return (self.read(number) for number in range(len(self)))
 
     @property
     def names(self) -> list[str]:
-        """The sequences' names, in order."""
+        """The names of the sequences, in order."""
         return [place.entry.name for place in self._places]
 
     def number_of(self, name: str) -> int:
-        """The place of a sequence in the order; DatasetError where there is none of this name."""
+        """Return a sequence's number. Raises DatasetError for an unknown name."""
         if name not in self._numbers:
             first = f", from {self.names[0]} to {self.names[-1]}" if len(self) else ""
             raise DatasetError(f"{self.folder}: has no sequence {name!r}; it has {len(self)}{first}")
         return self._numbers[name]
 
     def size_of(self, number: int) -> int:
-        """Bytes of a sequence in its shard."""
+        """Return the size of a sequence in its shard in bytes."""
         return self._places[number].entry.length
 
     def frames_of(self, number: int) -> int:
-        """How many frames a sequence has."""
-        _ = self._places[number]  # IndexError where there is none
+        """Return the number of frames of a sequence. Raises IndexError for an unknown number."""
+        _ = self._places[number]  # raises IndexError
         return self.manifest.settings.frames
 
     def files(self, number: int) -> dict[str, memoryview]:
-        """The files of a sequence by name, their checksum compared; DatasetError where it does not match."""
+        """Read the files of a sequence by name. Raises DatasetError if their checksum does not match."""
         place = self._places[number]
         try:
             return unpack(read_packed(place.tar, place.entry), place.entry.name)
@@ -128,16 +138,21 @@ class Dataset:
             raise self._foreign(place, error) from error
 
     def read(self, number: int, *, frames: Sequence[int] | None = None, probes: bool = True) -> Recording:
-        """A sequence, only these frames of it decoded (None: all), with or without its probes."""
+        """Read a sequence with the requested frames (None: all), with or without its probes.
+
+        Raises:
+            DatasetError: The sequence is damaged.
+            IndexError: There is no such sequence or frame.
+        """
         return self._decoded(number, self.files(number), frames=frames, probes=probes)
 
-    def stream(self, options: StreamOptions | None = None) -> Iterator[Example]:
-        """Every sequence once, shuffled: shards in a random order, sequences within a window over them.
+    def stream(self, options: StreamOptions | None = None) -> Iterator[StreamedSequence]:
+        """Yield every sequence once: shards in random order, sequences shuffled within a sliding window.
 
-        The same options give the same examples in the same order.
+        The same options give the same sequences in the same order.
         """
         options = options or StreamOptions()
-        ahead: deque[Future[Example | None]] = deque()
+        ahead: deque[Future[StreamedSequence | None]] = deque()
         with ThreadPoolExecutor(max(1, options.workers), thread_name_prefix="dataset") as pool:
             try:
                 for number in self._order(options):
@@ -156,11 +171,11 @@ class Dataset:
         for number, place in enumerate(self._places):
             shards.setdefault(place.tar, []).append(number)
         part, parts = options.part
-        mine = [shards[tar] for tar in sorted(shards)]
+        ordered = [shards[tar] for tar in sorted(shards)]
         if options.shuffle:
-            mine = [mine[k] for k in rng.permutation(len(mine))]
+            ordered = [ordered[k] for k in rng.permutation(len(ordered))]
         window: list[int] = []
-        for numbers in mine[part::parts]:
+        for numbers in ordered[part::parts]:
             if not options.shuffle:
                 yield from numbers
                 continue
@@ -171,7 +186,7 @@ class Dataset:
         while window:
             yield _drawn(window, rng)
 
-    def _example(self, number: int, options: StreamOptions) -> Example | None:
+    def _example(self, number: int, options: StreamOptions) -> StreamedSequence | None:
         try:
             recording = self.read(number, frames=options.frames)
         except DatasetError:
@@ -181,33 +196,33 @@ class Dataset:
         from roomlight.dataset.arkit_depth import arkit_like, exact
 
         if options.depth == "exact":
-            return Example(recording, *exact(recording.depth_mm))
-        # by name, not by place: a dataset that grows keeps its phones
+            return StreamedSequence(recording, *exact(recording.depth_mm))
+        # seeded by name, not by number: sequences of a growing dataset keep their depth sensors
         rng = np.random.default_rng([options.seed, options.epoch, *recording.name.encode()])
-        return Example(recording, *arkit_like(recording.depth_mm, recording.surface, recording.colour, rng))
+        return StreamedSequence(recording, *arkit_like(recording.depth_mm, recording.surface, recording.colour, rng))
 
     def _decoded(
         self, number: int, files: dict[str, memoryview], *, frames: Sequence[int] | None, probes: bool
     ) -> Recording:
         place = self._places[number]
         try:
-            return layout.decode(files, f"{place.tar}: {place.entry.name}", frames=frames, probes=probes)
+            return sequence_files.decode(files, f"{place.tar}: {place.entry.name}", frames=frames, probes=probes)
         except (ValueError, KeyError, TypeError, ImageError) as error:
             raise self._foreign(place, error) from error
 
-    def _foreign(self, place: _Place, error: Exception) -> DatasetError:
-        """Bytes have their checksum and are no sequence all the same: another program's, or another version's."""
+    def _foreign(self, place: _StoredSequence, error: Exception) -> DatasetError:
+        """Return the error for bytes that have their checksum but are not a sequence, such as another version's."""
         return DatasetError(f"{place.tar}: sequence {place.entry.name} cannot be read ({error}); {remedy(place.tar)}")
 
 
 def _drawn(window: list[int], rng: np.random.Generator) -> int:
-    """One of the window at random, taken out."""
+    """Remove a random entry of the window and return it."""
     at = int(rng.integers(len(window)))
     window[at], window[-1] = window[-1], window[at]
     return window.pop()
 
 
-def _present(future: Future[Example | None]) -> Iterator[Example]:
+def _present(future: Future[StreamedSequence | None]) -> Iterator[StreamedSequence]:
     example = future.result()
     if example is not None:
         yield example

@@ -1,4 +1,4 @@
-"""A generated sequence, as it is stored, read back and trained on."""
+"""A generated sequence: the type that is stored, loaded and trained on."""
 
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -14,19 +14,29 @@ ORDINARY: Final = 0
 GLASS: Final = 1
 MIRROR: Final = 2
 LIGHT: Final = 3
-"""What a pixel's surface is to a depth sensor: `LIGHT` is the visible source itself."""
+"""Kinds of surface, as a depth sensor distinguishes them; `LIGHT` is a visible light source."""
 
 
 @dataclass(frozen=True, eq=False)
 class Recording:
     """Frames, exact depth, poses and ground-truth panoramas of one camera walk through one room.
 
-    World frame: y up, metres; poses camera-to-world, OpenGL axes. colour is what the phone's camera gives (sRGB 8 bit,
-    exposed, clipped, noisy). depth_mm is exact z-depth in millimetres, 0 where nothing is hit (open sky); a window's
-    pane, a mirror and a lamp count as surfaces where they stand. surface says which (`ORDINARY`, `GLASS`, `MIRROR`,
-    `LIGHT`). exposure is relative to the first frame's, so exposure[0] = 1, and the panoramas are in the first frame's
-    units: 1.0 is what the first frame shows as white. facts hold what is reported and nothing that is needed: room
-    type, seeds, light sources, kilocandela per square metre for 1.0, attributions.
+    World frame: y up, metres; poses are camera-to-world with OpenGL axes.
+
+    Attributes:
+        name: Name of the sequence, such as `train-000012`.
+        colour: sRGB 8-bit images of the simulated phone camera: exposed, clipped, noisy.
+        depth_mm: Exact z-depth in millimetres, 0 where nothing is hit (open sky). Panes, mirrors and lamps count as
+            surfaces at their own depth.
+        surface: Kind of surface: `ORDINARY`, `GLASS`, `MIRROR` or `LIGHT`.
+        intrinsics: The camera, in pixels; one for all frames.
+        camera_to_world: Poses.
+        exposure: Exposure relative to the first frame's: exposure[0] = 1.
+        timestamp_s: Times in seconds.
+        probe_positions: Positions of the ground-truth panoramas, world, metres.
+        probe_panoramas: Linear RGB panoramas, H x 2H, in units of the first frame: 1.0 is shown as white there.
+        facts: Statistics that training does not need: room type, seeds, light sources, kilocandela per square metre
+            for 1.0, attributions.
     """
 
     name: str

@@ -1,12 +1,12 @@
-"""A sequence as files, and back: RoomLight's native capture layout with two things more.
+"""Encode a sequence to files and decode it: RoomLight's own capture format with two additions.
 
     capture.json, colour/*.jpg, depth/*.png, probes/*.exr    as in `roomlight.captures.native`
-    surface/000000.png    uint8: what the pixel is to a depth sensor (`recording.ORDINARY`, ...)
+    surface/000000.png    uint8: kind of surface of each pixel (`recording.ORDINARY`, ...)
     facts.json            `Recording.facts`
 
-So a sequence taken out of its shard is a capture that `roomlight replay` and `roomlight eval` read. The layout is
-written here again because the captures' readers bring video decoders along, which a machine that only generates
-need not have; a test holds the two together.
+A sequence extracted from its shard is therefore a capture that `roomlight replay` and `roomlight eval` read. The module
+writes the format itself because `roomlight.captures` imports video decoders, which a machine that only generates may
+lack; a test compares the two.
 """
 
 import json
@@ -31,16 +31,20 @@ _VERSION: Final = 1
 _INTRINSICS: Final = ("fx", "fy", "cx", "cy", "width", "height")
 
 JPEG_QUALITY: Final = 95
-"""With full chroma: 35 kB a frame of 320 x 240 with sensor noise. At 92 and half chroma the edges of coloured lamps
-bleed over 4 pixels, and the noise that the networks are to get used to is mostly gone."""
+"""With full chroma: 35 kB for a frame of 320 x 240 with sensor noise. Quality 92 with half chroma lets the edges of
+coloured lamps bleed over 4 pixels and removes most of the noise that the networks must learn to handle."""
 PNG_LEVEL: Final = 3
 """31 exact depth maps of 320 x 240: 0.95 MB in 0.05 s at level 1, 0.83 MB in 0.08 s at 3, 0.69 MB in 0.17 s at 6."""
 HALF_MAX: Final = 65504.0
-"""Of a half float. The sun's disc, a tenth of a probe's pixel, can be brighter in units of a dim room's white."""
+"""Largest half float. The sun's disc, a tenth of a probe's pixel, can exceed it in units of a dim room's white."""
 
 
 def encode(recording: Recording) -> dict[str, bytes]:
-    """The sequence's files by name, the small ones first; ValueError where the recording contradicts itself."""
+    """Encode a recording to files by name, the small ones first.
+
+    Raises:
+        ValueError: The recording's arrays disagree, or hold values that cannot be stored.
+    """
     _check(recording)
     count = len(recording.colour)
     lens = {key: getattr(recording.intrinsics, key) for key in _INTRINSICS}
@@ -74,10 +78,18 @@ def encode(recording: Recording) -> dict[str, bytes]:
 def decode(
     files: Mapping[str, bytes | memoryview], label: str, *, frames: Iterable[int] | None = None, probes: bool = True
 ) -> Recording:
-    """The recording of a sequence's files, only the frames asked for decoded (None: all), in the order asked.
+    """Decode the requested frames (None: all) of a sequence's files, in the requested order.
 
-    Without `probes` it has none. `label` goes before messages. IndexError where a frame does not exist, ValueError
-    where the files are not a sequence's, ImageError where one does not decode.
+    Args:
+        files: The files by name.
+        label: Prefix of error messages.
+        frames: Numbers of the frames to decode.
+        probes: Whether to decode the probes; without them the recording has none.
+
+    Raises:
+        IndexError: A frame does not exist.
+        ValueError: The files are not a sequence's.
+        ImageError: An image does not decode.
     """
     index: dict[str, Any] = json.loads(bytes(_file(files, CAPTURE)))
     listed: list[dict[str, Any]] = index["frames"]
@@ -106,12 +118,12 @@ def decode(
 
 
 def read_facts(files: Mapping[str, bytes | memoryview]) -> dict[str, Any]:
-    """`Recording.facts` alone."""
+    """Read `Recording.facts` only."""
     return json.loads(bytes(_file(files, FACTS)))
 
 
 def part_sizes(files: Mapping[str, bytes | memoryview]) -> dict[str, int]:
-    """Bytes by kind of file: colour, depth, surface, probes, and `text` for the two JSON files."""
+    """Return bytes by kind of file: colour, depth, surface, probes, and `text` for the two JSON files."""
     sizes: dict[str, int] = {}
     for name, data in files.items():
         part = name.split("/")[0] if "/" in name else "text"
@@ -120,7 +132,7 @@ def part_sizes(files: Mapping[str, bytes | memoryview]) -> dict[str, int]:
 
 
 def _check(recording: Recording) -> None:
-    """What stored files could not hold, or a reader would refuse."""
+    """Raise ValueError for a recording that the files cannot hold or a reader would refuse."""
     count, height, width, _ = recording.colour.shape
     lens, probes = recording.intrinsics, recording.probe_panoramas
     lengths = {
@@ -132,7 +144,7 @@ def _check(recording: Recording) -> None:
     }
     wrong = {name: length for name, length in lengths.items() if length != count}
     if count == 0 or wrong:
-        raise ValueError(f"{recording.name}: {count} frames of colour but {wrong or 'no frame at all'}")
+        raise ValueError(f"{recording.name}: {count} frames of colour but {wrong or 'no frames'}")
     if (lens.height, lens.width) != (height, width) or recording.depth_mm.shape[1:] != (height, width):
         raise ValueError(
             f"{recording.name}: colour is {width} x {height}, depth {recording.depth_mm.shape[:0:-1]}, intrinsics are "
@@ -187,9 +199,9 @@ def _png(image: Shaped[np.ndarray, "h w"]) -> bytes:
 
 
 def _exr(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
-    """What is brighter than a half float is dimmed to fit in its own hue.
+    """Encode a panorama; pixels brighter than a half float are dimmed without changing their hue.
 
-    Through a file: OpenEXR writes to memory only in newer versions than are asked for.
+    Through a file: the oldest supported OpenEXR does not write to memory.
     """
     brightest = panorama.max(axis=-1, keepdims=True)
     panorama = panorama * np.minimum(1, HALF_MAX / np.maximum(brightest, 1)).astype(panorama.dtype)
@@ -224,7 +236,7 @@ def _decoded(image: Shaped[np.ndarray, "..."] | None, name: str) -> Shaped[np.nd
 def _stack(
     images: Sequence[Shaped[np.ndarray, "..."]], shape: tuple[int, ...], dtype: type[np.generic]
 ) -> Shaped[np.ndarray, "..."]:
-    """Frames as one array, also of none; ValueError where one has another shape or type."""
+    """Stack frames, also none, into one array. Raises ValueError if one has another shape or type."""
     stacked = np.empty((len(images), *shape), dtype)
     for k, image in enumerate(images):
         if image.shape != shape or image.dtype != dtype:

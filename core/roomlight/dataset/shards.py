@@ -1,9 +1,9 @@
-"""Shards: `train-00000.tar` with sequences one behind the other, and `train-00000.jsonl` that says which are whole.
+"""Shards: `train-00000.tar` holds sequences one after the other, and `train-00000.jsonl` lists the finished ones.
 
-A line of the index is one finished sequence: its name, where its bytes are, their SHA-256, and a checksum of the line
-itself. Bytes are written and synced first, the line after them and synced too; so a sequence exists if and only if
-its line is whole and its bytes have the line's checksum. Whatever else a killed process or a full disk left is at the
-end of either file, belongs to no sequence, and is cut off by the next `ShardWriter`.
+A line of the index is one finished sequence: its name, offset and length, the SHA-256 of its bytes, and a checksum of
+the line itself. The bytes are written and synced before the line, so that a sequence exists if and only if its line is
+valid and its bytes have the line's checksum. Data that a killed process or a full disk leaves at the end of either file
+belongs to no sequence; the next `ShardWriter` truncates it.
 """
 
 import fcntl
@@ -24,7 +24,7 @@ from roomlight.errors import DatasetError, OutputError
 
 @dataclass(frozen=True)
 class Entry:
-    """A finished sequence: `length` bytes of the shard from `offset` on, whose SHA-256 is `sha256` (hexadecimal)."""
+    """A finished sequence: `length` bytes of the shard from `offset` on, with the SHA-256 `sha256` (hexadecimal)."""
 
     name: str
     offset: int
@@ -33,22 +33,23 @@ class Entry:
 
     @property
     def end(self) -> int:
-        """The first byte behind it."""
+        """Offset of the first byte after the sequence."""
         return self.offset + self.length
 
     def line(self) -> bytes:
-        """Its line of the index; `check` is the CRC-32 of the line without it."""
+        """Return the entry's line of the index; `check` is the CRC-32 of the line without `check`."""
         plain = json.dumps({"name": self.name, "offset": self.offset, "length": self.length, "sha256": self.sha256})
         return f'{plain[:-1]}, "check": "{zlib.crc32(plain.encode()):08x}"}}\n'.encode()
 
 
 @dataclass(frozen=True)
 class ShardIndex:
-    """What an index file says.
+    """The content of an index file.
 
-    entries:  the finished sequences, in the order of their bytes.
-    damaged:  lines, counted from 1, that are not whole although whole ones follow: no kill does that.
-    size:     bytes of the file up to the end of the last whole line; what follows was never finished.
+    Attributes:
+        entries: The finished sequences, in the order of their offsets.
+        damaged: Numbers (from 1) of invalid lines that valid lines follow; a killed process does not leave these.
+        size: Bytes of the file up to the end of the last valid line; the rest was never finished.
     """
 
     entries: tuple[Entry, ...]
@@ -57,25 +58,25 @@ class ShardIndex:
 
 
 def shard_path(folder: Path, split: str, number: int) -> Path:
-    """The tar of a shard; its index has the same name with `.jsonl`."""
+    """Return the path of a shard's tar file."""
     return folder / f"{split}-{number:05d}.tar"
 
 
 def index_path(tar: Path) -> Path:
-    """The index beside a shard."""
+    """Return the path of a shard's index."""
     return tar.with_suffix(".jsonl")
 
 
 def remedy(tar: Path) -> str:
-    """What to do about a damaged shard, for messages."""
+    """Return the part of an error message that says how to repair a damaged shard."""
     return (
-        f"`roomlight dataset verify {tar.parent} --repair` takes out what is damaged, "
-        f"and generating again with the same settings fills it in (or delete {tar.name} and {index_path(tar).name})"
+        f"`roomlight dataset verify {tar.parent} --repair` removes damaged sequences, and generating again with the "
+        f"same settings replaces them (or delete {tar.name} and {index_path(tar).name})"
     )
 
 
 def read_index(tar: Path) -> ShardIndex:
-    """The index of a shard; empty where there is none. DatasetError where it cannot be read."""
+    """Read the index of a shard; it is empty if the file does not exist. Raises DatasetError if it is unreadable."""
     path = index_path(tar)
     try:
         data = path.read_bytes()
@@ -99,7 +100,7 @@ def read_index(tar: Path) -> ShardIndex:
 
 
 def _parse(line: bytes) -> Entry | None:
-    """The entry whose line this is, to the byte."""
+    """Parse a line; None unless it is byte for byte the line of an entry."""
     try:
         values: Any = json.loads(line)
         entry = Entry(values["name"], values["offset"], values["length"], values["sha256"])
@@ -109,7 +110,11 @@ def _parse(line: bytes) -> Entry | None:
 
 
 def read_packed(tar: Path, entry: Entry) -> bytes:
-    """A sequence's bytes, checked; DatasetError with the shard, the sequence and what to do where they do not match."""
+    """Read a sequence's bytes and compare their checksum.
+
+    Raises:
+        DatasetError: The bytes cannot be read or do not match; the message names shard, sequence and remedy.
+    """
     try:
         with tar.open("rb") as file:
             packed = os.pread(file.fileno(), entry.length, entry.offset)
@@ -118,14 +123,14 @@ def read_packed(tar: Path, entry: Entry) -> bytes:
             f"{tar}: sequence {entry.name} cannot be read ({error.strerror or error}); {remedy(tar)}"
         ) from error
     if len(packed) < entry.length:
-        raise DatasetError(f"{tar}: ends inside sequence {entry.name}, which its index has as finished; {remedy(tar)}")
+        raise DatasetError(f"{tar}: ends inside sequence {entry.name}, finished by its index; {remedy(tar)}")
     if hashlib.sha256(packed).hexdigest() != entry.sha256:
-        raise DatasetError(f"{tar}: sequence {entry.name} does not have its checksum, bytes changed; {remedy(tar)}")
+        raise DatasetError(f"{tar}: sequence {entry.name} has another checksum than its index states; {remedy(tar)}")
     return packed
 
 
 def replace_index(tar: Path, entries: Sequence[Entry]) -> None:
-    """Write a shard's index anew, whole or not at all; OutputError where it cannot be."""
+    """Replace a shard's index, atomically. Raises OutputError."""
     path = index_path(tar)
     partial = path.with_name(f".{path.name}.part")
     with _writing(path):
@@ -138,7 +143,7 @@ def replace_index(tar: Path, entries: Sequence[Entry]) -> None:
 
 
 def is_finished(tar: Path, names: set[str]) -> bool:
-    """Whether the shard has all of these sequences and its end-of-archive mark; their bytes are not read."""
+    """Return whether the shard has all of these sequences and its end-of-archive mark, without reading the bytes."""
     index = read_index(tar)
     if index.damaged or not names <= {entry.name for entry in index.entries}:
         return False
@@ -152,12 +157,17 @@ def is_finished(tar: Path, names: set[str]) -> bool:
 class ShardWriter:
     """Appends sequences to one shard, for one process at a time; use it in a `with` statement.
 
-    Opening brings the shard to its last whole state: a torn tail of tar or index is cut off, finished sequences are
-    read and checked. DatasetError where one in between is damaged; OutputError where the files cannot be written.
+    Opening restores the shard's last consistent state: an unfinished end of tar or index is truncated, and finished
+    sequences are read and checked.
     """
 
     def __init__(self, tar: Path) -> None:
-        """Waits for another process that has the shard open, such as a worker whose parent was just killed."""
+        """Open the shard; waits for another process that has it open, such as a worker whose parent was just killed.
+
+        Raises:
+            DatasetError: A sequence that others follow is damaged.
+            OutputError: The files cannot be written.
+        """
         self.path = tar
         with ExitStack() as opened:
             self._tar = _open(tar, os.O_RDWR | os.O_CREAT)
@@ -173,22 +183,20 @@ class ShardWriter:
             self._opened = opened.pop_all()
 
     def __enter__(self) -> "ShardWriter":
-        """Itself."""
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Close the files; what was appended stays."""
         self._opened.close()
 
     @property
     def names(self) -> set[str]:
-        """The sequences that the shard has."""
+        """The names of the shard's sequences."""
         return {entry.name for entry in self.entries}
 
     def append(self, name: str, packed: bytes) -> Entry:
-        """Make a sequence part of the shard, on the disk when this returns; OutputError where that fails."""
+        """Append a sequence; it is on the disk when this returns. Raises OutputError."""
         entry = Entry(name, self._end, len(packed), hashlib.sha256(packed).hexdigest())
         try:
             with _writing(self.path):
@@ -198,7 +206,7 @@ class ShardWriter:
                 _append_all(self._index, entry.line())
                 os.fsync(self._index)
         except OutputError:
-            with suppress(OSError):  # give the space back; the next writer would cut it off all the same
+            with suppress(OSError):  # free the space; otherwise the next writer does
                 self._cut()
             raise
         self.entries.append(entry)
@@ -206,20 +214,20 @@ class ShardWriter:
         return entry
 
     def finish(self) -> None:
-        """Write the end-of-archive mark. A later writer cuts it off again to go on."""
+        """Write the end-of-archive mark; a later writer removes it to continue. Raises OutputError."""
         with _writing(self.path):
             _write_all(self._tar, end_of_archive(self._end), self._end)
             os.fsync(self._tar)
 
     def _cut(self) -> None:
-        """Cut both files behind the finished sequences; the index first: no line may stand for bytes that are gone."""
+        """Truncate both files after the finished sequences; the index first, as no line may refer to missing bytes."""
         os.ftruncate(self._index, sum(len(entry.line()) for entry in self.entries))
         os.fsync(self._index)
         os.ftruncate(self._tar, self._end)
         os.fsync(self._tar)
 
     def _whole_entries(self, index: ShardIndex) -> list[Entry]:
-        """The finished sequences; those at the end whose bytes do not match were not (a disk that lost a sync)."""
+        """Return the valid sequences. Invalid ones at the end were never finished (a disk that lost a sync)."""
         if index.damaged:
             raise DatasetError(f"{index_path(self.path)}: line {index.damaged[0]} is damaged; {remedy(self.path)}")
         entries = list(index.entries)
@@ -242,7 +250,7 @@ def _problem(tar: Path, entry: Entry) -> DatasetError | None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Make new names in a folder last through a loss of power."""
+    """Sync a folder, so that new names in it survive a loss of power."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -270,11 +278,11 @@ def _append_all(handle: int, data: bytes) -> None:
 
 @contextmanager
 def _writing(path: Path) -> Generator[None]:
-    """Turn what the system refuses into an OutputError with the file's name."""
+    """Convert an OSError to an OutputError with the file's name."""
     try:
         yield
     except OSError as error:
         raise OutputError(
-            f"{path}: cannot be written ({error.strerror or error}); what is finished stays, "
-            "and the same command goes on from there"
+            f"{path}: cannot be written ({error.strerror or error}); finished sequences are kept, "
+            "and the same command continues from there"
         ) from error

@@ -1,4 +1,4 @@
-"""Finds damaged sequences by their checksums, and takes them out so that generating makes them again."""
+"""Find damaged sequences by their checksums, and remove them so that the generator replaces them."""
 
 import os
 from collections.abc import Callable
@@ -13,7 +13,13 @@ from roomlight.errors import DatasetError, OutputError
 
 @dataclass(frozen=True)
 class VerifyReport:
-    """whole: sequences that have their checksum; damaged: messages, one a damaged sequence or index line."""
+    """The result of `verify`.
+
+    Attributes:
+        whole: Number of sequences that have their checksum.
+        bytes: Their size.
+        damaged: One message for each damaged sequence or index line.
+    """
 
     whole: int
     bytes: int
@@ -21,11 +27,14 @@ class VerifyReport:
 
 
 def verify(folder: Path, *, repair: bool = False, progress: Callable[[int, int], None] | None = None) -> VerifyReport:
-    """Read every sequence and compare its checksum. DatasetError where the folder is no dataset.
+    """Read every sequence and compare its checksum; `progress` receives (done, total) sequences.
 
-    `repair` takes damaged sequences out: their lines leave the index, their bytes become a member that unpacking
-    shows as `.damaged-...`, and the shard counts as unfinished. OutputError where it cannot, or another process is
-    writing to the dataset.
+    `repair` removes damaged sequences: their lines leave the index, their bytes become a tar member named
+    `.damaged-...`, and the shard counts as unfinished.
+
+    Raises:
+        DatasetError: The folder is not a dataset.
+        OutputError: A shard cannot be repaired, or another process is writing to the dataset.
     """
     read_manifest(folder)
     if repair:
@@ -60,7 +69,7 @@ def _verify(folder: Path, *, repair: bool, progress: Callable[[int, int], None] 
 
 
 def _repair(tar: Path, good: list[Entry]) -> None:
-    """The index first: from then on the damaged bytes belong to no sequence, whatever happens to them."""
+    """Write the index first: after that the damaged bytes belong to no sequence."""
     replace_index(tar, good)
     try:
         handle = os.open(tar, os.O_RDWR | os.O_CREAT, 0o644)

@@ -7,7 +7,7 @@ import pytest
 
 import stub_rooms
 from roomlight.captures import open_capture
-from roomlight.dataset import sequence_files as layout
+from roomlight.dataset import sequence_files
 from roomlight.dataset.arkit_depth import HEIGHT, WIDTH
 from roomlight.dataset.extract import extract
 from roomlight.dataset.loader import Dataset, StreamOptions
@@ -55,8 +55,8 @@ def test_sequences_are_read_by_number_whatever_was_read_before(folder):
 def test_one_frame_decodes_one_frame(folder, monkeypatch):
     dataset = Dataset(folder)
     decoded = []
-    real = layout.cv2.imdecode
-    monkeypatch.setattr(layout.cv2, "imdecode", lambda *given: (decoded.append(1), real(*given))[1])
+    real = sequence_files.cv2.imdecode
+    monkeypatch.setattr(sequence_files.cv2, "imdecode", lambda *given: (decoded.append(1), real(*given))[1])
     recording = dataset.read(5, frames=[0], probes=False)
     assert len(decoded) == 3  # its colour, its depth, its surface
     assert recording.colour.shape[0] == recording.camera_to_world.shape[0] == 1
@@ -69,9 +69,9 @@ def test_a_name_that_is_not_there_says_which_are(folder):
 
 
 def test_a_folder_without_a_manifest_is_no_dataset(tmp_path):
-    with pytest.raises(DatasetError, match="is no dataset"):
+    with pytest.raises(DatasetError, match="is not a dataset"):
         Dataset(tmp_path)
-    with pytest.raises(DatasetError, match="is no dataset"):
+    with pytest.raises(DatasetError, match="is not a dataset"):
         Dataset(tmp_path / "nowhere")
 
 
@@ -128,7 +128,7 @@ def test_damage_is_one_sequence_s_and_the_others_load(one_damaged):
     for number in range(24):
         if number != 9:
             dataset.read(number, frames=[0])
-    with pytest.raises(DatasetError, match=r"train-00002\.tar: sequence train-000009 does not have its checksum"):
+    with pytest.raises(DatasetError, match=r"train-00002\.tar: sequence train-000009 has another checksum"):
         dataset.read(9)
     with pytest.raises(DatasetError, match="train-000009"):
         names(dataset.stream())

@@ -15,8 +15,7 @@ from hypothesis import strategies as st
 
 import stub_rooms
 from roomlight.captures import native, open_capture
-from roomlight.dataset import sequence_files as layout
-from roomlight.dataset import shards
+from roomlight.dataset import sequence_files, shards
 from roomlight.dataset.archive import BLOCK, RECORD, end_of_archive, filler, pack, unpack
 from roomlight.dataset.folder import LOCK, locked
 from roomlight.dataset.shards import Entry, ShardWriter, index_path, is_finished, read_index, read_packed
@@ -81,7 +80,7 @@ def test_a_filler_hides_what_is_behind_it():
 
 def test_a_recording_comes_back():
     before = one(1, name="train-000003", facts={"room_type": "hall", "n": np.int64(3), "list": np.arange(3)})
-    after = layout.decode(layout.encode(before), "here")
+    after = sequence_files.decode(sequence_files.encode(before), "here")
     for exact in ("depth_mm", "surface", "camera_to_world", "exposure", "timestamp_s", "probe_positions"):
         np.testing.assert_array_equal(getattr(after, exact), getattr(before, exact), err_msg=exact)
     assert (after.name, after.intrinsics) == (before.name, before.intrinsics)
@@ -93,31 +92,33 @@ def test_a_recording_comes_back():
 
 
 def test_encoding_is_the_same_bytes_each_time():
-    assert layout.encode(one(2)) == layout.encode(one(2))
+    assert sequence_files.encode(one(2)) == sequence_files.encode(one(2))
 
 
 def test_only_the_frames_asked_for_are_decoded():
-    files = layout.encode(one(3))
-    some = layout.decode(files, "here", frames=[2, 0])
-    whole = layout.decode(files, "here")
+    files = sequence_files.encode(one(3))
+    some = sequence_files.decode(files, "here", frames=[2, 0])
+    whole = sequence_files.decode(files, "here")
     np.testing.assert_array_equal(some.colour, whole.colour[[2, 0]])
     np.testing.assert_array_equal(some.camera_to_world, whole.camera_to_world[[2, 0]])
     for name in list(files):
         if "000001." in name or "000003." in name or name.startswith("probes"):
             files[name] = b"not an image"
-    np.testing.assert_array_equal(layout.decode(files, "here", frames=[2, 0], probes=False).depth_mm, some.depth_mm)
+    np.testing.assert_array_equal(
+        sequence_files.decode(files, "here", frames=[2, 0], probes=False).depth_mm, some.depth_mm
+    )
     with pytest.raises(ImageError, match="here/"):
-        layout.decode(files, "here", probes=False)
+        sequence_files.decode(files, "here", probes=False)
     with pytest.raises(IndexError, match="frames are 0 to 3"):
-        layout.decode(files, "here", frames=[4])
+        sequence_files.decode(files, "here", frames=[4])
     del files["depth/000000.png"]
     with pytest.raises(ValueError, match=r"depth/000000\.png"):
-        layout.decode(files, "here", frames=[0], probes=False)
+        sequence_files.decode(files, "here", frames=[0], probes=False)
 
 
 def test_a_sequence_is_a_capture_that_the_readers_know(tmp_path):
     before = one(4)
-    packed = pack("train-000000", layout.encode(before))
+    packed = pack("train-000000", sequence_files.encode(before))
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for member in filter(tarfile.TarInfo.isfile, archive):  # extractall warns without a filter, which 3.11.2 lacks
             (tmp_path / member.name).parent.mkdir(parents=True, exist_ok=True)
@@ -132,13 +133,17 @@ def test_a_sequence_is_a_capture_that_the_readers_know(tmp_path):
     for truth, position, panorama in zip(capture.probes, before.probe_positions, before.probe_panoramas, strict=True):
         np.testing.assert_allclose(truth.position, position, atol=1e-12)
         np.testing.assert_allclose(truth.panorama(), panorama, rtol=2**-11)
-    assert (layout.CAPTURE, layout._FORMAT, layout._VERSION) == (native.INDEX, native.FORMAT, native.VERSION)
+    assert (sequence_files.CAPTURE, sequence_files._FORMAT, sequence_files._VERSION) == (
+        native.INDEX,
+        native.FORMAT,
+        native.VERSION,
+    )
 
 
 def test_what_is_brighter_than_a_half_float_keeps_its_hue():
     before = one(5)
     before.probe_panoramas[0, 3, 4] = (400_000, 300_000, 100_000)
-    after = layout.decode(layout.encode(before), "here").probe_panoramas[0, 3, 4]
+    after = sequence_files.decode(sequence_files.encode(before), "here").probe_panoramas[0, 3, 4]
     np.testing.assert_allclose(after, np.array([65504, 0.75 * 65504, 0.25 * 65504]), rtol=1e-3)
 
 
@@ -160,7 +165,7 @@ def test_a_recording_that_contradicts_itself_is_not_stored(change, says):
     for name, value in change.items():
         object.__setattr__(broken, name, value)
     with pytest.raises(ValueError, match=says):
-        layout.encode(broken)
+        sequence_files.encode(broken)
 
 
 # shards
