@@ -1,6 +1,6 @@
 """Stages in plain PyTorch, to time beside ours: `grid_sample` and whole tensors, without kernels of our own.
 
-Ray tracing is `roomlight_model.render`, accumulation `roomlight_model.accumulate`: the code that training uses.
+Ray tracing is `roomlight_model.ray_marching_reference`, accumulation `roomlight_model.accumulate`: the code that training uses.
 
 Functions import PyTorch when they are called, because `roomlight bench stages` also runs without it: call them only if
 `torch_installed()`.
@@ -93,7 +93,7 @@ def panorama_by_grid_sample(
     """
     import torch
 
-    from roomlight_model.render import render_rays
+    from roomlight_model.ray_marching_reference import render_rays
 
     grid = sglv.grid
     rotation = grid.world_to_volume[:3, :3]

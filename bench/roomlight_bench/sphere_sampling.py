@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from roomlight_model.sphere import brdf_and_density, look_up, sample_sphere, shade
+from roomlight_model.sphere_rendering import brdf_and_density, look_up, sample_sphere, shade
 
 _CHUNK = 500_000
 """Directions that are evaluated together: a few tens of megabytes."""

@@ -10,10 +10,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight_model.blend import SINGLE_PANELS, VIDEO_PANELS
+from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
 from roomlight_model.layers import ConvGRU
 from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_model.sg import SGDecoder, SGVolume, merge
+from roomlight_model.volume_networks import SGDecoder, SGVolume, merge
 
 Shape = tuple[int, ...]
 

@@ -12,7 +12,7 @@ from torch import Tensor, nn
 
 from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, fill_in, first_panorama
-from roomlight_model.blend import (
+from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
     VIDEO_PANELS,
     BlendDecoder,
@@ -22,7 +22,7 @@ from roomlight_model.blend import (
     video_panels,
 )
 from roomlight_model.config import ModelConfig
-from roomlight_model.sg import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
+from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
 
 
 class SGState(NamedTuple):

@@ -11,8 +11,8 @@ from roomlight.errors import ModelError
 from roomlight_bench.training import TrainCosts, measure_training
 from roomlight_cli.console import print_table
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.training.step_clock import PARTS, StepClock
 from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.step_clock import PARTS, StepClock
 
 OPTIONS = TrainOptions(
     steps=1000, batch=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21), panorama_height=16,

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch
-from roomlight_model.training.clock import StepClock
+from roomlight_model.training.step_clock import StepClock
 from roomlight_model.training.options import STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, predict, stage_losses
 

@@ -17,10 +17,10 @@ from torch.nn import functional
 
 from roomlight.conventions import panorama_rays
 from roomlight_model.accumulate import blend
-from roomlight_model.marching import march
+from roomlight_model.ray_marching import march
 from roomlight_model.networks import SingleModel
-from roomlight_model.sg import SGVolume
-from roomlight_model.sphere import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.volume_networks import SGVolume
+from roomlight_model.sphere_rendering import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch
 from roomlight_model.training.options import Stage, TrainOptions
 

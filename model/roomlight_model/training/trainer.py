@@ -33,7 +33,7 @@ from roomlight.files import write_atomic
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.clock import StepClock
+from roomlight_model.training.step_clock import StepClock
 from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions

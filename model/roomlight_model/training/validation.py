@@ -18,7 +18,7 @@ from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
 from roomlight_model.networks import SingleModel
-from roomlight_model.sphere import disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.sphere_rendering import disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import Example, Recordings, example_of, read_example
 from roomlight_model.training.options import TrainOptions

@@ -8,7 +8,7 @@ import torch
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import fill_in
-from roomlight_model.blend import (
+from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
     VIDEO_PANELS,
     BlendDecoder,

@@ -9,7 +9,7 @@ from scipy.stats import chisquare
 
 from roomlight.conventions import panorama_directions
 from roomlight.spheres import GLOSSY_ALBEDO, SphereRenderer
-from roomlight_model.sphere import brdf_and_density, disc, look_up, sample_sphere, shade, sphere_normals
+from roomlight_model.sphere_rendering import brdf_and_density, disc, look_up, sample_sphere, shade, sphere_normals
 
 TO_VIEWER = torch.nn.functional.normalize(torch.tensor([0.3, 0.2, 0.9], dtype=torch.float64), dim=0)
 PLACES = torch.tensor([[0.0, 0.0], [0.5, 0.2], [-0.4, 0.7], [0.1, -0.9]], dtype=torch.float64)

@@ -3,8 +3,8 @@
 import pytest
 import torch
 
-from roomlight_model.marching import march
-from roomlight_model.render import render_rays
+from roomlight_model.ray_marching import march
+from roomlight_model.ray_marching_reference import render_rays
 
 SHAPE = (16, 15, 21)
 

@@ -5,7 +5,7 @@ import torch
 
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_model.sg import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
+from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
 
 SHAPE = (17, 14, 23)  # halves to 8 7 11, 4 3 5, 2 1 2: nothing divides
 TINY = SGConfig(volume_shape=SHAPE, channels=8, full_channels=4)

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from roomlight.engine.sglv import MAX_SAMPLES, Far
 from roomlight.threads import parallel_for
-from roomlight_model.kernels.march import SAMPLES, march_forward_backward
-from roomlight_model.render import render_rays
+from roomlight_model.kernels.ray_marching import SAMPLES, march_forward_backward
+from roomlight_model.ray_marching_reference import render_rays
 
 
 def march(

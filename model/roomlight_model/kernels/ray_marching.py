@@ -1,7 +1,7 @@
 # pyright: reportMissingParameterType=false
 """The gradient of SGLV ray marching, in one pass forth and one back along each ray.
 
-Twin: `roomlight_model.render.render_rays` under autograd. The forward values are made again here rather than kept:
+Twin: `roomlight_model.ray_marching_reference.render_rays` under autograd. The forward values are made again here rather than kept:
 128 samples of 11 channels a ray would be 5.6 kB where the ray itself is 24 bytes.
 """
 

@@ -10,7 +10,7 @@ from roomlight.engine.sglv import render_rays_reference as reference_rays
 from roomlight.engine.volume import VolumeGrid
 from roomlight_model.config import ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
-from roomlight_model.render import render_rays
+from roomlight_model.ray_marching_reference import render_rays
 
 LOWER, VOXEL = torch.tensor([-1.0, -0.6, -1.2]), torch.tensor([0.25, 0.24, 0.26])
 SHAPE = (6, 5, 8)
