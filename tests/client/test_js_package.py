@@ -1,6 +1,7 @@
 """The npm package: its contents, source maps, and an app that has one copy of three.js."""
 
 import json
+import shutil
 import tarfile
 import tomllib
 from pathlib import Path, PurePosixPath
@@ -34,23 +35,34 @@ def test_the_package_can_be_published():
 
 
 @pytest.fixture(scope="module")
-def tarball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return pack(PACKAGE, tmp_path_factory.mktemp("package"))
+def package(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A copy of client/js, so that tests in other processes keep its build."""
+    copy = tmp_path_factory.mktemp("repository") / "client/js"
+    shutil.copytree(PACKAGE, copy, ignore=shutil.ignore_patterns("node_modules", "dist", "build", "test"))
+    (copy / "node_modules").symlink_to(PACKAGE / "node_modules")
+    shutil.copy(ROOT / "LICENSE", copy.parents[1])
+    return copy
 
 
-def pack(package: Path, folder: Path, *options: str) -> Path:
-    run(["npm", "pack", "--silent", "--pack-destination", folder, *options], folder=package)
-    return next(folder.glob(f"{package.name if package != PACKAGE else 'roomlight'}-*.tgz"))
+@pytest.fixture(scope="module")
+def tarball(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return pack(package, tmp_path_factory.mktemp("tarball"))
+
+
+def pack(folder: Path, destination: Path, *options: str) -> Path:
+    run(["npm", "pack", "--silent", "--pack-destination", destination, *options], folder=folder)
+    (tarball,) = destination.glob("*.tgz")
+    return tarball
 
 
 @pytest.mark.js
-def test_the_tarball_has_licence_and_resolvable_source_maps(tarball):
+def test_the_tarball_has_licence_and_resolvable_source_maps(package, tarball):
     with tarfile.open(tarball) as archive:
         files = {
             member.name: stream.read() for member in archive.getmembers() if (stream := archive.extractfile(member))
         }
     assert files["package/LICENSE"] == (ROOT / "LICENSE").read_bytes()
-    assert not (PACKAGE / "LICENSE").exists()
+    assert not (package / "LICENSE").exists()
     maps = [name for name in files if name.endswith(".map")]
     assert {"package/dist/index.js.map", "package/dist/three.d.ts.map"} <= set(maps)
     for name in maps:
@@ -69,7 +81,7 @@ def resolved(folder: PurePosixPath, path: str) -> str:
 
 
 @pytest.mark.js
-def test_an_app_with_the_tarball_bundles_one_three(tarball, tmp_path):
+def test_an_app_with_the_tarball_bundles_one_three(package, tarball, tmp_path):
     """The same app with a link to the folder, which `npm install FOLDER` makes, bundles two copies."""
     three = pack(PACKAGE / "node_modules/three", tmp_path, "--ignore-scripts")
     (tmp_path / "package.json").write_text('{"name": "app", "version": "1.0.0", "type": "module"}')
@@ -79,7 +91,7 @@ def test_an_app_with_the_tarball_bundles_one_three(tarball, tmp_path):
 
     installed = tmp_path / "node_modules/roomlight"
     installed.rename(tmp_path / "unlinked")
-    installed.symlink_to(PACKAGE)
+    installed.symlink_to(package)
     assert copies_of_three(tmp_path) == 2
 
 

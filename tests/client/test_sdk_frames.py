@@ -80,7 +80,7 @@ def test_eight_bit_frames_are_small_and_close(frame, colour, max_bytes):
     arrived = decoded(body)
     # half a step of 8-bit sRGB is 0.0046 at white; JPEG at quality 92 adds a few
     assert np.abs(arrived.image - shown.image).mean() < (0.002 if colour == "png" else 0.006)
-    assert arrived.depth_m == pytest.approx(shown.depth_m, abs=0.00051)  # half a millimetre, and float32's rounding
+    assert np.abs(arrived.depth_m - shown.depth_m).max() < 0.00051  # half a millimetre, and float32's rounding
 
 
 def test_a_frame_that_clips_above_one_keeps_its_range(frame):
@@ -89,7 +89,7 @@ def test_a_frame_that_clips_above_one_keeps_its_range(frame):
     assert 0.01 < bright.clipped.mean() < 0.9
     arrived = decoded(pack_frame(bright, colour="png"))
     assert parse(pack_frame(bright, colour="png")).header.exposure == 0.25
-    assert arrived.image == pytest.approx(bright.image, abs=0.02)
+    assert np.abs(arrived.image - bright.image).max() <= 0.02
     assert (arrived.clipped >= bright.clipped).all()
 
 

@@ -184,7 +184,7 @@ def test_refusals_name_field_value_and_rule(server, kind):
     assert (bad_depth.kind, bad_depth.field, bad_depth.status) == ("bad-frame", "depth", 422)
     assert "500" in bad_depth.value
     assert bad_depth.rule in str(bad_depth)
-    assert other_options.kind == "session-conflict"
+    assert (other_options.kind, other_options.field) == ("session-conflict", "height")
     assert (counts.accepted, counts.refused) == (0, 1)
 
 
@@ -217,27 +217,32 @@ def test_a_full_server_is_retried_after_its_delay():
 
 
 def test_a_frame_with_a_lost_answer_is_processed_once(monkeypatch):
-    """The connection breaks while the engine processes the frame; the second attempt waits for the same result."""
+    """The connection breaks while the engine processes the frame; a later attempt gets the same result."""
     monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
     HeldSession.reset()
-    with RunningServer(model="classical") as running:
-        released = []
+    pushing, released = [], []
 
-        def wait(_):
+    def wait(_):
+        if pushing and not released:
             HeldSession.wait_entered()
             HeldSession.release()
             released.append(True)
 
-        timeouts = sdk.Timeouts(read_s=0.3)
-        with Client(url_of(running), timeouts=timeouts, sleep=wait, retry=Retry(attempts=2)) as client:
-            session = client.open("room", **SMALL)
+    with RunningServer(model="classical") as running, Client(url_of(running)) as patient:
+        patient.open("room", **SMALL)
+        # many attempts: on a busy machine an answer may take longer than the timeout
+        impatient = Client(url_of(running), timeouts=sdk.Timeouts(read_s=0.3), sleep=wait, retry=Retry(attempts=100))
+        with impatient as client:
+            session = client.join("room")
+            pushing.append(True)
             result = session.push(FRAMES[0])
-            counts = session.state().frames
+        counts = patient.join("room").state().frames
     assert released == [True]
     assert result.status == "processed"
     assert result.replay
     assert result.keyframe
-    assert (counts.processed, counts.replayed, counts.accepted) == (1, 1, 1)
+    assert (counts.processed, counts.accepted) == (1, 1)
+    assert counts.replayed >= 1
 
 
 def test_an_unreachable_server_names_the_command():

@@ -44,6 +44,7 @@ def send(address, number):
     assert json.loads(answer)["status"] == "processed"
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("model", ["classical", "video"])
 def test_curl_gets_the_light_of_an_offline_replay(model, tiny_video, tmp_path):
