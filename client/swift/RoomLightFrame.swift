@@ -1,21 +1,21 @@
-// RoomLight for ARKit, in one file: an ARFrame as the message that `roomlight serve` takes (server/WIRE.md), and a small
-// client for it. Copy it into an app; it needs Apple's frameworks alone, Swift 5, iOS 15 and a device with LiDAR.
+// RoomLight for ARKit in one file: converts an ARFrame to the message of `roomlight serve` (server/WIRE.md), with a
+// small client. Copy it into an app. It needs Swift 5, iOS 15, a device with LiDAR, and only Apple's frameworks.
 //
-// It has not been compiled where it was written: there was no Swift. Its constants, names and choices are held to the
-// server's by tests/core/test_wire_types_sync.py, and its syntax was parsed. The first part needs Foundation alone;
-// `wireVectorMessages` there packs the shared vector, for a check on any machine that has a compiler.
+// It has never been compiled, only parsed, because no Swift compiler was available. tests/client/test_swift_source.py
+// compares its constants, names and choices with the server's. The first part needs only Foundation; there
+// `wireVectorMessages` packs the shared test vector, to check this file on a machine with a compiler.
 //
 //     let client = RoomLightClient(server: URL(string: "https://light.example")!, token: "...")
 //     try await client.open()
-//     // in session(_:didUpdate:), when the last push has come back:
+//     // in session(_:didUpdate:), after the last push has returned:
 //     let index = client.nextIndex()
-//     let message = try RoomLightFrame(frame, index: index).packed()    // on the spot: ARKit runs dry if frames are kept
+//     let message = try RoomLightFrame(frame, index: index).packed()    // at once: ARKit stops if the app keeps frames
 //     Task { try await client.push(message, index: index) }
 //     let light = try await client.mainLight(at: [0.2, -0.1, -1.5])
 
 import Foundation
 
-/// What would be refused by the server, named as it would name it.
+/// A frame that the server would refuse, with the server's name of the field.
 public struct RoomLightRefusal: Error {
     public let field: String
     public let rule: String
@@ -23,7 +23,7 @@ public struct RoomLightRefusal: Error {
 
 // MARK: - A frame as bytes
 
-/// A frame: colour, depth, where the camera was. `packed()` is its message.
+/// A frame: colour, depth and camera pose. `packed()` returns its message.
 public struct RoomLightFrame {
     static let magic = "RLF1"
     static let version = 1
@@ -55,7 +55,7 @@ public struct RoomLightFrame {
         case notAvailable = "not_available"
     }
 
-    /// Depth or confidence: row by row, little-endian, the same view as the colour.
+    /// Depth or confidence: row by row, little-endian, in the view of the colour image.
     public struct Plane {
         public var width: Int
         public var height: Int
@@ -70,7 +70,7 @@ public struct RoomLightFrame {
         }
     }
 
-    /// Pixels of the colour image, their centres at half integers.
+    /// In pixels of the colour image; pixel centres are at half integers.
     public struct Intrinsics {
         public var fx: Double
         public var fy: Double
@@ -94,13 +94,13 @@ public struct RoomLightFrame {
     public var colourEncoding: ColourEncoding
     public var depth: Plane
     public var depthFormat: DepthFormat
-    /// One byte a depth pixel: 0 low, 1 medium, 2 high.
+    /// One byte per depth pixel: 0 low, 1 medium, 2 high.
     public var confidence: Plane?
     public var intrinsics: Intrinsics
-    /// 16 numbers, column by column, as a simd_float4x4 stands in memory; metres, y up.
+    /// 16 numbers, column by column, as simd_float4x4 is stored; metres, y up.
     public var cameraToWorld: [Double]
     public var timestampSeconds: Double?
-    /// Light taken, say shutter seconds x ISO / 100; the server divides radiance by it.
+    /// Exposure, e.g. shutter seconds x ISO / 100; the server divides radiance by it.
     public var exposure = 1.0
     public var trackingState = TrackingState.normal
 
@@ -118,10 +118,10 @@ public struct RoomLightFrame {
         self.cameraToWorld = cameraToWorld
     }
 
-    /// Magic, length of the header (UInt32, little-endian), header, colour, depth, confidence; nothing between them.
+    /// The message: magic, length of the header (UInt32, little-endian), header, colour, depth, confidence; no gaps.
     public func packed() throws -> Data {
         guard cameraToWorld.count == 16 else {
-            throw RoomLightRefusal(field: "camera_to_world", rule: "16 numbers, column by column, got \(cameraToWorld.count)")
+            throw RoomLightRefusal(field: "camera_to_world", rule: "must be 16 numbers, column by column, got \(cameraToWorld.count)")
         }
         let text = Data(try header().written().utf8)
         guard text.count <= RoomLightFrame.maxHeaderBytes else {
@@ -185,8 +185,8 @@ public struct RoomLightFrame {
     }
 }
 
-/// JSON in the one way in which all clients write a header: keys sorted, no spaces, what is nil left out, whole numbers
-/// without a point. Words are those of the enums above, none of which needs an escape.
+/// The canonical JSON of a header, the same in all clients: sorted keys, no spaces, no nil fields, whole numbers
+/// without a decimal point. Words are the raw values of the enums above; none of them needs an escape.
 enum WireJSON {
     case word(String)
     case whole(Int)
@@ -202,7 +202,7 @@ enum WireJSON {
             return String(value)
         case .number(let value):
             guard value.isFinite else {
-                throw RoomLightRefusal(field: "header", rule: "finite numbers, got \(value)")
+                throw RoomLightRefusal(field: "header", rule: "numbers must be finite, got \(value)")
             }
             if value == value.rounded() && abs(value) < 9_007_199_254_740_992 {
                 return String(Int64(value))
@@ -222,7 +222,7 @@ enum WireJSON {
     }
 }
 
-/// The frames of `tests/core/wire_vector.json`, packed: joined, they must be the bytes of `wire_vector.bin`.
+/// Packs the frames of `tests/core/wire_vector.json`. Joined, the messages must equal `wire_vector.bin`.
 func wireVectorMessages(json: Data) throws -> [Data] {
     func wrong(_ field: String) -> RoomLightRefusal { RoomLightRefusal(field: field, rule: "as in wire_vector.json") }
     func bytes(_ hex: String?) -> Data {
@@ -269,18 +269,18 @@ func wireVectorMessages(json: Data) throws -> [Data] {
     import ImageIO
 
     extension RoomLightFrame {
-        /// For every frame: making one is slow.
+        /// Shared by all frames, because it is slow to create.
         static let imageContext = CIContext(options: [.cacheIntermediates: false])
 
-        /// Copies what it needs. The configuration must have `frameSemantics` `.sceneDepth` or `.smoothedSceneDepth`,
-        /// and a video format of 4:3, which is the depth's aspect.
+        /// Copies what it needs from an ARFrame. The configuration must have the `frameSemantics` `.sceneDepth` or
+        /// `.smoothedSceneDepth`, and a video format of 4:3, the aspect of the depth map.
         ///
-        /// ARKit gives image, depth and `camera.transform` as the sensor stands, in landscape, however the phone is
-        /// held; so they go together, and nothing is turned. `longest`: side to which the image is shrunk; the server
-        /// works at 320 x 240, and 640 keeps its lamps sharp.
+        /// ARKit gives image, depth and `camera.transform` in the orientation of the sensor (landscape), however the
+        /// phone is held. They match each other and are not rotated. `longest`: longest side of the image in pixels;
+        /// larger images are scaled down. The server works at 320 x 240, and 640 keeps lamps sharp.
         public init(_ frame: ARFrame, index: Int? = nil, longest: Int = 640, quality: Double = 0.85) throws {
             guard let sceneDepth = frame.smoothedSceneDepth ?? frame.sceneDepth else {
-                throw RoomLightRefusal(field: "depth", rule: "frameSemantics must hold .sceneDepth, on a device with LiDAR")
+                throw RoomLightRefusal(field: "depth", rule: "frameSemantics must include .sceneDepth, on a device with LiDAR")
             }
             let (image, width, height) = try RoomLightFrame.jpeg(frame.capturedImage, longest: longest, quality: quality)
             let resolution = frame.camera.imageResolution
@@ -310,8 +310,9 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             }
         }
 
-        /// Shutter seconds x ISO / 100. Only EXIF tells the ISO, from iOS 16 on; before it, and without it, 1: light is
-        /// then relative to each frame. (`exposureOffset` says how far the meter is from its target, not what was set.)
+        /// Shutter seconds x ISO / 100. The ISO is only in the EXIF data, from iOS 16 on. Without it the exposure is 1,
+        /// and light is relative to each frame. (`exposureOffset` is the meter's distance from its target, not the
+        /// exposure.)
         static func exposure(of frame: ARFrame) -> Double {
             if #available(iOS 16.0, *) {
                 let exif = frame.exifData
@@ -336,16 +337,16 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             let option = CIImageRepresentationOption(rawValue: kCGImageDestinationLossyCompressionQuality as String)
             guard let space = CGColorSpace(name: CGColorSpace.sRGB),
                 let data = imageContext.jpegRepresentation(of: image, colorSpace: space, options: [option: quality])
-            else { throw RoomLightRefusal(field: "colour", rule: "an image that can be written as JPEG") }
+            else { throw RoomLightRefusal(field: "colour", rule: "must be an image that can be encoded as JPEG") }
             return (data, width, height)
         }
 
-        /// Rows without the padding that a pixel buffer may have.
+        /// Copies the rows of a pixel buffer without their padding.
         static func plane(_ buffer: CVPixelBuffer, type: OSType, pixelBytes: Int) throws -> Plane {
             CVPixelBufferLockBaseAddress(buffer, .readOnly)
             defer { CVPixelBufferUnlockBaseAddress(buffer, .readOnly) }
             guard CVPixelBufferGetPixelFormatType(buffer) == type, let base = CVPixelBufferGetBaseAddress(buffer) else {
-                throw RoomLightRefusal(field: "depth", rule: "a pixel buffer of type \(type)")
+                throw RoomLightRefusal(field: "depth", rule: "must be a pixel buffer of type \(type)")
             }
             let (width, height) = (CVPixelBufferGetWidth(buffer), CVPixelBufferGetHeight(buffer))
             let rowBytes = CVPixelBufferGetBytesPerRow(buffer)
@@ -361,7 +362,7 @@ func wireVectorMessages(json: Data) throws -> [Data] {
 // MARK: - A client
 
 #if canImport(Darwin)
-    /// One session with a server. Frames may be pushed while earlier ones are on their way: the newest wins.
+    /// One session on a server. Frames may be pushed before earlier ones are processed; the newest one wins.
     @available(iOS 15.0, macOS 12.0, *)
     public final class RoomLightClient: @unchecked Sendable {
         public struct FrameResult: Decodable {
@@ -370,21 +371,21 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             public let status: String
         }
 
-        /// Unit direction toward the light in the world, and what it sheds on a surface that faces it, linear RGB.
+        /// Unit direction toward the light in the world, and its linear RGB irradiance on a surface that faces it.
         public struct MainLight: Decodable {
             public let direction: [Float]
             public let intensity: [Float]
-            /// Share of the sphere that was observed.
+            /// Fraction of the sphere that was observed, 0 to 1.
             public let coverage: Double
         }
 
-        /// 27 numbers, R0..R8 G0..G8 B0..B8, as ARDirectionalLightEstimate has them; radiance.
+        /// 27 radiance coefficients, R0..R8 G0..G8 B0..B8, in the layout of ARDirectionalLightEstimate.
         public struct Harmonics: Decodable {
             public let coefficients: [Float]
             public let coverage: Double
         }
 
-        /// The server's refusal (RFC 9457). After 429, drop the frame: a newer one is worth more.
+        /// The server's problem details (RFC 9457). After status 429 drop the frame and send a newer one.
         public struct Problem: Error, Decodable {
             public let title: String
             public let status: Int
@@ -407,7 +408,7 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             self.session = session
         }
 
-        /// 0, 1, 2 ...
+        /// The index of the next frame: 0, 1, 2 ...
         public func nextIndex() -> Int {
             lock.lock()
             defer { lock.unlock() }
@@ -415,35 +416,37 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             return next - 1
         }
 
-        /// Options as in `SessionRequest`: mode, height, reference_exposure, use_limited_tracking, min_confidence.
+        /// Opens the session. Options are the fields of `SessionRequest`: mode, height, reference_exposure,
+        /// use_limited_tracking, min_confidence, unknown_depth.
         public func open(options: [String: Any] = [:]) async throws {
             let body = try JSONSerialization.data(withJSONObject: options)
             _ = try await send("PUT", [], body: body, type: "application/json")
         }
 
-        /// Send a packed frame; the index is that of its header.
+        /// Sends a packed frame. The index must be the one in its header.
         public func push(_ message: Data, index: Int) async throws -> FrameResult {
             let answer = try await send("PUT", ["frames", String(index)], body: message, type: "application/vnd.roomlight.frame")
             return try JSONDecoder().decode(FrameResult.self, from: answer)
         }
 
+        /// The main light at a point.
         public func mainLight(at position: SIMD3<Float>) async throws -> MainLight {
             try JSONDecoder().decode(MainLight.self, from: await probe(position, ["format": "main_light"]))
         }
 
-        /// `kind`: total, or ambient (without the main light).
+        /// Harmonics at a point. `kind`: total, or ambient (without the main light).
         public func harmonics(at position: SIMD3<Float>, kind: String = "total") async throws -> Harmonics {
             let query = ["format": "sh", "basis": "arkit", "kind": kind]
             return try JSONDecoder().decode(Harmonics.self, from: await probe(position, query))
         }
 
-        /// Light in any form, in its bytes: `["format": "ktx2", "size": "64"]`.
+        /// The bytes of the light in any form, e.g. `["format": "ktx2", "size": "64"]`.
         public func probe(_ position: SIMD3<Float>, _ form: [String: String]) async throws -> Data {
             let place = ["x": "\(position.x)", "y": "\(position.y)", "z": "\(position.z)"]
             return try await send("GET", ["probe"], query: form.merging(place) { form, _ in form })
         }
 
-        /// End the session, and free what the server holds for it.
+        /// Deletes the session and everything that the server stores for it.
         public func close() async throws {
             _ = try await send("DELETE", [])
         }
