@@ -10,6 +10,7 @@ from typing import Any
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
+from fastapi.routing import APIRoute
 from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
@@ -92,7 +93,7 @@ def create_app(
         description=_DESCRIPTION,
         lifespan=lifespan,
         redirect_slashes=False,
-        generate_unique_id_function=lambda route: route.name,
+        generate_unique_id_function=_operation_id,
         exception_handlers={
             problems.ProblemError: problems.on_problem,
             RequestValidationError: problems.on_invalid,
@@ -124,6 +125,10 @@ def create_app(
         )
     app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
     return app
+
+
+def _operation_id(route: APIRoute) -> str:
+    return route.name
 
 
 async def _prepare(context: Context, when_ready: Callable[[], object] | None) -> None:

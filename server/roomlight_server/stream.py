@@ -7,7 +7,7 @@ connection stays open. Only a message that is neither binary nor text closes the
 
 import asyncio
 import logging
-from collections.abc import AsyncIterator, Generator, Sequence
+from collections.abc import AsyncGenerator, Generator, Sequence
 from contextlib import asynccontextmanager, contextmanager
 from typing import Final, NoReturn
 
@@ -114,7 +114,9 @@ class _Connection:
                         await self._handle_text(text)
 
     @asynccontextmanager
-    async def _answering_errors(self, *, frame: bytes | None = None, request: str | None = None) -> AsyncIterator[None]:
+    async def _answering_errors(
+        self, *, frame: bytes | None = None, request: str | None = None
+    ) -> AsyncGenerator[None]:
         """Answer an error inside the context with a problem, so that the connection goes on.
 
         The problem names the index of the frame or the `request` of the message. An unexpected error is logged.

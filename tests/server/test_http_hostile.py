@@ -301,21 +301,23 @@ def mutated(body, rng):
     return bytes(body)
 
 
-def test_mutated_frames_never_break_a_session(server):
-    server.open("fuzzed", {"mode": "classical", "height": 16})
+@pytest.mark.parametrize("count", [150, pytest.param(2000, marks=pytest.mark.slow)])
+def test_mutated_frames_never_break_a_session(server, count):
+    name = f"fuzzed-{count}"
+    server.open(name)
     rng, bodies = random.Random(7), list(seeds())
     connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
     index, counts = 0, {}
-    for number in range(2000):
-        connection.request("PUT", f"/v1/sessions/fuzzed/frames/{index}", mutated(bodies[number % 3], rng))
+    for number in range(count):
+        connection.request("PUT", f"/v1/sessions/{name}/frames/{index}", mutated(bodies[number % 3], rng))
         answer = connection.getresponse()
         content = json.loads(answer.read())
         counts[answer.status] = counts.get(answer.status, 0) + 1
         assert answer.status in (200, 413, 422), content
         index += answer.status == 200
     connection.close()
-    frames = server.state("fuzzed")["frames"]
+    frames = server.state(name)["frames"]
     assert (frames["accepted"], frames["refused"]) == (counts[200], counts[422] + counts.get(413, 0))
-    assert counts[422] > 1000
-    assert server.state("fuzzed")["status"] == "open"
-    assert server.push(index, name="fuzzed").json["status"] == "processed"
+    assert counts[422] > count / 2
+    assert server.state(name)["status"] == "open"
+    assert server.push(index, name=name).json["status"] == "processed"

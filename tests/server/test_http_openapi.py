@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from http_servers import RunningServer
 
 TOKEN = "token-of-the-openapi-test"
@@ -21,6 +23,7 @@ checks.positive_data_acceptance.enabled = false
 """
 
 
+@pytest.mark.slow
 def test_the_server_conforms_to_its_openapi_document(tmp_path):
     """Run every check of schemathesis.
 

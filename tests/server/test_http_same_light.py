@@ -94,6 +94,7 @@ def test_classical_light_equals_the_engine_bit_exactly(tmp_path, bodies):
         compare(server, "classical", bodies(), expected, tmp_path)
 
 
+@pytest.mark.slow
 def test_network_light_equals_the_engine_bit_exactly(tmp_path, tiny_video):
     weights = tiny_video[1]
     expected = direct(SessionOptions(model="video", weights=weights, allow_untrained=True, height=32))
