@@ -8,6 +8,7 @@ import typer
 from rich.console import Console, RenderableType
 from rich.markup import escape
 from rich.measure import Measurement
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roomlight.errors import OptionError, RoomLightError
 
@@ -83,7 +84,20 @@ def with_flags(error: RoomLightError) -> str:
             return match.group()
         return FLAGS[name] + (" " if value == "=" else "")
 
-    return re.sub(rf"(?<![\w./-])({names})\b(=True\b|=)?(?![\w./-])", flag, message)
+    return re.sub(rf"(?<![\w./-])({names})\b(=True\b|=)?(?!/)", flag, message)
+
+
+def progress_bars() -> Progress:
+    """Return a progress display on standard error; it shows nothing unless that is a terminal."""
+    return Progress(
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        console=err,
+        transient=True,
+        disable=not err.is_terminal,
+    )
 
 
 def print_table(console: Console, table: RenderableType) -> None:

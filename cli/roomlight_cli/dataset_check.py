@@ -141,8 +141,8 @@ def compose_check(room: RoomCheck) -> UInt8[np.ndarray, "h w 3"]:
     lines = (
         (_line(room), HEADING),
         (
-            f"Error: red where RoomLight is brighter, blue where it is darker, full colour at {100 * _SHOWN_ERROR:.0f} %; "
-            "dimmed at edges and on surfaces that are neither diffuse nor coated",
+            "Error: red where RoomLight is brighter, blue where it is darker, full colour at "
+            f"{100 * _SHOWN_ERROR:.0f} %; dimmed at edges and on surfaces that are neither diffuse nor coated",
             LABEL,
         ),
     )

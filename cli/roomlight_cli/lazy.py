@@ -3,13 +3,18 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from typing import Any
+from typing import Any, Final
 
 import typer
 from typer.core import TyperGroup
 from typer.main import get_command
 
-CONTEXT_SETTINGS = {"help_option_names": ["-h", "--help"]}
+APP_OPTIONS: Final[dict[str, Any]] = {
+    "pretty_exceptions_enable": False,
+    "rich_markup_mode": "markdown",  # paragraphs flow to the terminal's width, and [brackets] are text
+    "context_settings": {"help_option_names": ["-h", "--help"]},
+}
+"""Options of every `typer.Typer` of the command line."""
 
 
 @dataclass(frozen=True)
@@ -44,14 +49,7 @@ def lazy_app(entries: Sequence[CommandEntry], *, help_text: str, name: str | Non
                 command = load_command(modules[command_name])
             return command_name, command, rest
 
-    app = typer.Typer(
-        name=name,
-        cls=LazyGroup,
-        help=help_text,
-        no_args_is_help=True,
-        pretty_exceptions_enable=False,
-        context_settings=CONTEXT_SETTINGS,
-    )
+    app = typer.Typer(name=name, cls=LazyGroup, help=help_text, no_args_is_help=True, **APP_OPTIONS)
     for entry in entries:
         app.command(entry.name, help=entry.summary, rich_help_panel=entry.panel)(_placeholder)
     return app
@@ -59,7 +57,7 @@ def lazy_app(entries: Sequence[CommandEntry], *, help_text: str, name: str | Non
 
 def single_command_app() -> typer.Typer:
     """Return the application of a module that defines one command."""
-    return typer.Typer(add_completion=False, pretty_exceptions_enable=False, context_settings=CONTEXT_SETTINGS)
+    return typer.Typer(add_completion=False, **APP_OPTIONS)
 
 
 def load_command(module: str) -> Any:

@@ -5,10 +5,9 @@ from typing import Any
 
 import typer
 from rich.markup import escape
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roomlight.engine.session import warm_up
-from roomlight_cli.console import err, out, say
+from roomlight_cli.console import err, out, progress_bars, say
 from roomlight_cli.pictures import SUMMARY, VIDEO
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.remote_replay import replay_through
@@ -28,8 +27,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         say(f"{folder} already holds this replay, finished; --overwrite makes it again")
         _print_result(folder, report)
         return
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=err, transient=True) as bars:
+    with progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         if options.server is None:
             warm_up()

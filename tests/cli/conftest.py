@@ -1,24 +1,57 @@
-"""What the tests of replays share."""
+"""What the tests of the command line share."""
+
+import sys
+from pathlib import Path
 
 import pytest
+from command_runner import Finished, RunCommand
+
+from roomlight_cli.main import main
+
+
+@pytest.fixture
+def roomlight(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> RunCommand:
+    """`roomlight("replay", capture, "--out", out, cwd=folder)`: the command in this process."""
+
+    def run(*arguments: object, cwd: Path | None = None) -> Finished:
+        if cwd is not None:
+            monkeypatch.chdir(cwd)
+        monkeypatch.setattr(sys, "argv", ["roomlight", *map(str, arguments)])
+        capsys.readouterr()
+        with pytest.raises(SystemExit) as ended:
+            main()
+        code = ended.value.code or 0
+        assert isinstance(code, int)
+        return Finished(code, *capsys.readouterr())
+
+    return run
 
 
 class NoPictures:
-    """Film and sheet are compared in one test; elsewhere their spheres would take most of the time."""
+    """Video and sheet are compared in one test; elsewhere their spheres would take most of the time."""
 
-    def __init__(self, *_, **__):
+    def __init__(self, *_: object, **__: object) -> None:
         pass
 
-    def add(self, *_):
+    def add(self, *_: object) -> None:
         pass
 
-    def close(self):
+    def close(self) -> None:
         pass
 
-    def abandon(self, _):
+    def abandon(self, _: object) -> None:
         pass
 
 
 @pytest.fixture
-def no_pictures(monkeypatch):
+def small_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pictures with small frames and spheres: the tables of large spheres take seconds."""
+    monkeypatch.setattr("roomlight_cli.video._FRAME_ROWS", 96)
+    monkeypatch.setattr("roomlight_cli.video._PANORAMA_ROWS", (28, 60))
+    monkeypatch.setattr("roomlight_cli.sheet._SPHERE", 16)
+    monkeypatch.setattr("roomlight_cli.photo._SPHERE", 64)
+
+
+@pytest.fixture
+def no_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("roomlight_cli.replay.ReplayPictures", NoPictures)

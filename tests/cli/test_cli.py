@@ -8,27 +8,91 @@ import sys
 from pathlib import Path
 
 import pytest
+import typer
+from command_runner import RunCommand
 
+from roomlight.errors import FrameError, ModelError, OptionError, RoomLightError
 from roomlight.sample import sample_capture
+from roomlight_cli import console, replay_run
 from roomlight_cli import main as cli
-from roomlight_cli import replay
-from roomlight_evaluation.evaluate import evaluate_predictions
+from roomlight_cli.commands import demo as demo_command
+from roomlight_cli.commands.bench import BENCHMARKS
+from roomlight_cli.lazy import CommandEntry, load_command
+from roomlight_cli.replay_options import ReplayOptions
+from roomlight_evaluation.capture_evaluation import evaluate_predictions
 
 
-def run(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from roomlight_cli.main import main; main()", *arguments]
+def python(code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code, *arguments]
     return subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False)
 
 
-def test_help_names_every_command(tmp_path):
-    result = run("--help", cwd=tmp_path)
+def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> None:
+    text = roomlight("--help").out
+    names = [
+        "demo",
+        "light",
+        "replay",
+        "stream",
+        "serve",
+        "eval",
+        "eval-dataset",
+        "bench",
+        "dataset",
+        "train",
+        "export",
+    ]
+    listed = [line.split()[1] for line in text.splitlines() if line.startswith("│ ") and line[2].isalpha()]
+    assert listed == names
+    panels = [text.index(f"─ {panel} ") for panel in ("Try it", "Light a recording", "Serve", "Measure", "Train")]
+    assert panels == sorted(panels)
+
+
+@pytest.mark.parametrize("entry", [*cli.COMMANDS, *BENCHMARKS], ids=lambda entry: entry.module.rpartition(".")[2])
+def test_the_listed_summary_is_the_command_s_own(entry: CommandEntry) -> None:
+    help_text = load_command(entry.module).help
+    assert " ".join(help_text.split("\n\n")[0].split()) == entry.summary
+
+
+def test_help_imports_no_command(tmp_path: Path) -> None:
+    code = """
+import sys
+from roomlight_cli.main import app
+try:
+    app(["--help"])
+finally:
+    print(*sys.modules, sep="\\n")
+"""
+    result = python(code, cwd=tmp_path)
     assert result.returncode == 0
-    for command in ("replay", "demo", "eval", "export", "bench"):
-        assert command in result.stdout
+    loaded = set(result.stdout.split())
+    assert "roomlight_cli.lazy" in loaded
+    assert not {name for name in loaded if name.startswith("roomlight_cli.commands")}
+    assert not loaded & {"numpy", "cv2", "numba", "onnxruntime", "httpx", "torch"}
 
 
-def test_version(tmp_path):
-    assert run("--version", cwd=tmp_path).stdout.startswith("roomlight 0.")
+@pytest.mark.parametrize("command", [["export", "a.pt", "--out", "model"], ["bench", "train", "data"]])
+def test_a_missing_extra_is_named(command: list[str], tmp_path: Path) -> None:
+    code = "import sys; sys.modules['torch'] = None; from roomlight_cli.main import main; main()"
+    result = python(code, *command, cwd=tmp_path)
+    assert result.returncode == 1
+    assert result.stderr.strip() == "error: this command needs torch: pip install 'roomlight[train]'"
+
+
+def test_another_missing_module_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    app = typer.Typer(pretty_exceptions_enable=False)
+    monkeypatch.setattr(sys, "argv", ["roomlight"])
+
+    @app.command()
+    def command() -> None:
+        raise ModuleNotFoundError("No module named 'roomlight.typo'", name="roomlight.typo")
+
+    with pytest.raises(ModuleNotFoundError, match="typo"):
+        console.run(app)
+
+
+def test_version(roomlight: RunCommand) -> None:
+    assert roomlight("--version").out.startswith("roomlight 0.")
 
 
 @pytest.mark.parametrize(
@@ -38,15 +102,37 @@ def test_version(tmp_path):
         (("replay", ".", "--out", "out"), "roomlight"),
         (("eval", "nowhere"), "nowhere"),
         (("export", "nothing.pt", "--out", "model"), "nothing.pt"),
+        (("light", "a [bold]photo[/x]", "--depth", "d", "--probe", "0,0,-1", "--out", "out"), "a [bold]photo[/x]:"),
+        (("replay", "a [bold]room[/x]", "--out", "out"), "error: a [bold]room[/x]: there is no such file"),
     ],
 )
-def test_an_error_is_one_line_with_the_path_and_no_traceback(arguments, says, tmp_path):
-    result = run(*arguments, cwd=tmp_path)
-    assert result.returncode == 1
-    assert "error:" in result.stderr
-    assert says in result.stderr
-    assert "Traceback" not in result.stderr
+def test_an_error_is_one_line_without_traceback(
+    arguments: tuple[str, ...], says: str, tmp_path: Path, roomlight: RunCommand
+) -> None:
+    result = roomlight(*arguments, cwd=tmp_path)
+    assert result.code == 1
+    assert result.err.strip().count("\n") == 0
+    assert "error:" in result.err
+    assert says in result.err
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (OptionError("every is 0; it must be 1 or more"), "--every is 0; it must be 1 or more"),
+        (OptionError("every frame counts"), "--every frame counts"),
+        (FrameError("every frame is bad"), "every frame is bad"),
+        (
+            ModelError("w: untrained; set allow_untrained=True to use it"),
+            "w: untrained; set --allow-untrained to use it",
+        ),
+        (ModelError("give weights=DIR or model='classical'"), "give --weights DIR or --model 'classical'"),
+        (FrameError("/data/depth_key/a.png: state depth_unit_m."), "/data/depth_key/a.png: state --depth-unit."),
+    ],
+)
+def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
+    assert console.with_flags(error) == message
 
 
 @pytest.mark.parametrize(
@@ -54,69 +140,76 @@ def test_an_error_is_one_line_with_the_path_and_no_traceback(arguments, says, tm
     [
         (("--probe", "1,2"), "X,Y,Z"),
         (("--probe", "a,b,c"), "X,Y,Z"),
+        (("--pixel", "5"), "a pixel is U,V"),
+        (("--pixel", "5,x"), "a pixel is U,V"),
+        (("--above", "-1"), "--above"),
         (("--height", "3"), "--height"),
         (("--height", "3000"), "2048"),
         (("--max-frames", "0"), "--max-frames"),
-        (("--probe", "0,1,0", "--probes-from-capture"), "not both"),
+        (("--probe", "0,1,0", "--probes-from-capture"), "excludes --probe"),
+        (("--pixel", "5,5", "--probes-from-capture"), "excludes --probe"),
         (("--interpolate",), "--interpolate fills in"),
         (("--model", "classical", "--weights", "w"), "no networks"),
         (("--model", "magic"), "magic"),
         (("--world-up", "1,2"), "three numbers"),
+        (("--mode", "classical"), "No such option"),
     ],
 )
-def test_a_bad_argument_is_a_usage_error(option, says, tmp_path):
-    result = run("replay", str(sample_capture()), "--out", "out", *option, cwd=tmp_path)
-    assert result.returncode == 2
-    assert says in result.stderr
+def test_a_bad_argument_is_a_usage_error(
+    option: tuple[str, ...], says: str, tmp_path: Path, roomlight: RunCommand
+) -> None:
+    result = roomlight("replay", sample_capture(), "--out", "out", *option, cwd=tmp_path)
+    assert result.code == 2
+    assert says in result.err
     assert not (tmp_path / "out").exists()
 
 
-def test_late_questions_cannot_be_put_to_files(tmp_path):
-    result = run("eval", str(sample_capture()), "--late", "--predictions", ".", cwd=tmp_path)
-    assert result.returncode == 2
-    assert "--late asks the engine" in result.stderr
+def test_late_excludes_predictions(tmp_path: Path, roomlight: RunCommand) -> None:
+    result = roomlight("eval", sample_capture(), "--late", "--predictions", ".", cwd=tmp_path)
+    assert result.code == 2
+    assert "--late runs the engine" in result.err
 
 
-def test_names_that_look_like_markup_are_printed_as_they_are(tmp_path):
-    result = run("replay", "a [bold]room[/x]", "--out", "out", cwd=tmp_path)
-    assert result.returncode == 1
-    assert "error: a [bold]room[/x]: there is no such file" in result.stderr
+@pytest.mark.slow
+def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: RunCommand) -> None:
+    sample, out = sample_capture(), "out [/y]"
+    options = ("--probes-from-capture", "--every", "10", "--height", "16")
+    made = roomlight("replay", sample, "--out", out, *options, cwd=tmp_path)
+    assert made.code == 0, made.err
+    assert "Pictures: out [/y]/summary.png" in made.out
+    assert "4 frames, 3 probes" in made.out
+    missing = roomlight("eval", sample, "--predictions", out, cwd=tmp_path)
+    assert missing.code == 1
+    assert "--every" in missing.err
+    scored = roomlight("eval", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
+    assert scored.code == 0, scored.err
+    assert "predictions" in scored.out
 
 
-def test_predictions_of_every_tenth_frame_are_scored_as_such(tmp_path):
-    sample = str(sample_capture())
-    made = run(
-        "replay", sample, "--out", "out [/y]", "--probes-from-capture", "--every", "10", "--height", "16", cwd=tmp_path
-    )
-    assert made.returncode == 0, made.stderr
-    assert "Look at out [/y]/summary.png" in made.stdout
-    assert "4 frames, 3 probes" in made.stdout
-    missing = run("eval", sample, "--predictions", "out [/y]", cwd=tmp_path)
-    assert missing.returncode == 1
-    assert "--every" in missing.stderr
-    scored = run("eval", sample, "--predictions", "out [/y]", "--every", "10", cwd=tmp_path)
-    assert scored.returncode == 0, scored.stderr
-    assert "predictions" in scored.stdout
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("model", ["video", "single"])
-def test_a_model_without_trained_weights_is_refused_by_name(model, tmp_path):
+def test_a_model_without_trained_weights_is_refused(model: str, tmp_path: Path, roomlight: RunCommand) -> None:
     from roomlight.engine.graphs import SHIPPED
 
-    if (SHIPPED / model / "model.json").is_file():  # the weights came: then it must simply work
-        arguments = ("replay", str(sample_capture()), "--out", "o", "--model", model, "--max-frames", "1")
-        assert run(*arguments, cwd=tmp_path).returncode == 0
+    if (SHIPPED / model / "model.json").is_file():  # shipped weights must simply work
+        arguments = ("replay", sample_capture(), "--out", "o", "--model", model, "--max-frames", "1")
+        assert roomlight(*arguments, cwd=tmp_path).code == 0
         return
-    result = run("replay", str(sample_capture()), "--out", "out", "--model", model, cwd=tmp_path)
-    assert result.returncode == 1
-    assert "no trained weights" in result.stderr
-    assert "classical" in result.stderr
+    result = roomlight("replay", sample_capture(), "--out", "out", "--model", model, cwd=tmp_path)
+    assert result.code == 1
+    assert "no trained weights" in result.err
+    assert "classical" in result.err
 
 
-def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path, monkeypatch, capsys):
+@pytest.mark.usefixtures("no_pictures")
+def test_ctrl_c_stops_and_the_same_command_continues(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand
+) -> None:
     out = tmp_path / "out"
-    argv = ["roomlight", "replay", str(sample_capture()), "--out", str(out), "--max-frames", "4", "--height", "16"]
-    real = replay.replay
+    command = (
+        "replay", sample_capture(), "--out", out, "--max-frames", "4", "--height", "16", "--model", "classical",
+    )  # fmt: skip
+    real = replay_run.replay
 
     def interrupted(path, folder, options, *, progress):
         def press(done: int, total: int) -> None:
@@ -126,27 +219,34 @@ def test_ctrl_c_stops_cleanly_and_the_same_command_continues(tmp_path, monkeypat
 
         return real(path, folder, options, progress=press)
 
-    monkeypatch.setattr(sys, "argv", argv)
-    monkeypatch.setattr(replay, "replay", interrupted)
+    monkeypatch.setattr(replay_run, "replay", interrupted)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs ignore it
     try:
-        with pytest.raises(SystemExit) as stopped:
-            cli.main()
+        stopped = roomlight(*command)
     finally:
         signal.signal(signal.SIGINT, before)
-    assert stopped.value.code == 130
-    assert "continues" in capsys.readouterr().err
+    assert stopped.code == 130
+    assert "continues" in stopped.err
     assert not (out / "report.json").exists()
 
-    monkeypatch.setattr(replay, "replay", real)
-    with pytest.raises(SystemExit) as done:
-        cli.main()
-    assert done.value.code == 0
+    monkeypatch.setattr(replay_run, "replay", real)
+    assert roomlight(*command).code == 0
     assert json.loads((out / "report.json").read_text())["complete"] is True
 
 
-def test_the_demo_needs_nothing_and_says_where_to_look(tmp_path):
-    result = run("demo", cwd=tmp_path)
+def test_the_demo_replays_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand) -> None:
+    calls: list[tuple[Path, Path, ReplayOptions]] = []
+    monkeypatch.setattr(demo_command, "run_replay", lambda *arguments: calls.append(arguments))
+    monkeypatch.setattr(demo_command, "score_line", lambda capture, out: f"{capture} {out}")
+    result = roomlight("demo", cwd=tmp_path)
+    expected = ReplayOptions(probes_from_capture=True, overwrite=True)
+    assert calls == [(sample_capture(), Path("roomlight-demo"), expected)]
+    assert result.out.strip() == f"{sample_capture()} roomlight-demo"
+
+
+@pytest.mark.slow
+def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
+    result = python("from roomlight_cli.main import main; main()", "demo", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout

@@ -1,4 +1,4 @@
-"""What `roomlight dataset check` prints and draws, of figures made up here."""
+"""What `roomlight dataset check` prints and draws, for invented figures."""
 
 from io import StringIO
 
@@ -38,7 +38,7 @@ def printed(report: CheckReport) -> str:
     return terminal.file.getvalue()
 
 
-def test_each_room_has_its_rows_and_the_verdict_is_on_the_mean() -> None:
+def test_rooms_have_rows_and_means_meet_the_targets() -> None:
     report = CheckReport(
         (room("train-000000", 0.02, 0.01), room("train-000003", 0.06, 0.07, coated=False)), ("no place",)
     )
@@ -50,13 +50,13 @@ def test_each_room_has_its_rows_and_the_verdict_is_on_the_mean() -> None:
     assert max(len(line.rstrip()) for line in text.splitlines() if "target" not in line) <= 80
 
 
-def test_rooms_that_the_reference_does_not_know_are_counted_apart() -> None:
+def test_rooms_with_a_noisy_reference_are_counted_apart() -> None:
     text = printed(CheckReport((room("train-000000", 0.02, 0.01), room("train-000003", 0.3, 0.07, noise=0.1)), ()))
     assert "in the 1 rooms where the reference knows diffuse blocks to 5.0 %: 1.0 %, 0.0 % without the noise" in text
     assert "over blocks of 4 x 4 pixels: 8.0 %" in text
 
 
-def test_rooms_without_diffuse_surfaces_are_judged_by_their_probe_alone() -> None:
+def test_rooms_without_diffuse_surfaces_count_by_their_probe() -> None:
     bare = room("test-000001", 0.02, 0.01, coated=False)
     bare = RoomCheck(**{**{name: getattr(bare, name) for name in bare.__dataclass_fields__}, "diffuse": None})
     text = printed(CheckReport((bare,), ()))
@@ -64,7 +64,7 @@ def test_rooms_without_diffuse_surfaces_are_judged_by_their_probe_alone() -> Non
     assert "under the target of 3.0 %" in text
 
 
-def test_the_picture_shows_brighter_in_red_and_darker_in_blue() -> None:
+def test_the_picture_is_red_where_brighter_blue_where_darker() -> None:
     image = compose_check(room("train-000000", 0.1, 0.1))
     frame, probe = image[300, 1200].astype(int), image[550, 1200].astype(int)
     assert frame[0] > 200
@@ -73,7 +73,7 @@ def test_the_picture_shows_brighter_in_red_and_darker_in_blue() -> None:
     assert probe[0] < 50
 
 
-def test_without_the_path_tracer_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_path_tracer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(dataset_check, "find_spec", lambda _: None)
     with pytest.raises(DatasetError, match="pip install mitsuba"):
         check()

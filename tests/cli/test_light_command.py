@@ -1,20 +1,22 @@
-"""`roomlight light`: one photograph with depth in, panoramas and the main light out; every error says what to do."""
+"""`roomlight light`: one photograph with depth in, panoramas and the main light out; errors say what to do."""
 
 import json
+from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
-from typer.testing import CliRunner
+from PIL import ExifTags, Image
 
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import FrameError, ImageError, ModelError, RoomLightError
+from roomlight.errors import FrameError, ImageError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
-from roomlight_cli.main import app
-from roomlight_cli.photo import light_photo, read_photo
+from roomlight.placement import point_at_pixel
+from roomlight_cli.photo import DEFAULT_FOV_DEG, light_photo, oriented, photo_positions, read_photo
 from rooms import BoxRoom, camera_at
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
 CLASSICAL = SessionOptions(model="classical")
 
 
@@ -30,19 +32,38 @@ def room(tmp_path):
     return tmp_path, shot, fov
 
 
-def run(*arguments):
-    return CliRunner().invoke(app, ["light", *map(str, arguments)])
+def write_jpeg(path, pixels, *, orientation=1, focal_35mm=None):
+    """Write upright sRGB pixels as a phone does: stored by the sensor's rows and columns, with EXIF."""
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = orientation
+    if focal_35mm is not None:
+        exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.FocalLengthIn35mmFilm] = focal_35mm
+    Image.fromarray(stored(pixels, orientation)).save(path, quality=95, exif=exif)
 
 
-def test_a_photograph_gives_panoramas_balls_and_the_main_light(room):
+def stored(pixels, orientation):
+    """Undo EXIF's orientation, by Pillow's own operations."""
+    undo = {
+        1: None, 2: Image.Transpose.FLIP_LEFT_RIGHT, 3: Image.Transpose.ROTATE_180,
+        4: Image.Transpose.FLIP_TOP_BOTTOM, 5: Image.Transpose.TRANSPOSE, 6: Image.Transpose.ROTATE_90,
+        7: Image.Transpose.TRANSVERSE, 8: Image.Transpose.ROTATE_270,
+    }[orientation]  # fmt: skip
+    image = Image.fromarray(pixels)
+    return np.asarray(image if undo is None else image.transpose(undo))
+
+
+def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
     folder, _, fov = room
-    result = run(
-        folder / "photo.png", "--depth", folder / "depth.png", "--fov", fov, "--probe", "0,-0.2,-1.5",
+    result = roomlight(
+        "light", folder / "photo.png", "--depth", folder / "depth.png", "--fov", fov, "--probe", "0,-0.2,-1.5",
         "--probe", "0,-0.2,-50", "--out", folder / "out", "--model", "classical",
     )  # fmt: skip
-    assert result.exit_code == 0, result.output
-    assert "of the sphere is in the photograph" in result.output
-    assert "outside the lighting volume" in result.output.splitlines()[2]
+    assert result.code == 0, result.err
+    lines = result.out.splitlines()
+    assert lines[0] == f"field of view {fov:.1f} degrees, horizontal: from --fov"
+    assert "of the sphere around it is in the photograph" in lines[1]
+    assert "main light" in lines[2]
+    assert "outside the lighting volume" in result.out
     report = json.loads((folder / "out" / "light.json").read_text())
     assert report["model"] == "classical"
     assert [probe["inside_volume"] for probe in report["probes"]] == [True, False]
@@ -51,25 +72,26 @@ def test_a_photograph_gives_panoramas_balls_and_the_main_light(room):
     assert read_panorama(folder / "out" / "probe-00.exr").shape == (120, 240, 3)
 
 
-def test_it_is_the_sessions_light(room):
-    """Png and exr hold what the engine gave, to a half float."""
+def test_the_exr_holds_the_engine_s_light(room):
     folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov)
+    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
     (one,) = light_photo(frame, [(0.0, 0.0, -1.5)], folder / "out", options=CLASSICAL)
     written = read_panorama(folder / "out" / one.files[0])
-    np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)  # half floats
 
 
 def test_the_field_of_view_is_horizontal(room):
     folder, shot, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov)
+    photo = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov)
+    frame = photo.frame
+    assert (photo.fov_deg, photo.fov_source) == (fov, "option")
     assert frame.intrinsics.fx == pytest.approx(shot.intrinsics.fx)
     assert frame.intrinsics.cx == 32
     assert frame.camera_to_world.tolist() == np.eye(4).tolist()
 
 
 @pytest.mark.parametrize("kind", ["mm.npy", "m.npy", "exr", "unit"])
-def test_every_form_of_depth_is_the_same_depth(room, kind):
+def test_every_file_type_gives_the_same_depth(room, kind):
     folder, shot, fov = room
     unit = None
     path = folder / f"depth.{kind}"
@@ -82,14 +104,13 @@ def test_every_form_of_depth_is_the_same_depth(room, kind):
     else:
         path, unit = folder / "centimetres.png", 0.01
         cv2.imwrite(str(path), np.rint(shot.depth_m * 100).astype(np.uint16))
-    frame = read_photo(folder / "photo.png", path, fov_deg=fov, depth_unit_m=unit)
+    frame = read_photo(folder / "photo.png", path, fov_deg=fov, depth_unit_m=unit).frame
     np.testing.assert_allclose(frame.depth_m, shot.depth_m, rtol=0.01)
 
 
-def test_the_main_light_is_told_as_seen_from_the_camera(room):
-    """A lamp ahead in the ceiling: above the horizon, in the view's half of the room."""
+def test_a_lamp_ahead_is_above_and_in_view(room):
     folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov)
+    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
     (one,) = light_photo(frame, [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
     elevation, azimuth = one.heading
     assert elevation > 20
@@ -99,11 +120,11 @@ def test_the_main_light_is_told_as_seen_from_the_camera(room):
 def test_a_depth_in_another_unit_is_caught(room):
     folder, shot, fov = room
     np.save(folder / "depth.npy", (shot.depth_m * 1000).astype(np.float32))  # floats, but millimetres
-    with pytest.raises(FrameError, match=r"median depth would be .* --depth-unit"):
+    with pytest.raises(FrameError, match=r"median depth would be .* depth_unit_m"):
         read_photo(folder / "photo.png", folder / "depth.npy", fov_deg=fov)
 
 
-def test_no_depth_at_all_is_said(room):
+def test_empty_depth_is_refused(room):
     folder, _, fov = room
     cv2.imwrite(str(folder / "none.png"), np.zeros((48, 64), np.uint16))
     with pytest.raises(FrameError, match=r"none\.png: no pixel has a depth"):
@@ -128,30 +149,118 @@ def test_an_image_for_depth_is_refused(room):
     [
         (["--probe", "1,2"], "a position is X,Y,Z"),
         (["--probe", "0,0,-1", "--fov", "170"], "150"),
-        ([], "--probe"),
+        (["--pixel", "1"], "a pixel is U,V"),
+        ([], "give the points to light"),
     ],
 )
-def test_usage_errors(room, arguments, message):
+def test_usage_errors(room, arguments, message, roomlight):
     folder, _, _ = room
-    result = run(folder / "photo.png", "--depth", folder / "depth.png", "--out", folder / "out", *arguments)
-    assert result.exit_code == 2
-    assert message in result.output
+    files = ("photo.png", "--depth", "depth.png", "--out", "out")
+    result = roomlight("light", *files, *arguments, cwd=folder)
+    assert result.code == 2
+    assert message in result.err
 
 
 @pytest.mark.parametrize(
-    ("changed", "error"),
+    ("changed", "message"),
     [
-        ({"probe": "0,0,9999"}, RoomLightError),
-        ({"photo": "missing.png"}, ImageError),
-        ({"weights": "nowhere"}, ModelError),
+        ({"probe": "0,0,99999"}, "99999"),
+        ({"photo": "missing.png"}, "missing.png"),
+        ({"weights": "nowhere"}, "nowhere"),
+        ({"pixel": "64,5"}, "--pixel is 64,5; the image is 64 x 48 pixels"),
     ],
 )
-def test_what_cannot_be_used_is_an_error_of_roomlight(room, changed, error):
+def test_unusable_input_is_one_line(room, changed, message, roomlight):
     folder, _, _ = room
-    arguments = [
-        folder / changed.get("photo", "photo.png"), "--depth", folder / "depth.png", "--out", folder / "out",
-        "--probe", changed.get("probe", "0,0,-1"),
-    ]  # fmt: skip
-    if "weights" in changed:
-        arguments += ["--weights", folder / changed["weights"]]
-    assert isinstance(run(*arguments).exception, error)
+    arguments = [changed.get("photo", "photo.png"), "--depth", "depth.png", "--out", "out"]
+    arguments += ["--probe", changed.get("probe", "0,0,-1")]
+    for name in ("weights", "pixel"):
+        if name in changed:
+            arguments += [f"--{name}", changed[name]]
+    result = roomlight("light", *arguments, cwd=folder)
+    assert result.code == 1
+    assert message in result.err
+    assert result.err.count("\n") == 1
+
+
+def test_a_pixel_is_lit_above_its_surface(room):
+    folder, _, fov = room
+    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
+    expected = point_at_pixel(frame, 20.0, 40.0, above_m=0.2)
+    positions = photo_positions(frame, [(0.0, 0.0, -1.0)], [(20.0, 40.0)], above_m=0.2)
+    assert positions == [(0.0, 0.0, -1.0), expected]
+    with pytest.raises(OptionError, match="no point to light"):
+        photo_positions(frame, [], [])
+    empty = replace(frame, depth_m=np.where(np.arange(64) < 32, 0, frame.depth_m).astype(np.float32))
+    with pytest.raises(ProbeError, match="nearest pixel with depth"):
+        photo_positions(empty, [], [(20.0, 40.0)])
+
+
+def test_a_point_behind_the_camera_gets_a_warning(room, roomlight):
+    folder, _, _ = room
+    files = ("photo.png", "--depth", "depth.png", "--out", "out", "--model", "classical", "--height", "16")
+    result = roomlight("light", *files, "--probe", "0,0,3", "--probe", "0,-0.2,-1.5", cwd=folder)
+    assert result.code == 0, result.err
+    behind, ahead = result.out.split("(0.00, -0.20, -1.50) m:")
+    assert "warning: this point is behind the camera" in behind
+    assert "this point is behind" not in ahead
+
+
+# --- field of view and orientation from EXIF -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("orientation", [1, 6])
+def test_the_field_of_view_comes_from_exif(room, orientation):
+    folder, shot, _ = room
+    upright = np.rint(linear_to_srgb8(np.clip(shot.image, 0, 1))).astype(np.uint8)
+    write_jpeg(folder / "photo.jpg", upright, orientation=orientation, focal_35mm=26)
+    photo = read_photo(folder / "photo.jpg", folder / "depth.png")
+    assert photo.fov_source == "exif"
+    assert photo.focal_35mm == 26
+    # the 35 mm equivalence is by the diagonal: 80 pixels here, 43.27 mm on film
+    assert photo.frame.intrinsics.fx == pytest.approx(26 * 80 / 43.2666, rel=1e-3)
+    given = read_photo(folder / "photo.jpg", folder / "depth.png", fov_deg=50.0)
+    assert (given.fov_deg, given.fov_source) == (50.0, "option")
+
+
+def test_without_exif_the_default_field_of_view_is_a_warning(room, roomlight):
+    folder, _, _ = room
+    photo = read_photo(folder / "photo.png", folder / "depth.png")
+    assert (photo.fov_deg, photo.fov_source) == (DEFAULT_FOV_DEG, "default")
+    files = ("photo.png", "--depth", "depth.png", "--out", "out", "--model", "classical", "--height", "16")
+    result = roomlight("light", *files, "--probe", "0,0,-1", cwd=folder)
+    assert "field of view 60.0 degrees, horizontal: the default" in result.out
+    assert "warning: the photo does not state its focal length; give --fov" in result.out
+
+
+@pytest.mark.parametrize("orientation", range(1, 9))
+def test_orientation_is_exif_s(orientation):
+    pixels = np.arange(12, dtype=np.float32).reshape(3, 4)
+    assert (oriented(stored(pixels, orientation), orientation) == pixels).all()
+
+
+@pytest.mark.parametrize("orientation", [5, 6, 7, 8])
+@pytest.mark.parametrize("depth_is", ["upright", "stored"])
+def test_depth_of_a_rotated_photo_is_fitted_by_aspect(room, orientation, depth_is):
+    folder, shot, fov = room
+    upright = linear_to_srgb8(np.clip(shot.image, 0, 1))
+    write_jpeg(folder / "photo.jpg", upright, orientation=orientation)
+    depth = shot.depth_m if depth_is == "upright" else stored(shot.depth_m, orientation)
+    np.save(folder / "depth.npy", depth)
+    frame = read_photo(folder / "photo.jpg", folder / "depth.npy", fov_deg=fov).frame
+    assert frame.image.shape == (48, 64, 3)
+    assert (frame.depth_m == shot.depth_m).all()
+    assert np.abs(frame.image - shot.image).mean() < 0.05  # JPEG, of 64 x 48 pixels
+
+
+def test_an_ambiguous_orientation_needs_an_option(room):
+    folder, shot, fov = room
+    write_jpeg(folder / "photo.jpg", linear_to_srgb8(np.clip(shot.image, 0, 1)), orientation=3)
+    np.save(folder / "depth.npy", stored(shot.depth_m, 3))
+    files = (folder / "photo.jpg", folder / "depth.npy")
+    with pytest.raises(OptionError, match=r"orientation is 3.* depth_orientation as upright .* or stored"):
+        read_photo(*files, fov_deg=fov)
+    turned = read_photo(*files, fov_deg=fov, depth_orientation="stored").frame
+    assert (turned.depth_m == shot.depth_m).all()
+    kept = read_photo(*files, fov_deg=fov, depth_orientation="upright").frame
+    assert (kept.depth_m == stored(shot.depth_m, 3)).all()

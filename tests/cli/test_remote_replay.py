@@ -16,9 +16,11 @@ from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, OutputError, WireError
 from roomlight.images import write_exr, write_png
 from roomlight_cli.remote_replay import replay_through
-from roomlight_cli.replay import ReplayOptions, replay
+from roomlight_cli.replay import replay
+from roomlight_cli.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
 PROBES = ((0.4, 1.2, -0.3), (-0.8, 1.0, 0.6))
 SMALL = SessionOptions(model="classical", height=16)
@@ -75,15 +77,15 @@ def panoramas(out: Path) -> dict[str, bytes]:
 
 
 def lasting(report: dict) -> dict:
-    """A report without what time it took."""
-    kept = {name: value for name, value in report.items() if name not in ("wall_s", "stage_ms_median")}
+    """A report without times: of the computation, and of the files in the fingerprint."""
+    kept = {name: value for name, value in report.items() if name not in ("wall_s", "stage_ms_median", "fingerprint")}
     kept["frames"] = [
         {name: value for name, value in frame.items() if name != "stage_ms"} for frame in report["frames"]
     ]
     return kept
 
 
-def test_every_byte_is_the_same(native, server, tmp_path):
+def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path):
     options = ReplayOptions(session=SMALL, probes=PROBES)
     here = replay(native, tmp_path / "here", options)
     there = replay_through(server, native, tmp_path / "there", options)
@@ -97,17 +99,17 @@ def test_every_byte_is_the_same(native, server, tmp_path):
 
 @pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("model", ["video", "single"])
-def test_every_byte_of_the_networks_too(native, tiny_video, model, tmp_path):
-    """The server has the weights; the replay that goes through it says which model, and nothing of them."""
+def test_networks_give_the_same_files(native, tiny_video, model, tmp_path):
+    """The server has the weights; the remote replay names the model only."""
     untrained = {"weights": tiny_video[1], "allow_untrained": True}
     here = replay(
         native,
         tmp_path / "here",
         ReplayOptions(session=SessionOptions(model=model, height=32, **untrained), probes=PROBES),
     )
-    asked = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
+    remote = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
     with RunningServer(model="video", **untrained) as running:
-        there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", asked)
+        there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", remote)
     assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
     assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3
     assert lasting(there.report)["frames"] == lasting(here.report)["frames"]
@@ -115,7 +117,7 @@ def test_every_byte_of_the_networks_too(native, tiny_video, model, tmp_path):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_video_frames_too(video, server, tmp_path):
+def test_video_captures_give_the_same_files(video, server, tmp_path):
     options = ReplayOptions(session=SMALL, probes=PROBES[:1])
     replay(video, tmp_path / "here", options)
     replay_through(server, video, tmp_path / "there", options)
@@ -124,7 +126,7 @@ def test_video_frames_too(video, server, tmp_path):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_interpolation_and_a_point_in_view_go_through_the_same_loop(native, server, tmp_path):
+def test_interpolation_and_the_default_probe_are_the_same(native, server, tmp_path):
     options = ReplayOptions(session=SMALL, every=2, interpolate=True)
     here = replay(native, tmp_path / "here", options)
     there = replay_through(server, native, tmp_path / "there", options)
@@ -134,7 +136,7 @@ def test_interpolation_and_a_point_in_view_go_through_the_same_loop(native, serv
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_a_probe_outside_the_volume_is_said_so(native, server, tmp_path):
+def test_a_probe_outside_the_volume_is_reported(native, server, tmp_path):
     options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=((200.0, 0.0, 0.0), PROBES[0]))
     outside, inside = replay_through(server, native, tmp_path / "out", options).report["probes"]
     assert outside["outside_volume"] is True
@@ -142,7 +144,7 @@ def test_a_probe_outside_the_volume_is_said_so(native, server, tmp_path):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_frames_without_depth_at_the_working_size_fare_alike(native, server, tmp_path):
+def test_frames_without_depth_at_working_size_are_alike(native, server, tmp_path):
     """Known depth only in a column that sampling leaves out: no session starts with it, one that runs takes it."""
     odd = tmp_path / "odd"
     shutil.copytree(native, odd)
@@ -166,7 +168,7 @@ def test_frames_without_depth_at_the_working_size_fare_alike(native, server, tmp
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_what_goes_wrong_leaves_nothing_behind(native, server, tmp_path):
+def test_a_failed_replay_leaves_no_output(native, server, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(WireError, match="height"):
         replay_through(server, native, out, ReplayOptions(session=SessionOptions(model="classical", height=1024)))
@@ -176,7 +178,7 @@ def test_what_goes_wrong_leaves_nothing_behind(native, server, tmp_path):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_here_and_there_do_not_mix_in_one_folder(native, server, tmp_path):
+def test_local_and_remote_replays_do_not_share_a_folder(native, server, tmp_path):
     options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=PROBES[:1])
     replay(native, tmp_path / "out", options)
     with pytest.raises(OutputError, match="another replay"):
@@ -185,7 +187,7 @@ def test_here_and_there_do_not_mix_in_one_folder(native, server, tmp_path):
 
 
 @pytest.mark.usefixtures("no_pictures")
-def test_sessions_are_deleted_whatever_happens(native, tmp_path):
+def test_the_session_is_deleted_after_errors_too(native, tmp_path):
     with RunningServer(model="classical", max_sessions=1) as running:
         url = f"http://127.0.0.1:{running.port}"
         options = ReplayOptions(CaptureOptions(max_frames=1), session=SMALL)

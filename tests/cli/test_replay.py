@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,16 @@ import pytest
 from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import CaptureError, OutputError, ProbeError
+from roomlight.errors import CaptureError, OptionError, OutputError, ProbeError
 from roomlight.images import read_panorama
-from roomlight_cli.replay import ReplayOptions, replay
+from roomlight.placement import point_at_pixel
+from roomlight_cli import replay_run
+from roomlight_cli.replay import replay
+from roomlight_cli.replay_folder import finished_report
+from roomlight_cli.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 
+pytestmark = pytest.mark.usefixtures("small_pictures")
 FRAMES = 6
 PROBES = [(0.4, 1.2, -0.3), (-0.8, 1.0, 0.6)]
 SMALL = SessionOptions(model="classical", height=16)
@@ -42,7 +48,7 @@ def exr_names(folder: Path) -> list[str]:
     return sorted(path.name for path in folder.glob("*.exr"))
 
 
-def test_a_replay_writes_a_panorama_a_frame_and_probe(capture, tmp_path):
+def test_each_frame_and_probe_gets_a_panorama(capture, tmp_path):
     seen = []
     options = ReplayOptions(session=SMALL, probes_from_capture=True)
     result = replay(capture, tmp_path / "out", options, progress=lambda done, total: seen.append((done, total)))
@@ -84,7 +90,7 @@ def test_every_and_interpolate(capture, tmp_path):
     assert (panoramas[5] == panoramas[4]).all()  # nothing comes after it: the light stays
 
 
-def test_max_frames_and_a_default_probe(capture, tmp_path):
+def test_max_frames_and_the_default_probe(capture, tmp_path):
     options = ReplayOptions(capture=CaptureOptions(max_frames=2), session=SMALL)
     report = replay(capture, tmp_path / "out", options).report
     assert [frame["index"] for frame in report["frames"]] == [0, 1]
@@ -92,7 +98,7 @@ def test_max_frames_and_a_default_probe(capture, tmp_path):
     assert "outside_volume" not in report["probes"][0]
 
 
-def test_a_probe_outside_the_volume_is_said_so(capture, tmp_path):
+def test_a_probe_outside_the_volume_is_reported(capture, tmp_path):
     report = replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, probes=((200.0, 0.0, 0.0),))).report
     assert report["probes"][0]["outside_volume"] is True
 
@@ -128,7 +134,7 @@ def test_an_interrupted_replay_leaves_no_report_and_continues(capture, tmp_path)
         assert (fresh / "probe-00" / name).read_bytes() == (out / "probe-00" / name).read_bytes()
 
 
-def test_another_replay_or_a_foreign_folder_is_not_mixed_in(capture, tmp_path):
+def test_other_files_are_never_mixed_with_a_replay(capture, tmp_path):
     out = tmp_path / "out"
     replay(capture, out, ReplayOptions(session=SMALL, probes=(PROBES[0],)))
     other = ReplayOptions(session=SMALL, probes=(PROBES[1],))
@@ -139,7 +145,7 @@ def test_another_replay_or_a_foreign_folder_is_not_mixed_in(capture, tmp_path):
     foreign = tmp_path / "foreign"
     foreign.mkdir()
     (foreign / "thesis.tex").write_text("precious")
-    with pytest.raises(OutputError, match="not empty"):
+    with pytest.raises(OutputError, match="holds other files"):
         replay(capture, foreign, other)
     assert (foreign / "thesis.tex").read_text() == "precious"
     with pytest.raises(OutputError, match="is a file"):
@@ -156,7 +162,7 @@ def test_another_replay_or_a_foreign_folder_is_not_mixed_in(capture, tmp_path):
     assert (foreign / "probe-00" / "notes.txt").read_text() == "precious too"
 
 
-def test_a_mistaken_command_leaves_nothing_that_hinders_the_right_one(capture, tmp_path):
+def test_a_refused_command_leaves_the_folder_as_it_was(capture, tmp_path):
     out = tmp_path / "out"
     wrong = CaptureOptions(depth_unit_m=1.0)
     with pytest.raises(CaptureError, match="depth unit"):
@@ -176,14 +182,86 @@ def test_a_capture_is_never_its_own_output(capture):
     assert sorted(path.name for path in capture.iterdir()) == before
 
 
-def test_a_finished_replay_is_made_anew_when_asked_again(capture, tmp_path):
+@pytest.mark.usefixtures("no_pictures")
+def test_a_finished_replay_with_a_changed_file_is_redone(capture, tmp_path):
     out, options = tmp_path / "out", ReplayOptions(session=SMALL, probes=(PROBES[0],))
-    replay(capture, out, options)
+    report = replay(capture, out, options).report
+    assert finished_report(capture, out, options) == report
     panorama = out / "probe-00" / "000001.exr"
-    whole = panorama.read_bytes()
-    panorama.write_bytes(b"from before the capture was recorded again")
+    original = panorama.read_bytes()
+    panorama.write_bytes(b"damaged")
+    assert finished_report(capture, out, options) is None
     replay(capture, out, options)
-    assert panorama.read_bytes() == whole
+    assert panorama.read_bytes() == original
+    assert finished_report(capture, out, options) is not None
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_only_the_same_finished_replay_counts_as_done(capture, tmp_path):
+    out, options = tmp_path / "out", ReplayOptions(CaptureOptions(max_frames=1), session=SMALL, probes=(PROBES[0],))
+    copy = tmp_path / "copy"
+    shutil.copytree(capture, copy)
+    assert finished_report(copy, out, options) is None
+    replay(copy, out, options)
+    assert finished_report(copy, out, options) is not None
+    assert finished_report(copy, out, replace(options, probes=(PROBES[1],))) is None
+    assert finished_report(capture, out, options) is None  # the same frames, but another capture
+    depth = next((copy / "depth").iterdir())
+    depth.write_bytes(depth.read_bytes() + b"recorded again")
+    assert finished_report(copy, out, options) is None
+    replay(copy, out, options)
+    assert finished_report(copy, out, options) is not None
+    (out / "report.json").unlink()
+    assert finished_report(copy, out, options) is None
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, roomlight):
+    command = ("replay", capture, "--out", tmp_path / "out", "--model", "classical", "--height", "16")
+    command += ("--max-frames", "1", "--probe", "0.4,1.2,-0.3")
+    first = roomlight(*command)
+    assert first.code == 0, first.err
+    calls = []
+    monkeypatch.setattr(replay_run, "replay", lambda *arguments, **_: calls.append(arguments))
+    again = roomlight(*command)
+    assert again.code == 0, again.err
+    assert not calls
+    assert "already holds this replay, finished" in again.out
+    assert "1 frame, 1 probe, model classical" in again.out
+    monkeypatch.undo()
+    other = roomlight(*command, "--every", "2")
+    assert other.code == 1
+    assert "holds another replay" in other.err
+    anew = roomlight(*command, "--overwrite")
+    assert anew.code == 0, anew.err
+    assert "already holds" not in anew.out
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_pixels_are_points_on_the_first_frame(capture, tmp_path):
+    first = next(iter(open_capture(capture)))
+    options = ReplayOptions(
+        CaptureOptions(max_frames=1), session=SMALL, probes=(PROBES[0],), pixels=((20.0, 30.0),), above_m=0.3
+    )
+    report = replay(capture, tmp_path / "out", options).report
+    expected = point_at_pixel(first, 20.0, 30.0, above_m=0.3)
+    assert [tuple(probe["position"]) for probe in report["probes"]] == [PROBES[0], expected]
+
+
+def test_a_pixel_outside_the_image_leaves_no_output(capture, tmp_path):
+    with pytest.raises(OptionError, match="pixel is 64,5; the image is 64 x 48"):
+        replay(capture, tmp_path / "out", ReplayOptions(session=SMALL, pixels=((64.0, 5.0),)))
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.usefixtures("no_pictures")
+def test_a_probe_that_was_hardly_seen_gets_a_warning(capture, tmp_path, roomlight):
+    command = ("replay", capture, "--model", "classical", "--height", "16", "--max-frames", "1")
+    # close to a wall behind the camera, which looks along -z: the frame shows little of what is around it
+    seen = roomlight(*command, "--out", tmp_path / "seen", "--pixel", "32,24")
+    unseen = roomlight(*command, "--out", tmp_path / "unseen", "--probe", "0,1.5,30")
+    assert "warning" not in seen.out
+    assert "of the light around this point was seen; most of it is inferred" in unseen.out
 
 
 def test_bad_frames_are_skipped_and_listed(capture, tmp_path):
@@ -198,8 +276,8 @@ def test_bad_frames_are_skipped_and_listed(capture, tmp_path):
     assert depth.name in report["skipped"][0]["reason"]
 
 
-def test_what_cannot_be_asked(capture, tmp_path):
-    with pytest.raises(CaptureError, match="every"):
+def test_impossible_options_are_refused(capture, tmp_path):
+    with pytest.raises(OptionError, match="every"):
         ReplayOptions(every=0)
     with pytest.raises(ProbeError, match="finite"):
         ReplayOptions(probes=((float("nan"), 0.0, 0.0),))
@@ -208,5 +286,5 @@ def test_what_cannot_be_asked(capture, tmp_path):
     index = json.loads((bare / "capture.json").read_text())
     index["probes"] = []
     (bare / "capture.json").write_text(json.dumps(index))
-    with pytest.raises(CaptureError, match="names no probes"):
+    with pytest.raises(CaptureError, match="has no probes of its own"):
         replay(bare, tmp_path / "out", ReplayOptions(session=SMALL, probes_from_capture=True))

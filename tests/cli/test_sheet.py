@@ -39,7 +39,7 @@ def test_the_sheet_shows_every_frame_and_panorama() -> None:
     np.testing.assert_array_equal(sheet[0, 0], round(BACKGROUND * 255))
 
 
-def test_exposure_brightens_and_light_past_white_is_white() -> None:
+def test_exposure_brightens_and_clips_at_white() -> None:
     columns = [SheetColumn("frame 1", flat(60, 80, 0.1), (flat(30, 60, 0.2),))]
     sheet = compose_sheet(columns, ["p"], views=[VIEW], exposure_ev=1.0)
     assert has(sheet, 0.2) >= 240 * 180
@@ -73,7 +73,7 @@ def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> No
         write_contact_sheet(tmp_path / "file" / "summary.png", columns, probes=[], views=[])
 
 
-def test_what_does_not_fit_together_is_refused() -> None:
+def test_mismatched_panoramas_and_views_are_refused() -> None:
     column = SheetColumn("frame 1", None, (flat(30, 60, 0.2),))
     with pytest.raises(ValueError, match="at least one column"):
         compose_sheet([], [], views=[])
@@ -83,7 +83,7 @@ def test_what_does_not_fit_together_is_refused() -> None:
         compose_sheet([column], ["a"], views=[])
 
 
-def test_text_is_drawn_inside_its_width_and_never_fails() -> None:
+def test_text_stays_within_its_width() -> None:
     canvas = Canvas(101, 51)
     assert canvas.image.shape == (52, 102, 3)
     canvas.text((4, 4), "a label much longer than its place", width=80)
@@ -92,11 +92,11 @@ def test_text_is_drawn_inside_its_width_and_never_fails() -> None:
     assert inked.max() < 4 + 80 + 4
     canvas.text((90, 45), "falls off the canvas, with an umlaut: ü")
     canvas.text((4, 20), "")
-    assert fitted("short", 1000, cap_height=9) == "short"
-    assert fitted("anything", 1, cap_height=9) == ""
+    assert fitted("short", 1000) == "short"
+    assert fitted("anything", 1) == ""
 
 
-def test_what_falls_off_the_canvas_is_refused() -> None:
+def test_a_picture_beyond_the_canvas_is_refused() -> None:
     canvas = Canvas(40, 40)
     with pytest.raises(ValueError, match="do not fit"):
         canvas.picture((30, 0), flat(10, 10, 0.5), size=(20, 20))
@@ -110,7 +110,7 @@ def test_a_lamp_does_not_whiten_its_neighbours_when_shrunk() -> None:
     assert canvas.image[0, 0].max() < 100  # 1/16 of white, not white
 
 
-def test_balls_blend_into_the_background() -> None:
+def test_spheres_blend_into_the_background() -> None:
     canvas = Canvas(40, 40)
     canvas.sphere((4, 4), flat(16, 32, 1.0), SphereRenderer(VIEW, size=32), "mirror")
     image = canvas.image

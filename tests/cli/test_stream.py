@@ -1,4 +1,4 @@
-"""Streams: the recording's pace, what is dropped and why, a clean end; in virtual time, and once for real."""
+"""Streams: the recording's pace, dropped frames, a clean end; in virtual time, and once with a real server."""
 
 import asyncio
 import json
@@ -9,16 +9,16 @@ import httpx
 import pytest
 import typer
 from sdk_scripts import STATE, problem
-from typer.testing import CliRunner
 
 import roomlight_client as sdk
 from http_servers import RunningServer
 from roomlight.captures import CaptureOptions, CaptureWriter, open_capture
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.errors import CaptureError
+from roomlight.errors import OptionError
+from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
-from roomlight_cli.commands import stream as stream_command
+from roomlight_cli.server_options import refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
 from roomlight_client import AsyncClient
 from rooms import BoxRoom, pan
@@ -51,13 +51,13 @@ def untimed(tmp_path_factory) -> Path:
 
 
 class Room:
-    """A server and a clock in one: frame n is answered `takes_s[n]` after it came, by `fates[n]` if there is one."""
+    """A server and a clock in one: frame n is answered `takes_s[n]` after it came, by `outcomes[n]` if there is one."""
 
-    def __init__(self, *, takes_s=None, fates=None, last_index=None):
+    def __init__(self, *, takes_s=None, outcomes=None, last_index=None):
         self.tally = Tally()
         self.now_s = 100.0
         self.arrived, self.bodies, self.deleted = {}, {}, 0
-        self._takes_s, self._fates = takes_s or {}, fates or {}
+        self._takes_s, self._outcomes = takes_s or {}, outcomes or {}
         self._state = STATE | {"frames": STATE["frames"] | {"last_index": last_index}}
         self._due, self._changed = {}, asyncio.Event()
 
@@ -88,12 +88,12 @@ class Room:
         self._release()
         self._changed.set()
         await released.wait()
-        fate = self._fates.get(index, "processed")
-        if isinstance(fate, Exception):
-            raise fate
-        if isinstance(fate, httpx.Response):
-            return httpx.Response(fate.status_code, headers=fate.headers, content=fate.content)
-        return httpx.Response(200, json={"index": index, "status": fate})
+        outcome = self._outcomes.get(index, "processed")
+        if isinstance(outcome, Exception):
+            raise outcome
+        if isinstance(outcome, httpx.Response):
+            return httpx.Response(outcome.status_code, headers=outcome.headers, content=outcome.content)
+        return httpx.Response(200, json={"index": index, "status": outcome})
 
     def _release(self):
         for due_s, released in self._due.values():
@@ -108,11 +108,11 @@ class Room:
         await self._settled()
 
     async def _settled(self):
-        while self._on_their_way() != sum(not released.is_set() for _, released in self._due.values()):
+        while self._unanswered() != sum(not released.is_set() for _, released in self._due.values()):
             self._changed.clear()
             await self._changed.wait()
 
-    def _on_their_way(self):
+    def _unanswered(self):
         t = self.tally
         return t.sent - t.processed - t.superseded - t.busy - t.overtaken - t.refused - t.lost
 
@@ -160,7 +160,7 @@ def test_without_times_fps_is_the_pace(untimed):
 
 
 @pytest.mark.parametrize(("in_flight", "sent"), [(1, [0, 3, 4, 5]), (2, [0, 1, 3, 4, 5])])
-def test_what_is_due_while_others_are_on_their_way_is_dropped(timed, in_flight, sent):
+def test_a_frame_due_while_others_are_unanswered_is_dropped(timed, in_flight, sent):
     room = played(timed, StreamOptions(in_flight=in_flight), takes_s={0: 0.25, 1: 0.15})
     assert list(room.arrived) == sent
     assert room.tally.dropped == 6 - len(sent)
@@ -168,8 +168,8 @@ def test_what_is_due_while_others_are_on_their_way_is_dropped(timed, in_flight, 
     assert max(room.tally.frame_ms) == pytest.approx(300)  # looked at once every tenth of a second
 
 
-def test_every_fate_is_counted_once_and_no_frame_is_sent_twice(timed):
-    fates = {
+def test_each_outcome_is_counted_once_and_nothing_is_resent(timed):
+    outcomes = {
         0: "superseded",
         1: problem(429, "session-full", retry_after="5"),
         2: problem(409, "frame-conflict"),
@@ -177,7 +177,7 @@ def test_every_fate_is_counted_once_and_no_frame_is_sent_twice(timed):
         4: httpx.ReadTimeout("slow"),
         5: "skipped",
     }
-    room = played(timed, fates=fates)
+    room = played(timed, outcomes=outcomes)
     tally = room.tally
     assert (tally.superseded, tally.busy, tally.overtaken, tally.refused, tally.lost) == (1, 1, 1, 2, 1)
     assert (tally.sent, tally.processed, tally.light) == (6, 0, None)
@@ -187,21 +187,21 @@ def test_every_fate_is_counted_once_and_no_frame_is_sent_twice(timed):
 
 
 @pytest.mark.parametrize(
-    ("fates", "expected"),
+    ("outcomes", "expected"),
     [
         ({2: problem(404, "session-not-found")}, sdk.GoneError),
         ({2: problem(409, "session-failed")}, sdk.ConflictError),
         (dict.fromkeys(range(6), httpx.ConnectError("refused")), sdk.UnreachableError),
     ],
 )
-def test_what_ends_a_stream_is_one_error_and_the_session_is_deleted(timed, fates, expected):
-    room = Room(fates=fates)
+def test_a_fatal_error_is_raised_and_the_session_deleted(timed, outcomes, expected):
+    room = Room(outcomes=outcomes)
     with pytest.raises(expected):
         asyncio.run(room.play(timed, StreamOptions()))
     assert room.deleted == 1
 
 
-def test_interrupted_it_deletes_its_session(timed):
+def test_an_interrupted_stream_deletes_its_session(timed):
     async def main():
         room = Room(takes_s={2: 1e6})
 
@@ -219,13 +219,13 @@ def test_interrupted_it_deletes_its_session(timed):
     assert room.deleted == 1
 
 
-def test_a_session_that_is_there_is_gone_on_with_and_kept(timed):
+def test_an_existing_session_is_continued_and_kept(timed):
     room = played(timed, StreamOptions(session_id="room", keep=True), last_index=41)
     assert list(room.arrived) == list(range(42, 48))
     assert room.deleted == 0
 
 
-def test_a_reader_that_cannot_keep_up_plays_slower_and_says_so(timed):
+def test_a_slow_reader_plays_slower_and_reports_its_pace(timed):
     room = Room()
     due = []
 
@@ -239,13 +239,13 @@ def test_a_reader_that_cannot_keep_up_plays_slower_and_says_so(timed):
     assert room.tally.pace == pytest.approx(1 / 3, abs=0.01)
 
 
-def test_colour_goes_as_it_is_told(timed):
+def test_colour_selects_the_frame_encoding(timed):
     for colour, encoding in (("jpeg", "jpeg"), ("png", "png"), ("exact", "linear_f32")):
         room = played(timed, StreamOptions(CaptureOptions(max_frames=1), colour=colour))
         assert parse(room.bodies[0]).header.colour.encoding == encoding
 
 
-def test_frames_of_the_recording_that_are_bad_are_counted(tmp_path):
+def test_bad_frames_of_the_recording_are_counted(tmp_path):
     copy = write_capture(tmp_path / "bad", timed=True, count=3)
     index = json.loads((copy / "capture.json").read_text())
     (copy / index["frames"][1]["depth"]).write_bytes(b"no PNG")
@@ -253,10 +253,20 @@ def test_frames_of_the_recording_that_are_bad_are_counted(tmp_path):
     assert (room.tally.unreadable, room.tally.sent, room.tally.frames) == (1, 2, 3)
 
 
-def test_what_cannot_be_asked():
+def test_impossible_options_are_refused():
     for wrong in ({"fps": 0.0}, {"fps": float("nan")}, {"in_flight": 0}):
-        with pytest.raises(CaptureError, match="must be"):
+        with pytest.raises(OptionError, match="must be"):
             StreamOptions(**wrong)
+
+
+def test_the_probe_is_a_position_a_pixel_or_a_default(timed):
+    first = next(iter(open_capture(timed)))
+    assert StreamOptions(probe=PROBE).probe_position(first) == PROBE
+    pixel = StreamOptions(pixel=(20.0, 10.0), above_m=0.3)
+    assert pixel.probe_position(first) == point_at_pixel(first, 20.0, 10.0, above_m=0.3)
+    assert StreamOptions().probe_position(first)[1] == pytest.approx(first.camera_to_world[1, 3], abs=1e-3)
+    with pytest.raises(OptionError, match="pixel is 48,5"):
+        played(timed, StreamOptions(pixel=(48.0, 5.0)))
 
 
 def test_percentiles():
@@ -266,30 +276,23 @@ def test_percentiles():
 
 # --- the command, and a real server -----------------------------------------------------------------------------
 
-app = typer.Typer()
-app.command()(stream_command.stream)
 
-
-@app.command()
-def other() -> None:
-    """A second command, so that the first keeps its name."""
-
-
-def test_the_command_against_a_real_server(timed):
+def test_the_command_against_a_real_server(timed, roomlight):
     with RunningServer(model="classical") as running:
         url = f"http://127.0.0.1:{running.port}"
         arguments = ["stream", str(timed), "--server", url, "--height", "16", "--session", "film", "--keep"]
-        shown = CliRunner().invoke(app, [*arguments, "--fps", "1000", "--in-flight", "8", "--colour", "exact"])
-        assert shown.exit_code == 0, shown.output
+        arguments += ["--fps", "1000", "--in-flight", "8", "--colour", "exact", "--model", "classical"]
+        result = roomlight(*arguments)
+        assert result.code == 0, result.err
         state = running.state("film")
-        assert "film" in shown.output
-        assert "frames sent" in shown.output
-        assert "main light" in shown.output
+        assert "film" in result.out
+        assert "frames sent" in result.out
+        assert "main light" in result.out
         assert state["frames"]["accepted"] + state["frames"]["refused"] == 6
         assert set(state["probes"]) == {"stream"}
 
 
-def test_streamed_exactly_and_one_at_a_time_it_is_the_engine_s_light(timed):
+def test_exact_frames_one_at_a_time_give_the_engine_s_light(timed):
     """With nothing dropped, a stream of exact frames is a replay."""
     direct = Session(SessionOptions(model="classical", height=16))
     for frame in open_capture(timed):
@@ -301,7 +304,7 @@ def test_streamed_exactly_and_one_at_a_time_it_is_the_engine_s_light(timed):
             room = Room()
 
             async def wait(_):
-                while room._on_their_way():
+                while room._unanswered():
                     changed.clear()
                     await changed.wait()
 
@@ -318,38 +321,39 @@ def test_streamed_exactly_and_one_at_a_time_it_is_the_engine_s_light(timed):
 
 
 @pytest.mark.parametrize(("keep", "said"), [([], "the session is deleted"), (["--keep"], "the session stays")])
-def test_ctrl_c_ends_the_command_with_what_was_done(timed, monkeypatch, keep, said):
+def test_ctrl_c_prints_what_was_done(timed, monkeypatch, roomlight, keep, said):
     async def interrupted(*_, tally, show):
         tally.frames, tally.sent, tally.processed, tally.session_id = 6, 3, 2, "room"
         tally.busy = 1
         show(replace(tally, pace=0.5))
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("roomlight_cli.stream.stream", interrupted)
-    shown = CliRunner().invoke(app, ["stream", str(timed), *keep])
-    assert shown.exit_code == 130
-    assert "3 of 6 frames sent, 2 in the light" in shown.output
-    assert "1 server busy" in shown.output
-    assert said in shown.output
+    monkeypatch.setattr("roomlight_cli.commands.stream.play", interrupted)
+    result = roomlight("stream", timed, *keep)
+    assert result.code == 130
+    assert "3 of 6 frames sent, 2 in the light" in result.out
+    assert "1 server busy" in result.out
+    assert said in result.err
 
 
-def test_an_error_on_the_way_ends_the_command_after_what_was_done(timed, monkeypatch):
+def test_an_error_is_printed_after_what_was_done(timed, monkeypatch, roomlight):
     async def broken(*_, tally, show):
         tally.frames, tally.sent, tally.processed = 6, 3, 2
         show(tally)
-        raise sdk.UnreachableError("nobody there")
+        raise sdk.UnreachableError("no answer")
 
-    monkeypatch.setattr("roomlight_cli.stream.stream", broken)
-    shown = CliRunner().invoke(app, ["stream", str(timed)])
-    assert isinstance(shown.exception, sdk.UnreachableError)
-    assert "3 of 6 frames sent, 2 in the light" in shown.output
+    monkeypatch.setattr("roomlight_cli.commands.stream.play", broken)
+    result = roomlight("stream", timed)
+    assert result.code == 1
+    assert result.err.strip() == "error: no answer"
+    assert "3 of 6 frames sent, 2 in the light" in result.out
 
 
 @pytest.mark.parametrize(
     "options",
     [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu"), SessionOptions(allow_untrained=True)],
 )
-def test_options_of_the_engine_here_mean_nothing_elsewhere(options):
+def test_engine_options_are_refused_for_a_server(options):
     with pytest.raises(typer.BadParameter, match="roomlight serve"):
-        stream_command.refuse_local_model("http://room.test", options)
-    stream_command.refuse_local_model("http://room.test", SessionOptions())
+        refuse_local_model("http://room.test", options)
+    refuse_local_model("http://room.test", SessionOptions())

@@ -21,7 +21,7 @@ from roomlight_cli.dataset_check import check
 from roomlight_cli.dataset_preview import write_previews
 from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
 from roomlight_cli.dataset_tables import print_stats
-from roomlight_cli.lazy import CONTEXT_SETTINGS
+from roomlight_cli.lazy import APP_OPTIONS
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
 from roomlight_generator.rooms.furniture import build_cache
@@ -30,10 +30,7 @@ from roomlight_generator.sample import SEED, generate_sample
 from roomlight_generator.stats import collect
 
 app = typer.Typer(
-    help="Generate, view, measure and check datasets of path-traced rooms.",
-    no_args_is_help=True,
-    pretty_exceptions_enable=False,
-    context_settings=CONTEXT_SETTINGS,
+    help="Generate, view, measure and check datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
 )
 
 DatasetFolder = Annotated[Path, typer.Argument(help="A dataset folder.")]

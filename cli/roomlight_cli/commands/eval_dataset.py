@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import typer
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.dataset.loader import Dataset
@@ -57,8 +56,7 @@ def eval_dataset(
     others = [_named_folder(text) for text in also or ()]
     session = SessionOptions(model="auto", weights=weights, provider=provider, allow_untrained=allow_untrained)
     methods = _methods(session, others)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    with Progress(*columns, console=console.err, transient=True) as bars:
+    with console.progress_bars() as bars:
         task = bars.add_task("scoring", total=None)
         scores, rows = evaluate_dataset(
             Dataset(data, split),

@@ -18,9 +18,9 @@ _LIMITS: Final = "Limits"
 _LOGS: Final = "Logs"
 
 
-def _flag(panel: str, text: str, **bounds: Any) -> Any:
+def _flag(panel: str, text: str, *names: str, **bounds: Any) -> Any:
     """Declare an option without a default: the environment variable or the server's default applies."""
-    return typer.Option(rich_help_panel=panel, help=text, show_default=False, **bounds)
+    return typer.Option(*names, rich_help_panel=panel, help=text, show_default=False, **bounds)
 
 
 @app.command()
@@ -60,7 +60,7 @@ def serve(
         int | None, _flag(_LIMITS, "Sessions whose frames are processed at the same time (default: 1).")
     ] = None,
     log_level: Annotated[str | None, _flag(_LOGS, "debug, info, warning or error (default: info).")] = None,
-    access_log: Annotated[bool, _flag(_LOGS, "Log a line for each request.")] = False,
+    access_log: Annotated[bool, _flag(_LOGS, "Log a line for each request.", "--access-log")] = False,
 ) -> None:
     """Serve lighting sessions over HTTP and WebSocket: frames in, light out.
 
