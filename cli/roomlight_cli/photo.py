@@ -26,7 +26,7 @@ from roomlight.frame import ASPECT_TOLERANCE, Frame
 from roomlight.images import decode_colour, exif_camera, read_bytes, write_exr, write_png
 from roomlight.light.light import Light
 from roomlight.placement import ABOVE_M, point_at_pixel
-from roomlight.spheres import SphereRenderer, view_toward
+from roomlight.spheres import Material, SphereRenderer, view_toward
 
 DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
@@ -263,7 +263,8 @@ def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:
     """Draw a mirror and a glossy sphere under the light, labelled, as 8-bit sRGB."""
     canvas = Canvas(2 * _SPHERE + 3 * _GAP, _SPHERE + 2 * _GAP + LABEL_ROWS)
     spheres = SphereRenderer(view, size=_SPHERE)
-    for left, material in ((_GAP, "mirror"), (_SPHERE + 2 * _GAP, "glossy")):
+    materials: tuple[Material, Material] = ("mirror", "glossy")
+    for left, material in zip((_GAP, _SPHERE + 2 * _GAP), materials, strict=True):
         canvas.text((left, _GAP), f"{material} sphere", width=_SPHERE)
         canvas.sphere((left, _GAP + LABEL_ROWS), light.panorama, spheres, material)
     return canvas.image

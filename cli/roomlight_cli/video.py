@@ -17,11 +17,12 @@ from jaxtyping import Float, UInt8
 
 from roomlight.drawing import LABEL_ROWS, Canvas
 from roomlight.errors import OptionError, OutputError
-from roomlight.spheres import SphereRenderer
+from roomlight.spheres import Material, SphereRenderer
 
 MAX_PROBES: Final = 6
 """More rows would make a picture larger than screens; all probes are in the EXR files."""
 
+_MATERIALS: Final[tuple[Material, Material]] = ("mirror", "glossy")
 _MARGIN: Final = 16
 _GAP: Final = 10
 _FRAME_ROWS: Final = 384
@@ -151,7 +152,8 @@ class ReplayPicture:
         for title, spheres, panorama in zip(self._probes, self._spheres, panoramas, strict=False):
             canvas.text((left, top), title, width=2 * rows)
             canvas.picture((left, top + LABEL_ROWS), panorama, size=(2 * rows, rows))
-            for column, material in ((left + 2 * rows + _GAP, "mirror"), (left + 3 * rows + 2 * _GAP, "glossy")):
+            columns = (left + 2 * rows + _GAP, left + 3 * rows + 2 * _GAP)
+            for column, material in zip(columns, _MATERIALS, strict=True):
                 canvas.text((column, top), f"{material} sphere", width=rows)
                 canvas.sphere((column, top + LABEL_ROWS), panorama, spheres, material)
             top += LABEL_ROWS + rows + _GAP
