@@ -1,1 +1,1 @@
-"""From PyTorch checkpoints to verified ONNX graphs."""
+"""Export PyTorch checkpoints to verified ONNX graphs, and import them back."""

@@ -1,8 +1,7 @@
-"""From a checkpoint to a verified model folder: `export_checkpoint`.
+"""Export a checkpoint to a verified model folder: `export_checkpoint`.
 
-The folder holds `model.json`, one ONNX file a graph (`roomlight_export.graphs` has names and shapes), and
-under `ort/` the same graphs in ONNX Runtime's own format for phones. It appears whole and verified, or not at
-all.
+The folder holds `model.json`, one ONNX file for each graph (`roomlight_export.graphs` has names and shapes), and in
+`ort/` the same graphs in ONNX Runtime's own format for phones. It is created atomically, after verification.
 """
 
 import hashlib
@@ -34,13 +33,15 @@ from roomlight_export.parity import (
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
 from roomlight_model.networks import SingleModel, VideoModel
 
+ProgressCallback = Callable[[str], object]
+
 RECURRENT_STEPS = 8
 """Steps after frame 0 over which parity is checked."""
 
 
 @dataclass(frozen=True)
 class ExportReport:
-    """What was written and how near it is to PyTorch."""
+    """The files written and their differences to PyTorch."""
 
     out: Path
     form: str
@@ -64,15 +65,22 @@ def export_checkpoint(
     *,
     ort: bool = True,
     tolerance: float = TOLERANCE,
-    progress: Callable[[str], None] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> ExportReport:
     """Write a verified model folder from a checkpoint; an older model folder at `out` is replaced.
 
-    `ort` also writes the `.ort` files; `progress` hears what is being done. Raises ModelError for a
-    checkpoint that does not load or a graph that differs from PyTorch by more than `tolerance`, OutputError
-    for a place that cannot be written or holds something else.
+    Args:
+        checkpoint: The checkpoint file.
+        out: The folder to write.
+        ort: Whether to write the `.ort` files too.
+        tolerance: Largest difference to PyTorch.
+        progress: Receives a message at the start of each step.
+
+    Raises:
+        ModelError: The checkpoint does not load, or a graph differs from PyTorch by more than `tolerance`.
+        OutputError: `out` cannot be written, or holds other files.
     """
-    say = progress or _say_nothing
+    report_step: ProgressCallback = progress or _ignore
     loaded = load_checkpoint(checkpoint)
     check_target(out)
     rounded = cast("SingleModel | VideoModel", half_rounded(loaded.model, str(checkpoint)))
@@ -80,15 +88,15 @@ def export_checkpoint(
     graphs = {graph.name: graph for graph in graphs_of(rounded)}
     with new_folder(out) as folder:
         for name, graph in graphs.items():
-            say(f"exporting {name}")
+            report_step(f"exporting {name}")
             _write(folder / f"{name}.onnx", to_onnx(graph, metadata=_metadata(loaded, name)))
-        say(f"comparing with PyTorch over {RECURRENT_STEPS} recurrent steps")
+        report_step(f"comparing with PyTorch over {RECURRENT_STEPS} recurrent steps")
         parity = _verify(loaded, folder, graphs, originals)
-        _hold(parity, tolerance, checkpoint)
+        _check_parity(parity, tolerance, checkpoint)
         if ort:
             (folder / "ort").mkdir()
             for name, graph in graphs.items():
-                say(f"writing {name}.ort")
+                report_step(f"writing {name}.ort")
                 write_ort(folder / f"{name}.onnx", folder / "ort" / f"{name}.ort", graph, tolerance=tolerance)
         report = ExportReport(
             out=out,
@@ -104,7 +112,7 @@ def export_checkpoint(
     return report
 
 
-def _say_nothing(_: str) -> None:
+def _ignore(_: str) -> None:
     pass
 
 
@@ -140,7 +148,7 @@ def _verify(
     }
 
 
-def _hold(parity: Mapping[str, Parity], tolerance: float, checkpoint: Path) -> None:
+def _check_parity(parity: Mapping[str, Parity], tolerance: float, checkpoint: Path) -> None:
     for network, result in parity.items():
         name, worst = max(result.error.items(), key=lambda entry: entry[1])
         if not worst <= tolerance:

@@ -1,4 +1,4 @@
-"""A model folder that appears whole: written beside its place under a hidden name, then renamed."""
+"""Create a model folder atomically: it is written under a hidden name beside its place, then renamed."""
 
 import json
 import shutil
@@ -12,19 +12,24 @@ from roomlight.errors import OutputError
 
 
 def check_target(out: Path) -> None:
-    """Refuse a place that cannot become a model folder, before any work. Raises OutputError.
+    """Check, before any work, that a model folder can be written here: only an empty or a model folder is replaced.
 
-    A folder is replaced only if it is empty or is a model folder itself.
+    Raises:
+        OutputError: The path is a file, or a folder with other content.
     """
     if out.exists() and not out.is_dir():
         raise OutputError(f"{out}: is a file; give the name of a folder for the model")
     if out.is_dir() and any(out.iterdir()) and not _is_model(out):
-        raise OutputError(f"{out}: holds something else than a model; choose a new folder")
+        raise OutputError(f"{out}: holds other files than a model's; choose a new folder")
 
 
 @contextmanager
 def new_folder(out: Path) -> Generator[Path]:
-    """A temporary folder beside `out`: takes its place when the block ends well, vanishes when not."""
+    """Yield a temporary folder beside `out` that replaces it at the end of the block; an exception removes it.
+
+    Raises:
+        OutputError: The folder cannot be written, or `out` has become a folder with other content.
+    """
     target = out.absolute()
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
@@ -33,7 +38,7 @@ def new_folder(out: Path) -> Generator[Path]:
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from error
     try:
         yield temporary
-        temporary.chmod(0o755)  # mkdtemp's is for the owner only, a server may be someone else
+        temporary.chmod(0o755)  # mkdtemp's folder is for its owner only; a server may be another user
         _take_place(temporary, target)
     except OSError as error:
         raise OutputError(f"{out}: cannot be written ({error.strerror or error})") from error

@@ -1,7 +1,7 @@
-"""The graphs of a model: which network becomes which ONNX file, with its inputs and outputs.
+"""The ONNX graphs of a model, with their inputs and outputs.
 
-Names, shapes and order here are the interface to whatever runs the graphs. Encoders, GRUs and decoders are
-separate so that a server can keep states bound between them. Volumes are [z, y, x]; all tensors are float32.
+Names, shapes and order are the interface to the programs that run the graphs. Encoders, GRUs and decoders are separate
+graphs, so that a server can keep states bound between them. Volumes are [z, y, x]; all tensors are float32.
 """
 
 from dataclasses import dataclass
@@ -10,9 +10,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
 from roomlight_model.layers import ConvGRU
 from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
 from roomlight_model.volume_networks import SGDecoder, SGVolume, merge
 
 Shape = tuple[int, ...]
@@ -29,7 +29,7 @@ class Graph:
 
 
 class _FirstDecoder(nn.Module):
-    """The single-view decoder without batch dimension at its outputs: the renderer's layout."""
+    """The single-view decoder without a batch dimension at its outputs, as the renderer takes them."""
 
     def __init__(self, decoder: SGDecoder) -> None:
         super().__init__()
@@ -41,7 +41,7 @@ class _FirstDecoder(nn.Module):
 
 
 class _MergingDecoder(nn.Module):
-    """The recurrent decoder and its merge with the previous volume."""
+    """The recurrent decoder and the merge with the previous volume."""
 
     def __init__(self, decoder: SGDecoder) -> None:
         super().__init__()
@@ -60,7 +60,7 @@ class _MergingDecoder(nn.Module):
 
 
 class _TwoGRUs(nn.Module):
-    """The GRUs of both levels in one graph: one call a frame."""
+    """The GRUs of both levels in one graph, for one call per frame."""
 
     def __init__(self, gru0: ConvGRU, gru1: ConvGRU) -> None:
         super().__init__()
@@ -72,14 +72,14 @@ class _TwoGRUs(nn.Module):
 
 
 def graphs_of(model: SingleModel | VideoModel) -> list[Graph]:
-    """All graphs of a model: four for the single-view form; ten for the video form, those four included."""
+    """Return all graphs of a model: four of the single-view form; ten of the video form, including those four."""
     if isinstance(model, VideoModel):
         return _single_graphs(model.single) + _video_graphs(model)
     return _single_graphs(model)
 
 
 def sample_inputs(graph: Graph) -> tuple[Tensor, ...]:
-    """Zeros of the graph's input shapes, for tracing."""
+    """Return zeros of the graph's input shapes, for tracing."""
     return tuple(torch.zeros(shape) for shape in graph.inputs.values())
 
 

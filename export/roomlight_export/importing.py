@@ -1,8 +1,8 @@
-"""From a model folder back to PyTorch: `load_exported`, so that training can go on from weights that were shipped.
+"""Load a model folder into PyTorch with `load_exported`, so that training can continue from shipped weights.
 
-The files hold weights under the names they have in their networks, in half precision (`onnx_file`); those of a group
-normalisation, which the exporter unfolds and leaves nameless, are known by the convolution before it. What comes back
-is what the graphs compute with: the checkpoint's weights rounded to half.
+The files hold weights in half precision (`onnx_file`) under their names in the networks. The exporter unfolds group
+normalisations and drops their weights' names; the convolution before each identifies them. The loaded weights are the
+checkpoint's, rounded to half precision, as the graphs use them.
 """
 
 import hashlib
@@ -23,15 +23,16 @@ from roomlight_model.networks import build
 
 
 def load_weights(path: Path) -> Checkpoint:
-    """A checkpoint file, or a model folder of `roomlight export`. Raises ModelError."""
+    """Load a checkpoint file, or a model folder of `roomlight export`. Raises ModelError."""
     return load_exported(path) if path.is_dir() else load_checkpoint(path)
 
 
 def load_exported(folder: Path) -> Checkpoint:
-    """The networks of a model folder, in PyTorch, with the folder's card.
+    """Load the networks of a model folder into PyTorch, with the folder's card.
 
-    Raises ModelError for what is no model folder, a graph that its `model.json` does not name, a weight that is missing
-    or does not fit.
+    Raises:
+        ModelError: The folder is not a model folder, a graph is not the one in `model.json`, or a weight is missing
+            or does not fit.
     """
     described = read_description(folder)
     try:
@@ -45,13 +46,13 @@ def load_exported(folder: Path) -> Checkpoint:
 
 
 def _fill(graph: Graph, path: Path, entry: object) -> None:
-    """Put a file's weights into the graph's network."""
+    """Copy a file's weights to the graph's network."""
     try:
         data = path.read_bytes()
     except OSError as error:
         raise ModelError(f"{path}: cannot be read ({error.strerror or error}); export the checkpoint again") from error
     if not isinstance(entry, dict) or hashlib.sha256(data).hexdigest() != entry.get("sha256"):
-        raise ModelError(f"{path}: is not the graph that {DESCRIPTION} names (digest differs); export again")
+        raise ModelError(f"{path}: is not the graph that {DESCRIPTION} names: the digest differs; export again")
     stored = _weights(onnx.load_from_string(data).graph)
     with torch.no_grad():
         for name, weight in graph.module.named_parameters():
@@ -66,7 +67,7 @@ def _fill(graph: Graph, path: Path, entry: object) -> None:
 
 
 def _weights(graph: GraphProto) -> dict[str, Float[np.ndarray, "..."]]:
-    """All of a graph's constants by name, and the normalisations' by the names of their modules."""
+    """Return a graph's constants by name, with those of normalisations by the names of their modules."""
     weights = {
         tensor.name.removesuffix(".half"): numpy_helper.to_array(tensor).astype(np.float32)
         for tensor in graph.initializer
@@ -82,6 +83,6 @@ def _weights(graph: GraphProto) -> dict[str, Float[np.ndarray, "..."]]:
         shift = uses[scale.output[0]]
         sequence, _, place = convolution.input[1].removesuffix(".weight").rpartition(".")
         for name, step in (("weight", scale), ("bias", shift)):
-            if step.input[1] in weights:  # the exporter leaves ones and zeros out, as untrained networks have them
+            if step.input[1] in weights:  # the exporter omits ones and zeros, which untrained networks have
                 weights[f"{sequence}.{int(place) + 1}.{name}"] = weights[step.input[1]].reshape(-1)
     return weights

@@ -1,7 +1,7 @@
-"""Plausible input for verifying graphs: a box room's initial volume and a probe's panoramas over time.
+"""Realistic inputs for verifying graphs: the initial volume of a box room and a probe's panoramas over time.
 
-Random noise would leave e, the clearing and most of the tensors' range untested. Volumes are [channel, z, y,
-x] on the paper's volume table; panoramas [channel, H, 2H]. Deterministic in the seed.
+Random noise would not test e, the clearing and most of the tensors' range. Volumes are [channel, z, y, x] in the
+paper's volume range; panoramas are [channel, H, 2H]. The same seed gives the same inputs.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ _RANGE: Final = VOLUME_RANGE[::-1]
 
 
 def room_volume(shape: tuple[int, int, int], *, frame: int, seed: int = 0) -> Float[np.ndarray, "1 5 z y x"]:
-    """The initial volume (c, alpha, e) of a textured box room with lamps of 20 x white; the view pans."""
+    """Compute the initial volume (c, alpha, e) of a textured box room with lamps of 20 x white; the view pans."""
     z, y, x = np.meshgrid(
         *(
             low + (np.arange(count) + 0.5) * (high - low) / count
@@ -46,7 +46,7 @@ def room_volume(shape: tuple[int, int, int], *, frame: int, seed: int = 0) -> Fl
 
 @dataclass(frozen=True)
 class ProbeFrame:
-    """What is rendered at a probe for one frame, and what it remembers; depth in units of D_max."""
+    """The network inputs at a probe for one frame; depth in units of D_max."""
 
     single_panels: Float[np.ndarray, "1 8 h w"]
     video_panels: Float[np.ndarray, "1 13 h w"]
@@ -54,7 +54,7 @@ class ProbeFrame:
 
 
 def probe_frames(height: int, *, frames: int, seed: int = 0) -> list[ProbeFrame]:
-    """Panoramas of a probe over time: the visible part turns, depth wobbles, the memory accumulates."""
+    """Compute panoramas of a probe over time: the visible part rotates, depth varies, detail accumulates."""
     random = np.random.default_rng(seed)
     hdr = np.exp(2 * _smooth(random, height, 3))
     detail = np.clip(hdr * np.exp(0.3 * _smooth(random, height, 3, grid=24)), 0, 1)

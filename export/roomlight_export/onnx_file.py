@@ -1,7 +1,7 @@
-"""One graph to one ONNX model: static shapes, weights stored in half precision, metadata, checked.
+"""Convert a graph to an ONNX model: static shapes, weights in half precision, metadata; the result is checked.
 
-Weights are float16 initializers followed by a Cast to float32: half the download, computed in float32. ONNX
-Runtime and OpenVINO fold the Cast when a session is made.
+Weights are float16 initializers followed by a Cast to float32: half the download size, computed in float32. ONNX
+Runtime and OpenVINO fold the Cast when they create a session.
 """
 
 import copy
@@ -20,13 +20,14 @@ from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph, sample_inputs
 
 OPSET = 20
-"""The oldest that has all we use; what the plain CPU providers of phones and OpenVINO both read."""
+"""The oldest opset with all operators used here; OpenVINO and the CPU providers of phones support it."""
 
 
 def half_rounded(module: nn.Module, name: str) -> nn.Module:
-    """A copy of a network with every weight rounded to float16 and kept in float32: what the files will hold.
+    """Copy a network with every weight rounded to float16 but kept in float32: the precision of the files.
 
-    Raises ModelError for a weight beyond float16's range.
+    Raises:
+        ModelError: A weight is beyond float16's range.
     """
     rounded = copy.deepcopy(module).eval()
     with torch.no_grad():
@@ -40,7 +41,11 @@ def half_rounded(module: nn.Module, name: str) -> nn.Module:
 
 
 def to_onnx(graph: Graph, *, metadata: Mapping[str, str]) -> ModelProto:
-    """Trace a graph whose weights are `half_rounded`, store them as float16, and check the result."""
+    """Trace a graph whose weights are `half_rounded`, store them as float16, and check the result.
+
+    Raises:
+        ModelError: The graph does not export, or its inputs and outputs are not the stated ones.
+    """
     with _quiet():
         program = torch.onnx.export(
             graph.module.eval(),
@@ -64,7 +69,7 @@ def to_onnx(graph: Graph, *, metadata: Mapping[str, str]) -> ModelProto:
 
 @contextmanager
 def _quiet() -> Generator[None]:
-    """Keep the exporter's remarks from the terminal: torchvision's absence and its own deprecations."""
+    """Silence the exporter's messages about torchvision and its own deprecations."""
     logger = logging.getLogger("torch.onnx")
     level = logger.level
     logger.setLevel(logging.ERROR)
@@ -77,7 +82,7 @@ def _quiet() -> Generator[None]:
 
 
 def _strip_traces(model: ModelProto) -> None:
-    """Drop the stack traces that the exporter hangs on each node: half the bytes, and local paths."""
+    """Remove the stack traces that the exporter adds to each node: half the bytes, and local paths."""
     parts = [model, model.graph, *model.graph.node, *model.graph.value_info]
     parts += [*model.graph.input, *model.graph.output, *model.graph.initializer]
     for part in parts:
@@ -114,7 +119,7 @@ def _check(model: ModelProto, graph: Graph) -> None:
         raise ModelError(f"{graph.name}: the exported graph is not valid ONNX ({error})") from error
     opset = {entry.domain: entry.version for entry in model.opset_import}.get("", 0)
     if opset < OPSET:
-        raise ModelError(f"{graph.name}: exported at opset {opset}, {OPSET} or newer was asked for")
+        raise ModelError(f"{graph.name}: exported at opset {opset}; {OPSET} or newer is needed")
     for kind, entries, wanted in (
         ("input", model.graph.input, graph.inputs),
         ("output", model.graph.output, graph.outputs),
@@ -123,4 +128,4 @@ def _check(model: ModelProto, graph: Graph) -> None:
             entry.name: tuple(int(axis.dim_value) for axis in entry.type.tensor_type.shape.dim) for entry in entries
         }
         if found != {name: tuple(shape) for name, shape in wanted.items()}:
-            raise ModelError(f"{graph.name}: its {kind}s came out as {found}, meant were {wanted}")
+            raise ModelError(f"{graph.name}: its {kind}s are {found}; expected {wanted}")

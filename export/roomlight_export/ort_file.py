@@ -1,8 +1,8 @@
-"""`.ort` files for phones: ONNX Runtime's own format at level `extended`, for its plain CPU provider.
+"""`.ort` files for phones: ONNX Runtime's own format at level `extended`, for its CPU provider.
 
-CoreML and XNNPACK have no 3D convolution, so the CPU provider it is. `extended` is the last level that does
-not depend on the machine (above it the layout is made for the exporter's own CPU). Folding the weights' Cast
-makes them float32 here: twice the ONNX file's size, for no conversion on the phone.
+CoreML and XNNPACK have no 3D convolution, which leaves the CPU provider. `extended` is the highest level that does not
+depend on the machine; above it, the memory layout is the exporting CPU's. Folding the weights' Cast makes them float32:
+twice the ONNX file's size, but no conversion on the phone.
 """
 
 from pathlib import Path
@@ -16,7 +16,11 @@ from roomlight_export.parity import Tensors, difference, session_runner
 
 
 def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> None:
-    """Convert one ONNX file, then load the result and run both once on the same input. Raises ModelError."""
+    """Convert an ONNX file, load the result, and compare both on the same input.
+
+    Raises:
+        ModelError: The outputs differ by more than `tolerance`.
+    """
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
     options.optimized_model_filepath = str(target)

@@ -1,7 +1,7 @@
-"""Do the graphs compute what PyTorch computes? Both run the paper's recursion over the same frames.
+"""Compare the graphs with PyTorch: both run the paper's recursion over the same frames.
 
-One step would not tell: a state that drifts shows only after several. The same recursion code drives ONNX
-Runtime and PyTorch, through a function that runs one graph by name.
+A drifting state shows only after several steps, so that one step is not enough. The same recursion code runs ONNX
+Runtime and PyTorch, through a function that runs a graph by name.
 """
 
 from collections.abc import Callable, Mapping
@@ -16,7 +16,7 @@ from roomlight_export.inputs import ProbeFrame
 
 Tensors = dict[str, np.ndarray]
 Run = Callable[[str, Tensors], Tensors]
-"""Runs the graph of that name."""
+"""Runs the graph of a name."""
 
 TOLERANCE = 1e-3
 """Largest difference allowed between a graph and PyTorch with the same half-rounded weights, over all steps.
@@ -33,18 +33,18 @@ class Parity:
 
     steps: int
     error: dict[str, float]
-    """ONNX Runtime against PyTorch with the same weights: held to the tolerance."""
+    """ONNX Runtime against PyTorch with the same weights; must be within the tolerance."""
     rounding: dict[str, float]
-    """ONNX Runtime against PyTorch with the unrounded float32 weights: what half precision costs."""
+    """ONNX Runtime against PyTorch with the unrounded float32 weights: the cost of half precision."""
 
     @property
     def largest(self) -> float:
-        """The largest entry of `error`."""
+        """Largest entry of `error`."""
         return max(self.error.values())
 
 
 def torch_runner(graphs: Mapping[str, Graph]) -> Run:
-    """Run graphs as PyTorch modules."""
+    """Return a function that runs graphs as PyTorch modules."""
 
     def run(name: str, inputs: Tensors) -> Tensors:
         graph = graphs[name]
@@ -58,7 +58,7 @@ def torch_runner(graphs: Mapping[str, Graph]) -> Run:
 
 
 def session_runner(sessions: Mapping[str, onnxruntime.InferenceSession]) -> Run:
-    """Run graphs as ONNX Runtime sessions."""
+    """Return a function that runs graphs as ONNX Runtime sessions."""
 
     def run(name: str, inputs: Tensors) -> Tensors:
         session = sessions[name]
@@ -77,8 +77,10 @@ def compare_volumes(tested: Run, rounded: Run, original: Run, *, volumes: list[n
 
 
 def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[ProbeFrame], recurrent: bool) -> Parity:
-    """Compare the 2D networks over a probe's frames. Panels are given, not accumulated from the outputs: the
-    conservative rule is a step function, and one pixel on its edge would look like an error of 1.
+    """Compare the 2D networks over a probe's frames.
+
+    Inputs are given, not accumulated from the outputs: the conservative rule is a step function, and a pixel at its
+    threshold would count as an error of 1.
     """
     return _compare(
         [_run_blending(run, frames, recurrent=recurrent) for run in (tested, rounded, original)], len(frames)
@@ -123,7 +125,7 @@ def _run_blending(run: Run, frames: list[ProbeFrame], *, recurrent: bool) -> lis
 
 
 def difference(name: str, first: np.ndarray, second: np.ndarray) -> float:
-    """Largest difference of one output; NaN counts as infinite. c, w, lambda of `lobes` in log(1 + x)."""
+    """Return the largest difference of one output: NaN is infinite; c, w, lambda of `lobes` as log(1 + x)."""
     if name == "lobes":
         first, second = _compress(first), _compress(second)
     worst = float(np.abs(first - second).max())

@@ -1,7 +1,7 @@
-"""What each width costs: parameters, multiply-adds and milliseconds, measured on this machine in one run.
+"""Measure the cost of each network width: parameters, multiply-adds and milliseconds, on this machine in one run.
 
-The table in `model/NETWORKS.md` comes from here. Times are the least of many runs, because other work on the machine
-only ever adds; weights are untrained, which changes nothing about time. Sessions are the server's own.
+This gives the table in `docs/networks.md`. Times are the minimum of many runs, because other processes only add time.
+Weights are untrained, which does not change the time. Sessions are created as the server does.
 """
 
 import math
@@ -17,6 +17,7 @@ from torch.utils.flop_counter import FlopCounterMode
 
 from roomlight.engine.providers import open_graph, openvino_device
 from roomlight.threads import thread_count
+from roomlight_export.exporting import ProgressCallback
 from roomlight_export.graphs import Graph, graphs_of, sample_inputs
 from roomlight_export.inputs import room_volume
 from roomlight_export.onnx_file import half_rounded, to_onnx
@@ -34,12 +35,12 @@ CONFIGS: tuple[ModelConfig, ...] = (
     ModelConfig(SGConfig(channels=48, full_channels=24), BlendConfig(channels=48, full_channels=16)),
     ModelConfig(SGConfig(channels=64, full_channels=32), BlendConfig(channels=64, full_channels=32)),
 )
-"""From a quarter of the paper's widths (its figure, as we read it) to all of them."""
+"""From a quarter of the paper's widths (as read from its figure) to the full widths."""
 
 
 @dataclass(frozen=True)
 class GraphCost:
-    """One graph's cost; NaN where a runtime is not there."""
+    """One graph's cost; NaN for a runtime that is not installed."""
 
     parameters: int
     gmac: float
@@ -48,7 +49,7 @@ class GraphCost:
     openvino_ms: float
 
     def __add__(self, other: "GraphCost") -> "GraphCost":
-        """Cost of running both, one after the other."""
+        """Add the cost of running both, one after the other."""
         return GraphCost(
             self.parameters + other.parameters,
             self.gmac + other.gmac,
@@ -73,23 +74,23 @@ def measure_widths(
     configs: Sequence[ModelConfig] = CONFIGS,
     *,
     rounds: int = 15,
-    progress: Callable[[str], None] | None = None,
+    progress: ProgressCallback | None = None,
 ) -> list[WidthRow]:
-    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, where it serves, OpenVINO at bf16.
+    """Measure each configuration's graphs in PyTorch, ONNX Runtime and, if available, OpenVINO at bf16.
 
-    Everything is prepared first and then timed in rounds over all configurations, so that a busy minute of
-    the machine falls on all of them and the least times compare.
+    All graphs are prepared first and then timed in rounds over all configurations, so that a busy minute of the
+    machine affects all of them and the minimum times are comparable. `progress` receives a message for each step.
     """
-    say = progress or _say_nothing
+    report_step: ProgressCallback = progress or _ignore
     before = torch.get_num_threads()
     torch.set_num_threads(thread_count())
     try:
         prepared: list[tuple[ModelConfig, dict[str, _Prepared]]] = []
         for config in configs:
-            say(f"exporting {describe(config)}")
+            report_step(f"exporting {describe(config)}")
             prepared.append((config, _prepare(config)))
         for index in range(rounds):
-            say(f"timing, round {index + 1} of {rounds}")
+            report_step(f"timing, round {index + 1} of {rounds}")
             for _, graphs in prepared:
                 for graph in graphs.values():
                     graph.time_once()
@@ -99,7 +100,7 @@ def measure_widths(
 
 
 def describe(config: ModelConfig) -> str:
-    """Widths in short: half / full resolution channels, and what differs from the defaults."""
+    """Describe the widths in short: channels at half / full resolution, and differences from the defaults."""
     sg, blend, default = config.sg, config.blend, SGConfig()
     text = f"SG {sg.channels}/{sg.full_channels}, blend {blend.channels}/{blend.full_channels}"
     if sg.full_layers != default.full_layers:
@@ -112,7 +113,7 @@ def describe(config: ModelConfig) -> str:
 
 
 def format_widths(rows: Sequence[WidthRow]) -> str:
-    """The rows as a Markdown table; times are PyTorch fp32 / ONNX Runtime CPU fp32 / OpenVINO bf16, in ms."""
+    """Format the rows as a Markdown table; times are PyTorch fp32 / ONNX Runtime CPU fp32 / OpenVINO bf16, in ms."""
 
     def cell(cost: GraphCost) -> str:
         times = (cost.torch_ms, cost.ort_ms, cost.openvino_ms)
@@ -131,13 +132,13 @@ def format_widths(rows: Sequence[WidthRow]) -> str:
 
 
 class _Prepared:
-    """One graph with everything that can run it, and the least time each took so far."""
+    """One graph with the runtimes that can run it, and the minimum time of each."""
 
     def __init__(self, graph: Graph) -> None:
         inputs = sample_inputs(graph)
         feed = {name: value.numpy() for name, value in zip(graph.inputs, inputs, strict=True)}
         random = np.random.default_rng(0)
-        for name, value in feed.items():  # zeros would flatter a runtime that skips them
+        for name, value in feed.items():  # some runtimes are faster on zeros
             if name == "volume":
                 value[:] = room_volume((value.shape[2], value.shape[3], value.shape[4]), frame=0)
             else:
@@ -158,23 +159,23 @@ class _Prepared:
                 self._runs["openvino"] = lambda: run_openvino(graph.name, feed)
         for run in self._runs.values():  # the first run allocates
             run()
-        self._least_ms = dict.fromkeys(self._runs, math.inf)
+        self._minimum_ms = dict.fromkeys(self._runs, math.inf)
 
     def time_once(self) -> None:
-        """Run once in each runtime; the least time is kept."""
+        """Run once in each runtime and update the minimum times."""
         for name, run in self._runs.items():
             start = time.perf_counter()
             run()
-            self._least_ms[name] = min(self._least_ms[name], (time.perf_counter() - start) * 1e3)
+            self._minimum_ms[name] = min(self._minimum_ms[name], (time.perf_counter() - start) * 1e3)
 
     def cost(self) -> GraphCost:
-        """What was measured."""
+        """Return the measured cost."""
         return GraphCost(
             parameters=self.parameters,
             gmac=self.gmac,
-            torch_ms=self._least_ms["torch"],
-            ort_ms=self._least_ms["ort"],
-            openvino_ms=self._least_ms.get("openvino", math.nan),
+            torch_ms=self._minimum_ms["torch"],
+            ort_ms=self._minimum_ms["ort"],
+            openvino_ms=self._minimum_ms.get("openvino", math.nan),
         )
 
 
@@ -196,5 +197,5 @@ def _row(config: ModelConfig, graphs: dict[str, _Prepared]) -> WidthRow:
     )
 
 
-def _say_nothing(_: str) -> None:
+def _ignore(_: str) -> None:
     pass

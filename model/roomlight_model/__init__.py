@@ -1,1 +1,18 @@
-"""Networks and training data (the networks need PyTorch; the sample room does not)."""
+"""RoomLight's networks in PyTorch, and their training.
+
+The paper's parts and where they are:
+
+| paper                                             | module                                                |
+|---------------------------------------------------|-------------------------------------------------------|
+| the whole model, single-view and video            | `networks`: `SingleModel`, `VideoModel`               |
+| SGEncoder, SGDecoder, SGGRU: the lighting volume  | `volume_networks`                                     |
+| BlendEncoder, BlendDecoder, BlendGRU: panoramas   | `panorama_networks`                                   |
+| convolutions and GRUs that both use               | `layers`                                              |
+| SGLV ray tracing, equations 1 and 2               | `ray_marching`; readable twin `ray_marching_reference`|
+| blending and accumulation over frames             | `accumulate`                                          |
+| rendering loss: a glossy sphere, equation R_p     | `sphere_rendering`                                    |
+| losses and stages of training                     | `training.stages`, `training.trainer`                 |
+
+`config` holds the widths, `checkpoint` reads and writes weights. Each differentiable module is compared with the
+serving code in `roomlight.engine` by a test. Importing this package and `config` needs no PyTorch; all else does.
+"""

@@ -1,7 +1,7 @@
 """The recursion over a probe's panoramas in PyTorch: the conservative rule, blending and accumulation.
 
 The differentiable twin of `roomlight.engine.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
-linear; depths are distances from the probe, all in one unit, which is also that of the rule's margin.
+linear. Depths are distances from the probe; the margin of the conservative rule has the same unit.
 """
 
 from typing import NamedTuple
@@ -15,7 +15,7 @@ from roomlight.engine.blend import DARK, FILL_COLOUR
 
 
 class Panorama(NamedTuple):
-    """What a probe remembers: L^i, the accumulated depth and the accumulated blending weight."""
+    """The accumulated state of a probe: radiance L^i, depth and blending weight."""
 
     radiance: Float[Tensor, "b 3 h w"]
     depth: Float[Tensor, "b 1 h w"]
@@ -25,7 +25,7 @@ class Panorama(NamedTuple):
 def blend(
     hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], weight: Float[Tensor, "b 1 h w"]
 ) -> Float[Tensor, "b 3 h w"]:
-    """L = L_dot (1 - L_M) + L_tilde L_M: the single-view panorama."""
+    """Blend the single-view panorama: L = L_dot (1 - L_M) + L_tilde L_M."""
     return hdr * (1 - weight) + ldr * weight
 
 
@@ -36,8 +36,7 @@ def fill_in(
     *,
     weight: Float[Tensor, "b 1 h w"],
 ) -> Float[Tensor, "b 3 h w"]:
-    """The HDR panorama with, beyond the mesh, the weight's share of the fill that is in `ldr` there, and most of its
-    colour."""
+    """Mix the fill in `ldr` into the HDR panorama outside the mesh: its radiance by `weight`, and most of its hue."""
     mixed = blend(hdr, ldr, weight)
     colour = (ldr + DARK) / (_luminance(ldr) + DARK)
     return hdr * mask + (1 - mask) * torch.lerp(mixed, _luminance(mixed) * colour, FILL_COLOUR)
@@ -55,7 +54,7 @@ def first_panorama(
     weight: Float[Tensor, "b 1 h w"],
     unseen_depth: float,
 ) -> Panorama:
-    """State after frame 0: the recursion from nothing seen (weight 0, depth `unseen_depth` everywhere)."""
+    """Return the state after frame 0: the recursion from weight 0 and depth `unseen_depth` everywhere."""
     return Panorama(blend(hdr, ldr, weight), weight * depth + (1 - weight) * unseen_depth, weight)
 
 
@@ -66,9 +65,9 @@ def conservative(
     *,
     margin: float = 0.25,
 ) -> Float[Tensor, "b 1 h w"]:
-    """L_M = max(L_M - 1(D_hat - D < margin), 0): seen detail stays unless the new surface is clearly closer.
+    """Apply L_M = max(L_M - 1(D_hat - D < margin), 0): detail is kept unless the new surface is clearly closer.
 
-    0.25 is the paper's margin; `roomlight.engine.blend` takes it in metres.
+    The paper's margin is 0.25; `roomlight.engine.blend` applies it in metres.
     """
     not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
     return torch.relu(weight - not_closer)
@@ -82,7 +81,10 @@ def accumulate(
     depth: Float[Tensor, "b 1 h w"],
     weight: Float[Tensor, "b 1 h w"],
 ) -> Panorama:
-    """State after one more frame (eqs. videoBlend, depthAccu, maskAccu); the rule is applied to `weight`."""
+    """Return the state after one more frame (eqs. videoBlend, depthAccu, maskAccu).
+
+    `weight` must be the result of `conservative`.
+    """
     # eq. videoBlend: L^i = L_M L_tilde + (1 - L_M) ((1 - L_hat_M) L_dot + L_hat_M L^{i-1})
     kept = (1 - state.weight) * hdr + state.weight * state.radiance
     radiance = weight * ldr + (1 - weight) * kept

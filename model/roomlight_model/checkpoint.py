@@ -1,4 +1,4 @@
-"""Checkpoint files: weights with what is needed to build and to judge them.
+"""Checkpoint files: weights, their configuration and the record of their training.
 
 One `torch.save` of {"format": 1, "form", "config", "state", "card"}. The card is the training's record in
 plain JSON values (steps, seed, data, scores); a card with steps = 0 says that the weights are untrained.
@@ -16,7 +16,7 @@ from torch import Tensor
 
 from roomlight.errors import ModelError, OutputError
 from roomlight.files import write_atomic
-from roomlight_model.config import FORMS, Form, ModelConfig
+from roomlight_model.config import FORMS, ModelConfig, NetworkForm
 from roomlight_model.networks import SingleModel, VideoModel, build
 
 FORMAT = 1
@@ -24,16 +24,21 @@ FORMAT = 1
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint; the model is on the CPU and in evaluation mode."""
+    """A loaded checkpoint; the model is on the CPU, in evaluation mode."""
 
-    form: Form
+    form: NetworkForm
     config: ModelConfig
     model: SingleModel | VideoModel
     card: dict[str, object]
 
 
 def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mapping[str, object]) -> None:
-    """Write a checkpoint, whole or not at all. Raises OutputError; ModelError for a card that is not JSON."""
+    """Write a checkpoint, atomically.
+
+    Raises:
+        OutputError: The file cannot be written.
+        ModelError: The card holds values that are not JSON.
+    """
     try:
         json.dumps(dict(card))
     except (TypeError, ValueError) as error:
@@ -54,8 +59,8 @@ def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mappin
     write_atomic(path, buffer.getvalue())
 
 
-def save_untrained(path: Path, form: Form, config: ModelConfig, *, seed: int = 0) -> None:
-    """Write a checkpoint of freshly initialised weights (card: steps 0), the same for the same seed."""
+def save_untrained(path: Path, form: NetworkForm, config: ModelConfig, *, seed: int = 0) -> None:
+    """Write a checkpoint of freshly initialised weights (card: steps 0); the same seed gives the same weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         model = build(form, config)
@@ -63,7 +68,11 @@ def save_untrained(path: Path, form: Form, config: ModelConfig, *, seed: int = 0
 
 
 def load_checkpoint(path: Path) -> Checkpoint:
-    """Read a checkpoint without running any code in it. Raises ModelError, naming the file and the fault."""
+    """Read a checkpoint without running code from it.
+
+    Raises:
+        ModelError: The file is not a checkpoint, is damaged, or does not fit; the message names file and fault.
+    """
     raw = _read(path)
     if not isinstance(raw, dict) or raw.get("format") is None:
         raise ModelError(f"{path}: not a RoomLight checkpoint (it has no 'format')")
@@ -71,7 +80,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
         raise ModelError(f"{path}: checkpoint format {raw['format']!r}; this version reads format {FORMAT}")
     missing = [key for key in ("form", "config", "state", "card") if key not in raw]
     if missing:
-        raise ModelError(f"{path}: the checkpoint lacks {', '.join(missing)}; it was not written whole")
+        raise ModelError(f"{path}: the checkpoint lacks {', '.join(missing)}; it is incomplete")
     form, card, state = raw["form"], raw["card"], raw["state"]
     if form not in FORMS:
         raise ModelError(f"{path}: the checkpoint's form is {form!r}, not one of {', '.join(FORMS)}")
@@ -96,13 +105,13 @@ def _read(path: Path) -> object:
         raise ModelError(f"{path}: not a PyTorch checkpoint, or a truncated one")
     try:
         return torch.load(BytesIO(data), weights_only=True, map_location="cpu")
-    except Exception as error:  # damaged bytes surface as whatever the unpickler was doing
+    except Exception as error:  # the unpickler raises any type for damaged bytes
         reason = str(error).strip().split("\n")[0] or type(error).__name__
         raise ModelError(f"{path}: does not load as a checkpoint of plain tensors ({reason})") from error
 
 
 def _check_state(path: Path, given: Mapping[object, object], wanted: Mapping[str, Tensor]) -> None:
-    """Say in one line what does not fit: PyTorch's own message lists every tensor."""
+    """Raise ModelError with the first misfit in one line; PyTorch's own message lists every tensor."""
     missing, extra = sorted(set(wanted) - set(given)), sorted(str(name) for name in set(given) - set(wanted))
     if missing or extra:
         raise ModelError(

@@ -1,52 +1,55 @@
-"""Widths and options of the networks: frozen, JSON in and out, checked on the way in. Needs no PyTorch.
+"""Widths and options of the networks: frozen dataclasses, read from JSON with checks. Needs no PyTorch.
 
-Volumes are [z, y, x]; panoramas are H x 2H. Why each default is what it is stands in `model/NETWORKS.md`.
+Volumes are [z, y, x]; panoramas are H x 2H. `docs/networks.md` gives the reasons for the defaults.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields
-from typing import Any, Literal, TypeVar, get_args
+import json
+from dataclasses import dataclass, field
+from typing import ClassVar, Final, Literal, get_args
+
+from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from roomlight.errors import ModelError
 
-Form = Literal["single", "video"]
+NetworkForm = Literal["single", "video"]
 """`single`: each image on its own. `video`: the recurrent networks, with the single-view ones for frame 0."""
 
 Norm = Literal["group", "none"]
 GateKernel = Literal[1, 3]
 
-FORMS: tuple[str, ...] = get_args(Form)
-_CHOICES: dict[str, tuple[object, ...]] = {"norm": get_args(Norm), "fine_gate_kernel": get_args(GateKernel)}
+FORMS: tuple[str, ...] = get_args(NetworkForm)
+_STRICT = ConfigDict(extra="forbid")
 
 
 @dataclass(frozen=True)
 class SGConfig:
     """The 3D encoder-decoder and its two GRUs. Cost grows with the square of either width."""
 
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
     volume_shape: tuple[int, int, int] = (64, 60, 84)
     """Voxels in z, y, x that graphs are exported for (the paper's); the weights themselves fit any size."""
     channels: int = 32
     """Width at half resolution; twice that at a quarter, four times at an eighth."""
     full_channels: int = 16
-    """Width at full resolution, where nearly all voxels are."""
+    """Width at full resolution, which has nearly all voxels."""
     full_layers: int = 1
     """3 x 3 x 3 convolutions at full resolution before the heads."""
     spherical_gaussians: bool = True
     """False gives the RGB-alpha volume of the paper's ablation: w = 0 and no heads for it."""
     norm: Norm = "group"
-    """Group normalisation at a quarter and an eighth of the resolution, or none at all."""
+    """Group normalisation at a quarter and an eighth of the resolution, or none."""
     fine_gate_kernel: GateKernel = 1
     """Kernel of the gates of SGGRU_0 (half resolution); its candidate is always 3 x 3 x 3."""
     direct: bool = True
-    """The heads also see the initial volume itself and begin as its copy; False is the paper's two skips alone."""
+    """The heads also receive the initial volume and start as its copy; False: only the paper's two skips."""
     own_colour: bool = True
-    """The networks see a frame divided by its own mean colour and answer in units of it: unseen walls take the room's
-    colour and brightness without having to learn it."""
+    """Divide a frame by its mean colour and predict in units of it, so that unseen walls take the room's colour and
+    brightness without learning it."""
     filled: bool = True
-    """Where nothing was seen, `direct` heads begin with what is seen around; False: with the mean colour."""
+    """Where nothing was seen, `direct` heads start from the surroundings; False: from the mean colour."""
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no network can be built for."""
         if min(self.volume_shape) < 8:
             raise ModelError(
                 f"volume_shape must be 8 or more in each direction (three halvings), got {self.volume_shape}"
@@ -63,6 +66,8 @@ class SGConfig:
 class BlendConfig:
     """The 2D encoder-decoder over panoramas and its two GRUs."""
 
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
     height: int = 120
     """Rows of the panorama that graphs are exported for; it has twice as many columns."""
     channels: int = 16
@@ -70,11 +75,10 @@ class BlendConfig:
     full_channels: int = 8
     """Width at full resolution."""
     filled: bool = True
-    """Beyond the mesh, mix a fill of what was seen into the volume's rendering, and its colour; False: the volume alone
-    (the paper)."""
+    """Outside the mesh, mix a fill from the seen pixels into the volume's rendering; False: only the volume (the
+    paper)."""
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no network can be built for."""
         if self.height < 8 or self.height % 2:
             raise ModelError(f"the panorama's height must be even and 8 or more, got {self.height}")
         if self.channels < 1 or self.full_channels < 1:
@@ -85,53 +89,32 @@ class BlendConfig:
 class ModelConfig:
     """Everything needed to build the networks of either form."""
 
+    __pydantic_config__: ClassVar[ConfigDict] = _STRICT
+
     sg: SGConfig = field(default_factory=SGConfig)
     blend: BlendConfig = field(default_factory=BlendConfig)
 
     def to_dict(self) -> dict[str, dict[str, object]]:
-        """Plain JSON values; `from_dict` gives the same configuration back."""
-        plain = asdict(self)
-        plain["sg"]["volume_shape"] = list(self.sg.volume_shape)
-        return plain
+        """Return plain JSON values, which `from_dict` reads."""
+        return _ADAPTER.dump_python(self, mode="json")
 
     @staticmethod
     def from_dict(values: object) -> "ModelConfig":
-        """Read what `to_dict` wrote; missing fields take defaults, unknown or misfit ones are refused."""
-        parts = _mapping(values, "the configuration")
-        unknown = set(parts) - {"sg", "blend"}
-        if unknown:
+        """Read the result of `to_dict`; missing fields take their defaults.
+
+        Raises:
+            ModelError: A field is unknown, of the wrong type or out of range; the message names it.
+        """
+        try:
+            return _ADAPTER.validate_json(json.dumps(values), strict=True)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"]) or "it"
             raise ModelError(
-                f"the configuration has unknown parts {sorted(unknown)}; it was written by another version"
-            )
-        return ModelConfig(
-            sg=_read(SGConfig, parts.get("sg", {}), "sg"),
-            blend=_read(BlendConfig, parts.get("blend", {}), "blend"),
-        )
+                f"the configuration does not fit this version: {where}: {first['msg']}, got {first['input']!r}"
+            ) from error
+        except (TypeError, ValueError) as error:
+            raise ModelError(f"the configuration does not fit this version: it is not JSON ({error})") from error
 
 
-_Part = TypeVar("_Part", SGConfig, BlendConfig)
-
-
-def _mapping(values: object, name: str) -> Mapping[str, object]:
-    if not isinstance(values, Mapping) or not all(isinstance(key, str) for key in values):
-        raise ModelError(f"{name} must be a mapping of names to values, got {type(values).__name__}")
-    return values
-
-
-def _read(part: type[_Part], values: object, name: str) -> _Part:
-    given: dict[str, Any] = dict(_mapping(values, f"the configuration's {name!r}"))
-    defaults = part()
-    unknown = set(given) - {entry.name for entry in fields(part)}
-    if unknown:
-        raise ModelError(f"the configuration's {name!r} has unknown fields {sorted(unknown)}, of another version")
-    for key, value in given.items():
-        wanted = getattr(defaults, key)
-        if isinstance(wanted, tuple):
-            if not isinstance(value, list | tuple) or [type(size) for size in value] != [int] * len(wanted):
-                raise ModelError(f"the configuration's {name}.{key} must be {len(wanted)} integers, got {value!r}")
-            given[key] = tuple(value)
-        elif type(value) is not type(wanted):  # bool is an int to isinstance
-            raise ModelError(f"the configuration's {name}.{key} must be {type(wanted).__name__}, got {value!r}")
-        elif key in _CHOICES and value not in _CHOICES[key]:
-            raise ModelError(f"the configuration's {name}.{key} must be one of {_CHOICES[key]}, got {value!r}")
-    return part(**given)
+_ADAPTER: Final = TypeAdapter(ModelConfig)

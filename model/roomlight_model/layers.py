@@ -12,11 +12,11 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 LEAK = 0.1
-"""Slope of the leaky ReLU below 0: of 8 to 16 channels, one plain ReLU that dies is a tenth of the layer."""
+"""Slope of the leaky ReLU below 0. With 8 to 16 channels, one dead plain ReLU would be a tenth of the layer."""
 
 
 def conv3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Conv3d:
-    """A 3D convolution; kernel 3 (or 1) keeps the size, kernel 4 with stride 2 halves it, rounding down."""
+    """Build a 3D convolution. Kernel 3 or 1 keeps the size; kernel 4 with stride 2 halves it, rounding down."""
     conv = nn.Conv3d(inputs, outputs, kernel, stride, padding=(kernel - 1) // 2, bias=True)
     _initialise(conv)
     return conv
@@ -26,7 +26,7 @@ class PanoramaConv(nn.Module):
     """A 2D convolution on panoramas: columns wrap around, rows are zero-padded at the poles."""
 
     def __init__(self, inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> None:
-        """Kernel 3 (or 1) keeps the size, kernel 4 with stride 2 halves it."""
+        """Build the convolution. Kernel 3 or 1 keeps the size; kernel 4 with stride 2 halves it."""
         super().__init__()
         self.wrap = (kernel - 1) // 2
         self.conv = nn.Conv2d(inputs, outputs, kernel, stride, padding=(self.wrap, 0), bias=True)
@@ -40,7 +40,7 @@ class PanoramaConv(nn.Module):
 
 
 def block3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, groups: int = 0) -> nn.Sequential:
-    """Convolution, group normalisation where `groups` > 0, leaky ReLU."""
+    """Build a 3D convolution, group normalisation if `groups` > 0, and leaky ReLU."""
     layers: list[nn.Module] = [conv3d(inputs, outputs, kernel=kernel, stride=stride)]
     if groups:
         layers.append(nn.GroupNorm(groups, outputs))
@@ -48,28 +48,28 @@ def block3d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1, grou
 
 
 def block2d(inputs: int, outputs: int, *, kernel: int = 3, stride: int = 1) -> nn.Sequential:
-    """Panorama convolution and leaky ReLU."""
+    """Build a panorama convolution and leaky ReLU."""
     return nn.Sequential(PanoramaConv(inputs, outputs, kernel=kernel, stride=stride), nn.LeakyReLU(LEAK))
 
 
 def resize_volume(volume: Float[Tensor, "b c _z _y _x"], size: Sequence[int]) -> Float[Tensor, "b c z y x"]:
-    """Trilinear resize to an explicit size: halving rounds down (15 -> 7), a factor of 2 would not come back.
+    """Resize trilinearly to an explicit size: halving rounds down (15 -> 7), so that a factor of 2 would not fit.
 
-    Measured in ONNX Runtime to the full volume, 16 channels: trilinear 7 ms, nearest 36 (no fast path in 3D).
+    In ONNX Runtime, to the full volume with 16 channels: trilinear 7 ms, nearest 36 (no fast path in 3D).
     """
     return functional.interpolate(volume, size=tuple(size), mode="trilinear", align_corners=False)
 
 
 def resize_panorama(image: Float[Tensor, "b c _h _w"], size: Sequence[int]) -> Float[Tensor, "b c h w"]:
-    """Nearest resize: unlike bilinear it knows no border, so the result turns with the panorama."""
+    """Resize by nearest neighbour: without border effects, so that the result rotates with the panorama."""
     return functional.interpolate(image, size=tuple(size), mode="nearest")
 
 
 class ConvGRU(nn.Module):
     """A gated recurrent unit (Cho et al. 2014) whose matrices are convolutions, in 2D or 3D.
 
-    The candidate is a tanh and the new state a convex mix of the old one and the candidate. With features in
-    [-1, 1], as the encoders give them, a state that starts as a feature stays there however long a session.
+    The candidate is a tanh, and the new state a convex mix of the old state and the candidate. Features lie in
+    [-1, 1], so that a state that starts as a feature stays in that range in sessions of any length.
     """
 
     def __init__(self, gates: nn.Module, candidate: nn.Module) -> None:
@@ -81,7 +81,7 @@ class ConvGRU(nn.Module):
     def forward(
         self, hidden: Float[Tensor, "b c *space"], feature: Float[Tensor, "b c *space"]
     ) -> Float[Tensor, "b c *space"]:
-        """h^i from h^{i-1} and f^i."""
+        """Compute h^i from h^{i-1} and f^i."""
         keep, reset = torch.sigmoid(self.gates(torch.cat([hidden, feature], dim=1))).chunk(2, dim=1)
         candidate = torch.tanh(self.candidate(torch.cat([reset * hidden, feature], dim=1)))
         return keep * hidden + (1 - keep) * candidate

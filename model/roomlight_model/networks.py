@@ -1,7 +1,7 @@
-"""The whole models: SingleModel for one image, VideoModel for sequences (paper, network section).
+"""The whole models: `SingleModel` for one image, `VideoModel` for sequences (paper, network section).
 
-The renderer and the partial mesh stand between the 3D and the 2D networks, so each model has two halves: a
-trainer calls the first, renders panoramas at its probes, and calls the second. Shapes have a batch dimension.
+Rendering and the partial mesh come between the 3D and the 2D networks, so that each model has two halves: the caller
+runs the first, renders panoramas at its probes, and runs the second. Shapes have a batch dimension.
 """
 
 from typing import NamedTuple
@@ -12,6 +12,7 @@ from torch import Tensor, nn
 
 from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import Panorama, accumulate, blend, conservative, fill_in, first_panorama
+from roomlight_model.config import ModelConfig
 from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
     VIDEO_PANELS,
@@ -21,12 +22,11 @@ from roomlight_model.panorama_networks import (
     single_panels,
     video_panels,
 )
-from roomlight_model.config import ModelConfig
 from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
 
 
 class SGState(NamedTuple):
-    """What the 3D recursion hands to the next frame."""
+    """State of the 3D recursion: hidden states and the previous volume."""
 
     h0: Float[Tensor, "b c0 z0 y0 x0"]
     h1: Float[Tensor, "b c1 z1 y1 x1"]
@@ -34,11 +34,12 @@ class SGState(NamedTuple):
 
 
 class Observation(NamedTuple):
-    """What is rendered at a probe for one frame; depth in units of the volume's depth_max_m. `ldr` is what the mesh
-    shows, and beyond it (mask 0) a fill of what was seen up to now (`roomlight.engine.fill.fill_unknown`).
+    """Panoramas rendered at a probe for one frame.
 
-    Depth is at most `roomlight.engine.blend.farthest_depth_m`, as the session has it: else the conservative rule would
-    hold back the first sight of surfaces past the volume.
+    hdr is the volume's rendering. ldr is the mesh's, and outside the mesh (mask 0) a fill from the pixels seen so far
+    (`roomlight.engine.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
+    `roomlight.engine.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside the volume
+    when they are first seen.
     """
 
     hdr: Float[Tensor, "b 3 h w"]
@@ -48,7 +49,7 @@ class Observation(NamedTuple):
 
 
 class BlendState(NamedTuple):
-    """What the 2D recursion of one probe hands to the next frame."""
+    """State of the 2D recursion of one probe: hidden states and the accumulated panorama."""
 
     h0: Float[Tensor, "b c0 h0 w0"]
     h1: Float[Tensor, "b c1 h1 w1"]
@@ -70,20 +71,19 @@ class SingleModel(nn.Module):
         self.blend_decoder = BlendDecoder(config.blend)
 
     def forward(self, volume: Float[Tensor, "b 5 z y x"]) -> SGVolume:
-        """V = SGDecoder(SGEncoder(V_tilde)): the lighting volume of an initial volume."""
+        """Predict the lighting volume of an initial volume: V = SGDecoder(SGEncoder(V_tilde))."""
         f0, f1 = self.sg_encoder(volume)
         return self.sg_decoder(f0, f1, volume)
 
     def blend(
         self, hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], mask: Float[Tensor, "b 1 h w"]
     ) -> tuple[Float[Tensor, "b 3 h w"], Float[Tensor, "b 1 h w"]]:
-        """(L, L_M) at a probe from the rendered HDR panorama, the partial LDR one (filled beyond its mask) and its
-        mask."""
+        """Return (L, L_M) at a probe from the volume's rendering, the mesh's (filled outside its mask) and its mask."""
         f0, f1 = self.blend_encoder(single_panels(hdr, ldr, mask))
         weight = self.blend_decoder(f0, f1, mask)
-        return blend(self.beyond(hdr, ldr, mask, weight=weight), ldr, weight * mask), weight
+        return blend(self.with_fill(hdr, ldr, mask, weight=weight), ldr, weight * mask), weight
 
-    def beyond(
+    def with_fill(
         self,
         hdr: Float[Tensor, "b 3 h w"],
         ldr: Float[Tensor, "b 3 h w"],
@@ -91,12 +91,12 @@ class SingleModel(nn.Module):
         *,
         weight: Float[Tensor, "b 1 h w"],
     ) -> Float[Tensor, "b 3 h w"]:
-        """The rendered panorama with the fill mixed in beyond the mesh, unless the configuration leaves that out."""
+        """Mix the fill into the volume's rendering outside the mesh, if `BlendConfig.filled`."""
         return fill_in(hdr, ldr, mask, weight=weight) if self.config.blend.filled else hdr
 
 
 class VideoModel(nn.Module):
-    """Recurrent prediction; frame 0 goes through the single-view networks, which it holds too."""
+    """Recurrent prediction; frame 0 uses the single-view networks, which the model contains."""
 
     form = "video"
 
@@ -115,10 +115,10 @@ class VideoModel(nn.Module):
         self.blend_decoder = BlendDecoder(config.blend)
 
     def warm_start(self) -> None:
-        """Copy the single-view weights into the recurrent networks: where the paper's video training begins.
+        """Copy the single-view weights into the recurrent networks: the start of the paper's video training.
 
-        What the single-view form does not have: V_u and the GRUs keep their start, the panels of memory and
-        depth begin at 0.
+        Weights without a single-view counterpart: V_u and the GRUs keep their initial values, the input panels of
+        the previous panorama and of depth get 0.
         """
         self.sg_encoder.load_state_dict(self.single.sg_encoder.state_dict())
         self.blend_decoder.load_state_dict(self.single.blend_decoder.state_dict())
@@ -126,7 +126,7 @@ class VideoModel(nn.Module):
         _copy_panels(self.blend_encoder, self.single.blend_encoder)
 
     def forward(self, volumes: Float[Tensor, "b t 5 z y x"]) -> list[SGVolume]:
-        """Lighting volumes of all frames of a sequence; its initial volumes share the first frame's grid."""
+        """Predict the volumes of all frames of a sequence; initial volumes share the first frame's grid."""
         state = self.start(volumes[:, 0])
         predicted = [state.volume]
         for index in range(1, volumes.shape[1]):
@@ -135,12 +135,12 @@ class VideoModel(nn.Module):
         return predicted
 
     def start(self, volume: Float[Tensor, "b 5 z y x"]) -> SGState:
-        """Frame 0: the single-view networks; their features become the hidden states."""
+        """Run frame 0 through the single-view networks; their features become the hidden states."""
         f0, f1 = self.single.sg_encoder(volume)
         return SGState(f0, f1, self.single.sg_decoder(f0, f1, volume))
 
     def step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
-        """Frame i > 0."""
+        """Run frame i > 0."""
         f0, f1 = self.sg_encoder(volume)  # eq. 3dRNN
         h0 = self.sg_gru0(state.h0, f0)
         h1 = self.sg_gru1(state.h1, f1)
@@ -148,15 +148,15 @@ class VideoModel(nn.Module):
         return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes))
 
     def blend_start(self, seen: Observation) -> BlendState:
-        """Frame 0 at a probe: single-view blending; its features become the hidden states."""
+        """Run frame 0 at a probe by single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
         weight = self.single.blend_decoder(f0, f1, seen.mask)
-        hdr = self.single.beyond(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
         panorama = first_panorama(hdr, seen.ldr, seen.depth, weight=weight * seen.mask, unseen_depth=UNSEEN_DEPTH)
         return BlendState(f0, f1, panorama)
 
     def blend_step(self, seen: Observation, state: BlendState, *, margin: float) -> BlendState:
-        """Frame i > 0 at a probe; `margin` is the conservative rule's 0.25 in units of depth_max_m."""
+        """Run frame i > 0 at a probe; `margin` is the conservative rule's, in units of depth_max_m."""
         panels = video_panels(
             state.panorama.radiance,
             seen.hdr,
@@ -169,14 +169,14 @@ class VideoModel(nn.Module):
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
         weight = self.blend_decoder(h0, h1, seen.mask)
-        hdr = self.single.beyond(seen.hdr, seen.ldr, seen.mask, weight=weight)
+        hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
         weight = conservative(weight * seen.mask, seen.depth, state.panorama.depth, margin=margin)
         panorama = accumulate(state.panorama, hdr, seen.ldr, depth=seen.depth, weight=weight)
         return BlendState(h0, h1, panorama)
 
 
 def build(form: str, config: ModelConfig) -> SingleModel | VideoModel:
-    """The model of a form, with fresh weights."""
+    """Build the model of a form, freshly initialised."""
     return SingleModel(config) if form == "single" else VideoModel(config)
 
 

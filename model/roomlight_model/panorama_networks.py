@@ -1,7 +1,7 @@
 """The 2D blending networks over panoramas: BlendEncoder, BlendDecoder, BlendGRU (paper, network section).
 
-Panoramas are [batch, channel, H, 2H], world-aligned; to every layer the left and right edge are neighbours.
-Radiance arrives linear; depth in units of the volume's depth_max_m.
+Panoramas are [batch, channel, H, 2H], world-aligned; every layer wraps around at the left and right edge.
+Inputs are linear radiance, and depth in units of the volume's depth_max_m.
 """
 
 import torch
@@ -21,10 +21,10 @@ _RADIANCE_CHANNELS = {SINGLE_PANELS: 6, VIDEO_PANELS: 9}
 
 
 class BlendEncoder(nn.Module):
-    """F_0, F_1 = BlendEncoder(panels): features at half and at an eighth of the resolution, in (-1, 1)."""
+    """F_0, F_1 = BlendEncoder(panels): features at half and an eighth of the resolution, in (-1, 1)."""
 
     def __init__(self, config: BlendConfig, *, panels: int) -> None:
-        """`panels` is the number of stacked input channels, `SINGLE_PANELS` or `VIDEO_PANELS`."""
+        """Build the layers; `panels` is the number of input channels, `SINGLE_PANELS` or `VIDEO_PANELS`."""
         super().__init__()
         width = config.channels
         self.radiance_channels = _RADIANCE_CHANNELS[panels]
@@ -39,9 +39,9 @@ class BlendEncoder(nn.Module):
     def forward(
         self, panels: Float[Tensor, "b c h w"]
     ) -> tuple[Float[Tensor, "b c0 h0 w0"], Float[Tensor, "b c1 h1 w1"]]:
-        """(F0, F1) of the stacked panoramas, radiance channels first."""
+        """Return (F0, F1) of the stacked panoramas, radiance channels first."""
         count = self.radiance_channels
-        # HDR and LDR in the same logarithm, the loss's: where they agree, their difference is 0
+        # HDR and LDR in the loss's logarithm: where they agree, their difference is 0
         panels = torch.cat([torch.log1p(torch.relu(panels[:, :count])), panels[:, count:]], dim=1)
         f0 = torch.tanh(self.at_half(panels))
         f1 = torch.tanh(self.at_eighth(f0))
@@ -49,8 +49,10 @@ class BlendEncoder(nn.Module):
 
 
 class BlendDecoder(nn.Module):
-    """L_M = BlendDecoder(F_0, F_1, mask): one weight in [0, 1] a pixel. Where the partial mesh shows nothing it is the
-    share of a fill (`BlendConfig.filled`), or 0."""
+    """L_M = BlendDecoder(F_0, F_1, mask): a weight in [0, 1] for each pixel.
+
+    Outside the partial mesh it is the share of the fill (`BlendConfig.filled`), or 0.
+    """
 
     def __init__(self, config: BlendConfig) -> None:
         """Build the layers at the configured width."""
@@ -63,7 +65,7 @@ class BlendDecoder(nn.Module):
         self.at_full = block2d(full, full)
         self.filled = config.filled
         self.head = nn.Conv2d(full + 1, 1, 1, bias=True)
-        with torch.no_grad():  # at the start 0.88 of what the mesh shows, 0.38 of the fill
+        with torch.no_grad():  # initial weights: 0.88 on the mesh, 0.38 of the fill outside
             self.head.weight[:, -1] = 2.5
             self.head.bias.fill_(-0.5)  # pyright: ignore[reportOptionalMemberAccess]
 
@@ -73,7 +75,7 @@ class BlendDecoder(nn.Module):
         f1: Float[Tensor, "b c1 h1 w1"],
         mask: Float[Tensor, "b 1 h w"],
     ) -> Float[Tensor, "b 1 h w"]:
-        """The blending weight."""
+        """Return the blending weight."""
         room = self.room(f1.mean(dim=(2, 3)))[:, :, None, None]
         x = self.at_eighth(f1) + room
         x = self.at_quarter(resize_panorama(x, [size // 2 for size in f0.shape[2:]]))
@@ -87,14 +89,14 @@ class BlendGRU(ConvGRU):
     """H^i = BlendGRU(H^{i-1}, F^i) on either level of features."""
 
     def __init__(self, channels: int) -> None:
-        """Full 3 x 3 gates: at panorama sizes they cost little."""
+        """Build gates of 3 x 3: at panorama sizes they cost little."""
         super().__init__(PanoramaConv(2 * channels, 2 * channels), PanoramaConv(2 * channels, channels))
 
 
 def single_panels(
     hdr: Float[Tensor, "b 3 h w"], ldr: Float[Tensor, "b 3 h w"], mask: Float[Tensor, "b 1 h w"]
 ) -> Float[Tensor, "b 8 h w"]:
-    """Stack the single-view input: rendered HDR, partial LDR (filled), its mask and the mask's complement."""
+    """Stack the single-view input: rendered HDR, partial LDR with its fill, the mask and its complement."""
     return torch.cat([hdr, ldr, mask, 1 - mask], dim=1)
 
 

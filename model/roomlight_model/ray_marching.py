@@ -1,6 +1,7 @@
-"""SGLV ray tracing for training on CPUs: `render.render_rays` for a batch, by a compiled kernel with its own gradient.
+"""SGLV ray marching for training on CPUs: a compiled kernel with a hand-written gradient, for batches.
 
-Frame: each volume's own, metres. On a GPU, or where double precision is wanted, it falls back to `render.render_rays`.
+The readable twin is `ray_marching_reference.render_rays`; it also computes on GPUs and in double precision. Frame: each
+volume's own, metres.
 """
 
 from typing import Any
@@ -27,9 +28,12 @@ def march(
     samples: int = MAX_SAMPLES,
     far: Far = "boundary",
 ) -> Float[Tensor, "b n 3"]:
-    """Radiance along unit directions, a ray each from its own origin; differentiable in alpha and lobes alone.
+    """Compute the radiance along unit directions, each ray from its own origin; differentiable in alpha and lobes.
 
-    Samples stand one mean voxel edge apart (equations 1, 2: `roomlight.engine.sglv`). ValueError above 256 samples.
+    Samples are one mean voxel edge apart (equations 1, 2: `roomlight.engine.sglv`).
+
+    Raises:
+        ValueError: More than 256 samples a ray.
     """
     if samples > SAMPLES:
         raise ValueError(f"{samples} samples a ray: the kernel holds {SAMPLES}")
@@ -55,11 +59,11 @@ def _by_grid_sample(
 
 
 class _March(torch.autograd.Function):
-    """One thread a volume: gradients are scattered, and two threads must not write to one volume."""
+    """Runs one thread per volume: gradients are scattered, and two threads must not write to one volume."""
 
     @staticmethod
     def forward(ctx: Any, *inputs: Any) -> Tensor:
-        """Radiance [b, n, 3]; nothing but the inputs is kept."""
+        """Return radiance [b, n, 3]; only the inputs are kept for the backward pass."""
         alpha, lobes, lower_m, voxel_m, origins, directions, samples, boundary = inputs
         ctx.save_for_backward(alpha, lobes, lower_m, voxel_m, origins, directions)
         ctx.samples, ctx.boundary = samples, boundary
@@ -69,7 +73,7 @@ class _March(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, *outputs: Any) -> Any:
-        """Gradients of alpha and lobes."""
+        """Return the gradients of alpha and lobes."""
         inputs = (*ctx.saved_tensors, ctx.samples, ctx.boundary)
         gradients = torch.zeros_like(inputs[0]), torch.zeros_like(inputs[1])
         _run(inputs, outputs[0].contiguous(), radiance=None, gradients=gradients)

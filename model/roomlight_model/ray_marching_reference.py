@@ -1,7 +1,7 @@
-"""SGLV ray tracing in PyTorch: the differentiable twin of `roomlight.engine.sglv`, for training (paper, section 3).
+"""SGLV ray marching in plain PyTorch: the differentiable twin of `roomlight.engine.sglv` (paper, section 3).
 
-Frame: the volume's, in metres, for origins, directions and lobe axes. Plain `grid_sample` over all samples at
-once: it keeps [N, samples, 11] values for the backward pass, so give it a training step's subset of rays.
+Frame: the volume's, in metres, for origins, directions and lobe axes. `grid_sample` evaluates all samples at once and
+keeps [N, samples, 11] values for the backward pass, which limits the number of rays in a training step.
 """
 
 import torch
@@ -24,12 +24,18 @@ def render_rays(
     samples: int = MAX_SAMPLES,
     far: Far = "boundary",
 ) -> tuple[Float[Tensor, "n 3"], Float[Tensor, " n"]]:
-    """Radiance along unit `directions` from `origin` (or each from its own), and each ray's residual transmittance.
+    """Compute the radiance and the residual transmittance of rays. A ray that misses has radiance 0, transmittance 1.
 
-    `lower_m` is the volume's lower corner and `voxel_m` a voxel's edges, both (x, y, z). Samples stand at
-    t_enter + (i + 0.5) step_m inside the volume (`step_m` is the mean edge unless given), at most `samples`.
-    far="boundary" gives what is left of a ray the values at its exit point; far="none" adds nothing. A ray
-    that misses has radiance 0 and transmittance 1.
+    Args:
+        alpha: Opacity of each voxel.
+        lobes: c (3), w (3), lambda, s (3) of each voxel.
+        lower_m: The volume's lower corner (x, y, z).
+        voxel_m: A voxel's edges (x, y, z).
+        origin: Origin of all rays, or of each ray.
+        directions: Unit directions.
+        step_m: Distance of samples, which are at t_enter + (i + 0.5) step_m; the mean edge if None.
+        samples: Largest number of samples on a ray.
+        far: "boundary" adds the values at the exit point by the residual transmittance; "none" adds nothing.
     """
     volume = torch.cat([alpha[None], lobes.permute(3, 0, 1, 2)])[None]  # [1, 11, z, y, x]
     size = voxel_m * torch.tensor(alpha.shape[::-1], dtype=voxel_m.dtype, device=voxel_m.device)
@@ -68,8 +74,8 @@ def _box(
     lower_m: Float[Tensor, "3"],
     upper_m: Float[Tensor, "3"],
 ) -> tuple[Float[Tensor, " n"], Float[Tensor, " n"]]:
-    """Distances at which rays enter (0 from inside) and leave the box; leave <= enter is a miss."""
-    # an exact 0 would give 0 / 0 on a face; 1e-12 sends the wall to 1e12 m instead
+    """Return the distances at which rays enter (0 from inside) and leave the box; leave <= enter is a miss."""
+    # an exact 0 would give 0 / 0 on a face; 1e-12 moves that wall to 1e12 m
     tiny = torch.full_like(directions, 1e-12)
     slope = torch.where(directions.abs() < 1e-12, tiny, directions)
     first, second = (lower_m - origin) / slope, (upper_m - origin) / slope
@@ -85,8 +91,9 @@ def _sample(
     lower_m: Float[Tensor, "3"],
     size_m: Float[Tensor, "3"],
 ) -> Float[Tensor, "n s c"]:
-    """Trilinear values; index (p - lower) / voxel - 0.5 clamped to the outermost centres is exactly
-    `grid_sample`'s align_corners=False with border padding.
+    """Sample trilinearly: index (p - lower) / voxel - 0.5, clamped to the outermost voxel centres.
+
+    This is exactly `grid_sample` with align_corners=False and border padding.
     """
     unit = 2 * (points - lower_m) / size_m - 1
     sampled = functional.grid_sample(

@@ -1,9 +1,9 @@
 """The Monte Carlo rendering layer: a glossy sphere under predicted light, differentiable (paper, equation R_p).
 
 The material is the paper's: Karis's microfacet BRDF (2013) with albedo 0.8 and roughness 0.2, as in
-`roomlight.spheres` (whose "glossy" is the readable twin). Directions follow the BRDF: a share of them the half
-vectors of the specular lobe, the rest the cosine; the density that divides is the mixture's, so that the estimate is
-unbiased for whatever light. Frame: that of the vectors given, world or volume.
+`roomlight.spheres` (whose "glossy" is the readable twin). Directions are drawn by multiple importance sampling: a share
+by the half vectors of the specular lobe, the rest by the cosine; dividing by the mixture's density makes the estimate
+unbiased. Frame: that of the given vectors, world or volume.
 """
 
 import math
@@ -17,21 +17,21 @@ from torch.nn import functional
 from roomlight.spheres import GLOSSY_ALBEDO, GLOSSY_F0, GLOSSY_ROUGHNESS
 
 SPECULAR_SHARE = 0.5
-"""Of the samples; the lobe carries a tenth of the energy and nearly all of the variance under small lamps."""
+"""Share of the samples; the lobe has a tenth of the energy and nearly all of the variance under small lamps."""
 
 
 _GOLDEN = 0.618033988749895
 
 
 class SphereSamples(NamedTuple):
-    """Directions in which light is asked for, and each one's share: R_p = sum_s weight[p, s] L(direction[p, s])."""
+    """Directions of incoming light and their weights: R_p = sum_s weight[p, s] L(direction[p, s])."""
 
     directions: Float[Tensor, "*b p s 3"]
     weights: Float[Tensor, "*b p s"]
 
 
-def sphere_normals(to_viewer: Float[Tensor, "*b 3"], places: Float[Tensor, "*b p 2"]) -> Float[Tensor, "*b p 3"]:
-    """Normals of a sphere seen orthographically, at places in the unit disc (right, up); +Y is up in the picture."""
+def sphere_normals(to_viewer: Float[Tensor, "*b 3"], points: Float[Tensor, "*b p 2"]) -> Float[Tensor, "*b p 3"]:
+    """Return the normals of an orthographically viewed sphere at points of the unit disc (right, up); +Y is up."""
     up = torch.zeros_like(to_viewer)
     up[..., 1] = 1.0
     steep = to_viewer[..., 1:2].abs() > 0.9999
@@ -40,7 +40,7 @@ def sphere_normals(to_viewer: Float[Tensor, "*b 3"], places: Float[Tensor, "*b p
     up = torch.where(steep, sideways, up)
     right = functional.normalize(torch.linalg.cross(up, to_viewer), dim=-1)
     up = torch.linalg.cross(to_viewer, right)
-    x, y = places[..., 0:1], places[..., 1:2]
+    x, y = points[..., 0:1], points[..., 1:2]
     z = (1 - x * x - y * y).clamp(min=1e-6).sqrt()
     return x * right[..., None, :] + y * up[..., None, :] + z * to_viewer[..., None, :]
 
@@ -48,7 +48,7 @@ def sphere_normals(to_viewer: Float[Tensor, "*b 3"], places: Float[Tensor, "*b p
 def disc(
     count: int, *, batch: tuple[int, ...] = (), generator: torch.Generator | None = None
 ) -> Float[Tensor, "*b p 2"]:
-    """Places spread evenly over the unit disc (stratified by area), the rim's last 2 % left out."""
+    """Draw points in the unit disc, stratified by area, without the outer 2 % of the radius."""
     uniform = torch.rand((*batch, count, 2), generator=generator)
     radius = 0.98 * ((torch.arange(count) + uniform[..., 0]) / count).sqrt()
     angle = 2 * math.pi * ((torch.arange(count) * 0.618033988749895 + uniform[..., 1]) % 1.0)
@@ -62,20 +62,24 @@ def sample_sphere(
     samples: int,
     generator: torch.Generator | None = None,
 ) -> SphereSamples:
-    """Directions by importance of the BRDF at each normal, stratified, and their weights F(l) n.l / (N P(l))."""
+    """Draw stratified directions by the BRDF at each normal, with their weights F(l) n.l / (N P(l)).
+
+    Raises:
+        ValueError: Fewer than two samples: each lobe needs one.
+    """
     specular = max(1, round(samples * SPECULAR_SHARE))
     if samples <= specular:
-        raise ValueError(f"a pixel needs two samples at least, one for each lobe; got {samples}")
+        raise ValueError(f"a pixel needs at least two samples, one for each lobe; got {samples}")
     viewer = to_viewer[..., None, None, :]
     shape = (*normals.shape[:-1], samples)
-    # random numbers come from the CPU's generator on every device: a run is the same run on another machine
+    # random numbers come from the CPU's generator on every device, so that runs repeat on other machines
     uniform = torch.rand((*shape, 2), generator=generator, dtype=normals.dtype).to(normals.device)
     strata = torch.cat([torch.arange(specular) / specular, torch.arange(samples - specular) / (samples - specular)])
     widths = torch.cat(
         [torch.full((specular,), 1 / specular), torch.full((samples - specular,), 1 / (samples - specular))]
     )
     radial = strata.to(normals) + uniform[..., 0] * widths.to(normals)
-    # a lattice turned by one random number a pixel: azimuths of neighbouring strata lie far apart
+    # a lattice rotated by one random number per pixel: azimuths of neighbouring strata are far apart
     steps = torch.arange(samples, device=normals.device, dtype=normals.dtype) * _GOLDEN
     angle = 2 * math.pi * ((uniform[..., :1, 1] + steps) % 1.0)
 
@@ -104,7 +108,7 @@ def brdf_and_density(
     directions: Float[Tensor, "*b p s 3"],
     specular_share: float,
 ) -> tuple[Float[Tensor, "*b p s"], Float[Tensor, "*b p s"]]:
-    """F(l, n, v) n.l, and the density (per steradian) with which `sample_sphere` draws the direction l."""
+    """Return F(l, n, v) n.l, and the density (per steradian) with which `sample_sphere` draws direction l."""
     viewer, normal = to_viewer[..., None, None, :], normals[..., None, :]
     half = functional.normalize(directions + viewer, dim=-1)
     n_l = (directions * normal).sum(-1)
@@ -121,7 +125,7 @@ def brdf_and_density(
 
 
 def look_up(panoramas: Float[Tensor, "b 3 h w"], directions: Float[Tensor, "b n 3"]) -> Float[Tensor, "b n 3"]:
-    """Radiance of panoramas along unit directions: bilinear, wrapping at the seam; differentiable in the panoramas."""
+    """Sample panoramas along unit directions: bilinear, wrapping at the seam; differentiable in the panoramas."""
     width = panoramas.shape[-1]
     u = 0.5 + torch.atan2(directions[..., 2], directions[..., 0]) / (2 * math.pi)
     v = torch.acos(directions[..., 1].clamp(-1, 1)) / math.pi
@@ -133,12 +137,12 @@ def look_up(panoramas: Float[Tensor, "b 3 h w"], directions: Float[Tensor, "b n 
 
 
 def shade(samples: SphereSamples, radiance: Float[Tensor, "*b p s 3"]) -> Float[Tensor, "*b p 3"]:
-    """The pixels' radiance R_p."""
+    """Return the pixels' radiance R_p."""
     return (samples.weights[..., None] * radiance).sum(dim=-2)
 
 
 def _frame(normals: Float[Tensor, "*b p 3"]) -> tuple[Float[Tensor, "*b p 3"], Float[Tensor, "*b p 3"]]:
-    """Two unit vectors across each normal."""
+    """Return two unit vectors orthogonal to each normal and to each other."""
     other = torch.where(
         normals[..., 1:2].abs() < 0.9, normals.new_tensor([0.0, 1.0, 0.0]), normals.new_tensor([1.0, 0.0, 0.0])
     )

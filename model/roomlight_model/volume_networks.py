@@ -1,7 +1,7 @@
 """The 3D networks: SGEncoder, SGDecoder with clearing and update volume, SGGRU (paper, network section).
 
 Volumes are [batch, channel, z, y, x] in the session's volume frame. The input's channels are c (3, linear
-radiance), alpha and e (-1 where the depth map says the voxel is empty, else 0).
+radiance), alpha and e (-1 in voxels that are empty by the depth map, else 0).
 """
 
 import math
@@ -16,30 +16,30 @@ from roomlight_model.config import SGConfig
 from roomlight_model.layers import ConvGRU, block3d, conv3d, resize_volume
 
 MAX_LOG_RADIANCE = 10.0
-"""Heads of c and w are cut off at e^10 = 22,026 x white: their sum still fits a half float (65,504)."""
+"""Heads of c and w are clamped at e^10 = 22,026 x white: their sum fits a half float (65,504)."""
 
 MAX_LOG_SHARPNESS = 7.0
-"""lambda is cut off at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
+"""lambda is clamped at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
 
 DARKEST = 0.02
-"""Added to observed colours before their logarithm: what an 8-bit image cannot tell from black."""
+"""Added to observed colours before their logarithm: an 8-bit image does not resolve less."""
 
 GROUPS = 4
 """Groups of a normalisation: the narrowest layer allowed (8 channels, one voxel) still has two values in each."""
 
 _GREY = 0.3
-"""What the networks see as a frame's mean colour (`SGConfig.own_colour`), and where c starts."""
+"""Mean colour to which frames are normalised (`SGConfig.own_colour`), and the initial value of c."""
 
-_LITTLE = 0.02
-"""Opacity at which a fill trusts what a cell shows as much as what its surroundings do."""
+_FILL_OPACITY = 0.02
+"""Opacity at which the fill weighs a cell as much as its surroundings."""
 
-_START = {"alpha": -3.0, "c": math.log(_GREY), "w": math.log(0.05), "sharpness": math.log(8.0)}
-"""Head biases at the start: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts straight
-up in the volume frame, where rooms have their lamps; that also keeps its normalisation from 0 / 0."""
+_INITIAL_BIAS = {"alpha": -3.0, "c": math.log(_GREY), "w": math.log(0.05), "sharpness": math.log(8.0)}
+"""Initial head biases: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts straight up in the volume
+frame, where rooms have their lamps; this also avoids 0 / 0 in its normalisation."""
 
 
 class SGVolume(NamedTuple):
-    """A spherical Gaussian lighting volume, and the update volume where a recurrent decoder made it."""
+    """A spherical Gaussian lighting volume, with the update volume of a recurrent decoder."""
 
     alpha: Float[Tensor, "b z y x"]
     lobes: Float[Tensor, "b z y x 10"]
@@ -69,11 +69,11 @@ class SGEncoder(nn.Module):
     def forward(
         self, volume: Float[Tensor, "b 5 z y x"]
     ) -> tuple[Float[Tensor, "b c0 z0 y0 x0"], Float[Tensor, "b c1 z1 y1 x1"]]:
-        """(f0, f1) of an initial volume."""
+        """Return (f0, f1) of an initial volume."""
         radiance, rest = volume[:, :3], volume[:, 3:]
         if self.own_colour:
             radiance = radiance * (_GREY / mean_colour(volume))
-        # the loss compares log(L + 1); a lamp at 100 x white must not drown the walls
+        # the loss compares log(L + 1); a lamp at 100 x white must not dominate the walls
         volume = torch.cat([torch.log1p(torch.relu(radiance)), rest], dim=1)
         f0 = torch.tanh(self.at_half(volume))
         f1 = torch.tanh(self.at_eighth(f0))
@@ -84,7 +84,7 @@ class SGDecoder(nn.Module):
     """V_c, V_alpha, V_w, V_lambda, V_s (and V_u) = SGDecoder(V_f0, V_f1), cleared by V_x (1 + V_e)."""
 
     def __init__(self, config: SGConfig, *, recurrent: bool) -> None:
-        """`recurrent` adds the head of the update volume V_u."""
+        """Build the layers; `recurrent` adds the head of the update volume V_u."""
         super().__init__()
         self.spherical_gaussians = config.spherical_gaussians
         self.recurrent = recurrent
@@ -110,8 +110,8 @@ class SGDecoder(nn.Module):
         f1: Float[Tensor, "b c1 z1 y1 x1"],
         volume: Float[Tensor, "b 5 z y x"],
     ) -> SGVolume:
-        """The predicted volume; `volume` is the encoder's input."""
-        # global view: every voxel hears the mean of the whole volume, for one matrix product
+        """Predict the volume; `volume` is the encoder's input."""
+        # global view: every voxel receives the mean of the whole volume, at the cost of one matrix product
         room = self.room(f1.mean(dim=(2, 3, 4)))
         level: Tensor | float = 0.0
         if self.tint is not None:
@@ -124,13 +124,15 @@ class SGDecoder(nn.Module):
         raw = self.heads(x)
         if self.direct is not None:
             observed = _observed(volume, level)
-            raw = raw + self.direct(torch.cat([observed, _around(observed, level)], dim=1) if self.filled else observed)
+            raw = raw + self.direct(
+                torch.cat([observed, _surroundings(observed, level)], dim=1) if self.filled else observed
+            )
         return self._activate(raw, volume[:, 4:], level)
 
     def _activate(
         self, raw: Float[Tensor, "b _ z y x"], empty: Float[Tensor, "b 1 z y x"], level: Tensor | float
     ) -> SGVolume:
-        """level: logarithm of what 1 stands for in the heads of c and w."""
+        """Convert head values to a volume; `level` is the logarithm of the unit of c and w."""
         if raw.dtype in (torch.bfloat16, torch.float16):  # autocast: exp of a bf16 keeps two digits
             raw = raw.float()
         keep = 1 + empty  # V_x = V_x (1 + V_e) for every x
@@ -157,14 +159,18 @@ class SGGRU(ConvGRU):
     """V_h^i = SGGRU(V_h^{i-1}, V_f^i) on either level of features."""
 
     def __init__(self, channels: int, *, gate_kernel: int = 3) -> None:
-        """Gates of kernel 1 cut SGGRU_0 to under half; what they gate sees its neighbours all the same."""
+        """Build the GRU. Gates of kernel 1 more than halve SGGRU_0's cost; the candidate still sees its neighbours."""
         super().__init__(conv3d(2 * channels, 2 * channels, kernel=gate_kernel), conv3d(2 * channels, channels))
 
 
 def merge(
     current: SGVolume, alpha_previous: Float[Tensor, "b z y x"], lobes_previous: Float[Tensor, "b z y x 10"]
 ) -> SGVolume:
-    """V_x^i = V_x^i (1 - V_u^i) + V_u^i V_x^{i-1} for every x; `current` is cleared already."""
+    """Merge with the previous volume: V_x^i = V_x^i (1 - V_u^i) + V_u^i V_x^{i-1}; `current` is already cleared.
+
+    Raises:
+        ValueError: `current` has no update volume.
+    """
     if current.update is None:
         raise ValueError("only a recurrent decoder's volume can be merged: it has no update volume")
     update = current.update
@@ -175,10 +181,10 @@ def merge(
 
 
 def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.Conv3d:
-    """All heads as one 1 x 1 x 1 convolution on shared features: alpha, c(3) [, w(3), lambda, s(3)] [, u]."""
-    bias = [_START["alpha"], *[_START["c"]] * 3]
+    """Build all heads as one 1 x 1 x 1 convolution: alpha, c(3) [, w(3), lambda, s(3)] [, u]."""
+    bias = [_INITIAL_BIAS["alpha"], *[_INITIAL_BIAS["c"]] * 3]
     if spherical_gaussians:
-        bias += [*[_START["w"]] * 3, _START["sharpness"], 0.0, 1.0, 0.0]
+        bias += [*[_INITIAL_BIAS["w"]] * 3, _INITIAL_BIAS["sharpness"], 0.0, 1.0, 0.0]
     if recurrent:
         bias += [0.0]
     heads = nn.Conv3d(channels, len(bias), 1, bias=True)
@@ -189,10 +195,11 @@ def _heads(channels: int, *, spherical_gaussians: bool, recurrent: bool) -> nn.C
 
 
 def _direct_heads(outputs: int, *, filled: bool) -> nn.Conv3d:
-    """From what was observed straight to the heads, at the start a copy: alpha 0.88 and c as seen where the frame shows
-    a surface, elsewhere c as seen around (`filled`) or untouched. Without it the picture has to be learned through half
-    the resolution: on 8 sequences not trained on, mean log-L2 was 0.075 after 100 steps, the copy's 0.067 before the
-    first.
+    """Build the connection from the observed volume to the heads, initially a copy.
+
+    Where the frame shows a surface, alpha starts at 0.88 and c at the observed colour; elsewhere c starts at the
+    surroundings' colour (`filled`) or is unchanged. Without this connection the image must be learned through half the
+    resolution: on 8 held-out sequences, mean log-L2 was 0.075 after 100 steps; the copy has 0.067 before the first.
     """
     direct = nn.Conv3d(8 if filled else 5, outputs, 1, bias=False)
     with torch.no_grad():
@@ -206,7 +213,7 @@ def _direct_heads(outputs: int, *, filled: bool) -> nn.Conv3d:
 
 
 def mean_colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 1 1 1"]:
-    """Geometric mean of the radiance of the surfaces in an initial volume; grey where it shows hardly any.
+    """Return the geometric mean of the radiance of an initial volume's surfaces; grey if there are hardly any.
 
     Geometric, because a window makes a room's arithmetic mean several times as bright as its walls.
     """
@@ -221,19 +228,19 @@ def _colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 z y x"]:
 
 
 def _observed(volume: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 5 z y x"]:
-    """The initial volume as the heads count: c's logarithm above their start, 0 where nothing was seen; alpha, e."""
-    seen = torch.log(_colour(volume) + DARKEST) - _START["c"] - level
+    """Convert an initial volume to the heads' units: log c relative to its initial value (0 if unseen), alpha, e."""
+    seen = torch.log(_colour(volume) + DARKEST) - _INITIAL_BIAS["c"] - level
     return torch.cat([volume[:, 3:4] * seen, volume[:, 3:]], dim=1)
 
 
-def _around(observed: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 3 z y x"]:
-    """What is seen around each voxel that shows no surface, as `_observed` counts: a push-pull fill (Gortler et al.
-    1996), whose coarser levels stand in where the finer know nothing; in the coarsest, the mean colour (0).
+def _surroundings(observed: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Float[Tensor, "b 3 z y x"]:
+    """Fill voxels without a surface from their surroundings, in the units of `_observed`, by push-pull.
 
-    What is brighter than white lends no more than white: windows and lamps end at their frames, walls go on.
+    Push-pull (Gortler et al. 1996) uses coarser levels where finer ones have no data; the coarsest falls back to the
+    mean colour (0). Colours brighter than white count as white: windows and lamps end at their frames, walls continue.
     """
     alpha = observed[:, 3:4]
-    white = -_START["c"] - level
+    white = -_INITIAL_BIAS["c"] - level
     sums = [torch.cat([torch.minimum(observed[:, :3], alpha * white), alpha], dim=1)]
     while min(sums[-1].shape[2:]) >= 4:
         sums.append(functional.avg_pool3d(sums[-1], 2))
@@ -241,5 +248,5 @@ def _around(observed: Float[Tensor, "b 5 z y x"], level: Tensor | float) -> Floa
     for level in reversed(sums):
         known = level[:, 3:4]
         around = resize_volume(around, level.shape[2:])
-        around = (level[:, :3] + _LITTLE * around) / (known + _LITTLE)
+        around = (level[:, :3] + _FILL_OPACITY * around) / (known + _FILL_OPACITY)
     return (1 - alpha) * around

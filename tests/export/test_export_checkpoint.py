@@ -181,10 +181,10 @@ def test_refuses_places_that_are_not_for_models(single, tmp_path):
         export_checkpoint(checkpoint, tmp_path / "file" / "model")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "cat.jpg").write_text("")
-    with pytest.raises(OutputError, match="something else"):
+    with pytest.raises(OutputError, match="other files"):
         export_checkpoint(checkpoint, tmp_path / "photos")
     (tmp_path / "photos" / "model.json").write_text("[]")
-    with pytest.raises(OutputError, match="something else"):
+    with pytest.raises(OutputError, match="other files"):
         export_checkpoint(checkpoint, tmp_path / "photos")
     assert (tmp_path / "photos" / "cat.jpg").exists()
 

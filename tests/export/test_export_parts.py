@@ -122,7 +122,7 @@ def test_a_folder_that_fills_meanwhile_is_not_replaced(tmp_path):
             out.mkdir()
             (out / "cat.jpg").write_text("")
 
-    with pytest.raises(OutputError, match="something else"):
+    with pytest.raises(OutputError, match="other files"):
         fill_meanwhile()
     assert (out / "cat.jpg").exists()
     assert [path.name for path in tmp_path.iterdir()] == ["model"]

@@ -37,11 +37,12 @@ def test_missing_fields_take_defaults():
 @pytest.mark.parametrize(
     ("values", "named"),
     [
-        ([1, 2], "mapping"),
-        ({"sg": 3}, "'sg'"),
+        ([1, 2], r"\[1, 2\]"),
+        ({"sg": 3}, "version: sg: .*got 3"),
+        ({"sg": {1, 2}}, "not JSON"),
         ({"head": {}}, "head"),
-        ({"sg": {"depth": 3}}, "depth"),
-        ({"sg": {"channels": "many"}}, "sg.channels"),
+        ({"sg": {"depth": 3}}, "sg.depth"),
+        ({"sg": {"channels": "many"}}, "sg.channels: .*integer.*got 'many'"),
         ({"sg": {"channels": True}}, "sg.channels"),
         ({"sg": {"channels": 30}}, "multiple of 4"),
         ({"sg": {"volume_shape": [64, 60]}}, "volume_shape"),

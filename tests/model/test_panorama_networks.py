@@ -8,6 +8,8 @@ import torch
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import fill_in
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import Observation, SingleModel, VideoModel
 from roomlight_model.panorama_networks import (
     SINGLE_PANELS,
     VIDEO_PANELS,
@@ -16,8 +18,6 @@ from roomlight_model.panorama_networks import (
     single_panels,
     video_panels,
 )
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.networks import Observation, SingleModel, VideoModel
 
 HEIGHT = 24
 BLEND = BlendConfig(height=HEIGHT, channels=4, full_channels=4)

@@ -17,7 +17,7 @@ from recordings import BoxRecordings
 from roomlight.conventions import linear_to_srgb8, panorama_rays, srgb8_to_linear
 from roomlight.dataset.recording import GLASS
 from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
-from roomlight.errors import ModelError, OutputError
+from roomlight.errors import ModelError, OptionError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
@@ -228,7 +228,7 @@ def test_losses_are_finite_in_bf16_too():
 
 
 def test_pieces_of_a_batch_add_up_to_its_gradient():
-    """Pieces run on threads and differ in size; gradients have the parameters' strides, as the fused optimiser needs."""
+    """Pieces run on threads and differ in size; gradients have the parameters' strides, for the fused optimiser."""
     options = replace(OPTIONS, stage="single-joint", rendering_weight=0.0)  # its directions are each piece's own
     recordings = BoxRecordings(3)
     batch = collate(
@@ -292,7 +292,7 @@ def test_only_a_better_score_replaces_the_best(tmp_path):
 
 def test_a_foreign_folder_is_left_alone(tmp_path):
     (tmp_path / "thesis.txt").write_text("precious")
-    with pytest.raises(OutputError, match="something else"):
+    with pytest.raises(OutputError, match="other files"):
         Trainer(OPTIONS, BoxRecordings(3), tmp_path, device=CPU)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
 
@@ -300,7 +300,7 @@ def test_a_foreign_folder_is_left_alone(tmp_path):
 def test_a_broken_checkpoint_is_named(tmp_path):
     Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
     (tmp_path / "run" / "last.pt").write_bytes(b"torn")
-    with pytest.raises(ModelError, match=r"last\.pt.*delete it to begin again"):
+    with pytest.raises(ModelError, match=r"last\.pt.*delete it to start again"):
         Trainer(OPTIONS, BoxRecordings(3), tmp_path / "run", device=CPU)
 
 
@@ -312,22 +312,22 @@ def test_too_few_sequences_are_refused(tmp_path):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"steps": 0}, "steps is 0; it is 1 or more"),
-        ({"batch": 0}, "batch is 0; it is 1 or more"),
-        ({"rays": 7}, "rays is 7; it is 8 or more"),
-        ({"frames": 0}, "frames is 0; it is 1 or more"),
-        ({"held_out": -1}, "held_out is -1; it is 0 or more"),
-        ({"sphere_pixels": -1}, "sphere_pixels is -1; it is 0 or more"),
-        ({"sphere_samples": 1}, "sphere_samples is 1; it is 2 or more"),
-        ({"learning_rate": 0.0}, "learning_rate is 0.0; it lies between 0 and 1"),
-        ({"surround_max": -0.1}, "surround_max is -0.1; it lies between 0 and 100"),
+        ({"steps": 0}, "steps is 0; it must be 1 or more"),
+        ({"batch": 0}, "batch is 0; it must be 1 or more"),
+        ({"rays": 7}, "rays is 7; it must be 8 or more"),
+        ({"frames": 0}, "frames is 0; it must be 1 or more"),
+        ({"held_out": -1}, "held_out is -1; it must be 0 or more"),
+        ({"sphere_pixels": -1}, "sphere_pixels is -1; it must be 0 or more"),
+        ({"sphere_samples": 1}, "sphere_samples is 1; it must be 2 or more"),
+        ({"learning_rate": 0.0}, "learning_rate is 0.0; it must be between 0 and 1"),
+        ({"surround_max": -0.1}, "surround_max is -0.1; it must be between 0 and 100"),
         ({"volume_shape": (4, 30, 42)}, "volume_shape"),
-        ({"panorama_height": 61}, "panorama_height is 61; it is even and 8 or more"),
-        ({"panorama_height": 9}, "panorama_height is 9; it is even and 8 or more"),
+        ({"panorama_height": 61}, "panorama_height is 61; it must be even and 8 or more"),
+        ({"panorama_height": 9}, "panorama_height is 9; it must be even and 8 or more"),
     ],
 )
 def test_options_out_of_range_are_refused(changes, message):
-    with pytest.raises(ModelError, match=message):
+    with pytest.raises(OptionError, match=message):
         replace(OPTIONS, **changes)
 
 
@@ -338,9 +338,16 @@ def test_options_survive_json(tmp_path):
     path.write_text("[1]")
     with pytest.raises(ModelError, match="not the options"):
         TrainOptions.read(path)
-    path.write_text(json.dumps({"colour": "red"}))
-    with pytest.raises(ModelError, match="colour"):
-        TrainOptions.read(path)
+    for values, named in (
+        ({"colour": "red"}, "colour"),
+        ({"steps": "many"}, "steps"),
+        ({"batch": 0}, "batch is 0"),
+        ({"stage": "double"}, "stage"),
+        ({"model": {"sg": {"depth": 3}}}, r"model\.sg\.depth"),
+    ):
+        path.write_text(json.dumps(values))
+        with pytest.raises(ModelError, match=rf"options\.json: .*{named}"):
+            TrainOptions.read(path)
 
 
 def test_several_frames_are_fused_as_in_the_serving_engine():

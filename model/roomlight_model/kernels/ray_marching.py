@@ -1,15 +1,15 @@
 # pyright: reportMissingParameterType=false
-"""The gradient of SGLV ray marching, in one pass forth and one back along each ray.
+"""SGLV ray marching and its gradient, in one forward and one backward pass along each ray.
 
-Twin: `roomlight_model.ray_marching_reference.render_rays` under autograd. The forward values are made again here rather than kept:
-128 samples of 11 channels a ray would be 5.6 kB where the ray itself is 24 bytes.
+Twin: `roomlight_model.ray_marching_reference.render_rays` under autograd. The backward pass computes the forward values
+again: 128 samples of 11 channels a ray would take 5.6 kB, the ray itself takes 24 bytes.
 """
 
 import numpy as np
 from numba import njit
 
 SAMPLES = 256
-"""Most samples on a ray."""
+"""Largest number of samples on a ray."""
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -23,7 +23,7 @@ def march_forward_backward(
     alpha, lobes, origins, directions, lower, voxel, step, samples, boundary, g_radiance, radiance, g_alpha, g_lobes,
     with_gradient,
 ):  # fmt: skip
-    """Rays of one volume. Without a gradient: fills `radiance`. With one: adds to `g_alpha` and `g_lobes`.
+    """March the rays of one volume. Fills `radiance`, or, `with_gradient`, adds to `g_alpha` and `g_lobes`.
 
     alpha [z, y, x], lobes [z, y, x, 10], origins and unit directions [n, 3] in the volume frame (metres).
     """
@@ -90,7 +90,7 @@ def march_forward_backward(
                 total[c] += left * own * mixed
             left *= one - own
             used = n + 1
-            # a wall's gradient asks what stands behind it: only the values alone may stop early
+            # a wall's gradient depends on what is behind it: only a pass without gradient may stop early
             if left < np.float32(1e-5) and not with_gradient:
                 break
         cosine = zero

@@ -1,6 +1,6 @@
-"""Examples made into batches: initial volumes, partial panoramas and the true light as tensors.
+"""Convert examples to batches of tensors: initial volumes, partial panoramas and the true light.
 
-With the same torch-free code that serves, so that the networks are trained on what they will be shown.
+The serving engine's own code computes them, so that the networks are trained on the inputs they will get.
 """
 
 from collections.abc import Sequence
@@ -25,34 +25,34 @@ from roomlight_model.training.examples import Example
 
 @dataclass(frozen=True, eq=False)
 class Batch:
-    """Examples as tensors. Points and directions in world axes are turned into each volume's frame by `turn`."""
+    """Examples as tensors. `world_to_volume_rotation` takes world directions to each volume's axes."""
 
     volume: Float[Tensor, "b 5 z y x"]
     lower_m: Float[Tensor, "b 3"]
     voxel_m: Float[Tensor, "b 3"]
-    turn: Float[Tensor, "b 3 3"]
-    """World to volume axes; a mirrored example's holds the reflection too."""
+    world_to_volume_rotation: Float[Tensor, "b 3 3"]
+    """World to volume axes; includes the reflection of a mirrored example."""
     origins: Float[Tensor, "b p 3"]
-    """Probes in the volume's frame."""
+    """Probes in the volume's frame, metres."""
     to_viewer: Float[Tensor, "b p 3"]
     """Unit world vectors from the probes toward the camera."""
     truth: Float[Tensor, "b p 3 h w"]
     partial: Float[Tensor, "b p 3 h w"] | None = None
-    """What the last frame's mesh shows at each probe, and beyond it a fill, for the blending stages."""
+    """The last frame's mesh rendered at each probe, and a fill outside it; for the blending stages."""
     mask: Float[Tensor, "b p 1 h w"] | None = None
-    """What of that the mesh shows."""
+    """1 where `partial` shows the mesh, 0 where it is filled."""
     before: Float[Tensor, "b p 3 h w"] | None = None
-    """What the frames before it showed there."""
+    """Detail accumulated from the earlier frames."""
     kept: Float[Tensor, "b p 1 h w"] | None = None
-    """Where that is what a probe has: the last frame shows nothing nearer."""
+    """1 where the probe keeps `before`: the last frame shows no closer surface."""
 
     def to(self, device: torch.device) -> "Batch":
-        """The same on another device."""
+        """Copy the batch to another device."""
         moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
         return replace(self, **moved)
 
     def pieces(self, size: int) -> list["Batch"]:
-        """The same examples in batches of `size`, the last of what is left."""
+        """Split the batch into batches of `size`; the last one has the remainder."""
         parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
         return [
             replace(self, **{name: part[number] for name, part in parts.items()})
@@ -61,13 +61,13 @@ class Batch:
 
 
 def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], panorama_height: int | None) -> Batch:
-    """A batch; panorama_height, where given, asks for partial panoramas of that height (and truth resampled to it).
+    """Build a batch of examples that have the same number of probes.
 
-    All examples have equally many probes.
+    With a `panorama_height`, partial panoramas are rendered and the truth is resampled at this height.
     """
     columns: dict[str, list[np.ndarray]] = {}
 
-    def put(name: str, value: np.ndarray) -> None:
+    def add(name: str, value: np.ndarray) -> None:
         columns.setdefault(name, []).append(np.asarray(value, np.float32))
 
     for example in examples:
@@ -76,25 +76,25 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
         grid = VolumeGrid.from_frame(frames[0], shape=volume_shape)
         flip = np.diag([-1.0 if example.mirrored else 1.0, 1.0, 1.0])
         volume = _mean_volume(grid, frames)
-        put("volume", volume[..., ::-1] if example.mirrored else volume)
-        put("lower_m", grid.lower_m)
-        put("voxel_m", grid.voxel_m)
-        turn = flip @ grid.world_to_volume[:3, :3]
-        put("turn", turn)
+        add("volume", volume[..., ::-1] if example.mirrored else volume)
+        add("lower_m", grid.lower_m)
+        add("voxel_m", grid.voxel_m)
+        rotation = flip @ grid.world_to_volume[:3, :3]
+        add("world_to_volume_rotation", rotation)
         away = example.positions - frames[0].camera_to_world[:3, 3]
-        put("origins", away @ turn.T)
-        put("to_viewer", -away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6))
-        put("truth", np.moveaxis(_at_height(example.truth, panorama_height), -1, 1))
+        add("origins", away @ rotation.T)
+        add("to_viewer", -away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6))
+        add("truth", np.moveaxis(_at_height(example.truth, panorama_height), -1, 1))
         if panorama_height is not None:
             meshes = [FrameMesh(frame) for frame in frames]
-            looks = [_look(meshes, position, grid, panorama_height) for position in example.positions]
-            for name, planes in zip(_Look._fields, zip(*looks, strict=True), strict=True):
-                put(name, np.stack([np.moveaxis(plane, -1, 0) for plane in planes]))
+            details = [_probe_detail(meshes, position, grid, panorama_height) for position in example.positions]
+            for name, planes in zip(_ProbeDetail._fields, zip(*details, strict=True), strict=True):
+                add(name, np.stack([np.moveaxis(plane, -1, 0) for plane in planes]))
     return Batch(**{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()})
 
 
 def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray, "5 z y x"]:
-    """What the serving engine shows the networks after these frames."""
+    """Compute the volume that the serving engine gives to the networks after these frames."""
     fused = FusedVolume.fresh(grid.shape)
     for frame in frames:
         fused.add(initial_volume(grid, frame))
@@ -103,8 +103,8 @@ def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray,
     return volume
 
 
-class _Look(NamedTuple):
-    """What `Batch` holds of one probe, under the same names."""
+class _ProbeDetail(NamedTuple):
+    """One probe's share of the fields of `Batch` with the same names."""
 
     partial: Float[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w 1"]
@@ -112,18 +112,20 @@ class _Look(NamedTuple):
     kept: Bool[np.ndarray, "h w 1"]
 
 
-def _look(meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: VolumeGrid, height: int) -> _Look:
-    """As the serving engine has it at the last frame, if every detail of the frames before came in whole."""
+def _probe_detail(
+    meshes: Sequence[FrameMesh], position: Float[np.ndarray, "3"], grid: VolumeGrid, height: int
+) -> _ProbeDetail:
+    """Compute the serving engine's panoramas at the last frame, with blending weight 1 in the earlier frames."""
     state = PanoramaState.fresh(height, grid.depth_max_m)
     nothing = np.zeros((height, 2 * height, 3), np.float32)
     farthest_m = farthest_depth_m(grid.depth_max_m)
     *earlier, last = (mesh.render_panorama(position, height=height).within(farthest_m) for mesh in meshes)
-    for look in earlier:
-        weight = look.mask.astype(np.float32)
-        accumulate(state, hdr=nothing, detail=look.radiance, detail_depth_m=look.depth_m, weight=weight)
+    for detail in earlier:
+        weight = detail.mask.astype(np.float32)
+        accumulate(state, hdr=nothing, detail=detail.radiance, detail_depth_m=detail.depth_m, weight=weight)
     filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
     kept = (state.seen > 0) & ~(last.mask & state.is_closer(last.depth_m))
-    return _Look(filled, last.mask[..., None], state.radiance, kept[..., None])
+    return _ProbeDetail(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 
 def _at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Float[np.ndarray, "p h2 w2 3"]:

@@ -1,7 +1,6 @@
-"""From recordings to examples: which frames, whose depth, augmented how.
+"""Turn recordings into training examples: choose frames, choose the depth, augment.
 
-Made on CPU threads; every random choice comes from (seed, step), so that a run that was killed goes on as if it had
-not been.
+Runs on CPU threads. Every random choice follows from (seed, step), so that a resumed run repeats an uninterrupted one.
 """
 
 from collections.abc import Sequence
@@ -20,31 +19,31 @@ from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5
-"""The share of examples that show another frame than the first: more views for the same rooms."""
+"""Share of examples that start at another frame than the first: more views of the same rooms."""
 _SEEN_THROUGH = 0.5
-"""The share of exact depth maps in which panes are holes, as depth cameras and artists' scenes have them: there what is
-clipped is a window."""
+"""Share of exact depth maps in which panes are holes, as in depth cameras and artists' scenes, where clipped pixels
+without depth are windows."""
 _CONTRASTS = (0.85, 1.7)
-"""Powers of light. Generated rooms are more evenly lit than many that are filmed: a frame's mean over its median is
-1.4 in the middle of the data, 2.2 to 4 in some artists' scenes and real rooms."""
+"""Range of exponents of radiance. Generated rooms are lit more evenly than many real ones: the ratio of a frame's mean
+to its median has a median of 1.4 in the data, and is 2.2 to 4 in some artists' scenes and real rooms."""
 _BRIGHTEST = 60_000.0
-"""What a lamp may come to by that, in units of white."""
+"""Largest radiance after that, in units of white."""
 
 
 @runtime_checkable
 class Recordings(Protocol):
-    """Sequences by number; `frames` says which of them are to be decoded."""
+    """Sequences by number."""
 
     def __len__(self) -> int:
-        """How many there are."""
+        """Return the number of sequences."""
         ...
 
     def frames_of(self, index: int, /) -> int:
-        """How many frames one of them has."""
+        """Return the number of frames of a sequence."""
         ...
 
     def read(self, index: int, /, *, frames: list[int]) -> Recording:
-        """One sequence with those frames only, in that order, and all its probes."""
+        """Read a sequence with only these frames, in this order, and all its probes."""
         ...
 
 
@@ -52,9 +51,13 @@ class Recordings(Protocol):
 class Example:
     """One frame, or several of a walk, with the true light at some points.
 
-    frame: linear image in its own exposure (1.0 is white), depth as the sensor gives it. depth_m: the same, completed.
-    positions: world, metres. truth: radiance in the same units as the image. later: frames after it, in order, likewise
-    and in the first one's units.
+    Attributes:
+        frame: The first frame: linear image in its own exposure (1.0 is white), depth as the sensor measures it.
+        depth_m: Its depth, completed.
+        positions: Points in the world, metres.
+        truth: Their panoramas, radiance in the units of the image.
+        mirrored: Whether the batch mirrors the example.
+        later: Later frames, in order, in the units of the first frame.
     """
 
     frame: Frame
@@ -66,17 +69,23 @@ class Example:
 
     @property
     def completed(self) -> Frame:
-        """The frame with depth everywhere."""
+        """The first frame with completed depth."""
         return replace(self.frame, depth_m=self.depth_m)
 
 
 def read_example(
     recordings: Recordings, index: int, rng: np.random.Generator, *, depth: DepthKind, augment: bool, frames: int = 1
 ) -> Example:
-    """A random frame of a sequence, with its depth as measured or as a phone would have measured it.
+    """Read a random frame of a sequence, or several frames.
 
-    frames: up to so many together, from the first frames of a stream to all of it, spread evenly over what was seen by
-    then. Without augmentation they are the first frame, and the rest spread over the whole sequence.
+    Args:
+        recordings: The sequences.
+        index: The number of the sequence.
+        rng: The generator of all random choices.
+        depth: Exact depth, simulated phone depth, or both in turn.
+        augment: Whether to draw frames at random and to augment. Otherwise the example has the first frame and
+            later ones spread over the whole sequence.
+        frames: Largest number of frames, spread evenly over a random length of the stream.
     """
     count = recordings.frames_of(index)
     other = augment and rng.random() < _OTHER_FRAMES
@@ -90,8 +99,10 @@ def read_example(
 
 
 def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKind) -> Example:
-    """The example that a recording's decoded frames make together, in the first one's units; both: half phone-like, a
-    quarter with holes at panes."""
+    """Build an example of a recording's decoded frames, in units of the first one.
+
+    Depth "both" draws phone depth for half of the examples and holes at panes for a quarter.
+    """
     depth_mm = recording.depth_mm
     if depth == "arkit" or (depth == "both" and rng.random() < 0.5):
         depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
@@ -113,9 +124,9 @@ def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKi
 
 
 def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) -> list[int]:
-    """At most `most` frames from `first` on: spread evenly to a moment of the stream, the last one without `rng`.
+    """Spread at most `most` frames evenly from `first` to a random frame, or to the last one without `rng`.
 
-    Moments are drawn evenly in the logarithm of the frames seen by then: a stream changes most when it begins.
+    The logarithm of the stream's length is drawn uniformly: a stream changes most at its start.
     """
     if most == 1:
         return [first]
@@ -125,15 +136,15 @@ def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) 
 
 
 def _near(example: Example) -> bool:
-    """Whether every probe is inside the frame's own volume: elsewhere it has nothing to say."""
+    """Return whether every probe is inside the frame's volume; elsewhere the volume has no light of its own."""
     grid = VolumeGrid.from_frame(example.completed)
     return all(grid.contains((float(x), float(y), float(z))) for x, y, z in example.positions)
 
 
 def _augmented(example: Example, rng: np.random.Generator) -> Example:
-    """Mirrored (half of the time), of other contrast (a quarter), colours exchanged (a fifth), weighted (a quarter).
+    """Mirror (half of the examples), change contrast (a quarter), permute channels (a fifth), weight them (a quarter).
 
-    Gains are 1 or more and the image is clipped again after them: white stays the camera's limit.
+    Gains are at least 1 and the image is clipped again after them: white stays the camera's limit.
     """
     frames, truth = [example.frame, *example.later], example.truth
     images = [frame.image for frame in frames]
@@ -157,8 +168,10 @@ def _augmented(example: Example, rng: np.random.Generator) -> Example:
 def _contrasted(
     images: Sequence[Float[np.ndarray, "h w 3"]], truth: Float[np.ndarray, "p ph pw 3"], power: float
 ) -> tuple[list[Float[np.ndarray, "h w 3"]], Float[np.ndarray, "p ph pw 3"]]:
-    """A room whose light is that power of this one's, white staying white: darker corners and brighter lamps, or less
-    of both. It is then exposed as brightly as this one, as far as that is a gain."""
+    """Raise radiance to a power that keeps white: darker corners and brighter lamps, or less of both.
+
+    A gain of 1 to 2.5 then restores the exposure of the image.
+    """
     others = [image ** np.float32(power) for image in images]
     gain = np.float32(np.clip(images[0].mean() / max(float(others[0].mean()), 1e-4), 1, 2.5))
     lit = np.minimum(truth ** np.float32(power) * gain, np.float32(_BRIGHTEST))

@@ -1,7 +1,7 @@
-"""The gradient of a batch's loss: on CPUs its examples are shared out over threads.
+"""Gradients of a batch's loss. On CPUs, the examples of a batch are distributed over threads.
 
-oneDNN's 3D convolutions at the coarse levels have too little work for two threads: they wait for each other. Two halves
-of a batch side by side, a thread each, never do.
+oneDNN's 3D convolutions have too little work at the coarse levels to share between threads, which then wait for each
+other; two halves of a batch on a thread each do not.
 """
 
 from collections.abc import Sequence
@@ -15,45 +15,43 @@ from torch import Tensor, nn
 
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch
-from roomlight_model.training.step_clock import StepClock
 from roomlight_model.training.options import STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, predict, stage_losses
+from roomlight_model.training.step_clock import StepClock
 
-_TOGETHER: Final = 2
-"""Examples that go through the networks together on a CPU; a fixed number, so that a run does not depend on its
-cores."""
+_PIECE_SIZE: Final = 2
+"""Examples in one forward pass on a CPU; fixed, so that a run's results do not depend on the number of cores."""
 
 
 class _Piece(NamedTuple):
     losses: Losses
     gradients: tuple[Tensor | None, ...]
     share: float
-    """Of the batch's examples."""
+    """Share of the batch's examples."""
 
 
 class BatchGradients:
-    """Computes a batch's losses and leaves their gradients in the parameters' `grad`. `clock`, where set, hears what
-    each part costs."""
+    """Computes a batch's losses and writes their gradients to the parameters' `grad`. Set `clock` to time the parts."""
 
     def __init__(
         self, model: SingleModel, parameters: Sequence[nn.Parameter], options: TrainOptions, *, device: torch.device
     ) -> None:
-        """`parameters` are those that the stage trains."""
+        """Prepare the threads; `parameters` are the ones that the stage trains."""
         self.clock: StepClock | None = None
         self._model, self._parameters, self._options, self._device = model, tuple(parameters), options, device
-        pieces = -(-options.batch // _TOGETHER) if device.type == "cpu" else 1
+        pieces = -(-options.batch // _PIECE_SIZE) if device.type == "cpu" else 1
         threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(
             min(pieces, threads),
             thread_name_prefix="gradients",
-            initializer=torch.set_num_threads,  # of the thread that calls it
+            initializer=torch.set_num_threads,  # applies to the calling thread
             initargs=(max(1, threads // pieces),),
         )
-        self._together = _TOGETHER if pieces > 1 else options.batch
+        self._piece_size = _PIECE_SIZE if pieces > 1 else options.batch
 
     def of(self, batch: Batch, step: int) -> Losses:
-        """The batch's mean losses, without a gradient of their own; random directions follow from (seed, step)."""
-        pieces = batch.pieces(self._together)
+        """Compute gradients and return the mean losses, detached; random directions follow from (seed, step)."""
+        pieces = batch.pieces(self._piece_size)
         if len(pieces) == 1:
             done = [self._piece(batch, step, 0, 1.0)]
         else:
@@ -61,7 +59,7 @@ class BatchGradients:
             done = list(self._pool.map(self._piece, pieces, [step] * len(pieces), range(len(pieces)), shares))
         with torch.no_grad():
             for index, parameter in enumerate(self._parameters):
-                _put_together(parameter, [(piece.gradients[index], piece.share) for piece in done])
+                _accumulate(parameter, [(piece.gradients[index], piece.share) for piece in done])
             means = [torch.stack([losses[k] * share for losses, _, share in done]).sum() for k in range(3)]
             return Losses(*means)
 
@@ -82,8 +80,8 @@ class BatchGradients:
         return nullcontext() if self.clock is None else self.clock.part(name)
 
 
-def _put_together(parameter: nn.Parameter, pieces: Sequence[tuple[Tensor | None, float]]) -> None:
-    """grad = sum of share x gradient, laid out as the parameter is: the fused optimiser reads both alike."""
+def _accumulate(parameter: nn.Parameter, pieces: Sequence[tuple[Tensor | None, float]]) -> None:
+    """Set grad = sum of share x gradient, with the parameter's strides: the fused optimiser needs the same strides."""
     known = [(gradient, share) for gradient, share in pieces if gradient is not None]
     if not known:
         parameter.grad = None

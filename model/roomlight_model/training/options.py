@@ -1,38 +1,60 @@
-"""What a training run is told: frozen, written beside its results, read back when it resumes."""
+"""Options of a training run: frozen, stored with its results, read again when the run resumes."""
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, ClassVar, Final, Literal, get_args
 
-from roomlight.errors import ModelError
+from pydantic import ConfigDict, TypeAdapter, ValidationError
+
+from roomlight.errors import ModelError, OptionError
 from roomlight_model.config import ModelConfig
 
-Stage = Literal["single-sglv", "single-blend", "single-joint"]
-STAGES: Final[tuple[str, ...]] = get_args(Stage)
+TrainingStage = Literal["single-sglv", "single-blend", "single-joint"]
+STAGES: Final[tuple[str, ...]] = get_args(TrainingStage)
 DepthKind = Literal["exact", "arkit", "both"]
 OPTIONS: Final = "options.json"
-"""Where a run's folder says what was asked."""
+"""File with the options, in a run's folder."""
 HELD_OUT: Final = 48
-"""Sequences kept from training, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
+"""Default number of held-out sequences, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
 
 
 @dataclass(frozen=True)
 class TrainOptions:
-    """One stage of one model. Lengths of a run are steps: hours depend on the machine, results must not.
+    """Options of one stage of one model. A run's length is in steps: hours depend on the machine, results must not.
 
-    volume_shape is the resolution trained at ([z, y, x]; half of the paper's costs an eighth), and the one that the
-    checkpoint is exported for: opacity is that of a voxel, so weights of one resolution are wrong at another until they
-    are trained there. rays are drawn at random from each probe's panorama in the first stage; `sphere_pixels` x
-    `sphere_samples` more are the rendering layer's. panorama_height is that of the blending stages, and of the exported
-    blending graphs. surround_max: trained on are sequences that are at most so many times as bright all around as in
-    their first frame (`training.subsets.surround`; 0: on all). frames: up to so many of a walk are shown
-    together, as a stream shows them: the volume is their mean (`engine.fusion`), panoramas accumulate. held_out: how
-    many of the first folder's sequences are kept from training; what was kept when a run began is kept when it goes on.
+    Attributes:
+        stage: Stage of training; see `training.stages`.
+        steps: Optimiser steps.
+        batch: Examples in a batch.
+        learning_rate: Largest learning rate, after the warm-up.
+        warm_up: Steps of the linear warm-up.
+        weight_decay: AdamW's weight decay.
+        rendering_weight: Weight of the rendering loss.
+        ema: Decay of the averaged weights.
+        rays: Rays drawn at random from each probe's panorama in the first stage.
+        sphere_pixels: Pixels of the rendering layer's sphere.
+        sphere_samples: Directions of each of its pixels.
+        volume_shape: Resolution [z, y, x] of training (half of the paper's costs an eighth) and of the exported
+            graphs. Opacity is per voxel, so that weights need training at the resolution they are used at.
+        panorama_height: Rows of the panoramas in the blending stages and of the exported blending graphs.
+        depth: Exact depth, simulated phone depth, or both.
+        frames: Largest number of frames of a walk in an example: the volume is their mean (`engine.fusion`),
+            panoramas accumulate.
+        augment: Whether to draw frames at random and augment them.
+        surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
+            first frame (`training.subsets.surround`); 0 trains on all.
+        held_out: Sequences of the first folder that are kept from training; a resumed run keeps the same ones.
+        bf16: Whether the networks compute in bfloat16.
+        seed: Seed of all random choices.
+        model: Widths of the networks.
+
+    Raises:
+        OptionError: A value is out of range.
     """
 
-    stage: Stage = "single-sglv"
+    __pydantic_config__: ClassVar[ConfigDict] = ConfigDict(extra="forbid")
+
+    stage: TrainingStage = "single-sglv"
     steps: int = 20_000
     batch: int = 4
     learning_rate: float = 1e-3
@@ -55,9 +77,8 @@ class TrainOptions:
     model: ModelConfig = field(default_factory=ModelConfig)
 
     def __post_init__(self) -> None:
-        """ModelError for a value that no run can use; it names the option."""
         if self.stage not in STAGES:
-            raise ModelError(f"stage is {self.stage!r}; it is one of {', '.join(STAGES)}")
+            raise OptionError(f"stage is {self.stage!r}; it must be one of {', '.join(STAGES)}")
         for name, least in (
             ("steps", 1),
             ("batch", 1),
@@ -68,7 +89,7 @@ class TrainOptions:
             ("sphere_samples", 2),
         ):
             if getattr(self, name) < least:
-                raise ModelError(f"{name} is {getattr(self, name)}; it is {least} or more")
+                raise OptionError(f"{name} is {getattr(self, name)}; it must be {least} or more")
         for name, low, high in (
             ("learning_rate", 0, 1),
             ("ema", 0, 1),
@@ -77,44 +98,39 @@ class TrainOptions:
         ):
             value = getattr(self, name)
             if not low <= value <= high or (name == "learning_rate" and value == 0):
-                raise ModelError(f"{name} is {value}; it lies between {low} and {high}")
+                raise OptionError(f"{name} is {value}; it must be between {low} and {high}")
         if min(self.volume_shape) < 8:
-            raise ModelError(f"volume_shape is {self.volume_shape}; every side is 8 or more")
+            raise OptionError(f"volume_shape is {self.volume_shape}; every side must be 8 or more")
         if self.panorama_height < 8 or self.panorama_height % 2:
-            raise ModelError(f"panorama_height is {self.panorama_height}; it is even and 8 or more")
+            raise OptionError(f"panorama_height is {self.panorama_height}; it must be even and 8 or more")
 
     @property
     def trained_model(self) -> ModelConfig:
-        """The networks with the sizes they are trained at: what checkpoints say and graphs are exported for."""
+        """The networks' configuration at the sizes of training, for checkpoints and exported graphs."""
         sg = replace(self.model.sg, volume_shape=self.volume_shape)
         return replace(self.model, sg=sg, blend=replace(self.model.blend, height=self.panorama_height))
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON values."""
-        plain = asdict(self)
-        plain["model"] = self.model.to_dict()
-        plain["volume_shape"] = list(self.volume_shape)
-        return plain
-
-    @staticmethod
-    def from_dict(values: Mapping[str, Any]) -> "TrainOptions":
-        """Read what `to_dict` wrote; ModelError for what another version wrote."""
-        unknown = set(values) - {entry.name for entry in fields(TrainOptions)}
-        if unknown:
-            raise ModelError(f"the run's options hold {sorted(unknown)}, which this version does not know")
-        given = dict(values)
-        given["model"] = ModelConfig.from_dict(given.get("model", {}))
-        if "volume_shape" in given:
-            given["volume_shape"] = tuple(given["volume_shape"])
-        return TrainOptions(**given)
+        """Return plain JSON values."""
+        return _ADAPTER.dump_python(self, mode="json")
 
     @staticmethod
     def read(path: Path) -> "TrainOptions":
-        """The options of a run's folder; ModelError names the file."""
+        """Read the options of a run's folder.
+
+        Raises:
+            ModelError: The file is unreadable, or not the options of a run of this version; the message names it.
+        """
         try:
-            values = json.loads(path.read_text())
-        except (OSError, ValueError) as error:
+            return _ADAPTER.validate_json(path.read_bytes(), strict=True)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            where = ".".join(str(part) for part in first["loc"]) or "the file"
+            raise ModelError(
+                f"{path}: not the options of a training run of this version: {where}: {first['msg']}"
+            ) from error
+        except (OSError, OptionError) as error:
             raise ModelError(f"{path}: not the options of a training run ({error})") from error
-        if not isinstance(values, dict):
-            raise ModelError(f"{path}: not the options of a training run")
-        return TrainOptions.from_dict(values)
+
+
+_ADAPTER: Final = TypeAdapter(TrainOptions)

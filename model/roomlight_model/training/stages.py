@@ -1,4 +1,4 @@
-"""What each stage trains and what it is told (paper, equations L2, LR and their sum).
+"""The stages of training: trained networks and losses (paper, equations L2, LR and their sum).
 
 | stage        | trains             | light compared at                                    |
 |--------------|--------------------|------------------------------------------------------|
@@ -17,31 +17,31 @@ from torch.nn import functional
 
 from roomlight.conventions import panorama_rays
 from roomlight_model.accumulate import blend
-from roomlight_model.ray_marching import march
 from roomlight_model.networks import SingleModel
-from roomlight_model.volume_networks import SGVolume
+from roomlight_model.ray_marching import march
 from roomlight_model.sphere_rendering import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch
-from roomlight_model.training.options import Stage, TrainOptions
+from roomlight_model.training.options import TrainingStage, TrainOptions
+from roomlight_model.volume_networks import SGVolume
 
 
 class Losses(NamedTuple):
-    """The loss and its two parts; means, not sums: the learning rate must not depend on the resolution."""
+    """The loss and its two parts: means, so that the learning rate does not depend on the resolution."""
 
     total: Float[Tensor, ""]
     log_l2: Float[Tensor, ""]
     rendering: Float[Tensor, ""]
 
 
-def trained_modules(model: SingleModel, stage: Stage) -> list[nn.Module]:
-    """The networks that a stage changes."""
+def trained_modules(model: SingleModel, stage: TrainingStage) -> list[nn.Module]:
+    """Return the networks that a stage trains."""
     sg: list[nn.Module] = [model.sg_encoder, model.sg_decoder]
     blend: list[nn.Module] = [model.blend_encoder, model.blend_decoder]
     return {"single-sglv": sg, "single-blend": blend, "single-joint": sg + blend}[stage]
 
 
 def predict(model: SingleModel, batch: Batch, options: TrainOptions, *, device: torch.device) -> SGVolume:
-    """The volumes of a batch: without a gradient where the stage does not train them."""
+    """Predict the volumes of a batch, without a gradient if the stage does not train the 3D networks."""
     trains = options.stage != "single-blend" and torch.is_grad_enabled()
     with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16), torch.set_grad_enabled(trains):
         return model(batch.volume)
@@ -56,30 +56,30 @@ def stage_losses(
     generator: torch.Generator,
     device: torch.device,
 ) -> Losses:
-    """The losses of one batch's volumes; every random direction comes from the generator (on the CPU)."""
+    """Compute the losses of a batch's volumes; random directions come from `generator`, on the CPU."""
     if options.stage == "single-sglv":
         return _sglv_losses(sglv, batch, options, generator=generator)
     return _blend_losses(model, sglv, batch, options, generator=generator, device=device)
 
 
 def rendered(sglv: SGVolume, batch: Batch, directions: Float[Tensor, "b p n 3"]) -> Float[Tensor, "b p n 3"]:
-    """Light of the volume at the probes along world directions."""
+    """Render the volume at the probes along world directions."""
     b, p, n, _ = directions.shape
     origins = batch.origins[:, :, None].expand(b, p, n, 3).reshape(b, p * n, 3)
-    turned = torch.einsum("bij,bpnj->bpni", batch.turn, directions).reshape(b, p * n, 3)
+    in_volume = torch.einsum("bij,bpnj->bpni", batch.world_to_volume_rotation, directions).reshape(b, p * n, 3)
     radiance = march(
         sglv.alpha.float(),
         sglv.lobes.float(),
         lower_m=batch.lower_m,
         voxel_m=batch.voxel_m,
         origins=origins.contiguous(),
-        directions=turned.contiguous(),
+        directions=in_volume.contiguous(),
     )
     return radiance.reshape(b, p, n, 3)
 
 
 def rendered_panoramas(sglv: SGVolume, batch: Batch, *, device: torch.device) -> Float[Tensor, "b p 3 h w"]:
-    """The volume's panoramas at the probes, as high as the truth."""
+    """Render the volume's panoramas at the probes, at the height of the truth."""
     b, p, _, h, w = batch.truth.shape
     rays = _rays(h, device).expand(b, p, -1, 3)
     return rendered(sglv, batch, rays).reshape(b, p, h, w, 3).permute(0, 1, 4, 2, 3)
@@ -94,10 +94,13 @@ def predicted_panoramas(
     device: torch.device,
     weight_height: int | None = None,
 ) -> tuple[Float[Tensor, "b p 3 h w"], Float[Tensor, "b p 3 h w"]]:
-    """The volume's panoramas at the probes, and the blended ones; what earlier frames showed stays.
+    """Compute the volume's panoramas at the probes and the blended ones, which keep the detail of earlier frames.
 
-    weight_height: rows at which the blending network runs, if not the panoramas'; its weight is then resampled, as the
-    serving engine does it.
+    `weight_height` is the height at which the blending network runs if it is not the panoramas'; its weight is then
+    resampled, as in the serving engine.
+
+    Raises:
+        ValueError: The batch has no partial panoramas.
     """
     if batch.partial is None or batch.mask is None:
         raise ValueError("a batch for blending needs partial panoramas: collate it with a panorama_height")
@@ -159,7 +162,7 @@ def _blend_losses(
 ) -> Losses:
     hdr, blended = predicted_panoramas(model, sglv, batch, bf16=options.bf16, device=device)
     log_l2 = _log_l2(blended, batch.truth)
-    if options.stage == "single-joint":  # the volume alone must stay good where nothing is blended in
+    if options.stage == "single-joint":  # keeps the volume accurate where nothing is blended in
         log_l2 = (log_l2 + _log_l2(hdr, batch.truth)) / 2
     samples, light = _sphere(batch, options, generator=generator)
     read = look_up(blended.flatten(0, 1), samples.directions.flatten(2, 3).flatten(0, 1))
@@ -170,11 +173,11 @@ def _blend_losses(
 def _sphere(
     batch: Batch, options: TrainOptions, *, generator: torch.Generator
 ) -> tuple[SphereSamples, Float[Tensor, "b p k s 3"]]:
-    """Directions of a glossy sphere's pixels at every probe, and the true light along them."""
+    """Draw directions for a glossy sphere's pixels at every probe, with the true light along them."""
     b, p = batch.origins.shape[:2]
     device = batch.truth.device
-    places = disc(options.sphere_pixels, batch=(b, p), generator=generator).to(device)
-    normals = sphere_normals(batch.to_viewer, places)
+    points = disc(options.sphere_pixels, batch=(b, p), generator=generator).to(device)
+    normals = sphere_normals(batch.to_viewer, points)
     samples = sample_sphere(normals, batch.to_viewer, samples=options.sphere_samples, generator=generator)
     flat = samples.directions.flatten(2, 3).flatten(0, 1)
     light = look_up(batch.truth.flatten(0, 1), flat)

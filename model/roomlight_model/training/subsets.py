@@ -1,7 +1,7 @@
-"""Which sequences a run trains on and which it keeps for its own curve; both follow folders that grow.
+"""The sequences that a run trains on, and the held-out ones of its validation; both follow growing folders.
 
-Held out are the first rooms of the first folder: a dataset grows at its end, so they stay the same ones from stage to
-stage and from night to night. What the test split is for is not looked at here.
+The first rooms of the first folder are held out: a dataset grows at its end, so that they stay the same between stages
+and runs. The test split is not used.
 """
 
 from collections import Counter
@@ -18,51 +18,55 @@ from roomlight.errors import DatasetError
 from roomlight_model.training.examples import Recordings
 from roomlight_model.training.options import HELD_OUT
 
+ProgressCallback = Callable[[int, int], object]
+"""Receives (done, total)."""
+
 
 class Subset:
     """Some sequences of several datasets, numbered from 0; may grow while others read."""
 
     def __init__(self, places: Sequence[tuple[Recordings, int]]) -> None:
-        """`places` are (dataset, number in it)."""
+        """Take sequences as pairs of dataset and number in it."""
         self._places = tuple(places)
 
     def __len__(self) -> int:
-        """How many."""
+        """Return the number of sequences."""
         return len(self._places)
 
     def read(self, index: int, /, *, frames: list[int]) -> Recording:
-        """One of them, with the frames asked for."""
+        """Read a sequence with the requested frames."""
         recordings, number = self._places[index]
         return recordings.read(number, frames=frames)
 
     def frames_of(self, index: int, /) -> int:
-        """How many frames one of them has."""
+        """Return the number of frames of a sequence."""
         recordings, number = self._places[index]
         return recordings.frames_of(number)
 
     def shares(self) -> list[tuple[Recordings, int]]:
-        """Each of the datasets, and how many of its sequences these are."""
+        """Return each dataset with the number of its sequences in the subset."""
         datasets = {id(dataset): dataset for dataset, _ in self._places}
         counts = Counter(id(dataset) for dataset, _ in self._places)
         return [(dataset, counts[key]) for key, dataset in datasets.items()]
 
     def replace_by(self, other: "Subset") -> int:
-        """Take the other's sequences from now on (readers see the old ones or the new); returns how many are new."""
+        """Replace the sequences by another subset's, atomically for readers; returns how many were added."""
         before, self._places = len(self._places), other._places
         return len(self._places) - before
 
 
 def train_val_split(datasets: Sequence[Recordings], held_out: int = HELD_OUT) -> tuple[Subset, Subset]:
-    """(to train on, held out): the first sequences of the first dataset are held out, at most a quarter of it."""
+    """Split into training and held-out sequences: the first ones of the first dataset, at most a quarter of it."""
     kept = min(held_out, len(datasets[0]) // 4)
     places = [(dataset, number) for dataset in datasets for number in range(len(dataset))]
     return Subset(places[kept:]), Subset(places[:kept])
 
 
 def surround(recording: Recording) -> float:
-    """How bright it is all around the probes, over the first frame: means of log(1 + light), by solid angle and pixel.
+    """Return the ratio of the brightness around the probes to the first frame's, as means of log(1 + light).
 
-    Under 1 where the frame shows the lit side of a room, as people film it.
+    The means are by solid angle and by pixel. The ratio is below 1 if the frame shows the lit side of a room, as in
+    most real videos.
     """
     around = recording.probe_panoramas.astype(np.float32).mean(axis=-1)
     share = panorama_solid_angles(around.shape[1]) / (4 * np.pi)
@@ -71,7 +75,7 @@ def surround(recording: Recording) -> float:
 
 
 class TrainingRooms:
-    """The train splits of some dataset folders; `grow` sees what was finished since."""
+    """The train splits of dataset folders; `grow` adds sequences that were finished since."""
 
     def __init__(
         self,
@@ -79,12 +83,20 @@ class TrainingRooms:
         *,
         surround_max: float = 0.0,
         held_out: int = HELD_OUT,
-        progress: Callable[[int, int], object] | None = None,
+        progress: ProgressCallback | None = None,
     ) -> None:
-        """held_out: at most so many are kept from training; a run that goes on gives what it began with, since a folder
-        that has grown meanwhile would keep more. surround_max: train on sequences whose `surround` is no more than
-        this (0: on all); what is held out is not chosen. `progress` hears how many of the sequences were looked at for
-        it. DatasetError where a folder is no dataset, or none of its sequences is left.
+        """Open the folders and choose the sequences.
+
+        Args:
+            folders: Dataset folders; the first one has the held-out sequences.
+            surround_max: Train only on sequences whose `surround` is at most this; 0 trains on all. Held-out
+                sequences are not filtered.
+            held_out: Largest number of held-out sequences. A resumed run passes its first number, because a folder
+                that has grown would hold out more.
+            progress: Receives (done, total) sequences while `surround` is computed.
+
+        Raises:
+            DatasetError: A folder is not a dataset, or no sequence is left to train on.
         """
         self._folders, self._most, self._progress = tuple(folders), surround_max, progress
         self._surrounds: dict[tuple[int, str], float] = {}
@@ -100,11 +112,11 @@ class TrainingRooms:
             )
 
     def grow(self) -> int:
-        """Look at the folders again; returns how many sequences came to be trained on. Held out stays what it is."""
+        """Read the folders again and return how many training sequences were added; held-out ones stay the same."""
         return self.training.replace_by(Subset(self._places(self._open())))
 
     def described(self) -> list[dict[str, Any]]:
-        """For a model's card: each dataset's seed, frames a sequence, and how many of its sequences are trained on."""
+        """Describe the training data for a model's card: seed, frames and number of sequences of each dataset."""
         return [
             {"seed": settings.seed, "frames": settings.frames, "sequences": count}
             for dataset, count in self.training.shares()
@@ -113,7 +125,7 @@ class TrainingRooms:
         ]
 
     def _places(self, datasets: Sequence[Dataset]) -> list[tuple[Recordings, int]]:
-        """What is to be trained on."""
+        """Return the sequences to train on."""
         named = [
             (folder, name, (dataset, number))
             for folder, dataset in enumerate(datasets)

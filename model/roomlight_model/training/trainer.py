@@ -1,16 +1,16 @@
-"""The training loop: batches ahead of need, EMA weights, checkpoints that a killed run goes on from.
+"""The training loop: batches prepared in advance, EMA weights, checkpoints from which a killed run resumes.
 
 A run is a folder:
 
-    options.json      what was asked (TrainOptions)
-    last.pt           everything needed to go on: written whole, at most a few minutes old
+    options.json      the options (`TrainOptions`)
+    last.pt           the state to resume from: written atomically every few minutes
     model.pt          the EMA weights as a checkpoint that `roomlight export` reads
-    best.pt           those that did best on held-out rooms, likewise (`keep_scored`)
+    best.pt           likewise, with the best score on held-out rooms (`keep_scored`)
     log.jsonl         one line for every reported step
     tensorboard/      the same curves
-    pictures/         panoramas of held-out rooms as training goes on
+    pictures/         panoramas of held-out rooms during training
 
-All that is random follows from (seed, step), so that a resumed run repeats the loss curve it would have had.
+All random choices follow from (seed, step), so that a resumed run repeats the loss curve of an uninterrupted one.
 """
 
 import json
@@ -33,20 +33,20 @@ from roomlight.files import write_atomic
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.step_clock import StepClock
 from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
 from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions
 from roomlight_model.training.stages import Losses, trained_modules
+from roomlight_model.training.step_clock import StepClock
 
 _AHEAD: Final = 3
-"""Batches made before they are asked for."""
+"""Batches prepared in advance."""
 _REPORT_STEPS: Final = 20
 
 
 @dataclass(frozen=True)
-class Progress:
-    """What is reported every few steps; means since the last report."""
+class TrainingProgress:
+    """Progress of a run, reported every few steps; means since the last report."""
 
     step: int
     steps: int
@@ -56,11 +56,14 @@ class Progress:
     learning_rate: float
     seconds_a_step: float
     waited_for_data: float
-    """The share of the time."""
+    """Share of the time."""
+
+
+ProgressCallback = Callable[[TrainingProgress], object]
 
 
 class Trainer:
-    """One stage of training in one folder. `clock`, where set, hears what each part of a step costs."""
+    """One stage of training in one folder. Set `clock` to time the parts of each step."""
 
     def __init__(
         self,
@@ -72,12 +75,22 @@ class Trainer:
         start_from: Checkpoint | None = None,
         data: Callable[[], list[dict[str, Any]]] = list,
     ) -> None:
-        """Begin in an empty folder, or go on where the folder's run stopped.
+        """Start a run in an empty folder, or resume the folder's run.
 
-        start_from gives the weights of an earlier stage, `data` what the card is to say of the sequences. A run may
-        go on with another number of steps: the learning rate follows the new length from there. ModelError where the
-        folder holds a run with other options besides, a model of another form, or there are fewer sequences than a
-        batch needs.
+        A run can be resumed with another number of steps; the learning rate then follows the new length.
+
+        Args:
+            options: The options of the run.
+            recordings: The sequences to train on.
+            out: The run's folder.
+            device: The device of the networks.
+            start_from: Weights of an earlier stage.
+            data: Returns the description of the sequences for the card.
+
+        Raises:
+            ModelError: The folder's run has other options, `start_from` is a video model, or there are fewer
+                sequences than a batch needs.
+            OutputError: The folder holds other files, or cannot be written.
         """
         if len(recordings) < options.batch:
             raise ModelError(f"{len(recordings)} sequences are fewer than a batch of {options.batch}")
@@ -117,15 +130,19 @@ class Trainer:
     def train(
         self,
         *,
-        report: Callable[[Progress], object],
+        report: ProgressCallback,
         every: Callable[["Trainer"], object] | None = None,
         every_steps: int = 1000,
         checkpoint_s: float = 240.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Run until the options' last step, or until `stop` says so; the folder is up to date either way.
+        """Train until the options' last step, or until `stop` returns True; then save the run's state.
 
-        `every` is called with the trainer after every so many steps (evaluation, pictures).
+        `every` is called with the trainer after every `every_steps` steps (evaluation, pictures).
+
+        Raises:
+            ModelError: The loss is not finite.
+            OutputError: The folder cannot be written.
         """
         saved = began = time.monotonic()
         before = self.seconds
@@ -133,9 +150,9 @@ class Trainer:
         batches = self._batches()
         self.model.train()
         while self.step < self.options.steps and not stop():
-            asked = time.monotonic()
+            requested_at = time.monotonic()
             batch = next(batches)
-            waited += time.monotonic() - asked
+            waited += time.monotonic() - requested_at
             losses = self._one_step(batch)
             self.step += 1
             for name, value in (("loss", losses.total), ("log_l2", losses.log_l2), ("rendering", losses.rendering)):
@@ -145,7 +162,7 @@ class Trainer:
             self.seconds = before + now - began
             if self.step % _REPORT_STEPS == 0 or self.step == self.options.steps:
                 count = (self.step - 1) % _REPORT_STEPS + 1
-                progress = Progress(
+                progress = TrainingProgress(
                     step=self.step,
                     steps=self.options.steps,
                     loss=total["loss"] / count,
@@ -170,14 +187,16 @@ class Trainer:
         self.save()
 
     def averaged(self) -> SingleModel:
-        """A model with the EMA weights, for evaluation."""
+        """Build a model with the EMA weights, for evaluation."""
         model = SingleModel(self.options.trained_model).to(self.device)
         model.load_state_dict(self.average)
         return _channels_last(model).eval()
 
     def keep_scored(self, score: float, scores: Mapping[str, float] | None = None) -> bool:
-        """Write model.pt anew with what its EMA weights scored, and best.pt if no earlier look at held-out rooms scored
-        as low."""
+        """Write model.pt with the score of its EMA weights, and best.pt if no earlier score was as low.
+
+        Returns whether best.pt was written.
+        """
         averaged, card = self.averaged(), {**self.card(), "held_out": score, "scores": dict(scores or {})}
         save_checkpoint(self.out / "model.pt", averaged, card=card)
         best = self.out / "best.pt"
@@ -189,7 +208,7 @@ class Trainer:
         return True
 
     def save(self) -> None:
-        """Write last.pt and model.pt; each is whole or the one before."""
+        """Write last.pt and model.pt, each atomically."""
         buffer = BytesIO()
         torch.save(
             {
@@ -206,7 +225,7 @@ class Trainer:
         save_checkpoint(self.out / "model.pt", self.averaged(), card=self.card())
 
     def card(self) -> dict[str, Any]:
-        """The training's record for the checkpoint: of this stage, and `before` it of the one that it began from."""
+        """Return the record of this stage for the checkpoint; `before` is the record of the stage it started from."""
         before = {} if self._before is None else {"before": self._before}
         return {
             "stage": self.options.stage,
@@ -227,7 +246,7 @@ class Trainer:
         losses = self._gradients.of(batch, self.step)
         if not torch.isfinite(losses.total):
             loss = float(losses.total)
-            raise ModelError(f"{self.out}: the loss is {loss} at step {self.step}; take a lower learning rate")
+            raise ModelError(f"{self.out}: the loss is {loss} at step {self.step}; use a lower learning rate")
         with self._part("optimiser"):
             torch.nn.utils.clip_grad_norm_(self._parameters, 1.0)
             self._optimizer.step()
@@ -241,7 +260,7 @@ class Trainer:
         return nullcontext() if self.clock is None else self.clock.part(name)
 
     def _rate(self) -> float:
-        """Linear warm-up, then a cosine down to a hundredth."""
+        """Return the learning rate: linear warm-up, then a cosine down to a hundredth."""
         options = self.options
         if self.step < options.warm_up:
             return options.learning_rate * (self.step + 1) / options.warm_up
@@ -249,7 +268,7 @@ class Trainer:
         return options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + float(np.cos(np.pi * min(done, 1.0)))))
 
     def _batches(self) -> Iterator[Batch]:
-        """Batches from this step on, made by two threads ahead of need."""
+        """Yield batches from the current step on, prepared in advance by two threads."""
         with ThreadPoolExecutor(2, thread_name_prefix="examples") as pool:
             waiting: list[Future[Batch]] = []
             step = self.step
@@ -289,20 +308,20 @@ class Trainer:
         return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
 
     def _open(self) -> None:
-        told = self.out / OPTIONS
-        if not told.exists():
+        options_path = self.out / OPTIONS
+        if not options_path.exists():
             if self.out.exists() and any(self.out.iterdir()):
-                raise OutputError(f"{self.out}: holds something else than a training run; give an empty folder")
+                raise OutputError(f"{self.out}: holds other files and no training run; give an empty folder")
             self.out.mkdir(parents=True, exist_ok=True)
-            write_atomic(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
-        elif replace(before := TrainOptions.read(told), steps=self.options.steps) != self.options:
+            write_atomic(options_path, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
+        elif replace(before := TrainOptions.read(options_path), steps=self.options.steps) != self.options:
             ours, theirs = self.options.to_dict(), before.to_dict()
             changed = [name for name in ours if ours[name] != theirs[name] and name != "steps"]
             raise ModelError(
-                f"{self.out}: its run has other options ({', '.join(changed)}); take another folder or the same options"
+                f"{self.out}: its run has other options ({', '.join(changed)}); use another folder or the same options"
             )
         elif before != self.options:
-            write_atomic(told, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
+            write_atomic(options_path, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
         last = self.out / "last.pt"
         if last.exists():
             try:
@@ -313,11 +332,11 @@ class Trainer:
                 self._window = dict(state["window"])
                 self.step, self.seconds = int(state["step"]), float(state["seconds"])
             except (OSError, RuntimeError, KeyError, ValueError, IndexError, EOFError, UnpicklingError) as error:
-                raise ModelError(f"{last}: cannot be resumed from ({error}); delete it to begin again") from error
+                raise ModelError(f"{last}: cannot be resumed from ({error}); delete it to start again") from error
         self._cut_log()
 
     def _cut_log(self) -> None:
-        """Drop what was logged after the checkpoint: it will be logged again."""
+        """Remove lines that were logged after the checkpoint; those steps will be logged again."""
         log = self.out / "log.jsonl"
         if not log.exists():
             return
@@ -327,7 +346,7 @@ class Trainer:
                 if json.loads(line)["step"] <= self.step:
                     kept.append(line)
             except (ValueError, KeyError, TypeError):
-                break  # torn by the kill
+                break  # a line that was cut off when the process was killed
         write_atomic(log, "".join(line + "\n" for line in kept).encode())
 
     def _log(self, values: dict[str, Any]) -> None:
@@ -336,7 +355,9 @@ class Trainer:
 
 
 def _channels_last(model: SingleModel) -> SingleModel:
-    """The 3D networks' step is 157 ms of CPU time so in bf16 and 349 in fp32; without 206 and 1,570."""
+    """Set channels-last memory: a step of the 3D networks takes 157 ms of CPU time in bf16 and 349 in fp32; without
+    it 206 and 1,570.
+    """
     for network in (model.sg_encoder, model.sg_decoder):
         network.to(memory_format=torch.channels_last_3d)
     return model

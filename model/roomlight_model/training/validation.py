@@ -1,7 +1,8 @@
-"""How a run does on rooms it does not train on: the paper's two losses beside two baselines', and pictures.
+"""Validation on held-out rooms during training: the paper's two losses beside two baselines', and pictures.
 
-For the curve of a run, and to keep its best weights; what is reported of a model is `roomlight eval`, by the serving
-engine. The same 120 rows, means and units as there, first frame and exact depth, so that the numbers can be compared.
+It gives a run's curve and selects its best weights; published results come from `roomlight eval`, which runs the
+serving engine. Both use 120 rows, the same means and units, the first frame and exact depth, so that their numbers can
+be compared.
 """
 
 from collections.abc import Sequence
@@ -26,19 +27,21 @@ from roomlight_model.training.stages import predicted_panoramas, rendered_panora
 
 HEIGHT: Final = 120
 _DARK_EV: Final = -4.0
-"""A second copy of every panorama this much darker shows the sources."""
+"""Exposure of a second copy of every panorama, which shows the light sources."""
 _SPHERE: Final = (96, 64)
-"""Pixels and samples of the glossy sphere: the same directions at every look."""
+"""Pixels and samples of the glossy sphere; the directions are the same in every validation."""
 
 Panoramas = Float[Tensor, "p 3 h w"]
 
 
 class Validation:
-    """The first frames of some sequences, collated once; exact depth. Where several frames are trained on together,
-    also as many spread over each whole walk."""
+    """First frames of some sequences with exact depth, collated once.
+
+    If training uses several frames, also as many frames spread over each walk.
+    """
 
     def __init__(self, recordings: Recordings, numbers: Sequence[int], options: TrainOptions) -> None:
-        """`numbers` says which sequences."""
+        """Collate the sequences of these numbers and score the baselines."""
         rng = np.random.default_rng(0)
         self._options = options
         self.images: list[UInt8[np.ndarray, "h w 3"]] = []
@@ -57,8 +60,11 @@ class Validation:
                 self._baselines[name].append(_errors(_baseline(method, example), batch))
 
     def scores(self, model: SingleModel, *, device: torch.device) -> dict[str, float]:
-        """Mean log-L2 and rendering loss of the volume alone, of the blended panoramas once they are trained, of the
-        frame's mean colour everywhere, and of the frame warped to the probe; `_walk`: after a walk's frames."""
+        """Return the mean log-L2 and rendering loss of each method.
+
+        Methods: the volume (`sglv`), the blended panoramas if the stage trains them (`blended`), the frame's mean
+        colour (`mean_colour`), and the frame warped to the probe (`warp`). `_walk`: after all frames of a walk.
+        """
         errors: dict[str, list[tuple[float, float]]] = {}
         for batches, after in ((self._batches, ""), (self._walks, "_walk")):
             for batch in batches:
@@ -71,18 +77,24 @@ class Validation:
 
     @property
     def blends(self) -> bool:
-        """Whether the stage has anything blended to show."""
+        """Whether the stage trains the blending networks."""
         return self._options.stage != "single-sglv"
 
     def loss(self, scores: dict[str, float]) -> float:
-        """The paper's loss of what the stage trains: log-L2 plus the weighted rendering loss; the mean of first frames'
-        and walks'."""
+        """Return the paper's loss of the networks that the stage trains: log-L2 plus the weighted rendering loss.
+
+        With walks, it is the mean of both.
+        """
         name = "blended" if self.blends else "sglv"
         weight, names = self._options.rendering_weight, [name, name + "_walk"] if self._walks else [name]
         return float(np.mean([scores[f"log_l2_{one}"] + weight * scores[f"rendering_{one}"] for one in names]))
 
     def draw(self, model: SingleModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
-        """PNG, a row for each of the first sequences: its frame, then truth, volume and blended, each also darker."""
+        """Write a PNG with a row for each of the first sequences: frame, then truth, volume and blended, also darker.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
         lines: list[UInt8[np.ndarray, "h w 3"]] = []
         for image, batch in zip(self.images[:rows], self._batches, strict=False):
             cells = [cv2.resize(image, (2 * HEIGHT * 4 // 3, 2 * HEIGHT), interpolation=cv2.INTER_AREA)]
@@ -113,14 +125,14 @@ def _baseline(method: MeanColour | WarpAndFill, example: Example) -> Panoramas:
 
 
 def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:
-    """(log-L2, rendering loss) of one sequence's probes."""
+    """Return (log-L2, rendering loss) of one sequence's probes."""
     truth = batch.truth[0]
     difference = torch.log1p(panoramas.clamp(min=0)) - torch.log1p(truth)
     generator = torch.Generator().manual_seed(0)
     pixels, samples = _SPHERE
-    places = disc(pixels, batch=(len(truth),), generator=generator)
+    points = disc(pixels, batch=(len(truth),), generator=generator)
     sphere = sample_sphere(
-        sphere_normals(batch.to_viewer[0], places), batch.to_viewer[0], samples=samples, generator=generator
+        sphere_normals(batch.to_viewer[0], points), batch.to_viewer[0], samples=samples, generator=generator
     )
     flat = sphere.directions.flatten(1, 2)
     spheres = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
