@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int32, Int64, UInt8
 from roomlight_generator.transport.coat import CoatTable, coat_table
 from roomlight_generator.transport.emitters import Lights, LightSources, Outdoors, build_lights, light_sources
 from roomlight_generator.transport.kernels import lights as kernels
-from roomlight_generator.transport.kernels.structs import ShadowSampling
+from roomlight_generator.transport.kernels.structs import LightScratch, ShadowSampling
 from roomlight_generator.transport.tracer import FAR_M, Tracer
 
 _RAYS_AT_ONCE: Final = 1 << 16
@@ -121,10 +121,13 @@ class DirectLight:
         step = max(1, _RAYS_AT_ONCE // (picks + sun_picks))
         rays = ShadowRays.empty(min(step, max(count, 1)) * (picks + sun_picks))
         sampling = ShadowSampling(candidates, picks, sun_picks, seed)
+        scratch = LightScratch.empty(len(self.lights.start), candidates)
         tracer = self.tracer
         for start in range(0, count, step):
             some = points.part(start, start + step)
-            written = kernels.shadow_rays(self.sources, self.coat.through, some, self.visibility, sampling, rays)
+            written = kernels.shadow_rays(
+                self.sources, self.coat.through, some, self.visibility, sampling, scratch, rays
+            )
             seen = tracer.visible(rays.origin[:written], rays.direction[:written], rays.reach[:written])
             part = Received(*(column[start : start + step] for column in out))
             kernels.add_visible(rays, seen, written, sun_outside, part)

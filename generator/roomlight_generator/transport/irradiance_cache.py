@@ -19,6 +19,7 @@ from roomlight_generator.transport.kernels.structs import (
     CachedRadiance,
     CacheHits,
     CachePoints,
+    ConeScratch,
     GatherRays,
     GatherSampling,
     RayEnds,
@@ -188,6 +189,7 @@ class IrradianceCache:
         irradiance, clear = np.empty((count, 3), np.float32), np.empty(count, np.float32)
         step = max(1, _RAYS_AT_ONCE // rays)
         cones = int(rays * CONE_SHARE)
+        scratch = ConeScratch.empty(self.light.lights.real)
         for start in range(0, count, step):
             some = points.part(start, start + step)
             stream = np.arange(first + start, first + start + len(some.position), dtype=np.int64)
@@ -195,7 +197,7 @@ class IrradianceCache:
             sampling = GatherSampling(rays - cones, cones, self._seed + 3)
             light = self.light
             some = some._replace(stream=stream)
-            gather_rays(light.lights, light.visibility, some, light.coat.through, sampling, sent)
+            gather_rays(light.lights, light.visibility, some, light.coat.through, sampling, scratch, sent)
             face, distance, radiance = self._seen(sent.origin, sent.direction, (first + start) * rays)
             each = slice(start, start + len(stream))
             gather_sum(sent, radiance, face, distance, rays, irradiance[each], clear[each])

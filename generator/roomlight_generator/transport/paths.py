@@ -129,8 +129,7 @@ def _through_panes(
         if not on.any():
             break
         at = at[on]
-        three = (np.empty((len(at), 3), np.float32) for _ in range(3))
-        panes = PaneRays(*three, np.empty(len(at), np.float32))
+        panes = PaneRays.empty(len(at))
         pane_rays(tracer.geometry, RayEnds(hits.face[on], hits.u[on], hits.v[on], directions[at]), panes)
         travelled[at] += hits.distance_m[on]
         if number == 0:

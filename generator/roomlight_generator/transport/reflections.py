@@ -15,7 +15,7 @@ from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.kernels.patches import find_points
-from roomlight_generator.transport.kernels.structs import LobeEnds, LobePoints, LobeRays, LobeSampling
+from roomlight_generator.transport.kernels.structs import LightScratch, LobeEnds, LobePoints, LobeRays, LobeSampling
 from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
 from roomlight_generator.transport.tracer import Tracer
 
@@ -114,7 +114,8 @@ class Reflections:
         sampling = LobeSampling(LOBE_RAYS, LOBE_CANDIDATES, LOBE_PICKS, seed)
         shadow = ShadowRays.empty(len(at) * (LOBE_PICKS + 1))
         totals = np.empty(len(at), np.float64)
-        written = glossy.lobe_lights(light.sources, lobe, light.visibility, sampling, shadow, totals)
+        scratch = LightScratch.empty(len(light.lights.start), LOBE_CANDIDATES)
+        written = glossy.lobe_lights(light.sources, lobe, light.visibility, sampling, scratch, shadow, totals)
         seen = tracer.visible(shadow.origin[:written], shadow.direction[:written], shadow.reach[:written])
         found = np.zeros((len(at), 3), np.float32)
         glossy.add_scattered(shadow, seen, written, found)

@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from roomlight_generator.transport.kernels.common import (
-    ALLOCATING,
     JIT,
     PHI1,
     PHI2,
@@ -40,17 +39,15 @@ def _within(cone, cones, x, y, z):
     return density
 
 
-@njit(**ALLOCATING)
-def gather_rays(lights, visibility, points, through, sampling, out):
+@njit(**JIT)
+def gather_rays(lights, visibility, points, through, sampling, scratch, out):
     """Write the rays (`GatherRays`) of each point (`Points`); through is the coat's table."""
     position, normal, geometric_normal, alpha, row, stream = points
     cosine_rays, cone_rays, seed = sampling
     origin, direction, weight, passed = out
     rays = cosine_rays + cone_rays
     clusters = lights.real
-    each = np.empty(max(clusters, 1), np.float32)
-    cone = np.empty((5, max(clusters, 1)), np.float32)  # direction, cosine of the half angle, density
-    chance = np.empty(max(clusters, 1))
+    each, cone, chance = scratch
     for i in range(len(position)):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]

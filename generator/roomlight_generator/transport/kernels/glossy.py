@@ -11,7 +11,6 @@ import numpy as np
 from numba import njit
 
 from roomlight_generator.transport.kernels.common import (
-    ALLOCATING,
     JIT,
     LEAST_COSINE,
     PHI1,
@@ -108,8 +107,8 @@ def lobe_rays(points, rays, seed, out):
             density[at] = chance
 
 
-@njit(**ALLOCATING)
-def lobe_lights(sources, points, visibility, sampling, shadow, totals):
+@njit(**JIT)
+def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
     """Write the lobe's shadow rays (`ShadowRays`, but for passed and cluster) of all points; returns how many.
 
     totals gets each point's sum of estimates, for `lobe_share`.
@@ -121,8 +120,7 @@ def lobe_lights(sources, points, visibility, sampling, shadow, totals):
     owner, origin, direction, reach, weight, _, _ = shadow
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
-    drawn = np.empty((candidates, 8))
+    each, running, drawn, _ = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)

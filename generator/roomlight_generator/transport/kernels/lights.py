@@ -15,7 +15,6 @@ import numpy as np
 from numba import njit
 
 from roomlight_generator.transport.kernels.common import (
-    ALLOCATING,
     JIT,
     LEAST_COSINE,
     PHI1,
@@ -300,8 +299,8 @@ def resample(drawn, column, live, picks, shift):
         drawn[k, column] = times
 
 
-@njit(**ALLOCATING)
-def shadow_rays(sources, through, points, visibility, sampling, rays):
+@njit(**JIT)
+def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
     """Write the shadow rays (`ShadowRays`) of all points (`Points`); returns how many.
 
     through is the coat's table. weight is radiance times cosine over density (so that its sum over visible rays is
@@ -314,9 +313,7 @@ def shadow_rays(sources, through, points, visibility, sampling, rays):
     owner, origin, direction, reach, weight, passed, cluster = rays
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    each, running = np.empty(max(clusters, 1), np.float32), np.empty(max(clusters, 1))
-    drawn = np.empty((candidates, 9))
-    light = np.empty(candidates, np.int32)
+    each, running, drawn, light = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)

@@ -8,7 +8,7 @@ Axes: n points or rays, p patches, k points of a patch, r records, h x w pixels.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float32, Int32, Int64, UInt8
+from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
 from roomlight_generator.transport.atlas import Atlas
 
@@ -67,6 +67,42 @@ class ShadowSampling(NamedTuple):
     picks: int
     sun_picks: int
     seed: int
+
+
+class LightScratch(NamedTuple):
+    """Work space of the kernels that sample lights: clusters' estimates and their running sum, candidates drawn.
+
+    Allocated by the caller: a kernel that allocates counts references to its arrays at each call of another.
+    """
+
+    each: Float32[np.ndarray, " l"]
+    running: Float64[np.ndarray, " l"]
+    drawn: Float64[np.ndarray, "c 9"]
+    cluster: Int32[np.ndarray, " c"]
+
+    @classmethod
+    def empty(cls, clusters: int, candidates: int) -> "LightScratch":
+        """Allocate space for so many clusters, and candidates of a point."""
+        return cls(
+            np.empty(max(clusters, 1), np.float32),
+            np.empty(max(clusters, 1)),
+            np.empty((candidates, 9)),
+            np.empty(candidates, np.int32),
+        )
+
+
+class ConeScratch(NamedTuple):
+    """Work space of `gather_rays`: clusters' estimates; cones' directions, cosines and densities; their shares."""
+
+    each: Float32[np.ndarray, " l"]
+    cones: Float32[np.ndarray, "5 l"]
+    chance: Float64[np.ndarray, " l"]
+
+    @classmethod
+    def empty(cls, clusters: int) -> "ConeScratch":
+        """Allocate space for so many clusters."""
+        count = max(clusters, 1)
+        return cls(np.empty(count, np.float32), np.empty((5, count), np.float32), np.empty(count))
 
 
 class GatherSampling(NamedTuple):
@@ -148,6 +184,16 @@ class PaneRays(NamedTuple):
     direction: Float32[np.ndarray, "n 3"]
     through: Float32[np.ndarray, "n 3"]
     share: Float32[np.ndarray, " n"]
+
+    @classmethod
+    def empty(cls, count: int) -> "PaneRays":
+        """Allocate `count` rays for `pane_rays` to fill."""
+        return cls(
+            np.empty((count, 3), np.float32),
+            np.empty((count, 3), np.float32),
+            np.empty((count, 3), np.float32),
+            np.empty(count, np.float32),
+        )
 
 
 class CachePoints(NamedTuple):
