@@ -5,6 +5,7 @@ import json
 import threading
 from dataclasses import dataclass
 from functools import cache
+from typing import ClassVar
 
 import numpy as np
 
@@ -125,7 +126,7 @@ class HeldSession(Session):
 
     entered = threading.Semaphore(0)
     gate = threading.Semaphore(0)
-    broken = None
+    broken: ClassVar[dict[int, BaseException]] = {}
 
     @classmethod
     def reset(cls):
@@ -142,7 +143,7 @@ class HeldSession(Session):
     def push(self, frame):
         self.entered.release()
         assert self.gate.acquire(timeout=60)
-        if frame.index in (self.broken or {}):
+        if frame.index in self.broken:
             raise self.broken[frame.index]
         return super().push(frame)
 

@@ -11,6 +11,7 @@ import pytest
 import zstandard
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from numpy.typing import DTypeLike
 from pydantic import ValidationError
 
 from roomlight.errors import WireError
@@ -244,7 +245,7 @@ def with_depth(format_, encoding, data):
     return build(whole, parts_of(whole)[0], data)
 
 
-def encoded(suffix, width=4, height=3, dtype=np.uint8, channels=(3,)):
+def encoded(suffix, width=4, height=3, dtype: DTypeLike = np.uint8, channels: tuple[int, ...] = (3,)):
     return cv2.imencode(suffix, np.zeros((height, width, *channels), dtype))[1].tobytes()
 
 

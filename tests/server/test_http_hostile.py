@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 import pytest
 import zstandard
+from numpy.typing import DTypeLike
 
 from http_servers import RunningServer, box_shot, frame, header_of, parts_of
 from roomlight.wire.frame_message import column_major
@@ -62,7 +63,7 @@ def jpeg(width=48, height=36):
     return cv2.imencode(".jpg", np.full((height, width, 3), 90, np.uint8))[1].tobytes()
 
 
-def depth_png(value=1500, dtype=np.uint16, shape=(36, 48)):
+def depth_png(value=1500, dtype: DTypeLike = np.uint16, shape=(36, 48)):
     return cv2.imencode(".png", np.full(shape, value, dtype))[1].tobytes()
 
 

@@ -131,24 +131,24 @@ def test_a_body_that_is_not_json_is_rejected(server):
 
 def test_a_session_belongs_to_the_token_that_opened_it():
     with RunningServer(tokens=TOKENS) as server:
-        mine, yours = ({"token": token} for token in TOKENS)
-        for wrong in (
-            {},
-            {"token": "third-token-of-this-test"},
-            {"token": ""},
-            {"headers": {"Authorization": "Basic x"}},
+        mine, yours = TOKENS
+        for token, headers in (
+            (None, None),
+            ("third-token-of-this-test", None),
+            ("", None),
+            (None, {"Authorization": "Basic x"}),
         ):
-            answer = server.call("PUT", "/v1/sessions/room", SMALL, **wrong)
+            answer = server.call("PUT", "/v1/sessions/room", SMALL, token=token, headers=headers)
             assert (answer.status, answer.kind) == (401, "unauthorized")
             assert answer.headers["www-authenticate"] == "Bearer"
-        assert server.open(**mine).status == 201
-        assert server.call("GET", "/v1/sessions/room", **yours).status == 404
-        assert server.open(**yours).status == 201  # another session of the same id
-        server.push(0, **mine)
-        assert server.state(**mine)["frames"]["processed"] == 1
-        assert server.state(**yours)["frames"]["processed"] == 0
-        assert server.call("DELETE", "/v1/sessions/room", **yours).status == 204
-        assert server.call("GET", "/v1/sessions/room", **mine).status == 200
+        assert server.open(token=mine).status == 201
+        assert server.call("GET", "/v1/sessions/room", token=yours).status == 404
+        assert server.open(token=yours).status == 201  # another session of the same id
+        server.push(0, token=mine)
+        assert server.state(token=mine)["frames"]["processed"] == 1
+        assert server.state(token=yours)["frames"]["processed"] == 0
+        assert server.call("DELETE", "/v1/sessions/room", token=yours).status == 204
+        assert server.call("GET", "/v1/sessions/room", token=mine).status == 200
         for path in ("/healthz", "/readyz", "/metrics", "/openapi.json"):
             assert server.call("GET", path).status in (200, 503)
 
