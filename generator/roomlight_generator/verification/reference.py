@@ -62,22 +62,30 @@ _EVEN_SHARE: Final = 0.3
 _SKY_ROWS: Final = 257
 """Rows of the resampled sky: Mitsuba's maps have rows on the poles. With so many the two differ by less than 1e-3."""
 
+_TRIAL: Final = """
+from drjit.detail import llvm_version
+from drjit.llvm import Float
+assert (Float([1, 2]) * 2)[1] == 4
+assert llvm_version() >= (16,)
+"""
+"""Exits with an error where LLVM is missing or too old."""
+
 
 @cache
 def usable_variant() -> str:
     """Return Mitsuba's fastest variant that runs here.
 
-    It is tried in a process of its own: Mitsuba 3.9 exits if it finds an LLVM older than 16.
+    LLVM is tried in a process of its own: Mitsuba 3.9 exits with a version older than 16, some at the first scene.
 
     Raises:
         ImportError: if Mitsuba is not installed.
     """
     import drjit
 
-    if drjit.has_backend(drjit.JitBackend.LLVM):
-        trial = "from drjit.llvm import Float; assert (Float([1, 2]) * 2)[1] == 4"
-        if subprocess.run([sys.executable, "-c", trial], capture_output=True, check=False, timeout=120).returncode == 0:
-            return "llvm_ad_rgb"
+    found = drjit.has_backend(drjit.JitBackend.LLVM)
+    trial = [sys.executable, "-c", _TRIAL]
+    if found and subprocess.run(trial, capture_output=True, check=False, timeout=120).returncode == 0:
+        return "llvm_ad_rgb"
     return "scalar_rgb"
 
 
