@@ -1,0 +1,206 @@
+"""Every script of `examples/` runs as its docstring says, and what it writes is plausible light."""
+
+import csv
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from functools import partial
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
+import cv2
+import numpy as np
+import pytest
+from js_package import PACKAGE, run
+
+import roomlight as rl
+from http_servers import RunningServer
+from roomlight.images import read_panorama
+
+ROOT = Path(__file__).parents[2]
+EXAMPLES = ROOT / "examples"
+
+
+def run_example(name: str, *arguments: object, cwd: Path) -> str:
+    """Run a script in `cwd`, where it writes to `out/` by default, and return its standard output."""
+    command = [sys.executable, str(EXAMPLES / f"{name}.py"), *map(str, arguments)]
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True, check=False, timeout=280)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def assert_indoor_light(path: Path) -> np.ndarray:
+    """Check that a panorama has the engine's size and the radiance of a room whose white walls are near 1."""
+    panorama = read_panorama(path)
+    assert panorama.shape == (120, 240, 3)
+    assert np.isfinite(panorama).all()
+    assert panorama.min() >= 0
+    assert 0.05 < panorama.mean() < 2
+    assert panorama.std() > 0.02
+    return panorama
+
+
+def test_every_example_has_a_test_and_a_row_in_the_readme() -> None:
+    readme, tests = (EXAMPLES / "README.md").read_text(), Path(__file__).read_text()
+    for path in [*EXAMPLES.glob("*.py"), *EXAMPLES.glob("*.html")]:
+        assert f"[`{path.name}`]({path.name})" in readme
+        assert f'"{path.stem}"' in tests or path.name in tests
+
+
+def test_replay_folder(tmp_path: Path) -> None:
+    printed = run_example("replay_folder", "--frames", 3, cwd=tmp_path)
+    files = sorted((tmp_path / "out/replay_folder").iterdir())
+    assert [path.name for path in files] == ["000000.exr", "000001.exr", "000002.exr"]
+    first, *_, last = [assert_indoor_light(path) for path in files]
+    assert not np.array_equal(first, last)
+    assert printed.count("% of the directions observed") == 3
+
+
+def test_light_one_photo(tmp_path: Path) -> None:
+    run_example("light_one_photo", cwd=tmp_path)
+    out = tmp_path / "out/light_one_photo"
+    assert_indoor_light(out / "light.exr")
+    assert (out / "light.hdr").read_bytes().startswith(b"#?RADIANCE")
+    assert cv2.imread(str(out / "light.png")) is not None
+    light = json.loads((out / "light.json").read_text())
+    assert np.linalg.norm(light["main_light"]["direction"]) == pytest.approx(1, abs=1e-5)
+    assert len(light["harmonics"]["coefficients"]) == 27
+    assert light["position"][2] < 0  # in front of the camera
+
+
+@pytest.mark.slow
+def test_stream_to_server(tmp_path: Path) -> None:
+    with RunningServer() as server:
+        url = f"http://127.0.0.1:{server.port}"
+        printed = run_example("stream_to_server", "--server", url, "--frames", 2, cwd=tmp_path)
+    assert printed.count("main light from") == 2
+    assert_indoor_light(tmp_path / "out/stream_to_server/light.exr")
+
+
+@pytest.mark.slow
+def test_batch_of_recordings(tmp_path: Path) -> None:
+    run_example("batch_of_recordings", "--frames", 2, cwd=tmp_path)
+    with (tmp_path / "out/batch_of_recordings/lights.csv").open() as file:
+        (row,) = csv.DictReader(file)
+    assert 0.1 < float(row["coverage"]) < 1
+    assert np.linalg.norm([float(row[f"direction_{axis}"]) for axis in "xyz"]) == pytest.approx(1, abs=1e-3)
+    assert_indoor_light(tmp_path / f"out/batch_of_recordings/{row['recording']}.exr")
+
+
+@pytest.mark.slow
+def test_own_capture_format(tmp_path: Path) -> None:
+    run_example("own_capture_format", "--frames", 2, cwd=tmp_path)
+    converted = assert_indoor_light(tmp_path / "out/own_capture_format/light.exr")
+    # The foreign recording was made from the sample room: converted back, it gives the sample's own light.
+    session = rl.Session()
+    frames = list(rl.open_capture(rl.sample_capture(), rl.CaptureOptions(max_frames=2)))
+    for frame in frames:
+        session.push(frame)
+    direct = session.light_at(rl.point_in_view(frames[0])).panorama
+    assert np.abs(converted - direct).mean() < 0.01 * direct.mean()  # 8-bit colour, and half floats in the file
+
+
+def test_write_capture(tmp_path: Path) -> None:
+    run_example("write_capture", "--frames", 2, cwd=tmp_path)
+    capture = rl.open_capture(tmp_path / "out/write_capture")
+    assert len(list(capture)) == 2
+    assert capture.skipped == []
+    assert capture.probes[0].panorama().mean() > 0.05
+
+
+@pytest.mark.slow
+def test_own_weights(tmp_path: Path) -> None:
+    printed = run_example("own_weights", "--frames", 2, cwd=tmp_path)
+    network = assert_indoor_light(tmp_path / "out/own_weights/model.exr")
+    classical = assert_indoor_light(tmp_path / "out/own_weights/classical.exr")
+    assert not np.array_equal(network, classical)
+    assert 0 < float(printed.split()[-1]) < 1
+
+
+@pytest.mark.slow
+def test_mitsuba_render(tmp_path: Path) -> None:
+    pytest.importorskip("mitsuba")
+    run_example("mitsuba_render", "--size", 64, cwd=tmp_path)
+    out = tmp_path / "out/mitsuba_render"
+    panorama = assert_indoor_light(out / "light.exr")
+    image = cv2.cvtColor(cv2.imread(str(out / "render.png")), cv2.COLOR_BGR2RGB) / 255.0
+    assert image.shape == (64, 64, 3)
+    # The corners show the panorama itself: in the direction that the camera of the script looks there.
+    forward = np.array([0, -0.6, -1.6]) / np.hypot(0.6, 1.6)
+    right, up = np.array([1.0, 0, 0]), np.cross([1.0, 0, 0], forward)
+    for column, row in ((2, 2), (61, 2)):
+        across, down = ((at + 0.5) / 32 - 1 for at in (column, row))
+        x, y, z = forward + np.tan(np.radians(25)) * (across * right - down * up)
+        u, v = 0.5 + np.arctan2(z, x) / (2 * np.pi), np.arccos(y / np.sqrt(x * x + y * y + z * z)) / np.pi
+        patch = panorama[int(v * 120) - 3 : int(v * 120) + 4, int(u * 240) - 3 : int(u * 240) + 4].mean(axis=(0, 1))
+        shown = ((image[row - 2 : row + 3, column - 2 : column + 3].mean(axis=(0, 1)) + 0.055) / 1.055) ** 2.4
+        np.testing.assert_allclose(shown, patch, rtol=0.15, atol=0.01)
+
+
+@pytest.mark.slow
+def test_blender_render(tmp_path: Path) -> None:
+    blender = shutil.which("blender")
+    if blender is None:
+        pytest.skip("Blender is not on the PATH")
+    run_example("light_one_photo", cwd=tmp_path)
+    script = EXAMPLES / "blender_render.py"
+    command = [blender, "--background", "--python-exit-code", "1", "--python", str(script), "--", "--size", "64"]
+    subprocess.run([*command, "--samples", "8"], cwd=tmp_path, check=True, timeout=280)
+    image = cv2.imread(str(tmp_path / "out/blender_render.png"))
+    assert image is not None
+    assert image.shape[:2] == (64, 64)
+    assert 10 < image.mean() < 250
+
+
+@pytest.fixture
+def web_root(tmp_path: Path) -> Iterator[tuple[Path, str]]:
+    """A folder with the example's page, the built client and `out/`, and the address where it is served."""
+    for name in ("examples", "client"):
+        (tmp_path / name).symlink_to(ROOT / name)
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(SimpleHTTPRequestHandler, directory=str(tmp_path)))
+    thread = Thread(target=server.serve_forever)
+    thread.start()
+    yield tmp_path, f"http://127.0.0.1:{server.server_port}"
+    server.shutdown()
+    thread.join()
+    server.server_close()
+
+
+PAGE_PIXELS = """
+import { chromium } from "playwright-core";
+const browser = await chromium.launch({ executablePath: process.argv[1], args: [
+  "--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"] });
+const page = await browser.newPage();
+const errors = [];
+page.on("pageerror", (error) => errors.push(String(error)));
+await page.goto(process.argv[2]);
+await page.waitForFunction("document.title === 'rendered'", undefined, { timeout: 100000 }).catch((error) => {
+  throw new Error(`${error} ${errors}`);
+});
+const pixels = await page.evaluate(() => {
+  const canvas = document.querySelector("canvas"), copy = document.createElement("canvas");
+  [copy.width, copy.height] = [64, 32];
+  copy.getContext("2d").drawImage(canvas, 0, 0, 64, 32);
+  return [...copy.getContext("2d").getImageData(0, 0, 64, 32).data];
+});
+console.log(JSON.stringify(pixels));
+await browser.close();
+"""
+
+
+@pytest.mark.js
+def test_three_js_page(web_root: tuple[Path, str]) -> None:
+    folder, url = web_root
+    run_example("light_one_photo", cwd=folder)
+    run(["npm", "run", "--silent", "build"])
+    command = ["node", "--input-type=module", "--eval", PAGE_PIXELS, "/usr/bin/chromium"]
+    pixels = json.loads(run([*command, f"{url}/examples/three_js.html"], folder=PACKAGE))
+    image = np.array(pixels, np.float64).reshape(32, 64, 4)[..., :3]
+    left, right = image[:, :32], image[:, 32:]
+    np.testing.assert_allclose(left[0], right[0], atol=3)  # both halves have the panorama as background
+    white_left, white_right = left[13:16, 19:22].mean(), right[13:16, 19:22].mean()  # the white sphere's middle
+    assert 20 < white_left < 250
+    assert white_right == pytest.approx(white_left, rel=0.25)  # nine harmonics shade much as the whole map does
