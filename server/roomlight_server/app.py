@@ -10,7 +10,6 @@ from typing import Any
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.openapi.utils import get_openapi
-from fastapi.routing import APIRoute
 from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
@@ -127,7 +126,7 @@ def create_app(
     return app
 
 
-def _operation_id(route: APIRoute) -> str:
+def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private context of one
     return route.name
 
 
