@@ -30,7 +30,7 @@ from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequ
 from roomlight_server.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.intake import decode_to_size, index_of, parse_frame
 from roomlight_server.metrics import Metrics
-from roomlight_server.problems import ProblemError
+from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -80,12 +80,13 @@ class LiveSession:
         self._workers, self._footprint, self._limits, self._metrics = workers, footprint, limits, metrics
         # Locks are taken in this order: _engine_lock, an engine slot of `workers`, _state_lock. _ingest_lock is never
         # held together with another one.
-        # _engine_lock: order of all engine calls that change or read the engine's state; held while waiting for a slot.
+        # _engine_lock: one engine call at a time (push, track, untrack, light at a position), in the order of arrival;
+        # held while this session waits behind others for a slot.
         self._engine_lock = asyncio.Lock()
-        # _state_lock: the engine's state together with _named, _light_frame and _lights; held only while they change,
-        # so that the light of named probes can be read while this session waits behind others for a slot.
+        # _state_lock: the engine's state, _named and _light_frame; held only while they change. Reading the light of
+        # named probes takes this lock alone, so it never waits for a slot.
         self._state_lock = asyncio.Lock()
-        # _ingest_lock: order of arriving frames from parsing to the queue, and _reference.
+        # _ingest_lock: frames enter the queue in the order of arrival, although parsing and decoding run on threads.
         self._ingest_lock = asyncio.Lock()
         self._frame_slots = asyncio.Semaphore(limits.frames_in_flight)
         self._queue = FrameQueue()
@@ -109,7 +110,7 @@ class LiveSession:
         self.check_open()
         if self._frame_slots.locked():
             limit = self._limits.frames_in_flight
-            detail = f"{limit} frames of this session are being in flight; retry with a newer one"
+            detail = f"{limit} frames of this session are in flight; retry with a newer frame"
             raise ProblemError("session-full", detail, rule=f"at most {limit} frames in flight", retry_after_s=1)
         async with self._frame_slots:
             yield
@@ -196,17 +197,15 @@ class LiveSession:
         if engine is None:
             return  # the session has ended, and the entry has its outcome
         try:
-            if frame is None and entry.message is not None:
-                frame = await self._decoded(entry.message, entry.index)
-            assert frame is not None
+            if frame is None:
+                frame = await self._decoded_late(entry)
             report = await self._workers.run_in_engine_pool(engine.push, frame)
             result = self._result(engine, entry.index, report)
-        except WireError as error:
-            self._reject(entry, ProblemError.from_wire(error))
+        except ProblemError as error:
+            self._reject(entry, error)
         except FrameError as error:
-            self._reject(
-                entry, ProblemError("bad-frame", str(error), field="frame", value=entry.index, rule=str(error))
-            )
+            rule = str(error)
+            self._reject(entry, ProblemError("bad-frame", rule, field="frame", value=entry.index, rule=rule))
         except Exception as error:  # out of memory, ONNX Runtime: the state may contain half of the frame
             _log.exception("engine failed", extra={"session": self.name, "frame": entry.index})
             self._metrics.frames.labels("failed").inc()
@@ -218,8 +217,19 @@ class LiveSession:
             self._metrics.observe_frame(report)
             self._queue.processed(entry, result)
 
+    async def _decoded_late(self, entry: Entry) -> Frame:
+        """Decode a frame that replaced a waiting one. ProblemError if that fails: the engine is unchanged then."""
+        assert entry.message is not None
+        try:
+            return await self._decoded(entry.message, entry.index)
+        except WireError as error:
+            raise ProblemError.from_wire(error) from error
+        except Exception as error:
+            _log.exception("unexpected error of a decoder", extra={"session": self.name, "frame": entry.index})
+            raise ProblemError("internal", INTERNAL_DETAIL) from error
+
     def _reject(self, entry: Entry, problem: ProblemError) -> None:
-        self._metrics.refused.labels("bad-frame").inc()
+        self._metrics.refused.labels(problem.kind).inc()
         self._queue.reject(entry, problem)
 
     def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:

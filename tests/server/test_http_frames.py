@@ -317,6 +317,26 @@ def test_a_replacing_frame_is_decoded_when_it_is_taken(held, monkeypatch):
     assert held.state()["frames"]["superseded"] == 3
 
 
+def test_an_unexpected_error_of_a_late_decoder_is_answered(held, monkeypatch):
+    queued(held, 0)
+    HeldSession.wait_entered()
+    queued(held, 1, body=frame(1))
+
+    def fail(*_):
+        raise RuntimeError("decoder broke")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(live_session, "decode_to_size", fail)
+        broken = InThread(held.push, 2, frame(2))
+        wait_for_queue(held, last=2)
+        HeldSession.release()
+        answer = broken.result()
+    assert (answer.status, answer.kind) == (500, "internal")
+    assert held.state()["status"] == "open"
+    HeldSession.release()
+    assert held.push(2, frame(2)).json["status"] == "processed"
+
+
 def test_a_frame_that_fails_to_decode_late_is_rejected(held):
     HeldSession.release()
     assert held.push(0).status == 200
