@@ -13,7 +13,7 @@
 Conventions (axes, units, colour): `roomlight.conventions`. Packages, from the lowest layer to the highest:
 
 light     forms of light: panoramas, harmonics, main light, cube maps, files
-captures  recorded captures: readers of seven formats, writers
+captures  recorded captures: readers and writers
 dataset   training sequences in folders and shards
 wire      messages of the session server
 engine    frames in, light out: the lighting volume, the models, the session

@@ -1,4 +1,4 @@
-"""Pinhole projection, its inverse and its limits; rigid poses and what is no pose."""
+"""Pinhole projection, its inverse and its limits; rigid poses and invalid ones."""
 
 import dataclasses
 
@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomlight.camera import Intrinsics, check_rigid, pose_from_quaternion, rigid_inverse, transform_points
-from rooms import camera_at, pinhole, turn_about_y
+from rooms import camera_at, pinhole, rotation_about_y
 
 CAMERA = Intrinsics(fx=200.0, fy=210.0, cx=81.5, cy=59.0, width=160, height=120)
 
@@ -136,7 +136,7 @@ def test_a_quaternion_of_any_length_or_sign_is_the_same_rotation(quaternion, len
 @given(st.floats(-3.1, 3.1))
 def test_a_quaternion_about_y_turns_as_the_matrix_does(angle):
     q = np.array([0, np.sin(angle / 2), 0, np.cos(angle / 2)])
-    assert pose_from_quaternion(q, np.zeros(3))[:3, :3] == pytest.approx(turn_about_y(angle), abs=1e-9)
+    assert pose_from_quaternion(q, np.zeros(3))[:3, :3] == pytest.approx(rotation_about_y(angle), abs=1e-9)
 
 
 @pytest.mark.parametrize("quaternion", [(0.0, 0, 0, 0), (np.nan, 0, 0, 1), (np.inf, 0, 0, 1)])

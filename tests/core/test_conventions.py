@@ -1,4 +1,4 @@
-"""The conventions table, quoted."""
+"""The code against the table of conventions."""
 
 import numpy as np
 import pytest
@@ -85,7 +85,7 @@ def test_any_up_is_turned_to_plus_y_by_a_rotation(up):
     rotation = rotation_to_y_up(np.array(up))[:3, :3]
     assert rotation @ rotation.T == pytest.approx(np.eye(3), abs=1e-6)
     assert np.linalg.det(rotation) == pytest.approx(1, abs=1e-6)
-    # within 1e-4: near upside down the shortest turn is replaced by half a turn about x
+    # within 1e-4: near upside down the shortest rotation is replaced by 180 degrees about x
     assert rotation @ (np.array(up) / np.linalg.norm(up)) == pytest.approx([0, 1, 0], abs=1e-4)
 
 

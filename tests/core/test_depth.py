@@ -1,4 +1,4 @@
-"""Depth completion: what is known stays, planes stay planes, nothing stays nothing."""
+"""Depth completion: known pixels stay, planes stay planes, a map without depth stays so."""
 
 import numpy as np
 import pytest

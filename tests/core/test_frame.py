@@ -1,4 +1,4 @@
-"""A frame holds its parts to each other, and shrinks without inventing light or surfaces."""
+"""A frame checks that its parts fit each other, and shrinks without inventing light or surfaces."""
 
 import dataclasses
 
@@ -44,7 +44,7 @@ def test_mismatched_parts_are_refused_with_the_frames_name(parts, message):
     ],
 )
 def test_arrays_of_another_dtype_are_refused_by_frame(parts, message):
-    # not through __init__, where the test run's own check of annotations would be first
+    # not through __init__, where the test run's check of annotations would come first
     frame = object.__new__(Frame)
     for field in dataclasses.fields(Frame):
         object.__setattr__(frame, field.name, parts.get(field.name, getattr(FRAME, field.name)))

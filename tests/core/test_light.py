@@ -132,6 +132,12 @@ def test_a_wrong_face_size_is_an_option_error(light, size):
         light.file("ktx2", size=size)
 
 
+@pytest.mark.parametrize("name", ["exr", "npy", "confidence"])
+def test_a_wrong_panorama_size_is_an_option_error(light, name):
+    with pytest.raises(OptionError, match="4 to 4096 rows, got 2"):
+        light.file(name, size=2)
+
+
 def test_a_wrong_exposure_is_an_option_error(light):
     with pytest.raises(OptionError, match="-16 to 16 EV"):
         light.file("png", exposure_ev=17.0)

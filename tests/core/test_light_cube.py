@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from light_rooms import lit, mean_light, quarter_turn, room, turned
+from light_rooms import lit, mean_light, room, rotate_directions_90, rotate_panorama_90
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.light.cube import SIZES, CubeMap, halved, observed_cube
@@ -88,7 +88,7 @@ def test_a_step_beyond_an_edge_is_the_neighbouring_texel() -> None:
         cosines = (directions[rim] * directions[inner]).sum(axis=-1)
         assert np.degrees(np.arccos(cosines)).max() < 16
     one = np.array([0])
-    assert texel_index(one, np.array([-1]), one, size=size)[0] == own[4, 0, 7]  # left of +X is +Z's right rim
+    assert texel_index(one, np.array([-1]), one, size=size)[0] == own[4, 0, 7]  # left of +X is +Z's right edge
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -115,7 +115,7 @@ def test_keeps_the_light_of_panoramas_of_any_height(height: int, size: int) -> N
 @given(row=st.integers(0, 119), column=st.integers(0, 239), size=st.sampled_from([16, 32, 64]))
 @settings(max_examples=40, deadline=None)
 def test_keeps_the_light_of_every_single_pixel(row: int, column: int, size: int) -> None:
-    """Those of the polar rows too, which are slivers of 1/40 of a pixel at the horizon."""
+    """Including polar rows, whose pixels have 1/40 of the width at the horizon."""
     panorama = np.zeros((120, 240, 3), np.float32)
     panorama[row, column] = [100.0, 50.0, 25.0]
     cube = CubeMap.from_panorama(panorama, size=size)
@@ -125,8 +125,8 @@ def test_keeps_the_light_of_every_single_pixel(row: int, column: int, size: int)
 @pytest.mark.parametrize("size", [16, 64])
 def test_turning_the_room_turns_the_cube(size: int) -> None:
     before = CubeMap.from_panorama(room(120), size=size).faces.reshape(-1, 3)
-    after = CubeMap.from_panorama(quarter_turn(room(120)), size=size).faces.reshape(-1, 3)
-    face, across, down = direction_to_face(turned(cube_directions(size)))
+    after = CubeMap.from_panorama(rotate_panorama_90(room(120)), size=size).faces.reshape(-1, 3)
+    face, across, down = direction_to_face(rotate_directions_90(cube_directions(size)))
     column, row = (np.floor((t + 1) / 2 * size).astype(int) for t in (across, down))
     moved = after[texel_index(face, column, row, size=size)]
     np.testing.assert_allclose(moved, before, rtol=2e-3, atol=1e-4)
@@ -134,7 +134,7 @@ def test_turning_the_room_turns_the_cube(size: int) -> None:
 
 @pytest.mark.parametrize(("size", "height", "rms"), [(32, 120, 0.02), (64, 120, 0.01), (128, 120, 0.01)])
 def test_cube_to_panorama_to_cube(size: int, height: int, rms: float) -> None:
-    """Light with detail of 20 degrees survives the way there and back; a constant and the mean do to rounding."""
+    """Light with detail of 20 degrees is recovered; a constant and the mean up to rounding."""
     directions = panorama_directions(height)
     smooth = (1 + np.cos(9 * directions[..., :1]) * directions[..., 1:2] + 0.5 * directions).astype(np.float32)
     cube = CubeMap.from_panorama(smooth, size=size)
@@ -160,7 +160,7 @@ def test_texels_are_the_means_of_what_they_cover() -> None:
     sums = np.stack([np.bincount(texel, weight * fine[..., c].reshape(-1), 6 * 256) for c in range(3)], axis=-1)
     expected = sums / np.bincount(texel, weight, 6 * 256)[:, None]
     found = coarse.faces.reshape(-1, 3)
-    # Ours reads pixels bilinearly: a lamp's edge is a pixel (a quarter of a texel) softer.
+    # The kernel reads pixels bilinearly: a lamp's edge is a pixel (a quarter of a texel) softer.
     assert np.sqrt(np.mean((found - expected) ** 2)) < 0.12 * np.sqrt(np.mean(expected**2))
     assert np.median(np.abs(found / expected - 1)) < 1e-3
 

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from light_rooms import lit, mean_light, quarter_turn, room, turned, unit
+from light_rooms import lit, mean_light, room, rotate_directions_90, rotate_panorama_90, unit
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.light.checks import check_panorama
@@ -22,7 +22,7 @@ def test_light_of_nine_harmonics_comes_back_exactly(phase, seed: int, height: in
     directions = panorama_directions(height).reshape(-1, 3)
     panorama = (basis(directions, phase=phase) @ coefficients).reshape(height, 2 * height, 3)
     found = project(panorama, phase=phase)
-    # What is left is rounding: the panorama, its directions and the row sums are float32.
+    # The remainder is rounding: the panorama, its directions and the row sums are float32.
     np.testing.assert_allclose(found.coefficients, coefficients, atol=3e-6)
     np.testing.assert_allclose(found.evaluate(directions), panorama.reshape(-1, 3), atol=1e-5)
     assert found.phase == phase
@@ -76,7 +76,7 @@ def test_the_second_band_in_order_and_sign(lamp, index: int, phased_sign: int) -
 
 
 def test_arcore_and_threejs_shade_alike_from_their_own_signs() -> None:
-    """Both formulas are spelled out as their shaders have them, with their constants."""
+    """Both formulas as in the shaders of ARCore and three.js, with their constants."""
     panorama = room(60)
     normals = np.random.default_rng(0).normal(size=(50, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
@@ -113,8 +113,8 @@ def test_irradiance_is_near_the_cosine_integral() -> None:
 @pytest.mark.parametrize("phase", ["condon-shortley", "positive"])
 def test_turning_the_room_turns_its_harmonics(phase) -> None:
     directions = panorama_directions(8).reshape(-1, 3)
-    before, after = project(room(40), phase=phase), project(quarter_turn(room(40)), phase=phase)
-    np.testing.assert_allclose(after.evaluate(turned(directions)), before.evaluate(directions), atol=1e-5)
+    before, after = project(room(40), phase=phase), project(rotate_panorama_90(room(40)), phase=phase)
+    np.testing.assert_allclose(after.evaluate(rotate_directions_90(directions)), before.evaluate(directions), atol=1e-5)
 
 
 def test_layouts() -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from light_rooms import disc, lit, mean_light, quarter_turn, room, turned, unit
+from light_rooms import cap_solid_angle, lit, mean_light, room, rotate_directions_90, rotate_panorama_90, unit
 
 from roomlight.conventions import LUMINANCE, panorama_directions
 from roomlight.light.main_light import main_light
@@ -48,7 +48,7 @@ def test_direction_is_the_peaks(height: int) -> None:
 def test_the_lobe_with_most_light_is_chosen_not_the_brightest() -> None:
     window, glint = (0, 0.2, 1), (0, 0.2, -1)
     light = main_light(lit(120, [(window, 20, 4.0), (glint, 1.5, 60.0)], level=0.3))
-    assert 4 * disc(20) > 60 * disc(1.5)
+    assert 4 * cap_solid_angle(20) > 60 * cap_solid_angle(1.5)
     assert angle_deg(light.direction, unit(*window)) < 1.5
     stronger = main_light(lit(120, [(window, 20, 4.0), (glint, 6, 60.0)], level=0.3))
     assert angle_deg(stronger.direction, unit(*glint)) < 1.5
@@ -67,7 +67,7 @@ def test_a_window_wider_than_a_lobe_counts_in_part(radius_deg: float) -> None:
     panorama = lit(120, [((0, 0, -1), radius_deg, 5.0)], level=0.5)
     light = main_light(panorama)
     assert angle_deg(light.direction, unit(0, 0, -1)) < radius_deg / 2
-    assert 0.5 * 5 * disc(25) < light.intensity[0] < 1.2 * 5 * disc(25)
+    assert 0.5 * 5 * cap_solid_angle(25) < light.intensity[0] < 1.2 * 5 * cap_solid_angle(25)
 
 
 @pytest.mark.parametrize("height", [4, 16, 120])
@@ -100,8 +100,8 @@ def test_scales_with_the_light(scale: float) -> None:
 
 
 def test_turns_with_the_room() -> None:
-    before, after = main_light(room(120)), main_light(quarter_turn(room(120)))
-    np.testing.assert_allclose(after.direction, turned(before.direction), atol=1e-5)
+    before, after = main_light(room(120)), main_light(rotate_panorama_90(room(120)))
+    np.testing.assert_allclose(after.direction, rotate_directions_90(before.direction), atol=1e-5)
     np.testing.assert_allclose(after.intensity, before.intensity, rtol=1e-4)
 
 

@@ -2,7 +2,7 @@ import itertools
 
 import numpy as np
 import pytest
-from light_rooms import lit, quarter_turn, room, turned
+from light_rooms import lit, room, rotate_directions_90, rotate_panorama_90
 
 from roomlight.light.cube import CubeMap
 from roomlight.light.cube_geometry import cube_directions, cube_solid_angles, direction_to_face, texel_index
@@ -15,7 +15,7 @@ def weights(size):
 
 
 def dense(cube, size, roughness):
-    """The slow twin: every texel of the cube into every texel of the level, by the formula."""
+    """The slow reference: every texel of the cube into every texel of the level, by the formula."""
     n_l = cube_directions(size) @ cube_directions(cube.size).T
     n_h_squared = (1 + n_l) / 2  # the half vector halves the angle between normal and light
     alpha = roughness**2
@@ -48,7 +48,7 @@ def test_the_first_level_is_the_mirror_image() -> None:
 
 
 def test_agrees_with_dense_integration() -> None:
-    """Limits are twice what was measured: a lamp of 3 degrees at 200 times the walls is the hard part."""
+    """Limits are twice the measured errors; a lamp of 3 degrees at 200 times the walls is the hard part."""
     cube = CubeMap.from_panorama(room(120), size=32)
     mips = prefilter(cube)
     for level, roughness, limit in list(zip(mips.levels, mips.roughness, (0, 0.05, 0.02, 0.02), strict=True))[1:]:
@@ -58,7 +58,7 @@ def test_agrees_with_dense_integration() -> None:
 
 
 def test_keeps_the_light() -> None:
-    """A lobe that looks the same from everywhere moves light about and makes none."""
+    """A lobe of the same shape in every direction moves light and adds none."""
     cube = CubeMap.from_panorama(room(120), size=32)
     mean = weights(32) @ cube.faces.reshape(-1, 3)
     for level in prefilter(cube).levels:
@@ -92,12 +92,12 @@ def test_lobes_stay_about_their_lamp(axis: int) -> None:
 
 def test_turning_the_room_turns_every_level() -> None:
     before = prefilter(CubeMap.from_panorama(room(120), size=32))
-    after = prefilter(CubeMap.from_panorama(quarter_turn(room(120)), size=32))
+    after = prefilter(CubeMap.from_panorama(rotate_panorama_90(room(120)), size=32))
     for a, b in zip(before.levels[1:], after.levels[1:], strict=True):
-        face, across, down = direction_to_face(turned(cube_directions(a.size)))
+        face, across, down = direction_to_face(rotate_directions_90(cube_directions(a.size)))
         column, row = (np.floor((t + 1) / 2 * a.size).astype(int) for t in (across, down))
         moved = b.faces.reshape(-1, 3)[texel_index(face, column, row, size=a.size)]
-        # Samples stand differently about a turned normal: twice the sampling's own error.
+        # Samples fall differently about a rotated normal: twice the error of sampling.
         assert rms(moved - a.faces.reshape(-1, 3)) < 0.08 * a.faces.mean()
 
 

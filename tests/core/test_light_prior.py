@@ -1,4 +1,4 @@
-"""The prior: what is promised of it, in the terms of the clients that get it."""
+"""The prior: its documented properties, in the forms that clients get."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_harmonics_of_one_band_hold_all_of_it():
 
 
 def test_the_priors_main_light_is_soft_and_from_above():
-    """Less than a quarter of what falls on a floor, so that no shadow of it is more than a hint."""
+    """Less than a quarter of what falls on a floor, so that its shadows are faint."""
     light = main_light(prior_panorama(120))
     assert light.direction[1] > 0.995  # 6 degrees: a lobe that wide has no sharper peak
     on_a_floor = project(prior_panorama(120)).irradiance().evaluate(np.array([[0.0, 1.0, 0.0]]))[0]

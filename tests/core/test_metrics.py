@@ -104,11 +104,11 @@ def test_sphere_scores_are_zero_for_the_truth_and_detect_errors() -> None:
     judge = SphereScorer(truth, SphereRenderer((0.0, 0.0, -1.0), size=24))
     assert judge.scores(truth) == pytest.approx(dict.fromkeys(judge.scores(truth), 0), abs=1e-5)
     brighter = judge.scores(2 * truth)
-    assert brighter.pop("render_l2") > 0.001  # this one sees the scale, the others do not
+    assert brighter.pop("render_l2") > 0.001  # this metric depends on the scale, the others do not
     assert brighter == pytest.approx(dict.fromkeys(brighter, 0), abs=1e-4)
     other = judge.scores(panorama(4, 32))
     assert all(value > 0 for value in other.values())
-    # the sharper the sphere, the more of the detail it sees
+    # the sharper the sphere, the more detail counts
     assert other["si_rmse_mirror"] > other["si_rmse_matte"] > other["si_rmse_diffuse"]
 
 

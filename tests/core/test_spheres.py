@@ -27,7 +27,7 @@ def room(height: int, seed: int = 0) -> np.ndarray:
 
 
 def dense(spheres: SphereRenderer, panorama: np.ndarray, material: Material) -> np.ndarray:
-    """The slow readable twin: every pixel of the panorama into every pixel of the sphere, by the formulas."""
+    """The slow reference: every pixel of the panorama into every pixel of the sphere, by the formulas."""
     height = len(panorama)
     light = panorama_directions(height).reshape(-1, 3).astype(np.float64)
     solid_angle = np.repeat(panorama_solid_angles(height)[:, 0], 2 * height)
@@ -58,7 +58,7 @@ def dense(spheres: SphereRenderer, panorama: np.ndarray, material: Material) -> 
 
 @pytest.mark.parametrize(
     ("material", "of_mean", "rms"),
-    # The limits are twice what was measured: 64 samples for the lobe, 32 and 16 rows for matte and diffuse.
+    # The limits are twice the measured errors: 64 samples for the lobe, 32 and 16 rows for matte and diffuse.
     [("glossy", 0.01, 0.03), ("matte", 0.01, 0.12), ("diffuse", 0.01, 0.03)],
 )
 def test_spheres_agree_with_dense_integration(material: Material, of_mean: float, rms: float) -> None:
@@ -99,12 +99,12 @@ def test_spheres_are_linear_in_light(material: Material) -> None:
 @pytest.mark.parametrize("material", MATERIALS)
 def test_turning_room_and_view_together_changes_nothing(material: Material, quarters: int) -> None:
     panorama = room(128)
-    turned = np.roll(panorama, 64 * quarters, axis=1)  # a column to the right is a turn of +x toward +z
+    rotated = np.roll(panorama, 64 * quarters, axis=1)  # a column to the right is a rotation of +x toward +z
     angle = np.pi / 2 * quarters
     x, y, z = VIEW
     view = (x * np.cos(angle) - z * np.sin(angle), y, x * np.sin(angle) + z * np.cos(angle))
     np.testing.assert_allclose(
-        SphereRenderer(view, size=24).pixels(turned, material),
+        SphereRenderer(view, size=24).pixels(rotated, material),
         SphereRenderer(VIEW, size=24).pixels(panorama, material),
         # float32 directions move samples by 1e-5 of a pixel beside a lamp 200 times brighter than its surrounding
         atol=2e-2 if material in ("mirror", "glossy") else 1e-3,
@@ -181,7 +181,7 @@ def test_shrinking_a_panorama_keeps_its_light(height: int, rows: int) -> None:
     panorama = room(height)
     small = resize_panorama(panorama, rows)
     energy = (panorama * panorama_solid_angles(height)[..., None]).sum(axis=(0, 1))
-    # where the rows are no whole multiple, a row on a border is split by area in the image, not on the sphere
+    # where the rows are not a multiple, a row on a border is split by area in the image, not on the sphere
     np.testing.assert_allclose(
         (small * panorama_solid_angles(rows)[..., None]).sum(axis=(0, 1)), energy, rtol=0.02 if height % rows else 1e-3
     )

@@ -1,4 +1,4 @@
-"""Sharding covers everything once, passes errors on, and takes its width from the environment."""
+"""`parallel_for` covers the range once, raises errors, and takes the number of threads from the environment."""
 
 import threading
 
@@ -43,7 +43,7 @@ def test_no_piece_writes_after_an_error(monkeypatch):
             failed.set()
             raise ZeroDivisionError
         failed.wait(10)
-        sum(range(200_000))  # outlives the failed piece
+        sum(range(200_000))  # ends after the failed piece
         ended.append(start)
 
     with pytest.raises(ZeroDivisionError):

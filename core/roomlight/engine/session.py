@@ -168,7 +168,7 @@ class Session:
         self._keyframes: KeyframeStore | None = None
         self._latest_is_keyframe = False
         self._probes: dict[int, _Probe] = {}  # by handle
-        self._waiting: dict[int, Position] = {}
+        self._pending: dict[int, Position] = {}  # tracked before the first frame, by handle
         self._next_handle = 0
         self.frames = 0
         self._last_index = NO_FRAME
@@ -204,7 +204,7 @@ class Session:
         x, y, z = check_position(position).tolist()
         handle = self._next_handle
         if self._sglv is None:  # the first frame fixes the volume's size, and with it the probe's state
-            self._waiting[handle] = (x, y, z)
+            self._pending[handle] = (x, y, z)
         else:
             self._probes[handle] = self._new_probe((x, y, z))
         self._next_handle += 1
@@ -216,7 +216,7 @@ class Session:
         Raises:
             ProbeError: no tracked probe has this handle.
         """
-        if self._probes.pop(handle, None) is None and self._waiting.pop(handle, None) is None:
+        if self._probes.pop(handle, None) is None and self._pending.pop(handle, None) is None:
             raise ProbeError(f"no tracked probe has the handle {handle}")
 
     def push(self, frame: Frame) -> FrameReport:
@@ -246,9 +246,9 @@ class Session:
             self._latest.build()
         with clock.stage("keyframes"):
             self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)
-        for handle, position in self._waiting.items():
+        for handle, position in self._pending.items():
             self._probes[handle] = self._fresh_probe(position)
-        self._waiting.clear()
+        self._pending.clear()
         for probe in self._probes.values():
             with clock.stage("render"):
                 rendered = self._render(probe)
@@ -261,7 +261,7 @@ class Session:
     @property
     def handles(self) -> tuple[int, ...]:
         """Handles of the tracked positions, in the order of `lights` and of a report's coverage."""
-        return (*self._probes, *self._waiting)
+        return (*self._probes, *self._pending)
 
     def light(self, handle: int) -> Light:
         """Return the light at a tracked position after the last frame.
@@ -271,7 +271,7 @@ class Session:
         """
         if handle not in self._probes:
             tracked = f"this session tracks {len(self._probes)}"
-            reason = "no frame has been pushed yet" if handle in self._waiting else tracked
+            reason = "no frame has been pushed yet" if handle in self._pending else tracked
             raise ProbeError(f"no light for tracked probe {handle}: {reason}")
         return self._light_of(self._probes[handle])
 

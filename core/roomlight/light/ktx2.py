@@ -5,7 +5,7 @@ format descriptor, key/value data, then the levels, the smallest first, each at 
 `rd`: rows go down, as in OpenGL's cube table.
 
 three.js: `KTX2Loader` (to r187) supports cubes of compressed formats only and reads this file as a flat texture.
-`cubeOf` (`client/js/src/cube.ts`) reads it, and `environmentTexture` (`three.ts`) makes a `CubeTexture` of it.
+`parseCube` (`client/js/src/cube.ts`) reads it, and `environmentTexture` (`three.ts`) makes a `CubeTexture` of it.
 """
 
 import struct

@@ -11,7 +11,6 @@ requested; what it did not send is computed from the panorama if that was sent. 
 """
 
 import io
-import json
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args, runtime_checkable
@@ -21,7 +20,8 @@ from jaxtyping import Float, Float32
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.errors import OptionError, RoomLightError
-from roomlight.files import write_atomic
+from roomlight.files import write_atomic, write_json
+from roomlight.light.checks import MAX_ROWS, MIN_ROWS
 from roomlight.light.coverage import confidence_png
 from roomlight.light.coverage import coverage as coverage_of
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
@@ -143,7 +143,7 @@ class Light:
         """Equirectangular radiance [H, 2H, 3], float32 linear RGB, world-aligned.
 
         Raises:
-            RoomLightError: the server was not asked for it.
+            RoomLightError: it was not requested from the server.
         """
         panorama = self._find_panorama()
         if panorama is None:
@@ -157,7 +157,7 @@ class Light:
         From a server in steps of 1/255.
 
         Raises:
-            RoomLightError: the server was not asked for it.
+            RoomLightError: it was not requested from the server.
         """
         observed = self._find_observed()
         if observed is None:
@@ -169,7 +169,7 @@ class Light:
         """The main directional light: what casts the shadows.
 
         Raises:
-            RoomLightError: the server was asked for neither it nor the panorama.
+            RoomLightError: neither it nor the panorama was requested from the server.
         """
         received = None if self._forms is None else self._forms.main_light()
         return received or main_light(self._panorama_for("main_light", "'main_light'"))
@@ -179,7 +179,7 @@ class Light:
         """L2 spherical harmonics of all light (kind total).
 
         Raises:
-            RoomLightError: the server was asked for neither them nor the panorama.
+            RoomLightError: neither them nor the panorama was requested from the server.
         """
         return self._harmonics("total")
 
@@ -188,7 +188,7 @@ class Light:
         """L2 spherical harmonics of all light but the main light (kind ambient).
 
         Raises:
-            RoomLightError: the server was asked for neither them nor the panorama.
+            RoomLightError: neither them nor the panorama was requested from the server.
         """
         return self._harmonics("ambient")
 
@@ -199,7 +199,7 @@ class Light:
 
         Raises:
             OptionError: no cube map of this size is made.
-            RoomLightError: the server was asked for neither it nor the panorama.
+            RoomLightError: neither it nor the panorama was requested from the server.
         """
         received = None if self._forms is None else self._forms.cube(size)
         if received is not None:
@@ -212,7 +212,7 @@ class Light:
 
         Raises:
             OptionError: no cube map of this size is made.
-            RoomLightError: the server was asked for neither the cube map nor the panorama.
+            RoomLightError: neither the cube map nor the panorama was requested from the server.
         """
         return prefilter(self.cube(size=size))
 
@@ -228,7 +228,7 @@ class Light:
 
         Raises:
             OptionError: no such format, size or exposure.
-            RoomLightError: the server was asked for neither this form nor the panorama.
+            RoomLightError: neither this form nor the panorama was requested from the server.
         """
         if file_format not in get_args(FileFormat):
             raise OptionError(f"file format must be {', '.join(get_args(FileFormat))}; got {file_format!r}")
@@ -243,6 +243,8 @@ class Light:
             observed = self._find_observed()
             alpha = None if observed is None else observed_cube(observed, size=cube.size)
             return cube.to_bytes(alpha) if file_format == "cube" else cube.to_ktx2(alpha)
+        if size is not None and not MIN_ROWS <= size <= MAX_ROWS:
+            raise OptionError(f"size of a panorama must be {MIN_ROWS} to {MAX_ROWS} rows, got {size}")
         if file_format == "confidence":
             observed = np.repeat(self.observed[..., None], 3, axis=-1)
             observed = resize_panorama(observed, len(observed) if size is None else size)[..., 0]
@@ -283,14 +285,14 @@ class Light:
         Raises:
             OptionError: the suffix is none of these.
             OutputError: the file cannot be written.
-            RoomLightError: the server was asked for neither this form nor the panorama.
+            RoomLightError: neither this form nor the panorama was requested from the server.
         """
         path = Path(path)
         file_format = SAVED_AS.get(path.suffix.lower())
         if file_format is None:
             raise OptionError(f"{path}: light is saved as {', '.join(SAVED_AS)}; got the suffix {path.suffix!r}")
         if file_format == "json":
-            write_atomic(path, (json.dumps(self.to_json(), indent=1) + "\n").encode())
+            write_json(path, self.to_json())
         else:
             write_atomic(path, self.file(file_format))
 

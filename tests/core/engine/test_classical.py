@@ -1,4 +1,4 @@
-"""The classical model: a mean over the frames that saw a voxel, and light everywhere from what was seen."""
+"""The classical model: a mean over the frames that observed a voxel, and light in every direction."""
 
 import numpy as np
 import pytest
@@ -51,8 +51,8 @@ def test_alpha_is_averaged_over_observers_and_colour_by_alpha():
     backend = _started()
     _put(backend, colour=1.0, alpha=1.0)
     _put(backend, colour=4.0, alpha=0.5)
-    _put(backend, colour=9.0, alpha=0.0)  # not seen: counts for nothing
-    sglv = _put(backend, colour=9.0, alpha=0.0, empty=-1.0)  # seen as empty: counts against
+    _put(backend, colour=9.0, alpha=0.0)  # not observed: does not count
+    sglv = _put(backend, colour=9.0, alpha=0.0, empty=-1.0)  # observed as empty: counts
     assert sglv.alpha[0, 0, 0] == pytest.approx((1 + 0.5 + 0) / 3)
     assert sglv.lobes[0, 0, 0, :3] == pytest.approx([(1 + 4 * 0.5) / 1.5] * 3)
 
@@ -77,7 +77,7 @@ def test_hdr_is_complete_and_details_have_weight_one_where_seen():
     estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, position)
     assert (estimate.weight == partial.mask).all()
     assert estimate.hdr.min() > 0
-    # the fill is a convex combination of what was seen: no value leaves its range
+    # the fill is a convex combination of observed values: no value leaves their range
     assert estimate.hdr.max() <= FRAME.image.max() * 1.01
     np.testing.assert_allclose(estimate.hdr[partial.mask], partial.radiance[partial.mask], rtol=1e-3, atol=1e-3)
 
@@ -91,8 +91,8 @@ def test_a_uniform_room_gives_uniform_light():
     partial = FrameMesh(grey).render_panorama(np.array(position), height=32)
     state = PanoramaState.fresh(32, GRID.depth_max_m)
     estimate = _estimate(backend, state, partial, position)
-    # Colour and opacity are interpolated apart (equation 1), so that the volume darkens where opaque voxels meet
-    # empty black ones; trusted a tenth, that leaves 2.2 % in the fill.
+    # Colour and opacity are interpolated separately (equation 1), so that the volume darkens where opaque voxels
+    # meet empty black ones; with a weight of a tenth, 2.2 % remain in the fill.
     np.testing.assert_allclose(estimate.hdr, 0.4, rtol=0.03)
     accumulate(
         state,
@@ -116,22 +116,22 @@ def test_nothing_observed_gives_no_light_and_no_error():
 
 
 def test_unobserved_light_does_not_jump():
-    """Half of each new fill is taken over: the first frame's whole, a later frame's half the way."""
+    """The fill of the first frame is taken fully, that of a later frame by half."""
     backend = _started()
     state, memory = PanoramaState.fresh(16, 3.0), backend.new_probe()
     rendered, open_sky = np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32)
     mask = np.zeros((16, 32), bool)
     mask[4:8, 4:8] = True
 
-    def look(value):
+    def blend_frame(value):
         radiance = np.where(mask[..., None], np.float32(value), np.float32(0)) * np.ones(3, np.float32)
         depth = np.where(mask, np.float32(1), np.float32(0))
         partial = PartialPanorama(radiance, mask, depth)
-        given = {"rendered": rendered, "transmittance": open_sky, "partial": partial, "depth_max_m": 3.0}
-        estimate = backend.estimate(memory, state, **given)
+        arguments = {"rendered": rendered, "transmittance": open_sky, "partial": partial, "depth_max_m": 3.0}
+        estimate = backend.estimate(memory, state, **arguments)
         accumulate(state, hdr=estimate.hdr, detail=radiance, detail_depth_m=depth, weight=estimate.weight)
         return estimate.hdr[12, 20, 0]
 
-    assert look(0.8) == pytest.approx(0.8, rel=1e-5)
-    state.radiance[~mask] = 0.2  # as an earlier, darker fill would have left it
-    assert look(0.8) == pytest.approx(0.5, rel=1e-5)
+    assert blend_frame(0.8) == pytest.approx(0.8, rel=1e-5)
+    state.radiance[~mask] = 0.2  # as after an earlier, darker fill
+    assert blend_frame(0.8) == pytest.approx(0.5, rel=1e-5)

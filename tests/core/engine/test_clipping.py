@@ -1,4 +1,4 @@
-"""What clipped pixels get: by where they lie."""
+"""Radiance of clipped pixels, by the surface that they show."""
 
 from dataclasses import replace
 

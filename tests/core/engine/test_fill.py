@@ -50,16 +50,16 @@ def test_one_known_pixel_fills_everything() -> None:
 
 @pytest.mark.parametrize("columns", [16, 32, 48])
 def test_turning_the_panorama_turns_the_fill(columns: int) -> None:
-    # 4 rows x 8 columns is the coarsest level that a quarter turn of a 64-column panorama leaves whole
+    # 4 rows x 8 columns is the coarsest level on which 90 degrees of a 64-column panorama are whole columns
     image, weight = scattered(32, 64, 0.3)
-    turned = push_pull(np.roll(image, columns, axis=1), np.roll(weight, columns, axis=1))
-    np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), columns, axis=1), atol=1e-5)
+    rotated = push_pull(np.roll(image, columns, axis=1), np.roll(weight, columns, axis=1))
+    np.testing.assert_allclose(rotated, np.roll(push_pull(image, weight), columns, axis=1), atol=1e-5)
 
 
 def test_a_rotation_of_180_degrees_commutes_with_sparse_fills() -> None:
     image, weight = scattered(32, 64, 0.0)
-    turned = push_pull(np.roll(image, 32, axis=1), np.roll(weight, 32, axis=1))
-    np.testing.assert_allclose(turned, np.roll(push_pull(image, weight), 32, axis=1), atol=1e-5)
+    rotated = push_pull(np.roll(image, 32, axis=1), np.roll(weight, 32, axis=1))
+    np.testing.assert_allclose(rotated, np.roll(push_pull(image, weight), 32, axis=1), atol=1e-5)
 
 
 def test_it_wraps_around_the_seam() -> None:
@@ -105,7 +105,7 @@ def test_fill_unknown_keeps_known_and_spreads_at_most_white():
 
 
 def test_warm_light_fills_in_its_own_colour():
-    """Cut at white channel by channel, a lamp of (4, 2, 1) would lend (1, 1, 1)."""
+    """Clipped channel by channel, a lamp of (4, 2, 1) would fill in (1, 1, 1)."""
     image = np.full((16, 32, 3), 0.25, np.float32)
     image[:, 10:14] = 4.0, 2.0, 1.0
     known = np.zeros((16, 32), np.float32)

@@ -1,4 +1,4 @@
-"""`FusedVolume`: means of initial volumes over the frames that saw a voxel."""
+"""`FusedVolume`: means of initial volumes over the frames that observed a voxel."""
 
 import numpy as np
 import pytest
@@ -9,7 +9,7 @@ SHAPE = (3, 4, 5)
 
 
 def volumes(count, seed=0):
-    """Initial volumes as frames make them: surfaces, emptiness, and voxels that were not seen."""
+    """Initial volumes as of frames: surfaces, empty voxels, and voxels that were not observed."""
     random = np.random.default_rng(seed)
     for _ in range(count):
         kind = random.integers(0, 3, SHAPE)

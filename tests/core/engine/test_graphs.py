@@ -1,4 +1,4 @@
-"""Model folders: what is missing, foreign, changed or untrained is refused before anything runs."""
+"""Model folders: missing, foreign, changed or untrained graphs are refused before anything runs."""
 
 import hashlib
 import json
@@ -21,7 +21,7 @@ FORMS_ASKED = ("single", "video", "auto")
 
 @pytest.fixture
 def folder(tiny_video, tmp_path):
-    """A copy that a test may damage."""
+    """A copy of the model folder that a test may damage."""
     return shutil.copytree(tiny_video[1], tmp_path / "model")
 
 

@@ -1,4 +1,4 @@
-"""The keyframe store: bounded, refuses what shows nothing new, and keeps coverage."""
+"""The keyframe store: bounded, refuses frames without new cells, and keeps coverage."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ SIZE = {"width": 80, "height": 60}
 
 
 @pytest.fixture(scope="module")
-def turn():
-    """Two turns around the room in steps of 20 degrees, and their grid."""
+def two_pans():
+    """Two pans around the room in steps of 20 degrees, and their grid."""
     frames = pan(ROOM, 36, step_degrees=20, **SIZE)
     return VolumeGrid.from_frame(frames[0]), [FrameMesh(frame) for frame in frames]
 
 
-def _store(turn, capacity, chosen=None):
-    grid, meshes = turn
+def _store(two_pans, capacity, chosen=None):
+    grid, meshes = two_pans
     store = KeyframeStore(grid, capacity)
     for index in range(len(meshes)) if chosen is None else chosen:
         store.offer(index, meshes[index])
@@ -28,8 +28,8 @@ def _store(turn, capacity, chosen=None):
 
 
 @pytest.mark.parametrize("capacity", [1, 2, 5, 24])
-def test_the_store_is_bounded_and_in_order_of_time(turn, capacity):
-    grid, meshes = turn
+def test_the_store_is_bounded_and_in_order_of_time(two_pans, capacity):
+    grid, meshes = two_pans
     store = KeyframeStore(grid, capacity)
     for index, mesh in enumerate(meshes):
         store.offer(index, mesh)
@@ -40,50 +40,50 @@ def test_the_store_is_bounded_and_in_order_of_time(turn, capacity):
 
 
 @pytest.mark.parametrize("capacity", [3, 5, 8])
-def test_kept_frames_cover_more_than_the_first_or_last_frames(turn, capacity):
-    count = len(turn[1])
-    chosen = _store(turn, capacity).covered_cells()
-    first = _store(turn, capacity, range(capacity)).covered_cells()
-    last = _store(turn, capacity, range(count - capacity, count)).covered_cells()
+def test_kept_frames_cover_more_than_the_first_or_last_frames(two_pans, capacity):
+    count = len(two_pans[1])
+    chosen = _store(two_pans, capacity).covered_cells()
+    first = _store(two_pans, capacity, range(capacity)).covered_cells()
+    last = _store(two_pans, capacity, range(count - capacity, count)).covered_cells()
     assert chosen > 1.1 * max(first, last)
 
 
-def test_a_large_store_keeps_nearly_all_observed_cells(turn):
-    everything = _store(turn, 1000).covered_cells()
-    assert _store(turn, 10).covered_cells() > 0.9 * everything
+def test_a_large_store_keeps_nearly_all_observed_cells(two_pans):
+    all_cells = _store(two_pans, 1000).covered_cells()
+    assert _store(two_pans, 10).covered_cells() > 0.9 * all_cells
 
 
-def test_covered_cells_are_those_of_the_kept_frames(turn):
-    store = _store(turn, 6)
+def test_covered_cells_are_those_of_the_kept_frames(two_pans):
+    store = _store(two_pans, 6)
     shown = np.any([key.cells for key in store], axis=0)
     assert store.covered_cells() == shown.sum()
 
 
-def test_the_same_frame_twice_is_refused(turn):
-    grid, meshes = turn
+def test_the_same_frame_twice_is_refused(two_pans):
+    grid, meshes = two_pans
     store = KeyframeStore(grid, 5)
     assert store.offer(0, meshes[0])
     assert not store.offer(1, meshes[0])
     assert len(store) == 1
 
 
-def test_frames_are_distinguished_without_their_indices(turn):
-    grid, meshes = turn
+def test_frames_are_distinguished_without_their_indices(two_pans):
+    grid, meshes = two_pans
     by_index, by_itself = (KeyframeStore(grid, 2) for _ in range(2))
     for index, mesh in enumerate(meshes[:9]):
         assert by_itself.offer(0, mesh) == by_index.offer(index, mesh)
 
 
-def test_a_frame_without_depth_is_refused(turn):
+def test_a_frame_without_depth_is_refused(two_pans):
     frame = ROOM.frame(camera_at((0, 1.5, 0)), **SIZE)
     frame.depth_m[:] = 0
-    store = KeyframeStore(turn[0], 5)
+    store = KeyframeStore(two_pans[0], 5)
     assert not store.offer(0, FrameMesh(frame))
     assert store.covered_cells() == 0
 
 
 def test_keyframes_after_a_close_up_cover_the_room():
-    """D_max of 0.4 m makes a volume of under a metre: the room around it lies outside."""
+    """With D_max of 0.4 m the volume is smaller than a metre: the room around it lies outside."""
     close = ROOM.frame(camera_at((0.0, 1.5, -2.1)), **SIZE)
     grid = VolumeGrid.from_frame(close)
     assert grid.depth_max_m < 0.7
@@ -93,8 +93,8 @@ def test_keyframes_after_a_close_up_cover_the_room():
     assert store.covered_cells() > 100
 
 
-def test_offers_during_iteration_do_not_change_it(turn):
-    grid, meshes = turn
+def test_offers_during_iteration_do_not_change_it(two_pans):
+    grid, meshes = two_pans
     store = KeyframeStore(grid, 3)
     store.offer(0, meshes[0])
     for key in store:
@@ -104,6 +104,6 @@ def test_offers_during_iteration_do_not_change_it(turn):
 
 
 @pytest.mark.parametrize("capacity", [0, -1])
-def test_a_store_of_capacity_zero_is_refused(turn, capacity):
+def test_a_store_of_capacity_zero_is_refused(two_pans, capacity):
     with pytest.raises(ValueError, match=str(capacity)):
-        KeyframeStore(turn[0], capacity)
+        KeyframeStore(two_pans[0], capacity)

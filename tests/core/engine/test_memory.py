@@ -1,4 +1,4 @@
-"""A session's stated memory against the arrays that it really holds."""
+"""The counted memory of a session against the arrays that it holds."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from rooms import BoxRoom, camera_at
 
 
 def arrays_in(thing):
-    """The arrays that an object keeps, in lists and bound graphs too."""
+    """The arrays of an object, in lists and bound graphs too."""
     if isinstance(thing, np.ndarray):
         return [thing]
     if isinstance(thing, Sglv):
@@ -27,7 +27,7 @@ def arrays_in(thing):
 
 
 def held_by(thing):
-    """Bytes of the arrays of an object, each memory counted once."""
+    """Bytes of the arrays of an object, each buffer counted once."""
     found = {array.__array_interface__["data"][0]: array.nbytes for array in arrays_in(list(vars(thing).values()))}
     return sum(found.values())
 

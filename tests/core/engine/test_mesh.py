@@ -1,4 +1,4 @@
-"""The partial mesh: exact on planes, torn at depth edges, blind from behind, and a frame's own view at its camera."""
+"""The partial mesh: exact on planes, open at depth edges, invisible from behind, and the frame at its camera."""
 
 import dataclasses
 
@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.engine.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, _vertex_grid, grid_faces
-from rooms import BoxRoom, camera_at, turn_about_y
+from rooms import BoxRoom, camera_at, rotation_about_y
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
 POSE = camera_at((0.3, 1.5, 1.2), 8, -6)
@@ -42,7 +42,7 @@ def _away_from_edges(frame, xy, inside, *, reach_px):
 def test_a_probe_at_the_camera_sees_the_frame_inside_its_frustum(yaw, pitch):
     frame = ROOM.frame(camera_at((0.3, 1.5, 1.2), yaw, pitch))
     position = frame.camera_to_world[:3, 3]
-    height = 360  # an image pixel to one of the panorama: the texture's finest level
+    height = 360  # one image pixel for one of the panorama: the texture's finest level
     seen = FrameMesh(frame).render_panorama(position, height=height)
     inside, xy, stretch = _in_frustum(frame, position, height, margin_px=2)
     check = _away_from_edges(frame, xy, inside, reach_px=2)
@@ -51,7 +51,7 @@ def test_a_probe_at_the_camera_sees_the_frame_inside_its_frustum(yaw, pitch):
     maps = (xy - 0.5).astype(np.float32)
     image = cv2.remap(frame.image, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR)
     depth = cv2.remap(frame.depth_m, maps[..., 0], maps[..., 1], cv2.INTER_LINEAR)
-    # remap's weights have 1/32 of a pixel: with a contrast under 0.15 that is 0.005
+    # remap's weights have a resolution of 1/32 pixel: with a contrast under 0.15 that is 0.005
     assert abs(seen.radiance - image)[check].max() < 0.01
     # Linear interpolation of depth instead of along the triangle: under 5 % of edge ratio, squared, over 8
     np.testing.assert_allclose(seen.depth_m[check], (depth * stretch)[check], rtol=0.01)
@@ -84,10 +84,10 @@ def test_turning_the_whole_world_turns_the_panorama():
     frame = ROOM.frame(POSE)
     probe = np.array([0.1, 1.2, 0.4])
     quarter = np.eye(4)
-    quarter[:3, :3] = turn_about_y(np.pi / 2)
-    turned = dataclasses.replace(frame, camera_to_world=quarter @ frame.camera_to_world)
+    quarter[:3, :3] = rotation_about_y(np.pi / 2)
+    rotated = dataclasses.replace(frame, camera_to_world=quarter @ frame.camera_to_world)
     before = FrameMesh(frame).render_panorama(probe, height=48)
-    after = FrameMesh(turned).render_panorama(quarter[:3, :3] @ probe, height=48)
+    after = FrameMesh(rotated).render_panorama(quarter[:3, :3] @ probe, height=48)
     # +90 degrees about y take +Z to +X: a quarter of the columns to the left; grazing rays may miss by rounding
     same = np.roll(before.mask, -24, axis=1) == after.mask
     assert same.mean() > 0.999
@@ -102,7 +102,7 @@ def test_no_triangle_crosses_a_depth_edge():
     step = np.full((8, 10), 2.0, np.float32)
     step[:, 5:] = 2.0 * EDGE_RATIO * 1.001
     faces = grid_faces(step)
-    assert len(faces) == 2 * 7 * (9 - 1)  # one column of quads is torn
+    assert len(faces) == 2 * 7 * (9 - 1)  # one column of quads is left out
     assert (step.reshape(-1)[faces].max(axis=1) == step.reshape(-1)[faces].min(axis=1)).all()
 
 
@@ -129,7 +129,7 @@ def test_an_occluder_hides_the_wall_behind_it():
     probe = np.array([0.0, 0.9, 0.5])
     seen = FrameMesh(frame).render_panorama(probe)
     distance = ROOM.panorama(probe, 120)[1]
-    # nothing is seen nearer than what is there, beyond the width of one triangle
+    # no surface is nearer than the true one by more than the width of one triangle
     relative = (seen.depth_m / distance)[seen.mask]
     assert relative.min() > 0.93
     assert np.quantile(relative, 0.05) > 0.999
@@ -183,7 +183,7 @@ def _checkered(frame, size_px):
 
 def test_texture_finer_than_a_panorama_pixel_is_averaged():
     frame = _checkered(BoxRoom().frame(POSE, width=320, height=240), 1)
-    seen = FrameMesh(frame).render_panorama(POSE[:3, 3], height=48)  # 14 image pixels to one
+    seen = FrameMesh(frame).render_panorama(POSE[:3, 3], height=48)  # 14 image pixels for one
     assert abs(seen.radiance[seen.mask] - 0.5).max() < 0.01
 
 
@@ -206,7 +206,7 @@ def test_every_level_of_the_texture_keeps_its_place(width, height):
     mesh = FrameMesh(dataclasses.replace(frame, image=ramp))
     position = POSE[:3, 3]
     inside, xy, _ = _in_frustum(frame, position, 24, margin_px=0)
-    # beyond the centres of a level's outermost pixels, an eighth of the image wide at most, colour is held
+    # beyond the centres of a level's outermost pixels, an eighth of the image wide at most, colour is constant
     uv = xy / [width, height]
     check = inside & (uv > 0.15).all(-1) & (uv < 0.85).all(-1)
     seen = mesh.render_panorama(position, height=24)

@@ -106,7 +106,7 @@ def test_single_view_moves_half_way_to_the_mean_volumes_sglv(tiny_video):
         lobes = (lobes + share * (wanted.lobes - lobes)) * (given[4] == 0)[..., None]
         np.testing.assert_allclose(session.sglv.alpha, alpha, atol=2e-3)
         np.testing.assert_allclose(np.log1p(session.sglv.lobes[..., :7]), np.log1p(lobes[..., :7]), atol=1e-2)
-    assert np.abs(alpha - wanted.alpha).max() > 1e-2  # it is not there yet
+    assert np.abs(alpha - wanted.alpha).max() > 1e-2  # it has not reached the target yet
 
 
 def test_single_view_is_unchanged_by_a_repeated_frame(tiny_video):
@@ -225,8 +225,8 @@ def test_sessions_on_shared_graphs_do_not_influence_each_other(graphs):
     first, second, alone = (Session(SessionOptions(height=HEIGHT), graphs=graphs) for _ in range(3))
     for session in (first, second, alone):
         session.track(PROBE)
-    turned = pan(ROOM, 3, start_degrees=90, width=80, height=60)
-    for frame, elsewhere in zip(FRAMES, turned, strict=False):
+    rotated = pan(ROOM, 3, start_degrees=90, width=80, height=60)
+    for frame, elsewhere in zip(FRAMES, rotated, strict=False):
         first.push(frame)
         second.push(elsewhere)
         alone.push(frame)
@@ -263,7 +263,7 @@ def test_state_stays_in_the_same_buffers(graphs):
         alphas.append(sglv.alpha.ctypes.data)
         lobes.append(sglv.lobes.ctypes.data)
     assert len(given) == 1
-    # two buffers that take turns: each frame reads one and writes the other
+    # two alternating buffers: each frame reads one and writes the other
     assert len(set(alphas)) == len(set(lobes)) == 2
     assert alphas[::2] == [alphas[0]] * 4
     assert alphas[1::2] == [alphas[1]] * 4

@@ -1,4 +1,4 @@
-"""Opening graphs leaves the caller's thread as it was, and providers are refused by name."""
+"""Opening graphs does not change the caller's thread; unavailable providers are refused by name."""
 
 import numpy as np
 import pytest

@@ -13,7 +13,7 @@ from roomlight.engine.kernels.march import march_rays
 from roomlight.engine.kernels.volume_init import initialise_slices
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import FrameError, ModelError, ProbeError
-from rooms import BoxRoom, camera_at, pan, turn_about_y
+from rooms import BoxRoom, camera_at, pan, rotation_about_y
 
 BLOCK = ((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0))
 LAMP = ((0.3, 1.6, -2.5), 0.35)
@@ -40,18 +40,18 @@ def _area_mean(panorama, size):
 
 
 @pytest.fixture(scope="module")
-def turn():
-    """Two thirds of a turn; the lamp is in the first frames alone."""
+def pan_frames():
+    """A pan over 240 degrees; only the first frames show the lamp."""
     return pan(ROOM, 24, step_degrees=10)
 
 
 @pytest.fixture(scope="module")
-def tracked(turn):
-    return _run(turn, probes=PROBES)
+def tracked(pan_frames):
+    return _run(pan_frames, probes=PROBES)
 
 
-def test_streaming_again_gives_the_same_bits(turn, tracked):
-    again, _ = _run(turn, probes=PROBES)
+def test_streaming_again_gives_the_same_bits(pan_frames, tracked):
+    again, _ = _run(pan_frames, probes=PROBES)
     for handle in range(len(PROBES)):
         assert (again.light(handle).panorama == tracked[0].light(handle).panorama).all()
         assert (again.light(handle).observed == tracked[0].light(handle).observed).all()
@@ -62,9 +62,9 @@ def test_observed_light_is_the_rooms_light(tracked):
         light = tracked[0].light(handle)
         true = _area_mean(ROOM.panorama(probe, 8 * 48)[0], 8)
         difference = abs(light.panorama - true).max(axis=-1)[light.observed > 0.5]
-        # From the third probe, before the block, a quarter of what is seen lies past the block's foot, which no
-        # camera saw: nothing is there to hide the wall. For the others: edges, where the texture's mean is of
-        # other pixels than the truth's, between walls that differ by up to 0.7 and the lamp by 8.
+        # From the third probe, before the block, a quarter of the observed part lies past the block's foot, which no
+        # camera saw, so that no mesh occludes the wall. For the others: edges, where the texture averages other
+        # pixels than the truth, between walls that differ by up to 0.7 and the lamp by 8.
         right = 0.7 if handle == 2 else 0.85
         assert np.quantile(difference, right) < 0.01
         assert handle == 2 or np.quantile(difference, 0.98) < 0.12
@@ -81,11 +81,11 @@ def test_coverage_grows_and_each_stage_is_timed(tracked):
 
 
 @pytest.mark.parametrize(("keyframes", "allowed"), [(24, 1e-4), (8, 2e-3), (3, 8e-3)])
-def test_a_late_probe_is_near_one_tracked_from_the_start(turn, keyframes, allowed):
+def test_a_late_probe_is_near_one_tracked_from_the_start(pan_frames, keyframes, allowed):
     """Measured log-L2 over probes: 5e-6, 1.2e-3 and 3.9e-3 (against the truth: 1.2e-2 to 2.8e-2). With room for
-    every frame only those that showed under 4 % anew are missing; with fewer, coverage is lost as well."""
+    every frame only those with under 4 % of new cells are missing; with fewer, coverage is lost as well."""
     options = dataclasses.replace(CLASSICAL, keyframes=keyframes)
-    session, _ = _run(turn, probes=PROBES, options=options)
+    session, _ = _run(pan_frames, probes=PROBES, options=options)
     assert session.keyframes <= keyframes
     for handle, probe in enumerate(PROBES):
         from_start, late = session.light(handle), session.light_at(probe)
@@ -93,12 +93,12 @@ def test_a_late_probe_is_near_one_tracked_from_the_start(turn, keyframes, allowe
         assert late.coverage > 0.75 * from_start.coverage
 
 
-def test_a_late_probe_has_what_only_an_early_frame_observed(turn):
+def test_a_late_probe_has_what_only_an_early_frame_observed(pan_frames):
     probe = (0.3, 1.4, 0.2)
     to_lamp = np.array(LAMP[0]) - probe
     lamp = panorama_directions(48) @ (to_lamp / np.linalg.norm(to_lamp)) > np.cos(np.radians(4))
-    session, _ = _run(turn)
-    without, _ = _run(turn[12:])  # the frames that never saw it
+    session, _ = _run(pan_frames)
+    without, _ = _run(pan_frames[12:])  # the frames that do not show it
     assert session.light_at(probe).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
     assert (session.light_at(probe).observed[lamp] == 1).all()
     assert without.light_at(probe).panorama[lamp].max() < 0.5 * ROOM.lamp_radiance
@@ -106,10 +106,10 @@ def test_a_late_probe_has_what_only_an_early_frame_observed(turn):
     assert session.light(handle).panorama[lamp].min() > 0.9 * ROOM.lamp_radiance
 
 
-def test_a_session_begun_with_a_close_up_shows_the_whole_room(turn):
+def test_a_session_begun_with_a_close_up_shows_the_whole_room(pan_frames):
     close = ROOM.frame(camera_at((-1.5, 1.5, -2.1)))
     probe = (0.3, 1.4, 0.2)
-    session, _ = _run([close, *turn], probes=[probe])
+    session, _ = _run([close, *pan_frames], probes=[probe])
     true, _ = ROOM.panorama(probe, 48)
     for light in (session.light(0), session.light_at(probe)):
         assert light.coverage > 0.3
@@ -133,31 +133,31 @@ def test_a_probe_at_the_camera_shows_the_frame_in_its_frustum(yaw):
     assert np.quantile(difference, 0.9) < 0.03
 
 
-def test_rotating_the_world_by_90_degrees_shifts_the_light(turn):
+def test_rotating_the_world_by_90_degrees_shifts_the_light(pan_frames):
     quarter = np.eye(4)
-    quarter[:3, :3] = turn_about_y(np.pi / 2)
-    turned = [dataclasses.replace(f, camera_to_world=quarter @ f.camera_to_world) for f in turn[:6]]
+    quarter[:3, :3] = rotation_about_y(np.pi / 2)
+    rotated = [dataclasses.replace(f, camera_to_world=quarter @ f.camera_to_world) for f in pan_frames[:6]]
     probe = PROBES[1]
-    before, _ = _run(turn[:6], probes=[probe])
-    after, _ = _run(turned, probes=[tuple((quarter[:3, :3] @ probe).tolist())])
+    before, _ = _run(pan_frames[:6], probes=[probe])
+    after, _ = _run(rotated, probes=[tuple((quarter[:3, :3] @ probe).tolist())])
     shifted = np.roll(before.light(0).panorama, -24, axis=1)
     difference = abs(shifted - after.light(0).panorama).max(axis=-1)
     seen = after.light(0).observed == 1
     # rays that graze a triangle's edge may hit its neighbour instead
     assert np.quantile(difference[seen], 0.99) < 0.01
-    # the fill's pyramid stands still: at its coarsest levels a quarter is not a whole number of columns
+    # the fill's pyramid does not rotate: at its coarsest levels 90 degrees are not a whole number of columns
     assert np.quantile(difference[~seen], 0.9) < 0.05
 
 
-def test_twice_the_light_is_twice_the_light_where_it_was_seen(turn):
-    bright = [dataclasses.replace(frame, image=2 * frame.image) for frame in turn[:4]]
-    once, twice = (_run(frames, probes=PROBES[:1])[0].light(0) for frames in (turn[:4], bright))
+def test_twice_the_light_is_twice_the_light_where_it_was_seen(pan_frames):
+    bright = [dataclasses.replace(frame, image=2 * frame.image) for frame in pan_frames[:4]]
+    once, twice = (_run(frames, probes=PROBES[:1])[0].light(0) for frames in (pan_frames[:4], bright))
     seen = once.observed == 1
     np.testing.assert_allclose(twice.panorama[seen], 2 * once.panorama[seen], rtol=1e-4)
 
 
-def test_a_first_frame_without_depth_changes_nothing(turn):
-    blind = dataclasses.replace(turn[0], depth_m=np.zeros_like(turn[0].depth_m))
+def test_a_first_frame_without_depth_changes_nothing(pan_frames):
+    blind = dataclasses.replace(pan_frames[0], depth_m=np.zeros_like(pan_frames[0].depth_m))
     session = Session(CLASSICAL)
     handle = session.track(PROBES[0])
     with pytest.raises(FrameError, match="room frame 0: no pixel has a depth"):
@@ -166,23 +166,23 @@ def test_a_first_frame_without_depth_changes_nothing(turn):
     assert session.grid is None
     assert session.sglv is None
     assert session.keyframes == 0
-    for frame in turn[:3]:
+    for frame in pan_frames[:3]:
         session.push(frame)
-    clean, _ = _run(turn[:3], probes=PROBES[:1])
+    clean, _ = _run(pan_frames[:3], probes=PROBES[:1])
     assert (session.light(handle).panorama == clean.light(0).panorama).all()
 
 
-def test_a_later_frame_without_depth_changes_no_coverage(turn):
-    blind = dataclasses.replace(turn[3], depth_m=np.zeros_like(turn[3].depth_m))
-    session, reports = _run([*turn[:3], blind], probes=PROBES[:1])
-    clean, _ = _run(turn[:3], probes=PROBES[:1])
+def test_a_later_frame_without_depth_changes_no_coverage(pan_frames):
+    blind = dataclasses.replace(pan_frames[3], depth_m=np.zeros_like(pan_frames[3].depth_m))
+    session, reports = _run([*pan_frames[:3], blind], probes=PROBES[:1])
+    clean, _ = _run(pan_frames[:3], probes=PROBES[:1])
     seen = clean.light(0).observed == 1
     np.testing.assert_array_equal(session.light(0).panorama[seen], clean.light(0).panorama[seen])
     assert not reports[-1].keyframe
 
 
-def test_lights_are_copies(turn):
-    session, _ = _run(turn[:1], probes=PROBES[:1])
+def test_lights_are_copies(pan_frames):
+    session, _ = _run(pan_frames[:1], probes=PROBES[:1])
     session.light(0).panorama[:] = -1
     assert session.light(0).panorama.min() >= 0
 
@@ -198,31 +198,31 @@ def test_there_is_no_light_before_the_first_frame():
 
 
 @pytest.mark.parametrize("handle", [-1, 1, 99])
-def test_an_unknown_handle_has_no_light(turn, handle):
-    session, _ = _run(turn[:1], probes=PROBES[:1])
+def test_an_unknown_handle_has_no_light(pan_frames, handle):
+    session, _ = _run(pan_frames[:1], probes=PROBES[:1])
     with pytest.raises(ProbeError, match="tracks 1"):
         session.light(handle)
 
 
 @pytest.mark.parametrize("position", [(np.nan, 0.0, 0.0), (0.0, -np.inf, 0.0), (0.0, 0.0, 2000.0)])
-def test_an_invalid_position_is_refused(turn, position):
-    session, _ = _run(turn[:1])
-    for ask in (session.track, session.light_at, Session(CLASSICAL).track):
+def test_an_invalid_position_is_refused(pan_frames, position):
+    session, _ = _run(pan_frames[:1])
+    for call in (session.track, session.light_at, Session(CLASSICAL).track):
         with pytest.raises(ProbeError, match="three finite numbers"):
-            ask(position)
+            call(position)
     assert list(session.lights()) == []
 
 
-def test_handles_count_up_across_the_first_frame(turn):
+def test_handles_count_up_across_the_first_frame(pan_frames):
     session = Session(CLASSICAL)
     assert [session.track(PROBES[0]), session.track(PROBES[1])] == [0, 1]
-    session.push(turn[0])
+    session.push(pan_frames[0])
     assert session.track(PROBES[2]) == 2
     assert [light.position for light in session.lights()] == list(PROBES)
 
 
-def test_probes_outside_the_volume_and_inside_a_wall_get_light(turn):
-    session, _ = _run(turn[:3])
+def test_probes_outside_the_volume_and_inside_a_wall_get_light(pan_frames):
+    session, _ = _run(pan_frames[:3])
     for position in ((0.0, 30.0, 0.0), (3.0, 1.0, 0.0)):
         light = session.light_at(position)
         assert np.isfinite(light.panorama).all()
@@ -230,8 +230,8 @@ def test_probes_outside_the_volume_and_inside_a_wall_get_light(turn):
 
 
 @pytest.mark.parametrize("height", [16, 60, 121])
-def test_panoramas_have_the_requested_height(turn, height):
-    session, _ = _run(turn[:1], options=dataclasses.replace(CLASSICAL, height=height))
+def test_panoramas_have_the_requested_height(pan_frames, height):
+    session, _ = _run(pan_frames[:1], options=dataclasses.replace(CLASSICAL, height=height))
     light = session.light_at(PROBES[0])
     assert light.panorama.shape == (height, 2 * height, 3)
     assert light.observed.shape == (height, 2 * height)
@@ -250,25 +250,25 @@ def test_a_keyframe_store_of_size_zero_is_refused(keyframes):
 
 
 @pytest.mark.parametrize("unknown_depth", ["rim", "far", "drop"])
-def test_pixels_without_depth_follow_the_option(turn, unknown_depth):
-    holed = dataclasses.replace(turn[0], depth_m=turn[0].depth_m.copy())
+def test_pixels_without_depth_follow_the_option(pan_frames, unknown_depth):
+    holed = dataclasses.replace(pan_frames[0], depth_m=pan_frames[0].depth_m.copy())
     holed.depth_m[40:70, 60:90] = 0
     options = dataclasses.replace(CLASSICAL, unknown_depth=unknown_depth)
     session, _ = _run([holed], probes=[(0.3, 1.4, 0.2)], options=options)
-    whole, _ = _run([turn[0]], probes=[(0.3, 1.4, 0.2)])
-    share = session.light(0).coverage / whole.light(0).coverage
+    complete, _ = _run([pan_frames[0]], probes=[(0.3, 1.4, 0.2)])
+    share = session.light(0).coverage / complete.light(0).coverage
     # the hole is 5 % of the image: only its rim is a surface that the mesh can show
     assert share == pytest.approx(1, abs=1e-3) if unknown_depth == "rim" else share < 0.98
 
 
 def test_an_upright_frame_gives_as_much_as_a_horizontal_one():
-    """A phone turned a quarter about its axis: the same room, in as many pixels."""
-    turned = camera_at((0.3, 1.4, 0.2))
-    turned[:3, :3] = turned[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
+    """A phone rotated by 90 degrees about its axis: the same room, in as many pixels."""
+    rotated = camera_at((0.3, 1.4, 0.2))
+    rotated[:3, :3] = rotated[:3, :3] @ np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
     level = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=640, height=480)
     upright = ROOM.frame(
-        turned, width=480, height=640, fov_degrees=59.84
-    )  # the level one's 75 degrees are its height's
+        rotated, width=480, height=640, fov_degrees=59.84
+    )  # the horizontal frame's 75 degrees are this one's height
     lights = [_run([frame], probes=PROBES[:1])[0].light(0) for frame in (level, upright)]
     # the two principal points are off the centre each in its own direction, and a mesh's rim is a triangle wide
     assert lights[1].coverage == pytest.approx(lights[0].coverage, rel=0.03)
@@ -295,12 +295,12 @@ def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_
     assert Session().model == "classical"
 
 
-def test_after_warming_up_no_kernel_is_compiled_any_more(turn):
+def test_after_warming_up_no_kernel_is_compiled_any_more(pan_frames):
     session_module.warm_up()
     kernels = (initialise_slices, march_rays, accumulate_rows)
     before = [list(kernel.signatures) for kernel in kernels]
-    session, _ = _run(turn[:2], probes=PROBES)
-    double = dataclasses.replace(turn[2], image=np.asfortranarray(turn[2].image, np.float64))
+    session, _ = _run(pan_frames[:2], probes=PROBES)
+    double = dataclasses.replace(pan_frames[2], image=np.asfortranarray(pan_frames[2].image, np.float64))
     session.push(double)
     session.light_at(PROBES[0])
     assert [list(kernel.signatures) for kernel in kernels] == before

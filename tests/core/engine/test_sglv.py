@@ -11,7 +11,7 @@ from roomlight.conventions import panorama_directions
 from roomlight.engine.sglv import Sglv, check_position, render_panorama, render_rays, render_rays_reference
 from roomlight.engine.volume import VolumeGrid
 from roomlight.errors import ProbeError
-from rooms import camera_at, turn_about_y
+from rooms import camera_at, rotation_about_y
 
 SHAPE = (16, 15, 21)
 GRID = VolumeGrid(camera_at((0.4, 1.5, -0.3), 35, 10), 3.0, SHAPE)
@@ -58,9 +58,9 @@ def test_the_kernel_equals_its_readable_reference(seed, opacity, sparse, positio
     how = {"samples": samples, "step_m": step_m, "far": far}
     fast, left = render_rays(sglv, position, _directions(), **how)
     slow, left_slow = render_rays_reference(sglv, position, _directions(), **how)
-    # The kernel is float32 and stops at 1e-3 of a ray: c up to 1, w up to 5 and the lobe's exponent, up to 10,
-    # share that residue (about 0.02). A sample within 1e-6 of the volume's end may count in one and not in the other,
-    # and a ray may graze an edge: such rays are few.
+    # The kernel is float32 and stops at a transmittance of 1e-3: c up to 1, w up to 5 and the lobe's exponent, up
+    # to 10, share that remainder (about 0.02). A sample within 1e-6 of the volume's end may count in only one of
+    # them, and a ray may graze an edge: such rays are few.
     far_off = (abs(fast - slow) > 0.03 + 0.01 * abs(slow)).any(axis=-1) | (abs(left - left_slow) > 2e-3)
     assert far_off.mean() <= 0.01
     assert np.median(abs(fast - slow)) < 1e-4
@@ -109,7 +109,7 @@ def test_an_opaque_shell_hides_what_is_behind_it():
         sglv.lobes[..., :3] = 0.5
         sglv.lobes[:2, :, :, :3] = last
     radiance, left = render_panorama(inner, tuple(_centre_of(GRID)), height=24)
-    # Trilinear shells of alpha 1 let no ray by: the ramp across one voxel is met by two samples at least
+    # Trilinear shells of alpha 1 stop every ray: at least two samples fall into the ramp across one voxel
     assert radiance == pytest.approx(np.full_like(radiance, 0.5), abs=0.01)
     assert left.max() < 1e-3
     assert render_panorama(outer, tuple(_centre_of(GRID)), height=24)[0] == pytest.approx(radiance, abs=0.02)
@@ -164,20 +164,20 @@ def test_light_is_linear_in_colour_and_weight(factor, seed):
 
 
 def test_turning_the_volume_by_90_degrees_turns_the_panorama():
-    """On a volume that is cubic in x and z, arrays turned about y are the light turned about y."""
+    """In a volume that is cubic in x and z, rotating the arrays about y rotates the light about y."""
     pose = np.eye(4)
     cube = _CubicGrid(pose, 2.0, (12, 10, 12))
     sglv = _random(3, grid=cube, opacity=0.4)
     # +90 degrees about y: x' = z, z' = -x, hence array[z', x'] = array[z = x', x = -z']
     alpha = np.ascontiguousarray(sglv.alpha.transpose(2, 1, 0)[::-1])
     lobes = np.ascontiguousarray(sglv.lobes.transpose(2, 1, 0, 3)[::-1])
-    lobes[..., 7:] = lobes[..., 7:] @ turn_about_y(np.pi / 2).T.astype(np.float32)
-    turned = Sglv(cube, alpha, lobes)
+    lobes[..., 7:] = lobes[..., 7:] @ rotation_about_y(np.pi / 2).T.astype(np.float32)
+    rotated = Sglv(cube, alpha, lobes)
     position = np.array([0.2, 0.1, -0.3])
     directions = _directions(300)
-    rotation = turn_about_y(np.pi / 2)
+    rotation = rotation_about_y(np.pi / 2)
     before, left = render_rays(sglv, tuple(position), directions)
-    after, left_after = render_rays(turned, tuple(rotation @ position), (directions @ rotation.T).astype(np.float32))
+    after, left_after = render_rays(rotated, tuple(rotation @ position), (directions @ rotation.T).astype(np.float32))
     difference = abs(before - after).max(axis=1)
     assert np.quantile(difference, 0.99) < 1e-2  # a last sample may fall on either side of the wall
     assert np.median(abs(left - left_after)) < 1e-5
@@ -194,13 +194,13 @@ class _CubicGrid(VolumeGrid):
 
 
 def test_turning_camera_and_world_together_turns_the_panorama():
-    """The volume stands in the first camera: a camera turned by a quarter shifts the panorama by a quarter."""
+    """The volume is aligned with the first camera: rotating it by 90 degrees shifts the panorama by a quarter."""
     quarter = np.eye(4)
-    quarter[:3, :3] = turn_about_y(np.pi / 2)
+    quarter[:3, :3] = rotation_about_y(np.pi / 2)
     sglv = _random(4)
-    turned = dataclasses.replace(sglv, grid=VolumeGrid(quarter @ GRID.volume_to_world, 3.0, SHAPE))
+    rotated = dataclasses.replace(sglv, grid=VolumeGrid(quarter @ GRID.volume_to_world, 3.0, SHAPE))
     before, _ = render_panorama(sglv, CENTRE, height=24)
-    after, _ = render_panorama(turned, tuple((quarter @ [*CENTRE, 1])[:3].tolist()), height=24)
+    after, _ = render_panorama(rotated, tuple((quarter @ [*CENTRE, 1])[:3].tolist()), height=24)
     # +90 degrees about y take +Z to +X: u falls by a quarter, 12 of 48 columns
     assert np.quantile(abs(np.roll(before, -12, axis=1) - after), 0.99) < 1e-2
 

@@ -1,4 +1,4 @@
-"""The trained weights that come with the package: whole, small, documented, and better than no network at a sphere."""
+"""The trained weights in the package: complete, small, documented, and better than no network at a sphere."""
 
 import json
 
@@ -62,7 +62,7 @@ def scores():
 
 
 def test_a_walk_keeps_the_accuracy_of_the_first_frames():
-    """Every tenth frame of the sample's walk, which ends at another wall: seen alone, each would forget the others."""
+    """Every tenth frame of the sample's walk, which ends at another wall: without memory each replaces the others."""
     capture = open_capture(sample_capture())
     after = scored(list(capture)[::10], capture.probes)
     assert after["single"][1] < 0.6 * after["classical"][1]
@@ -74,8 +74,8 @@ def test_a_sphere_is_lit_better_than_by_the_classical_model(scores):
 
 
 def test_panoramas_are_close_to_the_classical_models(scores):
-    """Over many rooms they are nearer to the truth. Here, where small spots light the ceiling, wide glows stand in for
-    them: right for objects, wrong in most pixels."""
+    """Over many rooms they are nearer to the truth. Here small spots light the ceiling, and the networks predict wide
+    glows: right for objects, wrong in most pixels."""
     assert scores["single"][0] < 1.8 * scores["classical"][0]
 
 

@@ -125,7 +125,7 @@ def test_opacity_around_a_plane_is_the_papers_ramp():
     ],
 )
 def test_values_at_known_distances_behind_a_plane(offset, alpha, emptiness):
-    """`offset`: how many voxel sides the voxel lies behind the surface; the plane is moved to make it so."""
+    """`offset`: distance of the voxel behind the surface in voxel sides; the plane is moved accordingly."""
     grid = VolumeGrid(np.eye(4), 4.0)
     k = 12
     centre_depth = -grid.centres_m()[k, 30, 42, 2]
@@ -202,7 +202,7 @@ def test_unknown_pixels_are_on_the_far_boundary_none_is_empty():
     opaque = np.argwhere(volume[3] > 0.5)
     assert len(opaque)
     shape = np.array(grid.shape)
-    # a shell about one voxel inside the walls the rays leave through, five voxels of ramp along z behind it:
+    # a shell about one voxel inside the walls through which the rays leave, five voxels of ramp along z behind it:
     # none of it may be deep inside, and the front wall's first layer must be covered
     rim = np.minimum(opaque, shape - 1 - opaque).min(axis=1)
     assert rim.max() <= 4
@@ -212,7 +212,7 @@ def test_unknown_pixels_are_on_the_far_boundary_none_is_empty():
 
 def test_half_known_corners_count_by_weight_and_keep_known_depth():
     frame = _plane_frame(3.0)
-    frame.depth_m[:, ::4] = 0  # a lost column: every voxel between has at least one known neighbour
+    frame.depth_m[:, ::4] = 0  # a missing column: every voxel between has at least one known neighbour
     grid = VolumeGrid(np.eye(4), 4.0)
     whole = initial_volume(grid, _plane_frame(3.0))
     holed = initial_volume(grid, frame, far_unknown=False)
