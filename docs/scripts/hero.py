@@ -2,7 +2,7 @@
 
     python docs/scripts/hero.py            needs Mitsuba, which is in the dev extra; a few minutes
 
-The spheres stand on the floor and are lit by RoomLight's panorama at their place, after all 31 frames. Their
+The spheres stand on a sideboard and are lit by RoomLight's panorama at their place, after all 31 frames. Their
 shadows are differential: the frame is multiplied by (plane with spheres) / (plane without them).
 """
 
@@ -13,54 +13,44 @@ import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from roomlight.camera import Intrinsics
-from roomlight.captures import Capture, open_capture
+from roomlight.captures import open_capture
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
+from roomlight.placement import point_at_pixel
 from roomlight.sample import sample_capture
 
-FRAME = 0
+FRAME = 30
 SCALE = 3
-RADIUS_M = 0.17
-PIXELS = ((168, 196), (222, 176))
-SAMPLES = 48
+RADIUS_M = 0.075
+PIXELS = ((208, 146), (262, 126))
+SAMPLES = 64
 
 
 def main() -> None:
     """Write the picture."""
     mi.set_variant("scalar_rgb")
-    capture = open_capture(sample_capture())
-    frames = list(capture)
+    frames = list(open_capture(sample_capture()))
     session = Session()
     for each in frames:
         session.push(each)
     frame = frames[FRAME]
-    grounds = [ground_point(frame, *pixel) for pixel in PIXELS]
-    centres = [ground + [0.0, RADIUS_M, 0.0] for ground in grounds]
+    centres = [np.array(point_at_pixel(frame, *pixel, above_m=RADIUS_M)) for pixel in PIXELS]
     middle = np.mean(centres, axis=0)
     light = session.light_at(tuple(middle.tolist()))
-    composite = insert(frame, centres, grounds[0][1], light.panorama)
+    composite = insert(frame, centres, light.panorama)
     photo = Image.fromarray(linear_to_srgb8(np.clip(composite, 0, 1)))
-    sheet(photo, light.panorama, nearest_truth(capture, middle)).save(
-        Path(__file__).parents[1] / "images" / "hero.jpg", quality=90
-    )
+    sheet(photo, light.panorama, light.observed).save(Path(__file__).parents[1] / "images" / "hero.jpg", quality=90)
 
 
-def ground_point(frame: Frame, column: int, row: int) -> np.ndarray:
-    """Return the surface point (3,) in world metres behind a pixel of the colour image."""
-    lens = frame.intrinsics
-    depth = float(frame.depth_m[row * frame.depth_m.shape[0] // lens.height, column * frame.depth_m.shape[1] // lens.width])
-    point = [(column + 0.5 - lens.cx) / lens.fx * depth, -(row + 0.5 - lens.cy) / lens.fy * depth, -depth, 1.0]
-    return (frame.camera_to_world @ np.array(point))[:3]
-
-
-def insert(frame: Frame, centres: list[np.ndarray], floor_m: float, panorama: np.ndarray) -> np.ndarray:
+def insert(frame: Frame, centres: list[np.ndarray], panorama: np.ndarray) -> np.ndarray:
     """Composite the spheres: linear RGB [SCALE h, SCALE w, 3]."""
     height, width = frame.image.shape[:2]
     size = (width * SCALE, height * SCALE)
     background = np.stack(
         [np.asarray(Image.fromarray(frame.image[..., k]).resize(size, Image.Resampling.BICUBIC)) for k in range(3)], -1
     )
+    support_m = centres[0][1] - RADIUS_M
     scene = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 6},
@@ -70,9 +60,9 @@ def insert(frame: Frame, centres: list[np.ndarray], floor_m: float, panorama: np
             "bitmap": mi.Bitmap(np.ascontiguousarray(panorama, np.float32)),
             "to_world": mi.ScalarTransform4f().rotate([0, 1, 0], 90),
         },
-        "floor": {
+        "support": {
             "type": "rectangle",
-            "to_world": mi.ScalarTransform4f().translate([0, floor_m, 0]).rotate([1, 0, 0], -90).scale(20),
+            "to_world": mi.ScalarTransform4f().translate([0, support_m, 0]).rotate([1, 0, 0], -90).scale(20),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.35, 0.2]}},
         },
     }
@@ -86,7 +76,7 @@ def insert(frame: Frame, centres: list[np.ndarray], floor_m: float, panorama: np
     }
     empty, empty_alpha = render(scene)
     full, _ = render({**scene, **spheres})
-    only = {name: part for name, part in scene.items() if name not in ("floor", "light")}
+    only = {name: part for name, part in scene.items() if name not in ("support", "light")}
     _, alpha = render({**only, **spheres})
     shadow = np.clip(full / np.maximum(empty, 1e-4), 0, 1.5) * empty_alpha[..., None] + (1 - empty_alpha[..., None])
     behind = background * np.where(alpha[..., None] > 0.98, 1, shadow)
@@ -121,14 +111,8 @@ def render(scene: dict[str, object]) -> tuple[np.ndarray, np.ndarray]:
     return image[..., :3], np.clip(image[..., 3], 0, 1)
 
 
-def nearest_truth(capture: Capture, position: np.ndarray) -> np.ndarray:
-    """Return the capture's ground-truth panorama nearest to a point."""
-    probes = capture.probes
-    return min(probes, key=lambda probe: np.linalg.norm(np.asarray(probe.position) - position)).panorama()
-
-
-def sheet(photo: Image.Image, estimate: np.ndarray, truth: np.ndarray) -> Image.Image:
-    """Lay out the frame beside the estimated and the true panorama."""
+def sheet(photo: Image.Image, panorama: np.ndarray, observed: np.ndarray) -> Image.Image:
+    """Lay out the frame beside the estimated panorama, and the part of it that the camera saw."""
     gap, label = 12, 30
     panel_height = (photo.height - gap - 2 * label) // 2
     panel = (2 * panel_height, panel_height)
@@ -136,11 +120,14 @@ def sheet(photo: Image.Image, estimate: np.ndarray, truth: np.ndarray) -> Image.
     out.paste(photo, (0, 0))
     draw, font = ImageDraw.Draw(out), ImageFont.load_default(19)
     x = photo.width + gap
-    for k, (text, panorama) in enumerate((("Estimated light at the spheres (HDR)", estimate), ("Ground truth nearby", truth))):
+    seen = panorama * observed[..., None] + 0.8 * (1 - observed[..., None])
+    for k, (text, shown) in enumerate(
+        (("Light at the spheres, from 31 frames", panorama), ("The part that was seen", seen))
+    ):
         y = k * (panel_height + label + gap)
         draw.text((x, y + 4), text, fill=(40, 40, 40), font=font)
-        shown = Image.fromarray(linear_to_srgb8(np.clip(panorama / (1 + 0.35 * panorama), 0, 1)))
-        out.paste(shown.resize(panel, Image.Resampling.BICUBIC), (x, y + label))
+        picture = Image.fromarray(linear_to_srgb8(np.clip(shown, 0, 1)))
+        out.paste(picture.resize(panel, Image.Resampling.BICUBIC), (x, y + label))
     return out
 
 
