@@ -1,4 +1,4 @@
-"""Tiny furniture libraries for tests: zip files with a catalogue, OBJ, MTL and PNG."""
+"""Small furniture libraries for tests: zip files with a catalogue file, OBJ, MTL and PNG."""
 
 import zipfile
 from pathlib import Path
@@ -12,7 +12,7 @@ BOX_FACES = ((3, 4, 2, 1), (6, 8, 7, 5), (2, 6, 5, 1), (7, 8, 4, 3), (5, 7, 3, 1
 
 
 def box_obj(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0), *, material="wood", library="m.mtl", first=1) -> str:
-    """A box as an OBJ with texture coordinates; x, y, z bits of a vertex's number choose low or high."""
+    """Return a box as an OBJ with texture coordinates; bits 0 to 2 of a vertex number choose low or high x, y, z."""
     lines = [f"mtllib {library}"] if library else []
     for k in range(8):
         corner = [(high if k >> axis & 1 else low)[axis] for axis in range(3)]
@@ -24,7 +24,7 @@ def box_obj(low=(0.0, 0.0, 0.0), high=(1.0, 1.0, 1.0), *, material="wood", libra
 
 
 def sphere_obj(rings: int, segments: int) -> str:
-    """A ball of quads and triangles without texture coordinates."""
+    """Return a sphere of quads and triangles without texture coordinates."""
     lines = []
     for i in range(rings + 1):
         for j in range(segments):
@@ -39,7 +39,7 @@ def sphere_obj(rings: int, segments: int) -> str:
 
 
 def png(image: np.ndarray) -> bytes:
-    """An RGB or RGBA image as PNG."""
+    """Encode an RGB or RGBA image as PNG."""
     order = [2, 1, 0, 3] if image.shape[2] == 4 else [2, 1, 0]
     return cv2.imencode(".png", np.ascontiguousarray(image[..., order]))[1].tobytes()
 
@@ -48,7 +48,7 @@ MTL = "newmtl wood\nKd 0.6 0.4 0.2\n"
 
 
 def entry(number: int, identity: str, **properties: object) -> str:
-    """A model of a catalogue; centimetres. A property that is None is left out."""
+    """Return a model's entry in a catalogue file; centimetres. Properties that are None are left out."""
     values: dict[str, object] = {
         "id": identity,
         "name": "Chair",
@@ -67,7 +67,7 @@ def entry(number: int, identity: str, **properties: object) -> str:
 
 
 def write_library(path: Path, catalogue: str | None, files: dict[str, str | bytes]) -> Path:
-    """A `.sh3f` file."""
+    """Write a `.sh3f` file."""
     head = "id=Test#Library\nname=Test\nversion=1.0\nlicense=CC-BY 3.0\n"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         if catalogue is not None:
@@ -78,7 +78,7 @@ def write_library(path: Path, catalogue: str | None, files: dict[str, str | byte
 
 
 def simple_library(path: Path, identities=("a", "b", "c"), **properties: object) -> Path:
-    """A library of boxes that differ a little."""
+    """Write a library of slightly different boxes."""
     catalogue = "".join(entry(k + 1, identity, **properties) for k, identity in enumerate(identities))
     files: dict[str, str | bytes] = {}
     for k, identity in enumerate(identities):

@@ -1,4 +1,4 @@
-"""Rooms and furniture for the planner's tests: boxes of usual sizes, shells drawn by hand."""
+"""Rooms and furniture for the planner's tests: boxes of usual sizes, hand-made and random shells."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -14,6 +14,8 @@ TOPPED = {
     "dining_table", "coffee_table", "side_table", "desk", "nightstand", "dresser", "bookcase", "sideboard", "tv_stand",
     "kitchen_unit", "dishwasher", "washing_machine", "washbasin", "wall_shelf", "piano", "fireplace",
 }  # fmt: skip
+
+SPLITS: tuple[Split, ...] = ("train", "test")
 
 SIZES: dict[str, list[tuple[float, float, float]]] = {
     # width, height, depth
@@ -104,14 +106,14 @@ def model(role: str, size: tuple[float, float, float], split: Split = "train", t
 
 @dataclass
 class BoxCatalogue:
-    """A catalogue of boxes; without the roles named in `lacking`."""
+    """Furniture models that are boxes, without the roles in `lacking`."""
 
     lacking: frozenset[str] = frozenset()
 
     def __post_init__(self) -> None:
-        self.models = {
+        self.models: dict[Split, dict[str, list[FurnitureModel]]] = {
             split: {role: [model(role, size, split) for size in sizes] for role, sizes in SIZES.items()}
-            for split in ("train", "test")
+            for split in SPLITS
         }
         for split, roles in self.models.items():
             roles["kitchen_unit"].append(model("kitchen_unit", (0.8, 0.9, 0.6), split, " with sink"))
@@ -133,7 +135,7 @@ def shell(
     wall_heights: dict[int, float] | None = None,
     spots: tuple[tuple[float, float, float], ...] = (),
 ) -> Shell:
-    """Walls along the corners, clockwise seen from above with z down the page."""
+    """Return a shell with walls along the corners, clockwise seen from above with z down the page."""
     polygon = np.array(corners, np.float64)
     walls = []
     for index, (start, end) in enumerate(zip(polygon, np.roll(polygon, -1, axis=0), strict=True)):
@@ -159,7 +161,7 @@ def _gaps(length: float, rng: np.random.Generator, *, door: bool) -> tuple[Gap, 
 
 
 def random_shell(rng: np.random.Generator, area: float, aspect: float, *, kind: str = "rectangle") -> Shell:
-    """A rectangle, an L or an attic of about that floor area, with a door or two and some windows."""
+    """Return a rectangle, an L or an attic of about that floor area, with a door or two and some windows."""
     width, depth = float(np.sqrt(area * aspect)), float(np.sqrt(area / aspect))
     if rng.random() < 0.5:
         width, depth = depth, width

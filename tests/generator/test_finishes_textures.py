@@ -46,7 +46,7 @@ def reflectance(texture):
 
 
 @pytest.mark.parametrize(("group", "name"), TILED, ids=[f"{group}-{name}" for group, name in TILED])
-def test_repeats_without_a_seam_and_reflects_plausibly(group, name):
+def test_textures_tile_and_have_plausible_reflectance(group, name):
     for seed in range(2):
         texture = make_texture(group, "test", np.random.default_rng(seed), family=name)
         for image in (texture.image, texture.image.transpose(1, 0, 2)):
@@ -68,11 +68,11 @@ def test_the_same_state_gives_the_same_bytes(group):
 
 @given(st.integers(0, 2**32), st.integers(0, 2**32))
 @settings(max_examples=50)
-def test_no_style_belongs_to_both_splits(one, two):
+def test_splits_share_no_texture_seed(one, two):
     assert texture_seed("train", np.random.default_rng(one)) != texture_seed("test", np.random.default_rng(two))
 
 
-def test_reserved_families_are_kept_from_train_rooms():
+def test_train_rooms_never_show_reserved_families():
     assert all(any(name in FAMILIES[group] for group in FAMILIES) for name in RESERVED)
     for group in FAMILIES:
         shown = families(group, "train")
@@ -92,7 +92,7 @@ def test_pictures_keep_their_aspect(aspect):
         assert texture.image.std() > 2
 
 
-def test_screens_cloths_and_woods():
+def test_screens_cloths_and_woods_are_plausible():
     rng = np.random.default_rng(3)
     assert {screen_picture("train", rng).image.shape for _ in range(6)} == {(144, 256, 3)}
     blue = (0.05, 0.1, 0.4)
@@ -111,7 +111,7 @@ def test_plaster_hardly_darkens():
 
 
 @pytest.mark.parametrize("shape", [(64, 96), (50, 37)])
-def test_noise_is_centred_and_wraps(shape):
+def test_noise_is_centred_and_tiles(shape):
     rng = np.random.default_rng(2)
     for field in (fbm(rng, shape, (4, 4)), speckle(rng, shape, (1.5, 2.5))):
         assert field.shape == shape
@@ -121,7 +121,7 @@ def test_noise_is_centred_and_wraps(shape):
         assert across <= inside * 1.05
 
 
-def test_laid_patterns_are_of_equal_blocks():
+def test_block_patterns_have_equal_blocks():
     rng = np.random.default_rng(0)
     laid = {
         "rows": (row_blocks(rng, (96, 96), rows=4, columns=3), 12),

@@ -29,15 +29,15 @@ def lamp(texture):
 
 def model(identity="l", mesh=None, **more):
     values = {"role": "table_lamp", "split": "train", "width_m": 1.0, "height_m": 1.2, "depth_m": 0.4, **more}
-    return FurnitureModel(id=identity, name="Lamp", load=lambda: mesh, **values)
+    return FurnitureModel(id=identity, name="Lamp", load=lambda: mesh or lamp(None), **values)
 
 
 def corners(mesh):
-    """Every triangle's positions, normals and texture coordinates, whatever the vertices' order."""
+    """Return every triangle's positions, normals and texture coordinates, independent of the vertex order."""
     return mesh.vertices[mesh.faces], mesh.normals[mesh.faces], mesh.uvs[mesh.faces]
 
 
-def test_a_packed_mesh_is_the_same_to_its_precision():
+def test_packing_preserves_a_mesh_to_its_precision():
     mesh = lamp(picture())
     textures: list[Texture] = []
     data = pack_mesh(mesh, lambda texture: textures.append(texture) or len(textures) - 1)
@@ -67,7 +67,7 @@ def test_a_mesh_too_large_for_its_indices_is_refused():
 
 
 @pytest.mark.parametrize("damage", ["cut", "empty", "head", "body"])
-def test_a_damaged_packing_is_named(damage):
+def test_a_damaged_packed_mesh_is_reported_by_name(damage):
     data = bytearray(pack_mesh(with_material(sphere(0.2), Material()), lambda _: 0))
     if damage == "cut":
         data = data[:-40]
@@ -94,7 +94,7 @@ def written(path, count=3):
     return path
 
 
-def test_a_cache_gives_back_what_was_put_in(tmp_path):
+def test_a_cache_returns_what_was_stored(tmp_path):
     path = written(tmp_path / "deep" / "f.rlf")
     cache = Cache(path)
     stored = cache.models()
@@ -127,18 +127,18 @@ def test_textures_are_stored_once_and_shared(tmp_path):
     assert many < 2 * few
 
 
-def test_the_same_models_make_the_same_bytes(tmp_path):
+def test_the_same_models_give_the_same_cache_bytes(tmp_path):
     assert written(tmp_path / "a").read_bytes() == written(tmp_path / "b").read_bytes()
 
 
-def test_a_cache_goes_to_another_process(tmp_path):
+def test_models_of_a_cache_can_be_pickled(tmp_path):
     cache = Cache(written(tmp_path / "f.rlf"))
     cache.surfaces()
     copy = pickle.loads(pickle.dumps(cache.models()[0].model))
     np.testing.assert_array_equal(copy.mesh.vertices, cache.models()[0].model.mesh.vertices)
 
 
-def test_every_damage_to_a_cache_is_found(tmp_path):
+def test_a_damaged_cache_header_is_detected(tmp_path):
     path = written(tmp_path / "f.rlf", 1)
     whole = path.read_bytes()
 
@@ -162,7 +162,7 @@ def test_every_damage_to_a_cache_is_found(tmp_path):
         Cache(path)
 
 
-def test_a_flipped_byte_in_a_piece_is_found_when_it_is_read(tmp_path):
+def test_a_flipped_byte_in_a_blob_is_detected_on_reading(tmp_path):
     path = written(tmp_path / "f.rlf", 1)
     cache = Cache(path)
     data = bytearray(path.read_bytes())
@@ -170,19 +170,19 @@ def test_a_flipped_byte_in_a_piece_is_found_when_it_is_read(tmp_path):
         data[place] ^= 1
     path.write_bytes(data)
     with pytest.raises(FurnitureError, match=r"f\.rlf: blob \d+ of the furniture cache is damaged"):
-        [one.model.load() for one in cache.models()] + cache.surfaces()
+        _ = [one.model.load() for one in cache.models()] + cache.surfaces()
     path.unlink()
     with pytest.raises(FurnitureError, match="cannot be read"):
         cache.models()[0].model.load()
 
 
-def test_an_unwritable_place_is_an_output_error(tmp_path):
+def test_an_unwritable_path_raises_output_error(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(OutputError, match="cannot be written"):
         written(tmp_path / "file" / "f.rlf")
 
 
-def test_a_cache_is_told_by_its_first_bytes(tmp_path):
+def test_a_cache_is_recognised_by_its_first_bytes(tmp_path):
     assert is_cache(written(tmp_path / "f.rlf"))
     (tmp_path / "zip").write_bytes(b"PK")
     assert not is_cache(tmp_path / "zip")

@@ -9,6 +9,7 @@ from furniture_files import MTL, box_obj, entry, png, simple_library, write_libr
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from roomlight.dataset.recording import Split
 from roomlight.errors import FurnitureError
 from roomlight_generator.rooms.furniture import Catalogue, build_cache, load_catalogue
 from roomlight_generator.rooms.furniture.catalogue import cache_folder, installed_libraries, library_files
@@ -19,7 +20,7 @@ from roomlight_generator.rooms.shapes import box
 
 @pytest.fixture(autouse=True)
 def home(tmp_path, monkeypatch):
-    """No user's files: an empty cache folder, nothing installed."""
+    """Isolate the test from the user's files: an empty cache folder, nothing installed."""
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.delenv("ROOMLIGHT_FURNITURE", raising=False)
     monkeypatch.setattr("roomlight_generator.rooms.furniture.catalogue.INSTALLED_FOLDER", tmp_path / "nowhere")
@@ -30,7 +31,13 @@ def refuse(text):
     raise AssertionError(text)
 
 
-def made(identity, role="sofa", split="train", width=1.0):
+def chosen_id(catalogue, role, split, rng, **options):
+    model = catalogue.choose(role, split, rng, **options)
+    assert model is not None
+    return model.id
+
+
+def made(identity, role="sofa", split: Split = "train", width=1.0):
     return FurnitureModel(identity, identity, role, split, width, 1.0, 1.0, load=lambda: box(1, 1, 1))
 
 
@@ -39,7 +46,7 @@ def made(identity, role="sofa", split="train", width=1.0):
     links=st.lists(st.tuples(st.integers(0, 60), st.integers(0, 60)), max_size=12),
 )
 @settings(max_examples=60, deadline=None)
-def test_splits_share_nothing_and_serve_every_role(counts, links):
+def test_splits_share_no_digest_and_cover_every_role(counts, links):
     roles = {f"{role}-{k}": f"r{role}" for role, count in enumerate(counts) for k in range(count)}
     names = sorted(roles)
     shared: dict[str, list[str]] = {name: [f"own {name}"] for name in names}
@@ -61,7 +68,7 @@ def test_splits_share_nothing_and_serve_every_role(counts, links):
             assert reserved[role] == (max(1, round(count / 5)) if count >= 3 else 0)
 
 
-def test_a_role_of_three_has_one_reserved_though_others_are_tied_together():
+def test_three_models_of_a_role_reserve_one_despite_links():
     roles = {f"s{k}": "sofa" for k in range(3)} | {f"c{k}": "chair" for k in range(3)}
     splits = assign_splits(roles, {"s0": ["x"], "c0": ["x"], "s1": ["y"], "c1": ["y"]})
     assert splits["s0"] == splits["c0"]
@@ -69,21 +76,21 @@ def test_a_role_of_three_has_one_reserved_though_others_are_tied_together():
         assert Counter(splits[f"{role}{k}"] for k in range(3))["test"] == 1
 
 
-def test_the_split_of_most_models_survives_new_ones():
+def test_new_models_do_not_change_existing_splits():
     roles = {f"m{k}": "sofa" for k in range(40)}
     before = assign_splits(roles, {})
     after = assign_splits(roles | {"new": "chair", "newer": "chair"}, {})
     assert all(before[name] == after[name] for name in roles)
 
 
-def test_choices_keep_to_role_split_size_and_what_fits():
+def test_choose_respects_role_split_width_and_fits():
     rng = np.random.default_rng(1)
     library = (made("a"), made("b", width=3.0), made("c", split="test"), made("d", role="bed"))
     catalogue = Catalogue(library)
-    assert {catalogue.choose("sofa", "train", rng).id for _ in range(50)} == {"a", "b"}
-    assert {catalogue.choose("sofa", "train", rng, max_width_m=2.0).id for _ in range(9)} == {"a"}
-    assert {catalogue.choose("sofa", "train", rng, fits=lambda m: m.width_m > 2).id for _ in range(9)} == {"b"}
-    assert catalogue.choose("sofa", "test", rng).id == "c"
+    assert {chosen_id(catalogue, "sofa", "train", rng) for _ in range(50)} == {"a", "b"}
+    assert {chosen_id(catalogue, "sofa", "train", rng, max_width_m=2.0) for _ in range(9)} == {"a"}
+    assert {chosen_id(catalogue, "sofa", "train", rng, fits=lambda m: m.width_m > 2) for _ in range(9)} == {"b"}
+    assert chosen_id(catalogue, "sofa", "test", rng) == "c"
     assert catalogue.choose("sofa", "train", rng, fits=lambda _: False) is None
     assert catalogue.choose("oven", "train", rng) is None
     assert [model.id for model in catalogue.models("sofa", "train")] == ["a", "b"]
@@ -92,14 +99,14 @@ def test_choices_keep_to_role_split_size_and_what_fits():
 def test_procedural_models_fill_gaps_and_are_mixed_in():
     rng = np.random.default_rng(2)
     catalogue = Catalogue((made("a"),)).with_procedural([made("p"), made("q", role="oven")])
-    drawn = Counter(catalogue.choose("sofa", "train", rng).id for _ in range(600))
+    drawn = Counter(chosen_id(catalogue, "sofa", "train", rng) for _ in range(600))
     assert 70 < drawn["p"] < 180  # a fifth of 600, within six standard deviations
-    assert catalogue.choose("oven", "train", rng).id == "q"
-    assert catalogue.choose("sofa", "train", rng, fits=lambda model: model.id == "p").id == "p"
-    assert {catalogue.choose("sofa", "train", rng, procedural_share=0.0).id for _ in range(30)} == {"a"}
+    assert chosen_id(catalogue, "oven", "train", rng) == "q"
+    assert chosen_id(catalogue, "sofa", "train", rng, fits=lambda model: model.id == "p") == "p"
+    assert {chosen_id(catalogue, "sofa", "train", rng, procedural_share=0.0) for _ in range(30)} == {"a"}
 
 
-def test_whatever_fits_the_same_random_numbers_are_drawn():
+def test_choose_draws_the_same_number_of_random_values():
     states = []
     for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue().with_procedural([made("p")])):
         rng = np.random.default_rng(3)
@@ -108,7 +115,7 @@ def test_whatever_fits_the_same_random_numbers_are_drawn():
     assert len(set(states)) == 1
 
 
-def test_a_library_a_folder_and_a_cache_give_the_same_catalogue(tmp_path):
+def test_library_folder_and_cache_give_the_same_catalogue(tmp_path):
     folder = tmp_path / "libraries"
     folder.mkdir()
     path = simple_library(folder / "one.sh3f", tuple("abcdef"))
@@ -136,7 +143,7 @@ def test_models_of_one_shape_are_in_one_split(tmp_path):
     assert Counter(splits.values())["test"] == 2
 
 
-def test_a_broken_model_is_left_out_with_a_warning(tmp_path):
+def test_a_malformed_model_is_left_out_with_a_warning(tmp_path):
     path = write_library(
         tmp_path / "a.sh3f",
         entry(1, "good") + entry(2, "bad") + entry(3, "good"),
@@ -150,7 +157,7 @@ def test_a_broken_model_is_left_out_with_a_warning(tmp_path):
     assert any("'good' is also in an earlier library" in text for text in warnings)
 
 
-def test_a_damaged_cache_is_made_anew(tmp_path):
+def test_a_damaged_cache_is_rebuilt(tmp_path):
     path = simple_library(tmp_path / "a.sh3f")
     load_catalogue(path, warn=refuse)
     (cache,) = cache_folder().iterdir()
@@ -162,7 +169,7 @@ def test_a_damaged_cache_is_made_anew(tmp_path):
     load_catalogue(path, warn=refuse)
 
 
-def test_a_texture_found_twice_is_stored_once(tmp_path):
+def test_a_duplicate_texture_is_stored_once(tmp_path):
     catalogue = "id#1=oak\nname#1=Oak\ncategory#1=Floor\nimage#1=/t.png\nwidth#1=40\nheight#1=30\n"
     for name in ("a.sh3t", "b.jar"):
         with zipfile.ZipFile(tmp_path / name, "w") as out:
@@ -172,14 +179,14 @@ def test_a_texture_found_twice_is_stored_once(tmp_path):
     assert texture.size_m == (0.4, 0.3)
 
 
-def test_a_changed_library_is_read_anew(tmp_path):
+def test_a_changed_library_rebuilds_the_cache(tmp_path):
     path = simple_library(tmp_path / "a.sh3f")
     load_catalogue(path, warn=refuse)
     simple_library(path, ("a", "b", "c", "d"))
     assert len(load_catalogue(path, warn=refuse).library) == 4
 
 
-def test_an_unwritable_cache_folder_is_got_round(tmp_path, monkeypatch):
+def test_an_unwritable_cache_folder_falls_back_to_tmp(tmp_path, monkeypatch):
     (tmp_path / "file").write_text("x")
     (tmp_path / "tmp").mkdir()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "file"))
@@ -190,7 +197,7 @@ def test_an_unwritable_cache_folder_is_got_round(tmp_path, monkeypatch):
     assert str(tmp_path / "tmp") in warnings[0]
 
 
-def test_without_any_library_one_is_told_what_to_do():
+def test_without_a_library_a_warning_says_what_to_install():
     warnings: list[str] = []
     catalogue = load_catalogue(warn=warnings.append)
     assert catalogue.library == ()
@@ -213,7 +220,7 @@ def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch
     assert len(load_catalogue(warn=refuse).library) == 3
 
 
-def test_what_was_named_must_be_usable(tmp_path):
+def test_an_unusable_library_path_is_refused(tmp_path):
     with pytest.raises(FurnitureError, match="no such file or folder"):
         load_catalogue(tmp_path / "gone", warn=refuse)
     (tmp_path / "empty").mkdir()

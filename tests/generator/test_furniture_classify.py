@@ -1,4 +1,4 @@
-"""Roles by words and sizes, and what materials become."""
+"""Roles from keywords and sizes, and conversion of materials."""
 
 import numpy as np
 import pytest
@@ -13,7 +13,8 @@ from roomlight_generator.rooms.scene import Texture
 
 
 def entry(name, size=(0.6, 0.6, 0.8), *, tags=(), category="Living room", identity="x#y", **more):
-    return LibraryEntry(identity, name, tuple(tags), category, "a.obj", *map(float, size), **more)
+    width, depth, height = map(float, size)
+    return LibraryEntry(identity, name, tuple(tags), category, "a.obj", width, depth, height, **more)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +48,7 @@ def entry(name, size=(0.6, 0.6, 0.8), *, tags=(), category="Living room", identi
         (entry("Whatsit"), None),
     ],
 )
-def test_words_and_sizes_tell_the_role(one, role):
+def test_keywords_and_sizes_determine_the_role(one, role):
     assert role_of(one) == role
 
 
@@ -60,14 +61,14 @@ def test_exceptions_come_first_and_name_known_roles():
     assert role_of(entry("Chair", identity=min(EXCLUDED))) is None
 
 
-def test_things_hang_where_their_catalogue_says_or_where_they_usually_do():
+def test_elevation_is_the_catalogues_or_the_roles_default():
     assert elevation_m("wall_lamp", entry("Wall lamp", elevation_m=1.8)) == 1.8
     assert elevation_m("wall_lamp", entry("Wall lamp")) == 1.65
     assert elevation_m("sofa", entry("Sofa", elevation_m=0.3)) == 0.0
     assert elevation_m("washbasin", entry("Washbasin", elevation_m=0.4)) == 0.4
 
 
-def test_nothing_is_put_on_seats_and_sinks():
+def test_seats_and_sinks_support_no_objects():
     assert has_surface("desk", entry("Desk"))
     assert not has_surface("sofa", entry("Sofa"))
     assert not has_surface("kitchen_unit", entry("Sink cabinet"))
@@ -80,7 +81,7 @@ def material(name, *, role="chair", texture=None, kind=None, **mtl):
 PICTURE = Texture(np.full((2, 2, 3), 90, np.uint8))
 
 
-def test_colours_are_decoded_and_clamped_to_what_exists():
+def test_colours_are_decoded_and_clamped_to_real_albedos():
     red = material("paint", diffuse=(0.6, 0.1, 0.0)).albedo
     assert 0.25 < red[0] < 0.4  # 0.6 as displayed, lit as the viewer lights it
     assert red[1] == red[2] == pytest.approx(0.03)
@@ -113,7 +114,7 @@ def test_glass_mirrors_chrome_screens_and_shades():
     assert shade.roughness is None
 
 
-def test_what_is_soft_is_matte_and_what_is_hard_may_shine():
+def test_soft_materials_are_matte_and_hard_ones_may_be_coated():
     assert material("cushion", role="sofa", specular=(0.5, 0.5, 0.5), shininess=96.0).roughness is None
     for name in ("white ceramic", "steel", "black plastic"):
         roughness = material(name).roughness
@@ -122,7 +123,7 @@ def test_what_is_soft_is_matte_and_what_is_hard_may_shine():
     assert material("tub", role="bathtub").roughness is not None
 
 
-def test_the_choice_of_gloss_is_the_models_own():
+def test_gloss_is_chosen_per_model():
     mtl = MtlMaterial("wood")
     values = {make_material(mtl, None, role="desk", identity=f"m{k}").roughness for k in range(40)}
     assert None in values

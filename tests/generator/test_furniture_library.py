@@ -34,7 +34,7 @@ def two_part_obj():
     return box_obj((0, 0, 0), (1, 0.4, 1)) + back
 
 
-def test_a_model_stands_on_the_floor_in_metres_and_keeps_its_front(tmp_path):
+def test_models_stand_on_the_floor_in_metres_facing_plus_z(tmp_path):
     one, mesh = load(library(tmp_path, two_part_obj()))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.3], [0.25, 0.9, 0.3]], atol=1e-6)
     high = mesh.vertices[mesh.vertices[:, 1] > 0.5]
@@ -50,7 +50,7 @@ def test_the_rotation_is_applied_before_the_size(tmp_path):
     assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
 
 
-def test_a_listed_turn_brings_the_front_round(tmp_path, monkeypatch):
+def test_a_listed_rotation_corrects_the_front(tmp_path, monkeypatch):
     monkeypatch.setitem(FRONT_ROTATION_DEGREES, "a", 90.0)
     _, mesh = load(library(tmp_path, two_part_obj()))
     # +z goes to +x: the back at low z goes to low x, and width and depth change places.
@@ -58,7 +58,7 @@ def test_a_listed_turn_brings_the_front_round(tmp_path, monkeypatch):
     assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
 
 
-def test_normals_look_out_of_a_box_and_its_edges_are_sharp(tmp_path):
+def test_box_normals_point_outward_and_edges_are_sharp(tmp_path):
     _, mesh = load(library(tmp_path, box_obj()))
     corners = mesh.vertices[mesh.faces]
     wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -90,7 +90,7 @@ def test_lights_are_in_the_model_frame(tmp_path):
     assert second.colour == pytest.approx((1, 0.2158, 0), abs=1e-3)
 
 
-def test_lights_around_a_lamp_become_one_within(tmp_path):
+def test_lights_around_a_lamp_merge_into_one_inside(tmp_path):
     sides = {
         "lightSourceX": "-10 60",
         "lightSourceY": "30 30",
@@ -102,7 +102,7 @@ def test_lights_around_a_lamp_become_one_within(tmp_path):
     np.testing.assert_allclose(light.position, [0, 0.4, 0], atol=1e-6)
 
 
-def test_materials_textures_and_their_direction(tmp_path):
+def test_materials_and_texture_orientation_are_read(tmp_path):
     image = np.zeros((4, 4, 3), np.uint8)
     image[:2] = 255
     mtl = "newmtl wood\nKd 0.1 0.1 0.1\nmap_Kd pic.png\n"
@@ -116,7 +116,7 @@ def test_materials_textures_and_their_direction(tmp_path):
     assert material.albedo == (0.95, 0.95, 0.95)
 
 
-def test_a_missing_texture_is_replaced_by_its_colour_and_said(tmp_path):
+def test_a_missing_texture_warns_and_uses_the_colour(tmp_path):
     warnings = []
     path = library(tmp_path, box_obj(), mtl="newmtl wood\nKd 0.5 0 0\nmap_Kd C:\\pics\\gone.png\n")
     _, mesh = load(path, warn=warnings.append)
@@ -127,7 +127,7 @@ def test_a_missing_texture_is_replaced_by_its_colour_and_said(tmp_path):
     assert "'a'" in warnings[0]
 
 
-def test_a_thing_of_glass_alone_is_to_be_seen(tmp_path):
+def test_a_model_made_only_of_glass_is_visible(tmp_path):
     _, mesh = load(library(tmp_path, box_obj(), mtl="newmtl wood\nKd 1 1 1\nd 0.1\n"))
     assert not mesh.materials[0].glass
     mtl = "newmtl wood\nKd 1 1 1\nd 0.1\nnewmtl back\nKd 1 1 1\n"
@@ -170,7 +170,7 @@ def test_leaves_are_cut_out_of_their_rectangles(tmp_path):
         ({"lightSourceX": "p"}, "lightSourceX is 'p'"),
     ],
 )
-def test_one_broken_model_is_left_out_and_named(tmp_path, properties, said):
+def test_a_malformed_model_is_left_out_and_named(tmp_path, properties, said):
     catalogue = entry(1, "broken", **{"model": "/a/a.obj", **properties}) + entry(2, "a")
     path = write_library(tmp_path / "l.sh3f", catalogue, {"a/a.obj": box_obj(), "a/m.mtl": MTL})
     warnings = []
@@ -182,13 +182,13 @@ def test_one_broken_model_is_left_out_and_named(tmp_path, properties, said):
     assert re.search(said, warning), warning
 
 
-def test_a_library_without_one_good_model_is_refused(tmp_path):
+def test_a_library_without_a_usable_model_is_refused(tmp_path):
     path = write_library(tmp_path / "l.sh3f", entry(1, "a", width="x"), {})
     with Archive(path) as archive, pytest.raises(FurnitureError, match="none of the 1 models"):
         read_entries(archive, lambda _: None)
 
 
-def test_what_is_no_library_is_refused(tmp_path):
+def test_files_that_are_not_libraries_are_refused(tmp_path):
     text = tmp_path / "text.sh3f"
     text.write_text("hello")
     with pytest.raises(FurnitureError, match=r"text\.sh3f.*not a zip"):
@@ -200,7 +200,7 @@ def test_what_is_no_library_is_refused(tmp_path):
         read_entries(archive, lambda _: None)
 
 
-def test_a_flipped_byte_in_a_member_is_found(tmp_path):
+def test_a_flipped_byte_in_a_member_is_detected(tmp_path):
     path = tmp_path / "a.zip"
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
         archive.writestr("a.obj", "v 1 2 3\n" * 100)
@@ -211,13 +211,13 @@ def test_a_flipped_byte_in_a_member_is_found(tmp_path):
         archive.read("a.obj")
 
 
-def test_a_bomb_is_not_unpacked(tmp_path):
+def test_a_zip_bomb_is_not_unpacked(tmp_path):
     path = write_library(tmp_path / "a.sh3f", None, {"bomb": b"\0" * 3_000_000})
     with Archive(path) as archive, pytest.raises(FurnitureError, match="bomb is longer than 1 MB"):
         archive.read("bomb", limit=1 << 20)
 
 
-def test_names_are_found_whatever_their_case_and_slashes(tmp_path):
+def test_member_names_ignore_case_and_slash_direction(tmp_path):
     path = write_library(tmp_path / "a.sh3f", None, {"Dir/My File.PNG": b"x", "b.mtl": b"y"})
     with Archive(path) as archive:
         assert archive.find("my%20file.png", relative_to="Dir/a.obj") == "Dir/My File.PNG"
@@ -228,13 +228,13 @@ def test_names_are_found_whatever_their_case_and_slashes(tmp_path):
             archive.find("../../b.mtl", relative_to="Dir/a.obj")
 
 
-def test_a_model_of_no_area_is_refused(tmp_path):
+def test_a_model_with_zero_area_is_refused(tmp_path):
     flat = "v 0 0 0\nv 1 0 0\nv 2 0 0\nf 1 2 3\n"
     with pytest.raises(FurnitureError, match="zero area or are transparent"):
         load(library(tmp_path, flat))
 
 
-def test_surface_textures_have_their_size(tmp_path):
+def test_surface_textures_have_their_physical_size(tmp_path):
     catalogue = "license=CC0\n" + "".join(
         f"id#{k}=t{k}\nname#{k}={name}\ncategory#{k}={kind}\nimage#{k}=/{image}\nwidth#{k}={width}\nheight#{k}=30\n"
         for k, (name, kind, image, width) in enumerate(

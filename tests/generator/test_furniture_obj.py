@@ -16,7 +16,7 @@ def areas(obj):
     return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
 
 
-def test_a_box_has_twelve_triangles_wound_outward():
+def test_a_box_has_twelve_outward_facing_triangles():
     obj = parse_obj(box_obj().encode(), "box")
     corners = obj.positions[obj.faces] - 0.5
     volume = np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6
@@ -26,14 +26,14 @@ def test_a_box_has_twelve_triangles_wound_outward():
     assert obj.libraries == ("m.mtl",)
 
 
-def test_indices_may_count_back_and_corners_may_lack_parts():
+def test_indices_may_be_negative_and_corner_parts_missing():
     text = "v 0 0 0\nv 1 0 0\nv 1 1 0\nvt 0.5 0.25\nvn 0 0 1\nf -3//1 -2/-1 -1/1/1\n"
     obj = parse_obj(text.encode(), "t")
     assert obj.faces.tolist() == [[0, 1, 2]]
     assert obj.uv_faces.tolist() == [[-1, 0, 0]]
 
 
-def test_lines_continue_after_a_backslash_and_colours_after_positions_are_ignored():
+def test_continued_lines_and_vertex_colours_are_handled():
     obj = parse_obj(b"v 0 0 0 1 0 0\nv 1 0 0 1 0 0\nv 0 2 0\nf 1 2 \\\n 3\n", "t")
     assert areas(obj).sum() == pytest.approx(1.0)
 
@@ -74,7 +74,7 @@ def test_damaged_models_are_refused_by_name(text, said):
     assert "library: sofa.obj" in str(caught.value)
 
 
-def test_materials_are_read_and_nonsense_is_passed_over():
+def test_materials_are_read_and_malformed_lines_skipped():
     text = (
         "newmtl red paint\nKd 1 0 0\nKs 0.5\nNs 96\nTr 0.25\nmap_Kd -s 1 1 1 my wood.png\nKd x y z\nnewmtl b\nd 0.4\n\n"
     )
@@ -88,7 +88,7 @@ def test_materials_are_read_and_nonsense_is_passed_over():
     assert found["b"].opacity == 0.4
 
 
-def test_java_properties():
+def test_java_properties_are_parsed():
     data = "# c\n! c\nname#2=Caf\\u00e9 \\\n   table\nid = x\\:y\nname#10 : z\nempty#2=\nwidth#2\t60\n".encode(
         "latin-1"
     )
@@ -99,7 +99,7 @@ def test_java_properties():
     assert entries[10] == {"name": "z"}
 
 
-def test_colours_under_holes_are_those_of_the_rest():
+def test_uncovered_pixels_get_the_mean_colour():
     image = np.zeros((8, 8, 4), np.uint8)
     image[:, :4] = (40, 160, 20, 255)
     image[:, 4:] = (255, 255, 255, 0)
@@ -109,19 +109,19 @@ def test_colours_under_holes_are_those_of_the_rest():
     assert (picture.image == (40, 160, 20)).all()
 
 
-def test_pictures_are_made_small_and_keep_their_shape():
+def test_images_are_scaled_down_and_keep_their_aspect():
     picture = decode_image(png(np.full((100, 400, 3), 90, np.uint8)), "wide", side=64)
     assert picture.image.shape == (16, 64, 3)
     assert picture.coverage is None
 
 
-def test_sixteen_bit_and_grey_pictures_are_read():
+def test_sixteen_bit_and_grey_images_are_read():
     data = cv2.imencode(".png", np.full((4, 4), 0x8000, np.uint16))[1].tobytes()
     assert (decode_image(data, "grey").image == 128).all()
 
 
 @pytest.mark.parametrize("damage", ["text", "cut", "body", "huge"])
-def test_bad_pictures_are_refused_by_name(damage):
+def test_bad_images_are_refused_by_name(damage):
     data = bytearray(png(np.random.default_rng(1).integers(0, 255, (32, 32, 3)).astype(np.uint8)))
     if damage == "text":
         data = bytearray(b"no picture")

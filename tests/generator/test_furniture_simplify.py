@@ -46,12 +46,12 @@ def areas(soup):
     return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) / 2
 
 
-def ball(rings=60, segments=90):
-    obj = parse_obj(sphere_obj(rings, segments).encode(), "ball")
+def sphere_soup(rings=60, segments=90):
+    obj = parse_obj(sphere_obj(rings, segments).encode(), "sphere")
     return welded(soup_of(obj.positions, obj.faces))
 
 
-def test_doubles_are_dropped_and_the_outer_one_stays():
+def test_of_coincident_triangles_the_outer_one_is_kept():
     quad = np.array(BOX_FACES) - 1
     corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], float)
     outward = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
@@ -60,16 +60,19 @@ def test_doubles_are_dropped_and_the_outer_one_stays():
     clean = welded(soup_of(points, both))
     assert len(clean.points) == 8
     assert len(clean.faces) == 12
-    facing = np.cross(*(clean.points[clean.faces[:, k]] - clean.points[clean.faces[:, 0]] for k in (1, 2)))
+    facing = np.cross(
+        clean.points[clean.faces[:, 1]] - clean.points[clean.faces[:, 0]],
+        clean.points[clean.faces[:, 2]] - clean.points[clean.faces[:, 0]],
+    )
     assert ((clean.points[clean.faces].mean(1) - 0.5) * facing).sum(1).min() > 0
 
 
-def test_a_ball_keeps_its_shape_with_a_tenth_of_its_triangles():
-    soup = ball()
+def test_a_sphere_keeps_its_shape_with_a_tenth_of_triangles():
+    soup = sphere_soup()
     fewer = simplified(soup, 1000)
     assert len(soup.faces) > 10_000
     assert 800 < len(fewer.faces) <= 1000
-    # Vertices are a subset; a chord of a ball with 1,000 triangles sags by less than 2 %.
+    # Vertices are a subset; a chord of a sphere with 1,000 triangles sags by less than 2 %.
     np.testing.assert_allclose(np.linalg.norm(fewer.points[np.unique(fewer.faces)], axis=1), 1, atol=1e-5)
     assert areas(fewer).sum() == pytest.approx(areas(soup).sum(), rel=0.02)
     normals, flat = corner_normals(fewer)
@@ -77,13 +80,13 @@ def test_a_ball_keeps_its_shape_with_a_tenth_of_its_triangles():
     assert (fewer.points[fewer.faces].mean(1) * flat).sum(1).min() > 0.9
 
 
-def test_few_triangles_are_left_as_they_are():
-    soup = ball(8, 8)
+def test_meshes_below_the_target_are_unchanged():
+    soup = sphere_soup(8, 8)
     assert simplified(soup, 1000) is soup
 
 
 @pytest.mark.parametrize("kind", ["seam", "split"])
-def test_seams_and_borders_of_materials_stay_where_they_are(kind):
+def test_seams_and_material_borders_are_preserved(kind):
     fewer = simplified(grid(40, **{kind: True}), 200)
     corners = fewer.points[fewer.faces]
     assert len(fewer.faces) <= 200
@@ -98,7 +101,7 @@ def test_seams_and_borders_of_materials_stay_where_they_are(kind):
         np.testing.assert_allclose(fewer.uvs[fewer.uv_faces][..., 1], corners[..., 2], atol=1e-9)
 
 
-def test_foliage_is_thinned_and_covers_as_much():
+def test_foliage_is_thinned_at_constant_area():
     rng = np.random.default_rng(3)
     count = 6000
     base = rng.uniform(-1, 1, (count, 1, 3))
@@ -114,7 +117,7 @@ def test_foliage_is_thinned_and_covers_as_much():
     assert (fewer.points.max(0) <= soup.points.max(0)).all()
 
 
-def test_parts_are_what_hangs_together():
+def test_connected_parts_are_found():
     label = connected_parts(np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7]]), 9)
     assert label.tolist() == [0, 0, 0, 0, 0, 5, 5, 5, 8]
 
@@ -130,12 +133,12 @@ def test_creases_are_sharp_and_curves_smooth():
     np.testing.assert_allclose(sharp[:, 0], flat, atol=1e-9)
 
 
-def test_the_top_of_a_table_is_found_and_that_of_a_cone_is_not():
+def test_a_table_has_a_supporting_surface_and_a_cone_has_none():
     assert measure_top_m(box(1, 0.75, 0.6), listed_m=None) == pytest.approx(0.75, abs=0.001)
     assert measure_top_m(lathe([[(0.3, 0.0), (0.001, 1.0)]]), listed_m=1.0) is None
 
 
-def test_a_listed_height_counts_where_the_thing_has_a_surface_there():
+def test_a_listed_height_is_used_if_a_surface_is_there():
     low, ridge = box(1, 0.5, 1), box(1, 0.9, 0.04).placed(0.0, 0.0, -0.48)
     mesh = Mesh.joined([low, ridge])
     assert measure_top_m(mesh, listed_m=0.5) == pytest.approx(0.5)

@@ -18,19 +18,30 @@ from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import block, faces_match_normals
 
 LAMPS = ("floor_lamp", "table_lamp", "wall_lamp", "ceiling_lamp")
-MOST_TRIANGLES = 3000
-"""What keeps a room of a hundred props under a third of a million triangles, and each under 20 ms to make: it takes
-some 3 ms a thousand triangles on one slow core."""
+MAX_TRIANGLES = 3000
+"""Keeps a room of a hundred props under a third of a million triangles, and each under 20 ms to build: a thousand
+triangles take some 3 ms on one slow core."""
+
+VARIANTS = [pytest.param(1, id="one variant"), pytest.param(None, id="all variants", marks=pytest.mark.slow)]
 
 
 @cache
-def everything(split: Split) -> tuple[FurnitureModel, ...]:
-    """Built once for all tests: the meshes stay in the models. All of one split, five of each kind of the other."""
-    return procedural_models(split, variants=None if split == "train" else 5)
+def models_of(split: Split, variants: int | None) -> tuple[FurnitureModel, ...]:
+    """Build models once for all tests: the meshes stay in the models."""
+    return procedural_models(split, variants=variants)
 
 
-def both() -> tuple[FurnitureModel, ...]:
-    return (*everything("train"), *everything("test"))
+@pytest.fixture(params=VARIANTS)
+def models(request: pytest.FixtureRequest) -> tuple[FurnitureModel, ...]:
+    """One train variant of each kind and some test models; or all train variants and five test variants of each."""
+    if request.param is None:
+        return (*models_of("train", None), *models_of("test", 5))
+    return (*models_of("train", 1), *models_of("test", 1)[::8])
+
+
+@pytest.fixture
+def train_models(models: tuple[FurnitureModel, ...]) -> tuple[FurnitureModel, ...]:
+    return tuple(model for model in models if model.split == "train")
 
 
 def digest(mesh: Mesh) -> str:
@@ -60,25 +71,26 @@ def pieces(mesh: Mesh) -> list[np.ndarray]:
     return [np.flatnonzero(owner == piece) for piece in np.unique(owner)]
 
 
-@pytest.mark.parametrize("split", ["train", "test"])
-def test_every_role_is_there_in_variety(split: Split) -> None:
-    counts = Counter(model.role for model in everything(split))
-    wanted = set(ROLES) - {"person", "pet", *OPENING_ROLES}
-    assert set(counts) == wanted
+def test_every_role_has_at_least_five_models() -> None:
+    counts: Counter[str] = Counter()
+    for kind in KINDS:
+        counts[kind.role] += kind.variants
+    expected = set(ROLES) - {"person", "pet", *OPENING_ROLES}
+    assert set(counts) == expected
     assert min(counts.values()) >= 5
 
 
-def test_meshes_fill_exactly_the_size_that_the_model_names() -> None:
-    for model in both():
+def test_mesh_bounds_equal_the_size_of_the_model(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         half_x, half_z = model.width_m / 2, model.depth_m / 2
         expected = [[-half_x, 0, -half_z], [half_x, model.height_m, half_z]]
         np.testing.assert_allclose(model.mesh.bounds(), expected, atol=1e-3, err_msg=model.id)
 
 
-def test_meshes_are_sound() -> None:
-    for model in both():
+def test_meshes_are_valid(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         mesh = model.mesh
-        assert 0 < len(mesh.faces) <= MOST_TRIANGLES, model.id
+        assert 0 < len(mesh.faces) <= MAX_TRIANGLES, model.id
         assert mesh.vertices.dtype == np.float32, model.id
         assert all(np.isfinite(part).all() for part in (mesh.vertices, mesh.normals, mesh.uvs)), model.id
         np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-3, err_msg=model.id)
@@ -88,14 +100,14 @@ def test_meshes_are_sound() -> None:
         assert faces_match_normals(mesh).all(), model.id
 
 
-@pytest.mark.parametrize("number", [0, 3])
+@pytest.mark.parametrize("number", [0, pytest.param(3, marks=pytest.mark.slow)])
 def test_no_piece_is_inside_out(number: int) -> None:
-    """The volume about its own middle is not negative for any connected piece (open pieces count as cones).
+    """No closed connected piece has a negative volume about its own centre.
 
-    Insides of lamps and drawers' fronts are pieces of their own only where they are open; those look inward rightly,
-    so pieces that are not closed are left out.
+    The insides of lamps and the fronts of drawers are separate open pieces that rightly face inward, so open pieces are
+    skipped.
     """
-    for model in everything("train"):
+    for model in models_of("train", number + 1):
         if not model.id.endswith(f"train{number}"):
             continue
         mesh = model.mesh
@@ -111,8 +123,8 @@ def test_no_piece_is_inside_out(number: int) -> None:
             assert volume > -1e-7, (model.id, mesh.materials[int(mesh.face_materials[piece[0]])].name)
 
 
-def test_materials_stay_within_their_ranges() -> None:
-    for model in both():
+def test_materials_stay_within_their_ranges(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         for material in model.mesh.materials:
             assert 0 <= min(material.albedo) <= max(material.albedo) <= 0.95, (model.id, material.name)
             assert material.roughness is None or 0.03 <= material.roughness <= 0.6, (model.id, material.name)
@@ -129,8 +141,11 @@ def mean_albedo(material: Material) -> float:
     return albedo * float(np.mean(srgb**2.2))
 
 
-def test_albedos_are_spread_from_black_to_white_with_strong_colours() -> None:
-    chosen = [material for model in everything("train") for material in model.mesh.materials if not material.glass]
+@pytest.mark.slow
+@pytest.mark.statistical
+def test_albedos_span_black_to_white_and_strong_colours() -> None:
+    models = models_of("train", None)
+    chosen = [material for model in models for material in model.mesh.materials if not material.glass]
     levels = np.array([mean_albedo(material) for material in chosen])
     assert (levels < 0.05).mean() > 0.08
     assert (levels > 0.6).mean() > 0.12
@@ -141,8 +156,8 @@ def test_albedos_are_spread_from_black_to_white_with_strong_colours() -> None:
     assert 0.3 < np.mean([material.roughness is not None for material in chosen]) < 0.9
 
 
-def test_lamps_have_bulbs_inside_them_and_something_that_glows() -> None:
-    for model in both():
+def test_lamps_have_bulbs_inside_them_and_a_shade_material(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         if model.role not in LAMPS:
             continue
         assert model.lights, model.id
@@ -153,12 +168,13 @@ def test_lamps_have_bulbs_inside_them_and_something_that_glows() -> None:
         assert any(material.name.startswith("shade") for material in model.mesh.materials), model.id
 
 
-def test_bulbs_stay_in_their_shades_when_meshes_are_stretched_to_size() -> None:
-    """Lights are given for the size that a model names: its mesh may not be built much off it."""
+@pytest.mark.parametrize("most", [1, pytest.param(99, marks=pytest.mark.slow)])
+def test_lamp_meshes_are_built_close_to_their_size(most: int) -> None:
+    """Light positions refer to the size of the draft, so the built mesh must be close to it."""
     for kind in KINDS:
         if kind.role not in LAMPS:
             continue
-        for number in range(kind.variants):
+        for number in range(min(kind.variants, most)):
             draft = build_draft(kind, "train", number)
             low, high = draft.build().bounds()
             np.testing.assert_allclose(
@@ -166,8 +182,8 @@ def test_bulbs_stay_in_their_shades_when_meshes_are_stretched_to_size() -> None:
             )
 
 
-def test_screens_mirrors_and_prints_are_what_their_names_say() -> None:
-    for model in both():
+def test_screens_mirrors_and_prints_have_their_materials(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         names = {material.name for material in model.mesh.materials}
         if model.role in ("television", "wall_television", "computer", "laptop"):
             assert "screen" in names, model.id
@@ -179,8 +195,8 @@ def test_screens_mirrors_and_prints_are_what_their_names_say() -> None:
             assert any(material.glass for material in model.mesh.materials), model.id
 
 
-def test_places_are_plausible() -> None:
-    for model in both():
+def test_elevations_tops_and_sizes_are_plausible(models: tuple[FurnitureModel, ...]) -> None:
+    for model in models:
         if model.role in WALL_ROLES:
             assert 0.2 < model.elevation_m < 2.2, model.id
             assert model.elevation_m + model.height_m < 2.55, model.id
@@ -197,9 +213,9 @@ def test_places_are_plausible() -> None:
         assert max(model.width_m, model.depth_m) < 3.2, model.id
 
 
-def test_sofas_and_screens_look_toward_plus_z() -> None:
+def test_sofas_and_screens_face_plus_z(train_models: tuple[FurnitureModel, ...]) -> None:
     """A sofa's highest parts are behind its middle; a screen's normal is +z."""
-    for model in everything("train"):
+    for model in train_models:
         mesh = model.mesh
         if model.role in ("sofa", "armchair", "chair", "office_chair", "bed"):
             high = mesh.vertices[mesh.vertices[:, 1] > 0.92 * model.height_m]
@@ -210,12 +226,14 @@ def test_sofas_and_screens_look_toward_plus_z() -> None:
             assert (normals[:, 2] > 0.8).all(), model.id
 
 
-def test_kitchen_units_of_one_number_belong_together() -> None:
+def test_kitchen_units_of_one_number_match(train_models: tuple[FurnitureModel, ...]) -> None:
     """Same depth and the same front colour, and a worktop at one height."""
-    models = {model.id: model for model in everything("train")}
-    for number in range(6):
+    by_id = {model.id: model for model in train_models}
+    numbers = [number for number in range(6) if f"procedural/kitchen_unit-drawers-60/train{number}" in by_id]
+    assert numbers
+    for number in numbers:
         units = [
-            models[f"procedural/kitchen_unit-{what}/train{number}"] for what in ("drawers-60", "doors-80", "sink-80")
+            by_id[f"procedural/kitchen_unit-{what}/train{number}"] for what in ("drawers-60", "doors-80", "sink-80")
         ]
         assert len({unit.depth_m for unit in units}) == 1
         assert [unit.width_m for unit in units] == [0.6, 0.8, 0.8]
@@ -223,9 +241,11 @@ def test_kitchen_units_of_one_number_belong_together() -> None:
         assert len({tuple(sorted({m.albedo for m in unit.mesh.materials if m.name == "paint"})) for unit in units}) == 1
 
 
-def test_the_same_id_gives_the_same_bytes() -> None:
-    again = {model.id: model for model in procedural_models("train", variants=3)}
-    for model in everything("train"):
+def test_the_same_id_gives_the_same_bytes(train_models: tuple[FurnitureModel, ...]) -> None:
+    quick = len(train_models) == len(KINDS)
+    chosen = procedural_models("train", variants=1)[::8] if quick else procedural_models("train", variants=3)
+    again = {model.id: model for model in chosen}
+    for model in train_models:
         if model.id in again:
             assert digest(model.mesh) == digest(again[model.id].mesh), model.id
             for mine, other in zip(model.mesh.materials, again[model.id].mesh.materials, strict=True):
@@ -235,30 +255,32 @@ def test_the_same_id_gives_the_same_bytes() -> None:
 
 
 def test_loading_twice_and_after_pickling_gives_the_same_bytes() -> None:
-    for model in procedural_models("test", variants=1)[::9]:
+    for model in procedural_models("test", variants=1)[::20]:
         assert digest(model.load()) == digest(model.load()) == digest(pickle.loads(pickle.dumps(model)).mesh)
 
 
-def test_splits_share_neither_ids_nor_meshes() -> None:
-    train, test = everything("train"), everything("test")
+def test_splits_share_neither_ids_nor_meshes(models: tuple[FurnitureModel, ...]) -> None:
+    train = [model for model in models if model.split == "train"]
+    test = [model for model in models if model.split == "test"]
     assert len({model.id for model in (*train, *test)}) == len(train) + len(test)
     assert all(model.split == "train" for model in train)
     assert all(model.split == "test" for model in test)
     assert not {digest(model.mesh) for model in train} & {digest(model.mesh) for model in test}
 
 
-def test_variants_of_a_kind_differ() -> None:
-    digests = Counter(digest(model.mesh) for model in everything("train"))
+@pytest.mark.parametrize("roles", [{"book"}, {"vase"}, pytest.param(set(ROLES), marks=pytest.mark.slow)], ids=len)
+def test_variants_of_a_kind_differ(roles: set[str]) -> None:
+    digests = Counter(digest(model.mesh) for model in models_of("train", None) if model.role in roles)
     assert max(digests.values()) == 1
 
 
-def test_meshes_are_made_only_when_asked_for() -> None:
+def test_meshes_are_built_on_demand() -> None:
     models = procedural_models("train", variants=1)
     assert len(models) == len(KINDS)
     assert all("mesh" not in vars(model) for model in models)
 
 
-def test_fitting_stretches_and_centres() -> None:
+def test_scaling_to_size_scales_and_centres() -> None:
     mesh = scaled_to_size(block(1.0, 1.0, 1.0).placed(3.0, 1.0, -2.0), (0.5, 2.0, 0.25))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.125], [0.25, 2, 0.125]], atol=1e-5)
     assert faces_match_normals(mesh).all()

@@ -1,4 +1,4 @@
-"""Procedural shapes: wound outward, closed where they are solid, of the size asked for."""
+"""Primitive shapes: outward faces, closed if solid, of the requested size."""
 
 from collections.abc import Callable
 from typing import Final
@@ -45,7 +45,7 @@ SOLIDS: Final[dict[str, Callable[[], Mesh]]] = {
     "prism the other way": lambda: prism(L_OUTLINE[::-1].copy(), 0.3),
     "rod": lambda: rod((0.1, 0.0, 0.2), (0.4, 0.5, -0.1), 0.02, 0.03),
     "tube": lambda: tube(BENT, 0.02),
-    "ball": lambda: sphere(0.2),
+    "sphere": lambda: sphere(0.2),
     "tub": lambda: loft(TUB, exponent=5),
 }
 
@@ -63,7 +63,7 @@ def area_m2(mesh: Mesh) -> float:
 
 
 @pytest.mark.parametrize("name", SOLIDS)
-def test_solids_are_wound_outward(name: str) -> None:
+def test_faces_of_solids_point_outward(name: str) -> None:
     mesh = SOLIDS[name]()
     assert faces_match_normals(mesh).all()
     assert volume_m3(mesh) > 0
@@ -71,7 +71,7 @@ def test_solids_are_wound_outward(name: str) -> None:
     assert np.isfinite(mesh.uvs).all()
 
 
-def test_volumes() -> None:
+def test_solids_have_their_analytic_volume() -> None:
     assert volume_m3(sphere(0.2)) == pytest.approx(4 / 3 * np.pi * 0.2**3, rel=0.03)
     assert volume_m3(box(0.6, 0.4, 0.3, radius=0.002)) == pytest.approx(0.072, rel=0.01)
     assert volume_m3(block(0.6, 0.4, 0.3)) == pytest.approx(0.072, rel=1e-5)
@@ -129,7 +129,7 @@ def test_a_box_has_its_size_and_stands_on_the_ground(
     assert faces_match_normals(mesh).all()
 
 
-def test_steps_bound_the_edges_of_a_box() -> None:
+def test_step_bounds_the_edge_length_of_a_box() -> None:
     mesh = box(1.0, 0.5, 0.7, step=0.2)
     corners = mesh.vertices[mesh.faces]
     longest = np.abs(corners - np.roll(corners, 1, axis=1)).max()
@@ -137,7 +137,7 @@ def test_steps_bound_the_edges_of_a_box() -> None:
     assert len(box(1.0, 0.5, 0.7, step=99, arcs=1).faces) == 108
 
 
-def test_blocks_are_each_where_and_as_large_as_told() -> None:
+def test_blocks_have_their_positions_and_sizes() -> None:
     sizes = np.array([[0.1, 0.2, 0.3], [0.5, 0.05, 0.2]])
     places = np.array([[0.0, 0.0, 0.0], [2.0, 1.0, -1.0]])
     mesh = blocks(sizes, places)
@@ -153,22 +153,22 @@ def test_grain_runs_along_the_longer_side() -> None:
         assert extents[0] >= extents[1]
 
 
-def test_a_hole_takes_its_area_and_nothing_else() -> None:
+def test_a_hole_removes_exactly_its_area() -> None:
     wall = rectangle((0, 0, 0), (3, 0, 0), (0, 2, 0), step=0.17, hole=(0.55, 1.3, 0.4, 1.6))
     assert area_m2(wall) == pytest.approx(6 - 0.75 * 1.2, rel=1e-5)
     np.testing.assert_allclose(wall.normals, [[0, 0, 1]] * len(wall.normals), atol=1e-6)
     assert faces_match_normals(wall).all()
 
 
-def test_turning_keeps_shape_and_follows_the_right_hand() -> None:
+def test_rotation_preserves_shape_and_is_right_handed() -> None:
     mesh = box(0.6, 0.4, 0.3)
     assert volume_m3(rotated(mesh, 90).placed(1.0, 0.0, 0.0)) == pytest.approx(volume_m3(mesh), rel=1e-4)
-    ball = sphere(0.1).placed(0.0, 0.0, 1.0)
-    np.testing.assert_allclose(rotated(ball, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
-    np.testing.assert_allclose(rotated(ball, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
+    globe = sphere(0.1).placed(0.0, 0.0, 1.0)
+    np.testing.assert_allclose(rotated(globe, 90).bounds().mean(0), [1, 0, 0], atol=1e-2)
+    np.testing.assert_allclose(rotated(globe, 90, "x").bounds().mean(0), [0, -1, 0], atol=1e-2)
 
 
-def test_a_sheet_has_two_sides() -> None:
+def test_a_double_sided_sheet_has_two_layers() -> None:
     grid = np.stack(np.meshgrid(np.linspace(0, 1, 5), np.linspace(0, 2, 4), [0.0], indexing="xy"), -1)[:, :, 0]
     leaf = double_sided_sheet(grid.astype(np.float32), thickness=0.01)
     assert faces_match_normals(leaf).all()
@@ -183,16 +183,16 @@ def test_a_lathed_wall_is_a_cylinder() -> None:
 
 
 def test_smooth_normals_agree_across_a_seam() -> None:
-    """A ball's first and last meridian are different vertices at the same places, far from the origin too."""
-    ball = sphere(0.2).placed(3.0, 1.0, -4.0)
-    normals = smooth_normals(ball.vertices, ball.faces)
-    outward = ball.vertices - np.array([3.0, 1.0, -4.0], np.float32)
+    """A sphere's first and last meridians are different vertices at the same positions, also far from the origin."""
+    globe = sphere(0.2).placed(3.0, 1.0, -4.0)
+    normals = smooth_normals(globe.vertices, globe.faces)
+    outward = globe.vertices - np.array([3.0, 1.0, -4.0], np.float32)
     outward /= np.linalg.norm(outward, axis=1, keepdims=True)
     middle = np.abs(outward[:, 1]) < 0.99
     assert ((normals * outward).sum(1)[middle] > 0.99).all()
 
 
-def test_cladding_counts_repeats_of_the_texture() -> None:
+def test_with_material_converts_metres_to_repeats() -> None:
     texture = Texture(np.zeros((4, 4, 3), np.uint8), size_m=(0.5, 0.25))
     sheet_of = rectangle((0, 0, 0), (1, 0, 0), (0, 1, 0))
     mesh = with_material(sheet_of, Material(texture=texture))

@@ -1,6 +1,5 @@
 from dataclasses import replace
 from functools import cache
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -22,18 +21,30 @@ EVERYTHING = ShellStyle(
     area_m2=(10.0, 40.0), l_shape=0.4, alcove=0.4, bay=0.3, chamfer=0.3, chimney_breast=0.3, niche=0.6, slanted=0.3,
     beams=0.4, windows=(2, 5), doors=(0, 3), open_door=0.5, passage=0.5, crown_moulding=0.6, lower_wall_chance=0.5,
 )  # fmt: skip
-"""Every feature often."""
+"""A style with every feature at a high probability."""
 
 CASES = [(name, seed) for name in [*STYLES, "everything"] for seed in range(12 if name == "everything" else 3)]
 
 
 def finishes() -> Finishes:
-    room = RoomFinishes(
-        *(Material(name) for name in ("wall", "floor", "ceiling", "skirting")), Material("accent"), Material("lower")
+    wall, floor, ceiling, skirting = (Material(name) for name in ("wall", "floor", "ceiling", "skirting"))
+    room = RoomFinishes(wall, floor, ceiling, skirting, Material("accent"), Material("lower"))
+    wall, floor, ceiling, skirting = (Material(f"{name} 2") for name in ("wall", "floor", "ceiling", "skirting"))
+    second = RoomFinishes(wall, floor, ceiling, skirting)
+    return Finishes(
+        room=room,
+        second=second,
+        frame=Material("frame"),
+        door=Material("door"),
+        door_frame=Material("door_frame"),
+        handle=Material("handle"),
+        moulding=Material("moulding"),
+        beam=Material("beam"),
+        curtain=Material("curtain"),
+        blind=Material("blind"),
+        sheer=Material("sheer"),
+        translucent_blind=Material("translucent_blind"),
     )
-    second = RoomFinishes(*(Material(f"{name} 2") for name in ("wall", "floor", "ceiling", "skirting")))
-    names = "frame door door_frame handle moulding beam curtain blind sheer translucent_blind"
-    return Finishes(room, second, **{name: Material(name) for name in names.split()})
 
 
 @cache
@@ -70,7 +81,7 @@ def through_openings(shell: Shell, origins: np.ndarray, directions: np.ndarray) 
             t = (opening.corner - origins) @ normal / (directions @ normal)
         point = origins + directions * t[:, None] - opening.corner
         along, up = point @ u / (u @ u), point @ v / (v @ v)
-        # A millimetre of a metre: where rounding puts the ray's crossing of the hole's edge.
+        # Tolerance of 0.1 % for rounding of the ray's crossing near the hole's edge.
         through |= (t > 0) & (np.abs(along - 0.5) < 0.501) & (np.abs(up - 0.5) < 0.501)
     return through
 
@@ -82,7 +93,7 @@ def test_light_leaves_through_openings_only(name: str, seed: int) -> None:
     opaque = [item for item in shell.items if item.role != "pane"]
     origins = np.repeat(inside(shell, 40, rng), 200, axis=0)
     directions = rng.normal(size=origins.shape)
-    # Half of the rays go for corners and edges, where sheets meet.
+    # Half of the rays are aimed at corners and edges, where panels meet.
     seams = np.concatenate([item.mesh.vertices for item in opaque])
     half = len(origins) // 2
     aimed = seams[rng.integers(len(seams), size=half)] + rng.normal(0, 1e-4, (half, 3))
@@ -95,7 +106,7 @@ def test_light_leaves_through_openings_only(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
-def test_items_are_sound(name: str, seed: int) -> None:
+def test_item_meshes_are_valid(name: str, seed: int) -> None:
     shell = shell_of(name, seed)
     for item in shell.items:
         mesh = item.mesh
@@ -149,7 +160,7 @@ def test_gaps_lie_in_their_walls_apart_and_clear(name: str, seed: int) -> None:
 
 
 @pytest.mark.parametrize(("name", "seed"), CASES)
-def test_the_ceiling_is_where_the_plan_says(name: str, seed: int) -> None:
+def test_ceiling_meshes_agree_with_ceiling_at(name: str, seed: int) -> None:
     shell = shell_of(name, seed)
     rng = np.random.default_rng(seed)
     points = inside(shell, 60, rng)[:60]
@@ -175,7 +186,7 @@ def test_spots_are_free_and_outside_the_room(name: str, seed: int) -> None:
 
 
 def test_the_same_seed_gives_the_same_shell() -> None:
-    for seed in range(4):
+    for seed in range(2):
         one, other = (build_shell(EVERYTHING, finishes(), np.random.default_rng(seed)) for _ in range(2))
         assert [item.name for item in one.items] == [item.name for item in other.items]
         for a, b in zip(one.items, other.items, strict=True):
@@ -192,7 +203,7 @@ def _covered(kind: CoverKind, seed: int) -> Shell:
     ("kind", "material"),
     [("sheer", "daylit-curtain"), ("sheer_and_curtains", "daylit-curtain"), ("roller_down", "daylit-blind")],
 )
-def test_a_window_covered_whole_glows_and_has_no_opening(kind: CoverKind, material: str) -> None:
+def test_a_fully_covered_window_emits_and_has_no_opening(kind: CoverKind, material: str) -> None:
     for seed in range(6):
         shell = _covered(kind, seed)
         windows = [item for item in shell.items if item.role == "pane"]
@@ -205,7 +216,7 @@ def test_a_window_covered_whole_glows_and_has_no_opening(kind: CoverKind, materi
 
 
 @pytest.mark.parametrize("kind", ["none", "open_curtains", "half_curtains", "roller", "venetian", "vertical"])
-def test_a_window_covered_in_part_keeps_its_whole_opening(kind: CoverKind) -> None:
+def test_a_partly_covered_window_keeps_its_whole_opening(kind: CoverKind) -> None:
     shell = _covered(kind, 3)
     panes = {item.name for item in shell.items if item.role == "pane"}
     assert len(panes) == len(shell.openings) > 0
@@ -224,7 +235,7 @@ def test_openings_lie_in_the_outer_face_of_the_wall() -> None:
             assert not shell.contains(float(centre[0]), float(centre[2]))
 
 
-def test_rooms_without_windows_have_a_way_in() -> None:
+def test_rooms_without_windows_have_a_door() -> None:
     style = replace(STYLES["bathroom"], windows=(0, 0), doors=(0, 0), open_door=0.0, slanted=1.0)
     kinds: set[str] = set()
     for seed in range(10):
@@ -237,7 +248,7 @@ def test_rooms_without_windows_have_a_way_in() -> None:
     assert "window" not in kinds
 
 
-def test_features_appear_when_wanted() -> None:
+def test_every_feature_appears_at_high_probability() -> None:
     seen: set[str] = set()
     kinds: set[str] = set()
     for seed in range(12):
@@ -247,12 +258,3 @@ def test_features_appear_when_wanted() -> None:
         seen |= {"slope" for _ in shell.slopes} | {"spot" for _ in shell.spots} | {f"{len(shell.walls)} walls"}
     assert kinds == {"window", "door", "passage", "niche"}
     assert seen > {*ROLES, "slope", "spot", "accent", "lower", "handle", "glass", "4 walls", "6 walls", "8 walls"}
-
-
-def test_a_shell_is_made_in_a_fraction_of_a_second() -> None:
-    build_shell(EVERYTHING, finishes(), np.random.default_rng(0))
-    start = perf_counter()
-    for seed in range(4):
-        build_shell(EVERYTHING, finishes(), np.random.default_rng(seed))
-    # 13 ms by itself (median of 300, most 42); some 100 with the test run's shape checks, more on a busy machine.
-    assert (perf_counter() - start) / 4 < 1.0

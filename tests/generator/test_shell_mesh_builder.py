@@ -27,7 +27,7 @@ spans = st.tuples(st.floats(0.0, 3.0), st.floats(0.2, 3.0)).map(lambda pair: (pa
 
 @given(spans, spans, spans, spans)
 @settings(max_examples=60, deadline=None)
-def test_a_piece_minus_a_hole_and_their_common_part_are_the_piece(
+def test_difference_and_intersection_add_up_to_the_piece(
     a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]
 ) -> None:
     piece, hole = rect(*a, *b), rect(*c, *d)
@@ -38,7 +38,7 @@ def test_a_piece_minus_a_hole_and_their_common_part_are_the_piece(
     assert -1e-6 <= left - (area(piece) - taken) < 4 * OVERLAP * 6.3 + 1e-6
 
 
-def test_no_piece_of_a_holed_sheet_reaches_far_into_the_hole() -> None:
+def test_difference_overlaps_the_hole_by_overlap_only() -> None:
     hole = [(1.0, 0.5), (2.0, 0.5), (2.0, 1.5), (1.5, 1.9), (1.0, 1.5)]
     pieces = difference([rect(0.0, 3.0, 0.0, 3.0)], hole)
     inner = [(1.5 + 0.998 * (s - 1.5), 1.1 + 0.998 * (h - 1.1)) for s, h in hole]
@@ -46,14 +46,14 @@ def test_no_piece_of_a_holed_sheet_reaches_far_into_the_hole() -> None:
     assert all(area(piece) > 0 for piece in pieces)
 
 
-def test_a_clip_keeps_one_side() -> None:
+def test_clip_half_plane_keeps_one_side() -> None:
     left = clip_half_plane(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, 0.5)
     assert area(left) == pytest.approx(0.5)
     assert clip_half_plane(rect(0.0, 2.0, 0.0, 1.0), 1.0, 0.0, -1.0) == []
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_outlines_are_cut_into_triangles_of_the_same_area(seed: int) -> None:
+def test_triangulation_preserves_area(seed: int) -> None:
     style = ShellStyle(l_shape=0.5, alcove=0.4, bay=0.3, chimney_breast=0.4, chamfer=0.4)
     corners = choose_outline(style, np.random.default_rng(seed))
     pieces = triangles(corners)
@@ -66,7 +66,7 @@ def test_outlines_are_cut_into_triangles_of_the_same_area(seed: int) -> None:
     assert np.abs(np.array(corners).max(0) - size / 2).max() < 1e-9
 
 
-def test_an_outline_that_crosses_itself_or_runs_backward_is_refused() -> None:
+def test_self_crossing_and_clockwise_outlines_are_refused() -> None:
     with pytest.raises(ValueError, match="cannot be triangulated"):
         triangles([(0.0, 0.0), (0.0, 1.0), (1.0, 1.0), (1.0, 0.0)])
     with pytest.raises(ValueError, match="clockwise"):
@@ -78,7 +78,7 @@ def _closed_volume(mesh: Mesh) -> float:
     return float(np.einsum("fi,fi->f", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
 
 
-def test_bars_are_closed_and_wound_outward() -> None:
+def test_bars_are_closed_and_face_outward() -> None:
     builder = MeshBuilder()
     builder.bar(WALL, (0.0, 0.5, 1.0, 1.2), (-0.1, 0.2), GREY)
     mesh = builder.mesh()
@@ -106,7 +106,7 @@ def test_swept_profiles_are_mitred_or_capped(mitre: float | None, length: float)
     assert faces_match_normals(mesh).all()
 
 
-def test_textures_repeat_by_the_metre_and_stand_upright() -> None:
+def test_texture_coordinates_are_metres_and_upright() -> None:
     image = np.zeros((4, 8, 3), np.uint8)
     builder = MeshBuilder()
     builder.panel(WALL, rect(0.0, 2.0, 0.0, 3.0), Material("paper", texture=Texture(image, (0.5, 0.25))))
@@ -116,7 +116,7 @@ def test_textures_repeat_by_the_metre_and_stand_upright() -> None:
     assert mesh.uvs[highest, 1] == mesh.uvs[:, 1].min()
 
 
-def test_an_empty_mesh_and_impossible_styles_are_refused() -> None:
+def test_empty_meshes_and_impossible_styles_are_refused() -> None:
     with pytest.raises(ValueError, match="nothing was added"):
         MeshBuilder().mesh()
     with pytest.raises(ValueError, match="area_m2"):
@@ -136,7 +136,7 @@ def _ccw(points: list[Point]) -> bool:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_footprints_lie_before_and_behind_their_side(seed: int) -> None:
+def test_footprints_lie_in_front_of_and_behind_their_side(seed: int) -> None:
     corners = choose_outline(ShellStyle(l_shape=1.0), np.random.default_rng(seed))
     room = envelope(corners, 2.5, ())
     for side in room.sides:

@@ -75,13 +75,13 @@ def test_impossible_temperatures_are_refused(kelvin):
 
 @given(st.floats(0.015, 0.92), st.floats(0, 0.2), st.floats(0, 360))
 @settings(max_examples=60)
-def test_paint_reflects_what_was_asked_of_it(level, chroma, hue):
+def test_paint_has_the_requested_reflectance(level, chroma, hue):
     colour = paint(level, chroma, hue)
     assert luminance(colour) == pytest.approx(level, rel=1e-6)
     assert all(0.0119 <= channel <= 0.931 for channel in colour)
 
 
-def test_paints_have_their_hue_and_oklab_comes_back():
+def test_paints_have_their_hue_and_oklab_round_trips():
     red, green, blue = paint(0.2, 0.1, 25), paint(0.3, 0.1, 145), paint(0.15, 0.1, 255)
     assert np.argmax(red) == 0
     assert np.argmax(green) == 1
@@ -94,7 +94,7 @@ def test_paints_have_their_hue_and_oklab_comes_back():
 
 
 @pytest.mark.parametrize("kind", SKY_KINDS)
-def test_skies_give_the_light_of_their_hour(kind):
+def test_skies_have_the_illuminance_of_their_kind(kind):
     low, high = RANGES[kind]
     for seed in range(6):
         sky = make_sky(kind, np.random.default_rng(seed))
@@ -112,7 +112,7 @@ def test_skies_give_the_light_of_their_hour(kind):
 
 
 @pytest.mark.parametrize("kind", ["clear", "golden", "partly_cloudy"])
-def test_the_sun_shines_where_it_is_sent_and_clears_the_skyline(kind):
+def test_the_sun_is_near_toward_and_above_the_skyline(kind):
     toward = np.array([0.3, 0.0, -0.8])
     seen = 0
     for seed in range(8):
@@ -136,11 +136,11 @@ def test_the_sun_shines_where_it_is_sent_and_clears_the_skyline(kind):
 
 
 @pytest.mark.parametrize("kind", ["overcast", "dusk", "night"])
-def test_no_sun_when_there_is_none(kind):
+def test_overcast_dusk_and_night_skies_have_no_sun(kind):
     assert all(make_sky(kind, np.random.default_rng(seed)).sun is None for seed in range(4))
 
 
-def test_clear_skies_are_blue_overhead_and_overcast_ones_are_not():
+def test_only_clear_skies_are_blue_overhead():
     clear = make_sky("clear", np.random.default_rng(1)).panorama[2].mean(0)
     grey = make_sky("overcast", np.random.default_rng(1)).panorama[2].mean(0)
     assert clear[2] > 1.4 * clear[0]
@@ -164,7 +164,7 @@ def test_a_uniform_surround_gives_pi_times_its_radiance():
     np.testing.assert_allclose(vertical_irradiance(sky, np.array([0.6, 5.0, 0.8])), 2 * np.pi, rtol=1e-3)
 
 
-def test_the_sun_counts_by_the_cosine_and_its_share():
+def test_sun_irradiance_scales_with_cosine_and_share():
     dark = np.zeros((HEIGHT, 2 * HEIGHT, 3), np.float32)
     sky = Sky(dark, Sun(np.array([0.6, 0.8, 0.0]), (10.0, 9.0, 8.0)))
     np.testing.assert_allclose(horizontal_irradiance(sky), [8, 7.2, 6.4])

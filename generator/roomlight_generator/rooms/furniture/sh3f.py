@@ -94,7 +94,7 @@ def _entry(archive: Archive, number: int, properties: dict[str, str], general: d
     for value in (width, depth, height):
         if not _SIZES_M[0] <= value <= _SIZES_M[1]:
             raise FurnitureError(
-                f"{where}: its size {width:g} x {depth:g} x {height:g} m is implausible (the catalogue is in centimetres)"
+                f"{where}: size {width:g} x {depth:g} x {height:g} m is implausible (the catalogue is in centimetres)"
             )
     drop = _metres(properties, "dropOnTopElevation", where, default=height)
     creator = properties.get("creator") or general.get("provider")

@@ -232,15 +232,15 @@ def _washbasin(rng: np.random.Generator, kind: int, width: Number, depth: Number
         if start:
             parts.slab(palette.black(rng), (width - 0.1, start, depth - 0.12), (0, 0, -0.03), radius=0)
     tap_z = -z + inner * 0.9
-    tall = uniform(rng, 0.1, 0.155)
+    height_m = uniform(rng, 0.1, 0.155)
     parts.add(
         tube(
             [
                 (0, height - 0.01, tap_z),
-                (0, height + tall * 0.8, tap_z),
-                (0, height + tall, tap_z + 0.02),
-                (0, height + tall, tap_z + 0.07),
-                (0, height + tall * 0.8, tap_z + 0.11),
+                (0, height + height_m * 0.8, tap_z),
+                (0, height + height_m, tap_z + 0.02),
+                (0, height + height_m, tap_z + 0.07),
+                (0, height + height_m * 0.8, tap_z + 0.11),
             ],
             0.011,
         ),

@@ -61,22 +61,22 @@ def add_bedding(
 
     Pillows may lean on a headboard as high as head_m; the duvet hangs down by `hang`.
     """
-    width, length, low, thick = mattress.width, mattress.length, mattress.bottom, mattress.thickness
+    width, length, low, thickness = mattress.width, mattress.length, mattress.bottom, mattress.thickness
     linen, cover = palette.cloth(rng, patterned=0.0), palette.cloth(rng, patterned=0.35)
-    parts.slab(linen, (width, thick, length), (0, low, 0), radius=0.05, arcs=2)
-    top = low + thick
+    parts.slab(linen, (width, thickness, length), (0, low, 0), radius=0.05, arcs=2)
+    top = low + thickness
     if rng.random() < 0.9:
         add_duvet(parts, rng, cover, width, length, top, uniform(rng, *hang))
     case = cover if rng.random() < 0.4 else palette.cloth(rng, patterned=0.2)
-    each = min(0.75, width / pillows - 0.04)
+    part_width = min(0.75, width / pillows - 0.04)
     for k in range(pillows):
         x = (-0.5 + (k + 0.5) / pillows) * width
-        deep = uniform(rng, 0.4, 0.5)
-        shape = cushion(each, 0.16, deep, plump=0.75, radius=0.06, step=0.16, arcs=1)
-        if rng.random() < 0.4 and top + deep * 0.92 < head_m:
-            parts.add(shape, case, (x, top + deep * 0.42, -length / 2 + 0.16), pitch=62)
+        depth_m = uniform(rng, 0.4, 0.5)
+        shape = cushion(part_width, 0.16, depth_m, plump=0.75, radius=0.06, step=0.16, arcs=1)
+        if rng.random() < 0.4 and top + depth_m * 0.92 < head_m:
+            parts.add(shape, case, (x, top + depth_m * 0.42, -length / 2 + 0.16), pitch=62)
         else:
-            parts.add(shape, case, (x, top - 0.01, -length / 2 + deep / 2 + 0.04), yaw=uniform(rng, -6, 6))
+            parts.add(shape, case, (x, top - 0.01, -length / 2 + depth_m / 2 + 0.04), yaw=uniform(rng, -6, 6))
     if rng.random() < 0.35:
         throw = palette.cloth(rng, patterned=0.5)
         span = uniform(rng, 0.35, 0.6)
@@ -100,18 +100,18 @@ def bed(rng: np.random.Generator) -> Draft:
         parts = Parts()
         kind = int(rng.integers(4))
         frame = (palette.wood, palette.upholstery, palette.wood_or_paint, palette.metal)[kind](rng)
-        leg, thick = uniform(rng, 0.08, 0.2), uniform(rng, 0.18, 0.3)
+        leg, thickness = uniform(rng, 0.08, 0.2), uniform(rng, 0.18, 0.3)
         rail = uniform(rng, 0.12, 0.22)
         board = 0.1 if kind == 1 else 0.045
         inside = length - board - 0.04
         z = board / 2 - 0.01
         parts.slab(frame, (width, rail, inside + 0.04), (0, leg, z), radius=0.03 if kind == 1 else 0.006)
-        add_legs(parts, frame, (width - 0.1, length - 0.12), leg + 0.02, thick=0.03, square=rng.random() < 0.6)
+        add_legs(parts, frame, (width - 0.1, length - 0.12), leg + 0.02, thickness=0.03, square=rng.random() < 0.6)
         made = Parts()
         add_bedding(
             made,
             rng,
-            Mattress(width - 0.06, inside - 0.03, leg + rail - 0.06, thick),
+            Mattress(width - 0.06, inside - 0.03, leg + rail - 0.06, thickness),
             pillows=2 if width > 1.3 else 1,
             head_m=height,
         )
@@ -163,8 +163,8 @@ def child_bed(rng: np.random.Generator) -> Draft:
     def build() -> Mesh:
         parts = Parts()
         frame = palette.wood_or_paint(rng, 0.5)
-        for z, tall in ((-1, height), (1, height * uniform(rng, 0.6, 1))):
-            parts.slab(frame, (width, tall, 0.03), (0, 0, z * (length / 2 - 0.015)), radius=0.012)
+        for z, height_m in ((-1, height), (1, height * uniform(rng, 0.6, 1))):
+            parts.slab(frame, (width, height_m, 0.03), (0, 0, z * (length / 2 - 0.015)), radius=0.012)
         for x in (-1, 1):
             parts.slab(frame, (0.025, 0.2, length - 0.05), (x * (width / 2 - 0.013), 0.14, 0), radius=0)
         parts.slab(frame, (0.025, 0.14, length * 0.5), (-width / 2 + 0.013, 0.4, -length * 0.2), radius=0.008)

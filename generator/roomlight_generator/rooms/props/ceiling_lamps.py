@@ -41,9 +41,12 @@ def flush_dome(rng: np.random.Generator) -> Draft:
         if drummed:
             profile = [[(1e-3, 0.0), (r, 0.0)], [(r, 0.0), (r, height - rim)]]
         else:
-            deep = height - rim
+            depth_m = height - rim
             profile = [
-                [(max(r * float(np.sin(t)), 1e-3), deep * (1 - float(np.cos(t)))) for t in np.linspace(0, np.pi / 2, 6)]
+                [
+                    (max(r * float(np.sin(t)), 1e-3), depth_m * (1 - float(np.cos(t))))
+                    for t in np.linspace(0, np.pi / 2, 6)
+                ]
             ]
         parts.add(lathe(profile, segments=28), palette.opal(rng))
         return parts.mesh()
@@ -58,9 +61,9 @@ def pendant(rng: np.random.Generator) -> Draft:
     kind = int(rng.integers(5))
     across = (uniform(rng, 0.18, 0.42), uniform(rng, 0.2, 0.48), uniform(rng, 0.3, 0.6), uniform(rng, 0.35, 0.6),
               uniform(rng, 0.1, 0.13))[kind]  # fmt: skip
-    tall = (across, across * uniform(rng, 0.5, 0.9), across * uniform(rng, 0.4, 0.7), across, across * 1.2)[kind]
-    height = min(tall + uniform(rng, 0.2, 0.75), 1.1)
-    middle = tall * (0.4 if kind == 1 else 0.5)
+    height_m = (across, across * uniform(rng, 0.5, 0.9), across * uniform(rng, 0.4, 0.7), across, across * 1.2)[kind]
+    height = min(height_m + uniform(rng, 0.2, 0.75), 1.1)
+    middle = height_m * (0.4 if kind == 1 else 0.5)
 
     def build() -> Mesh:
         parts = Parts()
@@ -74,23 +77,26 @@ def pendant(rng: np.random.Generator) -> Draft:
             )
         elif kind == 1:
             skin = metal if rng.random() < 0.4 else palette.paint(rng)
-            parts.add(reflector(half, half * uniform(rng, 0.12, 0.5), tall), skin)
+            parts.add(reflector(half, half * uniform(rng, 0.12, 0.5), height_m), skin)
             add_bulb(parts, rng, (0, middle, 0), min(0.04, half * 0.3))
-            parts.bar(palette.black(rng), (0, middle + 0.02, 0), (0, tall, 0), 0.014)
+            parts.bar(palette.black(rng), (0, middle + 0.02, 0), (0, height_m, 0), 0.014)
         elif kind == 2:
-            parts.add(open_shade(half, half * uniform(rng, 0.75, 1.0), tall), palette.shade(rng))
+            parts.add(open_shade(half, half * uniform(rng, 0.75, 1.0), height_m), palette.shade(rng))
             if rng.random() < 0.5:
                 parts.add(
                     solid_of_revolution([(half * 0.97, 0.008), (half * 0.97, 0.012)], segments=24), palette.opal(rng)
                 )
             parts.blocks(
                 metal,
-                [(across * 0.8, 0.004, 0.004, 0, tall - 0.03, 0), (0.004, 0.004, across * 0.8, 0, tall - 0.03, 0)],
+                [
+                    (across * 0.8, 0.004, 0.004, 0, height_m - 0.03, 0),
+                    (0.004, 0.004, across * 0.8, 0, height_m - 0.03, 0),
+                ],
             )
         else:
             add_bulb(parts, rng, (0, half, 0), half)
-            parts.bar(palette.black(rng), (0, across * 0.95, 0), (0, tall, 0), 0.02)
-        _add_canopy(parts, metal, height, middle + 0.03 if kind == 2 else tall - 0.01)
+            parts.bar(palette.black(rng), (0, across * 0.95, 0), (0, height_m, 0), 0.02)
+        _add_canopy(parts, metal, height, middle + 0.03 if kind == 2 else height_m - 0.01)
         return parts.mesh()
 
     return Draft("pendant lamp", (across, height, across), build, lights=(light_source(0, middle, 0, 0.06),))
@@ -101,10 +107,10 @@ def pendant_row(rng: np.random.Generator) -> Draft:
     count = int(rng.integers(2, 5))
     across, pitch = uniform(rng, 0.11, 0.26), uniform(rng, 0.28, 0.4)
     width, height = (count - 1) * pitch + across, uniform(rng, 0.5, 1.0)
-    tall = across * uniform(rng, 0.8, 1.4)
+    height_m = across * uniform(rng, 0.8, 1.4)
     globes = rng.random() < 0.5
     if globes:
-        tall = across
+        height_m = across
     xs = [float(x) for x in np.linspace(-0.5, 0.5, count) * (count - 1) * pitch]
 
     def build() -> Mesh:
@@ -114,15 +120,15 @@ def pendant_row(rng: np.random.Generator) -> Draft:
         glow = palette.opal(rng)
         parts.slab(metal, (max(width - across, 0.3), 0.03, 0.06), (0, height - 0.03, 0), radius=0)
         for x in xs:
-            parts.bar(metal, (x, tall * 0.95, 0), (x, height - 0.02, 0), 0.004, segments=6)
+            parts.bar(metal, (x, height_m * 0.95, 0), (x, height - 0.02, 0), 0.004, segments=6)
             if globes:
                 parts.add(sphere(across / 2, rings=8, segments=14), glow, (x, across / 2, 0))
             else:
-                parts.add(reflector(across / 2, across * 0.15, tall, segments=14), skin, (x, 0, 0))
-                parts.add(sphere(min(0.03, across * 0.2), rings=5, segments=8), glow, (x, tall * 0.35, 0))
+                parts.add(reflector(across / 2, across * 0.15, height_m, segments=14), skin, (x, 0, 0))
+                parts.add(sphere(min(0.03, across * 0.2), rings=5, segments=8), glow, (x, height_m * 0.35, 0))
         return parts.mesh()
 
-    lights = tuple(light_source(x, across / 2 if globes else tall * 0.35, 0, 0.04) for x in xs)
+    lights = tuple(light_source(x, across / 2 if globes else height_m * 0.35, 0, 0.04) for x in xs)
     return Draft("row of pendants", (width, height, across), build, lights=lights)
 
 

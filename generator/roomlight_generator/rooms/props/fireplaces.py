@@ -94,7 +94,7 @@ def _stove(rng: np.random.Generator, width: Number, height: Number, depth: Numbe
     parts.slab(iron, (width, body - 0.35, t), (0, 0.32, -depth / 2 + t / 2), radius=0)
     parts.blocks(iron, [(width, 0.05, t, 0, y, depth / 2 - t / 2 - 0.01) for y in (0.32, body - 0.09)])
     parts.slab(palette.glass(), (width - 2 * t, body - 0.45, 0.004), (0, 0.37, depth / 2 - 0.03), radius=0)
-    add_legs(parts, iron, (width - 0.1, depth - 0.1), 0.12, thick=0.02)
+    add_legs(parts, iron, (width - 0.1, depth - 0.1), 0.12, thickness=0.02)
     _add_fire(parts, rng, width * 0.8, (body - 0.45) * 0.7, (0, 0.35, -0.02), level)
     parts.bar(iron, (0, body - 0.01, -depth * 0.2), (0, height, -depth * 0.2), 0.07, segments=14)
     parts.bar(

@@ -45,10 +45,10 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
             tape = Material("tape", albedo=palette.neutral(rng, 150, 220), roughness=0.2)
             parts.slab(tape, (width, 0.001, 0.05), (0, height - 0.0002, 0), radius=0)
         else:
-            t, tall = 0.006, height * 0.86
+            t, height_m = 0.006, height * 0.86
             parts.blocks(card, [(width, t, depth, 0, 0, 0)])
-            parts.blocks(card, [(t, tall, depth, x * (width - t) / 2, 0, 0) for x in (-1, 1)])
-            parts.blocks(card, [(width, tall, t, 0, 0, z * (depth - t) / 2) for z in (-1, 1)])
+            parts.blocks(card, [(t, height_m, depth, x * (width - t) / 2, 0, 0) for x in (-1, 1)])
+            parts.blocks(card, [(width, height_m, t, 0, 0, z * (depth - t) / 2) for z in (-1, 1)])
             for _ in range(int(rng.integers(1, 5))):
                 material = palette.cloth(rng) if rng.random() < 0.5 else palette.paint(rng)
                 parts.slab(
@@ -148,17 +148,17 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
     elif kind == 6:
         y, page = 0.0, palette.paper(rng)
         while y < height - 0.004:
-            thick = min(uniform(rng, 0.006, 0.03), height - y)
+            thickness = min(uniform(rng, 0.006, 0.03), height - y)
             cover = palette.paint(rng) if rng.random() < 0.6 else page
             share = 1.0 if y == 0 else uniform(rng, 0.75, 0.95)
             parts.slab(
                 cover,
-                (width * share, thick, depth * share),
+                (width * share, thickness, depth * share),
                 (0, y, 0),
                 radius=0,
                 yaw=0 if y == 0 else uniform(rng, -5, 5),
             )
-            y += thick
+            y += thickness
     else:
         x, z = width / 2, depth / 2
         material = _basketry(rng) if rng.random() < 0.6 else palette.cloth(rng)
@@ -388,14 +388,14 @@ def _exercise(rng: np.random.Generator, kind: int, size: tuple[Number, Number, N
         parts.blocks(line, [(width, 0.001, 0.02, 0, y, z) for z in (-depth / 2 + 0.01, 0, depth / 2 - 0.01)])
         parts.blocks(line, [(0.02, 0.001, depth, x, y, 0) for x in (-width / 2 + 0.01, width / 2 - 0.01)])
         parts.slab(line, (0.004, height - y, depth), (0, y, 0), radius=0)
-        add_legs(parts, metal, (width * 0.7, depth * 0.7), y - 0.02, thick=0.025, square=True)
+        add_legs(parts, metal, (width * 0.7, depth * 0.7), y - 0.02, thickness=0.025, square=True)
     else:
         body, field = palette.wood_or_paint(rng), Material("field", albedo=palette.srgb(40, 120, 60), roughness=0.3)
         low, top = height * 0.62, height - 0.03
         parts.blocks(body, [(width, top - low, 0.03, 0, low, z * (depth / 2 - 0.06)) for z in (-1, 1)])
         parts.blocks(body, [(0.03, top - low, depth - 0.12, x * (width / 2 - 0.015), low, 0) for x in (-1, 1)])
         parts.slab(field, (width - 0.04, 0.02, depth - 0.14), (0, low + 0.06, 0), radius=0)
-        add_legs(parts, body, (width - 0.12, depth - 0.24), low + 0.05, thick=0.04, square=True)
+        add_legs(parts, body, (width - 0.12, depth - 0.24), low + 0.05, thickness=0.04, square=True)
         for k, x in enumerate(np.linspace(-0.4, 0.4, 8) * width):
             shift = 0.06 if k % 2 else -0.06
             parts.bar(

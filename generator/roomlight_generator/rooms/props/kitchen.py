@@ -59,10 +59,10 @@ def _add_base(
     place = (0.0, 0.1, -0.02)
     body = style.front.body
     if hole:
-        board, tall = 0.016, size[1]
-        parts.blocks(body, [(board, tall, size[2], x * (width - board) / 2, 0.1, -0.02) for x in (-1, 1)])
+        board, height_m = 0.016, size[1]
+        parts.blocks(body, [(board, height_m, size[2], x * (width - board) / 2, 0.1, -0.02) for x in (-1, 1)])
         parts.blocks(
-            body, [(width, tall, board, 0, 0.1, z) for z in (-depth / 2 + board / 2, depth / 2 - 0.04 - board / 2)]
+            body, [(width, height_m, board, 0, 0.1, z) for z in (-depth / 2 + board / 2, depth / 2 - 0.04 - board / 2)]
         )
         parts.blocks(body, [(width, board, size[2], 0, 0.1, -0.02)])
     else:
@@ -94,17 +94,19 @@ def _sink(rng: np.random.Generator, style: KitchenStyle, width: Number) -> Mesh:
     depth = style.depth_m
     place, size = _add_base(parts, rng, style, width, hole=True)
     add_fronts(parts, rng, style.front, place, size, FrontGrid(2 if width > 0.7 else 1, 1, True, style.handle))
-    wide, deep = width - 0.14, 0.4
-    x0, z0 = (width - wide) / 2, (depth - deep) / 2 + 0.03
+    width_m, depth_m = width - 0.14, 0.4
+    x0, z0 = (width - width_m) / 2, (depth - depth_m) / 2 + 0.03
     for y, sign in ((HEIGHT_M, 1), (HEIGHT_M - _TOP_M, -1)):
-        hole = (x0, x0 + wide, z0, z0 + deep) if sign < 0 else (x0, x0 + wide, depth - z0 - deep, depth - z0)
+        hole = (
+            (x0, x0 + width_m, z0, z0 + depth_m) if sign < 0 else (x0, x0 + width_m, depth - z0 - depth_m, depth - z0)
+        )
         near, edge = (depth / 2, -depth) if sign > 0 else (-depth / 2, depth)
         parts.add(rectangle((-width / 2, y, near), (width, 0, 0), (0, 0, edge), step=9, hole=hole), style.top)
     parts.blocks(style.top, [(width, _TOP_M, 0.004, 0, HEIGHT_M - _TOP_M, z * (depth / 2 - 0.002)) for z in (-1, 1)])
     parts.blocks(style.top, [(0.004, _TOP_M, depth, x * (width / 2 - 0.002), HEIGHT_M - _TOP_M, 0) for x in (-1, 1)])
     bowl = style.steel if rng.random() < 0.75 else palette.sanitary(rng)
-    middle_z = -depth / 2 + z0 + deep / 2
-    half_x, half_z = wide / 2, deep / 2
+    middle_z = -depth / 2 + z0 + depth_m / 2
+    half_x, half_z = width_m / 2, depth_m / 2
     low = HEIGHT_M - 0.18
     parts.add(
         loft(
@@ -126,13 +128,14 @@ def _sink(rng: np.random.Generator, style: KitchenStyle, width: Number) -> Mesh:
     return parts.mesh()
 
 
-def _add_tap(parts: Parts, metal: Material, at: tuple[Number, Number, Number], tall: Number, reach: Number) -> None:
+def _add_tap(parts: Parts, metal: Material, at: tuple[Number, Number, Number], height_m: Number, reach: Number) -> None:
     """Add a bent spout with a lever."""
     x, y, z = at
     arc = [
-        (x, y + tall * 0.7 + 0.3 * tall * np.sin(t), z + reach / 2 * (1 - np.cos(t))) for t in np.linspace(0, 2.6, 7)
+        (x, y + height_m * 0.7 + 0.3 * height_m * np.sin(t), z + reach / 2 * (1 - np.cos(t)))
+        for t in np.linspace(0, 2.6, 7)
     ]
-    parts.add(tube([(x, y, z), (x, y + tall * 0.35, z), *arc], 0.011, segments=8), metal)
+    parts.add(tube([(x, y, z), (x, y + height_m * 0.35, z), *arc], 0.011, segments=8), metal)
     parts.bar(metal, (x, y, z), (x, y + 0.06, z), 0.02)
     parts.bar(metal, (x, y + 0.05, z), (x + 0.08, y + 0.075, z), 0.007, segments=6)
 
@@ -153,16 +156,19 @@ def wall_unit(width: Number, kind: str, rng: np.random.Generator) -> Draft:
             add_fronts(parts, rng, style.front, place, size, FrontGrid(columns, 1, True, style.handle))
             return parts.mesh()
         board = 0.018
-        deep = depth - (0.02 if kind == "glass" else 0.0)
-        parts.blocks(body, [(board, height, deep, s * (width - board) / 2, 0, (deep - depth) / 2) for s in (-1, 1)])
+        depth_m = depth - (0.02 if kind == "glass" else 0.0)
         parts.blocks(
-            body, [(width - 2 * board, board, deep, 0, y, (deep - depth) / 2) for y in (0, height / 2, height - board)]
+            body, [(board, height, depth_m, s * (width - board) / 2, 0, (depth_m - depth) / 2) for s in (-1, 1)]
+        )
+        parts.blocks(
+            body,
+            [(width - 2 * board, board, depth_m, 0, y, (depth_m - depth) / 2) for y in (0, height / 2, height - board)],
         )
         parts.slab(body, (width, height, 0.008), (0, 0, -depth / 2 + 0.004), radius=0)
         for y in (board, height / 2 + board):
             for x in np.linspace(-width / 2 + 0.09, width / 2 - 0.09, 4):
-                r, tall = uniform(rng, 0.03, 0.05), uniform(rng, 0.06, min(0.2, height * 0.36))
-                parts.bar(palette.ceramic(rng), (x, y, -0.02), (x, y + tall, -0.02), r * 0.8, r, segments=10)
+                r, height_m = uniform(rng, 0.03, 0.05), uniform(rng, 0.06, min(0.2, height * 0.36))
+                parts.bar(palette.ceramic(rng), (x, y, -0.02), (x, y + height_m, -0.02), r * 0.8, r, segments=10)
         if kind == "glass":
             for s in (-1, 1):
                 parts.add(
@@ -270,14 +276,18 @@ def fridge(rng: np.random.Generator) -> Draft:
         columns = 2 if kind == 3 else 1
         for low, high in spans:
             for column in range(columns):
-                each = width / columns
-                x = -width / 2 + each * (column + 0.5)
-                parts.slab(body, (each - 0.006, high - low, 0.07), (x, low, depth / 2 - 0.065), radius=radius, arcs=2)
-                edge = x + (each / 2 - 0.04) * (1 if column == 0 else -1)
+                part_width = width / columns
+                x = -width / 2 + part_width * (column + 0.5)
+                parts.slab(
+                    body, (part_width - 0.006, high - low, 0.07), (x, low, depth / 2 - 0.065), radius=radius, arcs=2
+                )
+                edge = x + (part_width / 2 - 0.04) * (1 if column == 0 else -1)
                 if columns == 1:
-                    edge = x - (each / 2 - 0.045)
-                tall = min(0.4, (high - low) * 0.6)
-                parts.slab(metal, (0.02, tall, 0.03), (edge, (low + high - tall) / 2, depth / 2 - 0.015), radius=0)
+                    edge = x - (part_width / 2 - 0.045)
+                height_m = min(0.4, (high - low) * 0.6)
+                parts.slab(
+                    metal, (0.02, height_m, 0.03), (edge, (low + high - height_m) / 2, depth / 2 - 0.015), radius=0
+                )
         return parts.mesh()
 
     return Draft("fridge", (width, height, depth), build, top_m=height if kind == 0 else None)

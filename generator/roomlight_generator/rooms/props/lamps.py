@@ -19,19 +19,19 @@ def open_shade(low_radius: Number, high_radius: Number, height: Number, *, segme
 
 
 def reflector(
-    low_radius: Number, high_radius: Number, height: Number, *, thick: Number = 0.004, segments: int = 20
+    low_radius: Number, high_radius: Number, height: Number, *, thickness: Number = 0.004, segments: int = 20
 ) -> Mesh:
     """Make an opaque reflector open below, closed above, with an inner and an outer wall."""
-    a, b, h, t = float(low_radius), float(high_radius), float(height), float(thick)
+    a, b, h, t = float(low_radius), float(high_radius), float(height), float(thickness)
     curve = [(a, 0.0), (a + (b - a) * 0.35, h * 0.45), (b, h)]
     inner = [(b - t, h - t), (a + (b - a) * 0.35 - t, h * 0.45), (a - t, 0.0)]
     return lathe([curve, [(b, h), (1e-3, h)], [(1e-3, h - t), (b - t, h - t)], inner, [(a - t, 0.0), (a, 0.0)]],
                  segments=segments)  # fmt: skip
 
 
-def disc_base(radius: Number, thick: Number = 0.018) -> Mesh:
+def disc_base(radius: Number, thickness: Number = 0.018) -> Mesh:
     """Make a base plate."""
-    return solid_of_revolution([(radius, 0.0), (radius, thick * 0.7), (radius * 0.9, thick)], segments=22)
+    return solid_of_revolution([(radius, 0.0), (radius, thickness * 0.7), (radius * 0.9, thickness)], segments=22)
 
 
 def add_bulb(parts: Parts, rng: np.random.Generator, at: Vector, radius: Number = 0.03) -> None:
@@ -60,15 +60,15 @@ def floor_lamp(rng: np.random.Generator) -> Draft:
               uniform(rng, 0.9, 1.6))[kind]  # fmt: skip
     across = (uniform(rng, 0.3, 0.5), uniform(rng, 0.26, 0.4), 0.0, 0.26, uniform(rng, 0.2, 0.38))[kind]
     if kind == 0:
-        tall = uniform(rng, 0.2, 0.34)
-        low = height - tall
-        lights = (light_source(0, low + tall / 2, 0),)
+        height_m = uniform(rng, 0.2, 0.34)
+        low = height - height_m
+        lights = (light_source(0, low + height_m / 2, 0),)
 
         def build_drum() -> Mesh:
             parts = Parts()
-            _add_stand(parts, rng, palette.metal(rng), low, low + tall * 0.4, across * 0.45)
+            _add_stand(parts, rng, palette.metal(rng), low, low + height_m * 0.4, across * 0.45)
             parts.add(
-                open_shade(across / 2, across / 2 * uniform(rng, 0.6, 1.0), tall), palette.shade(rng), (0, low, 0)
+                open_shade(across / 2, across / 2 * uniform(rng, 0.6, 1.0), height_m), palette.shade(rng), (0, low, 0)
             )
             return parts.mesh()
 
@@ -186,9 +186,9 @@ def table_lamp(rng: np.random.Generator) -> Draft:
         0.0,
         height * uniform(rng, 0.7, 1.0),
     )[kind]
-    tall = height * uniform(rng, 0.36, 0.5)
-    low = height - tall
-    middle = {0: low + tall * 0.5, 1: low + tall * 0.5, 2: height / 2, 4: low + tall * 0.4}[kind]
+    height_m = height * uniform(rng, 0.36, 0.5)
+    low = height - height_m
+    middle = {0: low + height_m * 0.5, 1: low + height_m * 0.5, 2: height / 2, 4: low + height_m * 0.4}[kind]
 
     def build() -> Mesh:
         parts = Parts()
@@ -200,16 +200,16 @@ def table_lamp(rng: np.random.Generator) -> Draft:
             return parts.mesh()
         if kind == 0:
             parts.add_mesh(vessel(rng, low * 0.95, half * uniform(rng, 0.8, 1.3)))
-            parts.bar(metal, (0, low * 0.8, 0), (0, low + tall * 0.25, 0), 0.008)
+            parts.bar(metal, (0, low * 0.8, 0), (0, low + height_m * 0.25, 0), 0.008)
         else:
             stick = palette.wood_or_paint(rng) if rng.random() < 0.5 else metal
             parts.add(disc_base(half * 0.55), stick)
-            parts.bar(stick, (0, 0.01, 0), (0, low + tall * 0.2, 0), uniform(rng, 0.008, 0.02))
+            parts.bar(stick, (0, 0.01, 0), (0, low + height_m * 0.2, 0), uniform(rng, 0.008, 0.02))
         if kind == 4:
-            dome = [(half * np.sin(t), low + tall * np.cos(t)) for t in np.linspace(np.pi / 2, 0.02, 7)]
+            dome = [(half * np.sin(t), low + height_m * np.cos(t)) for t in np.linspace(np.pi / 2, 0.02, 7)]
             parts.add(lathe([[(max(float(r), 1e-3), float(y)) for r, y in dome]], segments=22), palette.shade(rng))
         else:
-            parts.add(open_shade(half, half * uniform(rng, 0.5, 1.0), tall), palette.shade(rng), (0, low, 0))
+            parts.add(open_shade(half, half * uniform(rng, 0.5, 1.0), height_m), palette.shade(rng), (0, low, 0))
         return parts.mesh()
 
     return Draft("table lamp", (across, height, across), build, lights=(light_source(0, middle, 0, 0.05),))

@@ -66,11 +66,11 @@ def _colour_fields(rng: np.random.Generator, height: int, width: int) -> Image:
     y = uniform(rng, 0.04, 0.1)
     soft = np.clip(np.minimum(np.linspace(0, 12, width), np.linspace(12, 0, width)), 0, 1)[None, :, None]
     while y < 0.9:
-        tall = uniform(rng, 0.12, 0.45)
-        a, b = int(y * height), min(int((y + tall) * height), int(0.95 * height))
+        height_m = uniform(rng, 0.12, 0.45)
+        a, b = int(y * height), min(int((y + height_m) * height), int(0.95 * height))
         if b - a > 3:
             image[a:b] = image[a:b] * (1 - soft) + soft * _any(rng)
-        y += tall + 0.04
+        y += height_m + 0.04
     return cv2.GaussianBlur(image, (5, 5), 0) * (1 + 0.04 * noise(rng, height, width, 16, 16))[..., None]
 
 
@@ -104,8 +104,8 @@ def _rounds(rng: np.random.Generator, height: int, width: int) -> Image:
     for _ in range(int(rng.integers(3, 12))):
         middle = (int(rng.integers(width)), int(rng.integers(height)))
         radius = int(uniform(rng, 0.05, 0.4) * width)
-        thick = -1 if rng.random() < 0.65 else max(1, radius // 5)
-        cv2.circle(image, middle, radius, _any(rng).tolist(), thick, cv2.LINE_AA)
+        thickness = -1 if rng.random() < 0.65 else max(1, radius // 5)
+        cv2.circle(image, middle, radius, _any(rng).tolist(), thickness, cv2.LINE_AA)
     return image
 
 

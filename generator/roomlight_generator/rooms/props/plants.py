@@ -66,10 +66,10 @@ def leaf(base: np.ndarray, azimuth: Number, shape: LeafShape) -> Mesh:
         + outward * (shape.reach * t**1.4)[:, None]
         + np.array([0, 1, 0]) * (shape.rise * np.sin(t * np.pi / 2) - shape.droop * t**2.5)[:, None]
     )
-    wide = shape.half_width * (np.sin(np.pi * np.clip(t * 0.94 + 0.05, 0, 1)) ** 0.7)
+    width_m = shape.half_width * (np.sin(np.pi * np.clip(t * 0.94 + 0.05, 0, 1)) ** 0.7)
     across = np.array([-1.0, 0.0, 1.0])
     fold = np.array([0, 1, 0]) * 0.35
-    points = rib[:, None] + wide[:, None, None] * (across[:, None] * sideways + np.abs(across)[:, None] * fold)
+    points = rib[:, None] + width_m[:, None, None] * (across[:, None] * sideways + np.abs(across)[:, None] * fold)
     return double_sided_sheet(points[::-1].astype(np.float32), thickness=min(0.002, shape.half_width * 0.05))
 
 
@@ -162,9 +162,11 @@ def small_plant(rng: np.random.Generator) -> Draft:
     )
 
 
-def _potted(rng: np.random.Generator, kind: int, height: Number, across: Number, tall: Number) -> Mesh:
+def _potted(rng: np.random.Generator, kind: int, height: Number, across: Number, height_m: Number) -> Mesh:
     parts = Parts()
-    made, soil_top = pot(rng, tall, across if kind in (4, 5) else min(across * 0.7, tall * uniform(rng, 0.8, 1.2)))
+    made, soil_top = pot(
+        rng, height_m, across if kind in (4, 5) else min(across * 0.7, height_m * uniform(rng, 0.8, 1.2))
+    )
     parts.add_mesh(made)
     _add_foliage(parts, rng, kind, soil_top, height, across / 2)
     return parts.mesh()

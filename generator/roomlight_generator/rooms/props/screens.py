@@ -84,19 +84,19 @@ def wall_television(rng: np.random.Generator) -> Draft:
 def computer(rng: np.random.Generator) -> Draft:
     """Make one or two monitors with keyboard and mouse in front."""
     two = rng.random() < 0.2
-    each = uniform(rng, 0.48, 0.7)
-    width = each * (2.05 if two else 1.0)
+    part_width = uniform(rng, 0.48, 0.7)
+    width = part_width * (2.05 if two else 1.0)
     width, depth = max(width, 0.56), uniform(rng, 0.42, 0.52)
-    high = each * uniform(rng, 0.5, 0.62)
+    high = part_width * uniform(rng, 0.5, 0.62)
     lift = uniform(rng, 0.1, 0.16)
 
     def build() -> Mesh:
         parts = Parts()
         dark = palette.black(rng) if rng.random() < 0.7 else palette.metal(rng)
         back = -depth / 2 + 0.12
-        for x in (-each * 0.525, each * 0.525) if two else (0.0,):
-            parts.slab(dark, (each, high, 0.03), (x, lift, back), radius=0.004)
-            _add_picture(parts, screen(rng), each - 0.024, high - 0.024, (x, lift + 0.012, back + 0.0158))
+        for x in (-part_width * 0.525, part_width * 0.525) if two else (0.0,):
+            parts.slab(dark, (part_width, high, 0.03), (x, lift, back), radius=0.004)
+            _add_picture(parts, screen(rng), part_width - 0.024, high - 0.024, (x, lift + 0.012, back + 0.0158))
             parts.slab(dark, (0.05, lift + 0.1, 0.02), (x, 0, back - 0.024), radius=0)
             parts.slab(dark, (0.24, 0.012, 0.2), (x, 0, back - 0.02), radius=0.003)
         front = depth / 2 - 0.075
@@ -115,31 +115,31 @@ def computer(rng: np.random.Generator) -> Draft:
 
 def laptop(rng: np.random.Generator) -> Draft:
     """Make an open laptop, its screen leaning back."""
-    width, deep, lean = uniform(rng, 0.3, 0.38), uniform(rng, 0.21, 0.26), uniform(rng, 8, 25)
-    height = deep * float(np.cos(np.radians(lean))) + 0.012
-    depth = deep + deep * float(np.sin(np.radians(lean)))
+    width, depth_m, lean = uniform(rng, 0.3, 0.38), uniform(rng, 0.21, 0.26), uniform(rng, 8, 25)
+    height = depth_m * float(np.cos(np.radians(lean))) + 0.012
+    depth = depth_m + depth_m * float(np.sin(np.radians(lean)))
 
     def build() -> Mesh:
         parts = Parts()
         skin = palette.metal(rng) if rng.random() < 0.6 else palette.plastic(rng)
-        hinge = depth / 2 - deep
-        parts.slab(skin, (width, 0.014, deep), (0, 0, hinge + deep / 2), radius=0.003)
+        hinge = depth / 2 - depth_m
+        parts.slab(skin, (width, 0.014, depth_m), (0, 0, hinge + depth_m / 2), radius=0.003)
         deck = Material(
             "keys", albedo=(0.9, 0.9, 0.9), texture=textures.keys(14, 5, base=0.5, cap=uniform(rng, 0.08, 0.3))
         )
         parts.add(
             rectangle(
-                (-width * 0.44, 0.0146, hinge + deep * 0.6),
+                (-width * 0.44, 0.0146, hinge + depth_m * 0.6),
                 (width * 0.88, 0, 0),
-                (0, 0, -deep * 0.5),
+                (0, 0, -depth_m * 0.5),
                 step=9,
                 unit_uv=True,
             ),
             deck,
         )
-        parts.slab(palette.black(rng), (0.1, 0.0006, 0.065), (0, 0.0142, hinge + deep * 0.78), radius=0)
-        parts.slab(skin, (width, deep, 0.008), (0, 0.01, hinge), radius=0, pitch=-lean)
-        _add_picture(parts, screen(rng, 1.6), width - 0.02, deep - 0.025, (0, 0.022, hinge + 0.002), pitch=-lean)
+        parts.slab(palette.black(rng), (0.1, 0.0006, 0.065), (0, 0.0142, hinge + depth_m * 0.78), radius=0)
+        parts.slab(skin, (width, depth_m, 0.008), (0, 0.01, hinge), radius=0, pitch=-lean)
+        _add_picture(parts, screen(rng, 1.6), width - 0.02, depth_m - 0.025, (0, 0.022, hinge + 0.002), pitch=-lean)
         return parts.mesh()
 
     return Draft("laptop", (width, height, depth), build)

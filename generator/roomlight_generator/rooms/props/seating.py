@@ -31,7 +31,7 @@ def add_legs(
     size: tuple[Number, Number],
     height: Number,
     *,
-    thick: Number = 0.02,
+    thickness: Number = 0.02,
     splay: Number = 0.0,
     square: bool = False,
     middle: tuple[Number, Number] = (0, 0),
@@ -41,10 +41,12 @@ def add_legs(
     for x in (-1, 1):
         for z in (-1, 1):
             if square:
-                parts.slab(material, (2 * thick, height, 2 * thick), (x0 + x * half_x, 0, z0 + z * half_z), radius=0)
+                parts.slab(
+                    material, (2 * thickness, height, 2 * thickness), (x0 + x * half_x, 0, z0 + z * half_z), radius=0
+                )
             else:
                 foot = (x0 + x * (half_x + splay), 0, z0 + z * (half_z + splay))
-                parts.bar(material, foot, (x0 + x * half_x, height, z0 + z * half_z), thick * 0.7, thick)
+                parts.bar(material, foot, (x0 + x * half_x, height, z0 + z * half_z), thickness * 0.7, thickness)
 
 
 def sofa(rng: np.random.Generator) -> Draft:
@@ -63,11 +65,11 @@ def sofa(rng: np.random.Generator) -> Draft:
         covers = body if rng.random() < 0.75 else palette.cloth(rng)
         leg = uniform(rng, 0.03, 0.17)
         seat_top = uniform(rng, 0.4, 0.47)
-        thick = uniform(rng, 0.13, 0.2)
+        thickness = uniform(rng, 0.13, 0.2)
         arm_top = uniform(rng, 0.52, min(0.68, height - 0.08))
         back_z = -(depth + chaise) / 2
         round_arm = uniform(rng, 0.02, 0.11)
-        base = seat_top - thick + 0.03
+        base = seat_top - thickness + 0.03
         parts.slab(body, (width, base - leg, depth - 0.06), (0, leg, back_z + depth / 2 - 0.01), radius=0.03)
         back = uniform(rng, 0.16, 0.24)
         parts.slab(body, (width, height - leg - 0.06, back), (0, leg, back_z + back / 2), radius=0.06, arcs=2)
@@ -80,28 +82,35 @@ def sofa(rng: np.random.Generator) -> Draft:
             foot,
             (width - 0.2, depth - 0.2),
             leg + 0.02,
-            thick=uniform(rng, 0.015, 0.03),
+            thickness=uniform(rng, 0.015, 0.03),
             middle=(0, back_z + depth / 2),
             square=rng.random() < 0.4,
         )
         front = back_z + depth
         inner = width - 2 * arm
-        each = inner / seats
+        part_width = inner / seats
         for k in range(seats):
-            x = -inner / 2 + each * (k + 0.5)
+            x = -inner / 2 + part_width * (k + 0.5)
             long = chaise if chaise and (k == seats - 1) == (side > 0) and k in (0, seats - 1) else 0.0
-            deep = depth - back - 0.02 + long
+            depth_m = depth - back - 0.02 + long
             if long:
                 parts.slab(
-                    body, (each + arm * 0.6, base - leg, long + 0.1), (x, leg, front + long / 2 - 0.05), radius=0.03
+                    body,
+                    (part_width + arm * 0.6, base - leg, long + 0.1),
+                    (x, leg, front + long / 2 - 0.05),
+                    radius=0.03,
                 )
                 parts.slab(foot, (0.05, leg + 0.01, 0.05), (x, 0, front + long - 0.12), radius=0)
             add_cushion(
-                parts, covers, (each - 0.008, thick, deep), (x, seat_top - thick, front - deep / 2 + long), plump=0.14
+                parts,
+                covers,
+                (part_width - 0.008, thickness, depth_m),
+                (x, seat_top - thickness, front - depth_m / 2 + long),
+                plump=0.14,
             )
-            tall = height - seat_top + uniform(rng, -0.02, 0.04)
+            height_m = height - seat_top + uniform(rng, -0.02, 0.04)
             middle = (seat_top + height) / 2 - 0.01
-            shape = cushion(each - 0.02, 0.2, tall, plump=0.35, radius=0.07, step=0.25, arcs=1)
+            shape = cushion(part_width - 0.02, 0.2, height_m, plump=0.35, radius=0.07, step=0.25, arcs=1)
             lean = uniform(rng, 10, 16)
             parts.add(shape, covers, (x, middle + 0.02, back_z + back + 0.01), pitch=90 - lean)
         for _ in range(int(rng.integers(0, 4))):
@@ -144,7 +153,7 @@ def _armchair(rng: np.random.Generator, kind: int, width: Number, height: Number
     parts = Parts()
     body = palette.upholstery(rng)
     foot = palette.wood(rng) if rng.random() < 0.7 else palette.metal(rng)
-    seat_top, thick = uniform(rng, 0.4, 0.46), uniform(rng, 0.12, 0.18)
+    seat_top, thickness = uniform(rng, 0.4, 0.46), uniform(rng, 0.12, 0.18)
     if kind == 3:
         back, arms = height, uniform(rng, 0.55, 0.68)
         rise = seat_top - 0.08
@@ -198,7 +207,7 @@ def _armchair(rng: np.random.Generator, kind: int, width: Number, height: Number
             parts.bar(foot, (0.6 * edge, 0.27, -depth / 2 + 0.2), (0.6 * edge, height, -depth / 2 + 0.012), bar * 0.8)
         for z in (-depth / 2 + 0.1, depth / 2 - 0.1):
             parts.bar(foot, (-width / 2 + 0.02, 0.26, z), (width / 2 - 0.02, 0.26, z), bar)
-        add_cushion(parts, body, (width - 0.1, thick, depth - 0.1), (0, seat_top - thick, 0.03), pitch=4)
+        add_cushion(parts, body, (width - 0.1, thickness, depth - 0.1), (0, seat_top - thickness, 0.03), pitch=4)
         shape = cushion(width - 0.12, 0.14, height - 0.36, plump=0.2, radius=0.06, step=0.25, arcs=1)
         parts.add(shape, body, (0, (height + 0.4) / 2, -depth / 2 + 0.12), pitch=90 - 15)
         return parts.mesh()
@@ -206,7 +215,7 @@ def _armchair(rng: np.random.Generator, kind: int, width: Number, height: Number
     arm = uniform(rng, 0.09, 0.17)
     arm_top = uniform(rng, 0.54, 0.64)
     back = 0.17
-    parts.slab(body, (width - 0.02, seat_top - thick - leg + 0.02, depth - 0.05), (0, leg, 0), radius=0.03)
+    parts.slab(body, (width - 0.02, seat_top - thickness - leg + 0.02, depth - 0.05), (0, leg, 0), radius=0.03)
     parts.slab(body, (width - 0.01, height - leg, back), (0, leg, -depth / 2 + back / 2), radius=0.06, arcs=2)
     for x in (-1, 1):
         place = (x * (width - arm) / 2, leg, 0)
@@ -215,11 +224,15 @@ def _armchair(rng: np.random.Generator, kind: int, width: Number, height: Number
             wing = (0.07, height - arm_top - 0.03, depth * 0.36)
             parts.slab(body, wing, (x * (width / 2 - 0.05), arm_top - 0.04, -depth * 0.31), radius=0.03, yaw=x * -14)
     add_cushion(
-        parts, body, (width - 2 * arm - 0.01, thick, depth - back - 0.01), (0, seat_top - thick, back / 2), plump=0.15
+        parts,
+        body,
+        (width - 2 * arm - 0.01, thickness, depth - back - 0.01),
+        (0, seat_top - thickness, back / 2),
+        plump=0.15,
     )
     shape = cushion(width - 2 * arm - 0.02, 0.14, height - seat_top - 0.02, plump=0.3, step=0.25, arcs=1)
     parts.add(shape, body, (0, (height + seat_top) / 2, -depth / 2 + back), pitch=90 - 9)
-    add_legs(parts, foot, (width - 0.14, depth - 0.14), leg + 0.02, thick=0.022, splay=0.02)
+    add_legs(parts, foot, (width - 0.14, depth - 0.14), leg + 0.02, thickness=0.022, splay=0.02)
     return parts.mesh()
 
 
@@ -256,7 +269,7 @@ def _chair(rng: np.random.Generator, width: Number, height: Number, depth: Numbe
             rows.append(np.stack([half * across, y + curl * (1 - upright), z + curl * upright * 1.6], 1))
         parts.add(double_sided_sheet(np.array(rows, np.float32), thickness=uniform(rng, 0.012, 0.03)), shell)
         under = palette.wood(rng) if rng.random() < 0.5 else palette.metal(rng)
-        add_legs(parts, under, (width * 0.4, depth * 0.35), seat - 0.02, thick=0.014, splay=0.11)
+        add_legs(parts, under, (width * 0.4, depth * 0.35), seat - 0.02, thickness=0.014, splay=0.11)
         return parts.mesh()
     bar = uniform(rng, 0.013, 0.02)
     half_x, half_z = width / 2 - bar, depth / 2 - bar - 0.01
@@ -318,9 +331,9 @@ def office_chair(rng: np.random.Generator) -> Draft:
         parts.bar(hard, (0, 0.08, 0), (0, seat - 0.06, 0), 0.027)
         parts.slab(hard, (0.24, 0.04, 0.24), (0, seat - 0.1, 0), radius=0)
         add_cushion(parts, soft, (width * 0.78, 0.09, depth * 0.74), (0, seat - 0.08, 0.02), plump=0.2)
-        tall = height - seat - 0.08
-        shape = cushion(width * 0.72, 0.08, tall, plump=0.3, radius=0.04, step=0.22, arcs=1)
-        parts.add(shape, soft, (0, seat + 0.08 + tall / 2, -depth * 0.36), pitch=90 - 8)
+        height_m = height - seat - 0.08
+        shape = cushion(width * 0.72, 0.08, height_m, plump=0.3, radius=0.04, step=0.22, arcs=1)
+        parts.add(shape, soft, (0, seat + 0.08 + height_m / 2, -depth * 0.36), pitch=90 - 8)
         parts.slab(hard, (0.07, 0.3, 0.02), (0, seat - 0.08, -depth * 0.36), radius=0)
         if rng.random() < 0.75:
             for x in (-1, 1):
@@ -398,7 +411,7 @@ def bench(rng: np.random.Generator) -> Draft:
             )
         if rng.random() < 0.5:
             metal = palette.metal(rng) if rng.random() < 0.5 else frame
-            add_legs(parts, metal, (width - 0.14, depth - 0.1), top - 0.03, thick=0.02, square=rng.random() < 0.5)
+            add_legs(parts, metal, (width - 0.14, depth - 0.1), top - 0.03, thickness=0.02, square=rng.random() < 0.5)
         else:
             for x in (-1, 1):
                 parts.slab(frame, (0.03, top - 0.03, depth - 0.02), (x * (width / 2 - 0.03), 0, 0))

@@ -42,7 +42,7 @@ def vase(rng: np.random.Generator) -> Draft:
     across = height * uniform(rng, 0.35, 0.75)
     stems = 0 if rng.random() < 0.4 else int(rng.integers(3, 9))
     above = uniform(rng, 0.5, 0.9) * height if stems else 0.0
-    wide = across if not stems else max(across, height * uniform(rng, 0.7, 1.1))
+    width_m = across if not stems else max(across, height * uniform(rng, 0.7, 1.1))
 
     def build() -> Mesh:
         parts = Parts()
@@ -50,7 +50,7 @@ def vase(rng: np.random.Generator) -> Draft:
         if not stems:
             return parts.mesh()
         stalk, flower = palette.leaf(rng), palette.paint(rng, palette.hue(rng, (0.3, 0.95), (0.6, 1.0)))
-        for x, z in circle_points(stems, wide / 2 - 0.02, uniform(rng, 0, 3)):
+        for x, z in circle_points(stems, width_m / 2 - 0.02, uniform(rng, 0, 3)):
             out = uniform(rng, 0.75, 1)
             tip = (x * out, height + above * uniform(rng, 0.65, 0.95), z * out)
             parts.bar(stalk, (0, height * 0.7, 0), tip, 0.003, 0.002, segments=5)
@@ -59,7 +59,7 @@ def vase(rng: np.random.Generator) -> Draft:
             parts.add(head, flower if rng.random() < 0.7 else stalk, tip)
         return parts.mesh()
 
-    return Draft("vase", (wide, height + above, wide), build)
+    return Draft("vase", (width_m, height + above, width_m), build)
 
 
 def book(rng: np.random.Generator) -> Draft:
@@ -67,22 +67,22 @@ def book(rng: np.random.Generator) -> Draft:
     if rng.random() < 0.3:
         return _book_row(rng)
     count = int(rng.integers(1, 6))
-    across, deep = uniform(rng, 0.2, 0.32), uniform(rng, 0.15, 0.24)
-    thick = [uniform(rng, 0.012, 0.045) for _ in range(count)]
+    across, depth_m = uniform(rng, 0.2, 0.32), uniform(rng, 0.15, 0.24)
+    thicknesses = [uniform(rng, 0.012, 0.045) for _ in range(count)]
 
     def build() -> Mesh:
         parts = Parts()
         page, y = palette.paper(rng), 0.0
-        for k, tall in enumerate(thick):
+        for k, height_m in enumerate(thicknesses):
             cover = palette.book_cover(rng)
             share = 1.0 if k == 0 else uniform(rng, 0.72, 0.97)
-            width, depth = across * share, deep * share
+            width, depth = across * share, depth_m * share
             yaw = 0.0 if k == 0 else uniform(rng, -12, 12) * (1 - share)
             parts.slab(cover, (width, 0.003, depth), (0, y, 0), radius=0, yaw=yaw)
-            parts.slab(cover, (width, 0.003, depth), (0, y + tall - 0.003, 0), radius=0, yaw=yaw)
-            parts.slab(cover, (width, tall - 0.001, 0.005), (0, y, -depth / 2 + 0.003), radius=0, yaw=yaw)
-            parts.slab(page, (width - 0.008, tall - 0.006, depth - 0.008), (0, y + 0.003, 0.0), radius=0, yaw=yaw)
-            y += tall
+            parts.slab(cover, (width, 0.003, depth), (0, y + height_m - 0.003, 0), radius=0, yaw=yaw)
+            parts.slab(cover, (width, height_m - 0.001, 0.005), (0, y, -depth / 2 + 0.003), radius=0, yaw=yaw)
+            parts.slab(page, (width - 0.008, height_m - 0.006, depth - 0.008), (0, y + 0.003, 0.0), radius=0, yaw=yaw)
+            y += height_m
             if k == count - 1:
                 image = Material(
                     "print", albedo=(0.9, 0.9, 0.9), texture=print_texture(rng, width / depth), roughness=0.2
@@ -91,33 +91,33 @@ def book(rng: np.random.Generator) -> Draft:
                 parts.add(face, image, (0, y + 0.0006, 0), yaw=yaw)
         return parts.mesh()
 
-    return Draft("books", (across, sum(thick) + 0.0006, deep), build)
+    return Draft("books", (across, sum(thicknesses) + 0.0006, depth_m), build)
 
 
 def _book_row(rng: np.random.Generator) -> Draft:
     count = int(rng.integers(4, 12))
-    thick = [uniform(rng, 0.014, 0.045) for _ in range(count)]
-    tall = [uniform(rng, 0.17, 0.3) for _ in range(count)]
-    deep = uniform(rng, 0.15, 0.23)
-    width = sum(thick) + 0.02
+    thicknesses = [uniform(rng, 0.014, 0.045) for _ in range(count)]
+    heights_m = [uniform(rng, 0.17, 0.3) for _ in range(count)]
+    depth_m = uniform(rng, 0.15, 0.23)
+    width = sum(thicknesses) + 0.02
 
     def build() -> Mesh:
         parts = Parts()
         x = -width / 2 + 0.01
-        for wide, high in zip(thick, tall, strict=True):
+        for width_m, high in zip(thicknesses, heights_m, strict=True):
             parts.slab(
                 palette.book_cover(rng),
-                (wide - 0.001, high, deep * uniform(rng, 0.85, 1)),
-                (x + wide / 2, 0, 0),
+                (width_m - 0.001, high, depth_m * uniform(rng, 0.85, 1)),
+                (x + width_m / 2, 0, 0),
                 radius=0,
             )
-            x += wide
+            x += width_m
         end = palette.metal(rng)
         for side in (-1, 1):
-            parts.slab(end, (0.01, 0.15, deep), (side * (width / 2 - 0.005), 0, 0), radius=0)
+            parts.slab(end, (0.01, 0.15, depth_m), (side * (width / 2 - 0.005), 0, 0), radius=0)
         return parts.mesh()
 
-    return Draft("row of books", (width, max(tall), deep), build)
+    return Draft("row of books", (width, max(heights_m), depth_m), build)
 
 
 def ornament(rng: np.random.Generator) -> Draft:
@@ -344,12 +344,12 @@ def toy(rng: np.random.Generator) -> Draft:
         else:
             y, r = 0.0, height * 0.3
             for _ in range(5):
-                thick = height * 0.17
+                thickness = height * 0.17
                 parts.add(
-                    solid_of_revolution([(r * 0.8, y), (r, y + thick / 2), (r * 0.8, y + thick)], segments=14),
+                    solid_of_revolution([(r * 0.8, y), (r, y + thickness / 2), (r * 0.8, y + thickness)], segments=14),
                     palette.bright_plastic(rng),
                 )
-                y, r = y + thick, r * 0.84
+                y, r = y + thickness, r * 0.84
             parts.add(sphere(height * 0.08, rings=5, segments=8), palette.bright_plastic(rng), (0, height * 0.92, 0))
         return parts.mesh()
 
@@ -380,16 +380,16 @@ def bathroom_thing(rng: np.random.Generator) -> Draft:
         if kind == 0:
             for k in range(bottles):
                 x = (-0.5 + (k + 0.5) / bottles) * width
-                r, tall = width / bottles * 0.42, height * (1.0 if k == 0 else uniform(rng, 0.55, 0.95))
+                r, height_m = width / bottles * 0.42, height * (1.0 if k == 0 else uniform(rng, 0.55, 0.95))
                 bottle = palette.plastic(rng)
                 parts.add(
                     solid_of_revolution(
-                        [(r, 0.0), (r, tall * 0.7), (r * 0.4, tall * 0.82), (r * 0.4, tall)], segments=12
+                        [(r, 0.0), (r, height_m * 0.7), (r * 0.4, height_m * 0.82), (r * 0.4, height_m)], segments=12
                     ),
                     bottle,
                     (x, 0, 0),
                 )
-                parts.slab(palette.plastic(rng), (r * 1.2, tall * 0.1, r * 1.2), (x, tall * 0.9, 0), radius=0)
+                parts.slab(palette.plastic(rng), (r * 1.2, height_m * 0.1, r * 1.2), (x, height_m * 0.9, 0), radius=0)
         elif kind == 1:
             r, top = 0.035, height * 0.5
             parts.add(
@@ -435,8 +435,8 @@ def bathroom_thing(rng: np.random.Generator) -> Draft:
 
 
 def add_ring(
-    parts: Parts, material: Material, at: tuple[Number, Number, Number], radius: Number, thick: Number
+    parts: Parts, material: Material, at: tuple[Number, Number, Number], radius: Number, thickness: Number
 ) -> None:
     """Add a ring lying flat: a cable, a hose, a tyre."""
-    ring = [(at[0] + float(x), at[1] + thick, at[2] + float(z)) for x, z in circle_points(16, radius)]
-    parts.add(tube([*ring, ring[0]], thick, segments=6), material)
+    ring = [(at[0] + float(x), at[1] + thickness, at[2] + float(z)) for x, z in circle_points(16, radius)]
+    parts.add(tube([*ring, ring[0]], thickness, segments=6), material)

@@ -56,26 +56,26 @@ def add_fronts(
     """Add doors or drawers with handles in front of a carcass of `size` whose bottom centre is at `place`."""
     x0, y0, z0 = place
     width, height, depth = size
-    each, tall = (width - 0.012) / grid.columns, (height - 0.012) / grid.rows
+    part_width, height_m = (width - 0.012) / grid.columns, (height - 0.012) / grid.rows
     z = z0 + depth / 2 - 0.002
     style = int(rng.integers(5)) if grid.handle_style is None else grid.handle_style
     framed = rng.random() < 0.25 and grid.doors
     for column in range(grid.columns):
         for row in range(grid.rows):
-            x, y = x0 - width / 2 + 0.006 + each * (column + 0.5), y0 + 0.006 + tall * row
-            parts.slab(front.face, (each - 0.006, tall - 0.006, 0.02), (x, y + 0.003, z + 0.01), radius=0)
-            if framed and each > 0.25 and tall > 0.3:
+            x, y = x0 - width / 2 + 0.006 + part_width * (column + 0.5), y0 + 0.006 + height_m * row
+            parts.slab(front.face, (part_width - 0.006, height_m - 0.006, 0.02), (x, y + 0.003, z + 0.01), radius=0)
+            if framed and part_width > 0.25 and height_m > 0.3:
                 edge = 0.07
                 bars = [
-                    (edge, tall - 0.006, 0.008, x + s * (each - edge - 0.006) / 2, y + 0.003, z + 0.024)
+                    (edge, height_m - 0.006, 0.008, x + s * (part_width - edge - 0.006) / 2, y + 0.003, z + 0.024)
                     for s in (-1, 1)
                 ]
                 bars += [
-                    (each - 2 * edge - 0.006, edge, 0.008, x, at, z + 0.024)
-                    for at in (y + 0.003, y + tall - edge - 0.003)
+                    (part_width - 2 * edge - 0.006, edge, 0.008, x, at, z + 0.024)
+                    for at in (y + 0.003, y + height_m - edge - 0.003)
                 ]
                 parts.blocks(front.face, bars)
-            panel = _Panel(x, y, z + 0.02, each, tall, grid.doors, 1 if column % 2 == 0 else -1)
+            panel = _Panel(x, y, z + 0.02, part_width, height_m, grid.doors, 1 if column % 2 == 0 else -1)
             _add_handle(parts, front.handle, style, panel)
 
 
@@ -83,12 +83,12 @@ def _add_handle(parts: Parts, metal: Material, style: int, panel: _Panel) -> Non
     """Add a knob, bar, wide bar, edge grip, or nothing."""
     if style == 4:
         return
-    x, y, z, tall = panel.x, panel.y, panel.z, panel.height
+    x, y, z, height_m = panel.x, panel.y, panel.z, panel.height
     if panel.door:
-        middle = (x + panel.handle_side * (panel.width / 2 - 0.045), y + tall * (0.5 if tall < 1.2 else 0.45))
-        size = ((0.028, 0.028), (0.012, 0.14), (0.012, min(0.4, tall * 0.6)), (0.02, 0.05))[style]
+        middle = (x + panel.handle_side * (panel.width / 2 - 0.045), y + height_m * (0.5 if height_m < 1.2 else 0.45))
+        size = ((0.028, 0.028), (0.012, 0.14), (0.012, min(0.4, height_m * 0.6)), (0.02, 0.05))[style]
     else:
-        middle = (x, y + tall * (0.5 if style != 3 else 0.9))
+        middle = (x, y + height_m * (0.5 if style != 3 else 0.9))
         size = ((0.028, 0.028), (0.13, 0.012), (panel.width * 0.6, 0.012), (0.06, 0.018))[style]
     if style == 0:
         parts.slab(metal, (0.028, 0.028, 0.026), (middle[0], middle[1] - 0.014, z + 0.011), radius=0.01)
@@ -122,7 +122,7 @@ def _cupboard(
                 front.handle if rng.random() < 0.5 else body,
                 (width - 0.1, depth - 0.12),
                 raised + 0.005,
-                thick=uniform(rng, 0.012, 0.026),
+                thickness=uniform(rng, 0.012, 0.026),
                 square=rng.random() < 0.4,
             )
         add_fronts(parts, rng, front, place, carcass, grid)
@@ -142,18 +142,19 @@ def wardrobe(rng: np.random.Generator) -> Draft:
         parts = Parts()
         body, face = palette.wood_or_paint(rng), palette.wood_or_paint(rng, 0.4)
         parts.slab(body, (width, height, depth - 0.06), (0, 0, -0.03), radius=0.004)
-        each = width / 2
+        part_width = width / 2
         mirrored = int(rng.integers(3))
         for k in range(2):
             material = face
             if k < mirrored:
                 material = Material("mirror", mirror=uniform(rng, 0.82, 0.9))
-            x, z = (k - 0.5) * each, depth / 2 - (0.045 if k else 0.015)
-            parts.slab(material, (each - 0.04, height - 0.1, 0.03), (x, 0.05, z), radius=0)
+            x, z = (k - 0.5) * part_width, depth / 2 - (0.045 if k else 0.015)
+            parts.slab(material, (part_width - 0.04, height - 0.1, 0.03), (x, 0.05, z), radius=0)
             parts.blocks(
-                body, [(0.025, height - 0.06, 0.034, x + s * (each / 2 - 0.012), 0.03, z - 0.004) for s in (-1, 1)]
+                body,
+                [(0.025, height - 0.06, 0.034, x + s * (part_width / 2 - 0.012), 0.03, z - 0.004) for s in (-1, 1)],
             )
-            parts.blocks(body, [(each - 0.04, 0.03, 0.034, x, y, z - 0.004) for y in (0.03, height - 0.06)])
+            parts.blocks(body, [(part_width - 0.04, 0.03, 0.034, x, y, z - 0.004) for y in (0.03, height - 0.06)])
         return parts.mesh()
 
     return Draft("sliding wardrobe", (width, height, depth), build)
@@ -161,14 +162,14 @@ def wardrobe(rng: np.random.Generator) -> Draft:
 
 def dresser(rng: np.random.Generator) -> Draft:
     """Make a chest of drawers."""
-    wide = rng.random() < 0.5
+    width_m = rng.random() < 0.5
     size = (
-        uniform(rng, 1.1, 1.6) if wide else uniform(rng, 0.6, 0.95),
+        uniform(rng, 1.1, 1.6) if width_m else uniform(rng, 0.6, 0.95),
         uniform(rng, 0.72, 1.2),
         uniform(rng, 0.4, 0.52),
     )
     rows = int(rng.integers(3, 6))
-    return _cupboard(rng, "dresser", size, FrontGrid(2 if wide else 1, rows), top_m=size[1])
+    return _cupboard(rng, "dresser", size, FrontGrid(2 if width_m else 1, rows), top_m=size[1])
 
 
 def sideboard(rng: np.random.Generator) -> Draft:
@@ -189,7 +190,7 @@ def tv_stand(rng: np.random.Generator) -> Draft:
         leg = uniform(rng, 0.0, 0.16)
         board = uniform(rng, 0.016, 0.03)
         if leg > 0.03:
-            add_legs(parts, palette.metal(rng), (width - 0.12, depth - 0.1), leg + 0.004, thick=0.014)
+            add_legs(parts, palette.metal(rng), (width - 0.12, depth - 0.1), leg + 0.004, thickness=0.014)
         else:
             leg = 0.0
         parts.blocks(body, [(width, board, depth, 0, y, 0) for y in (leg, height - board)])
@@ -199,14 +200,14 @@ def tv_stand(rng: np.random.Generator) -> Draft:
         parts.blocks(body, [(width - 0.01, height - leg - 0.01, 0.008, 0, leg + 0.005, -depth / 2 + 0.008)])
         front = FrontMaterials(body, face, palette.metal(rng))
         for k in range(columns):
-            x, each = float(edges[k] + edges[k + 1]) / 2, float(edges[1] - edges[0]) - board
+            x, part_width = float(edges[k] + edges[k + 1]) / 2, float(edges[1] - edges[0]) - board
             if rng.random() < 0.5:
-                place, size = (x, leg + board, -0.02), (each, height - leg - 2 * board, depth - 0.04)
+                place, size = (x, leg + board, -0.02), (part_width, height - leg - 2 * board, depth - 0.04)
                 add_fronts(parts, rng, front, place, size, FrontGrid(1, int(rng.integers(1, 3))))
             else:
-                parts.slab(body, (each, 0.015, depth - 0.05), (x, (leg + height) / 2, -0.01), radius=0)
+                parts.slab(body, (part_width, 0.015, depth - 0.05), (x, (leg + height) / 2, -0.01), radius=0)
                 if rng.random() < 0.6:
-                    box = (each * uniform(rng, 0.4, 0.8), 0.05, depth * 0.6)
+                    box = (part_width * uniform(rng, 0.4, 0.8), 0.05, depth * 0.6)
                     parts.slab(palette.black(rng), box, (x, leg + board, 0), radius=0)
         return parts.mesh()
 
@@ -237,27 +238,27 @@ def fill_shelf(
         kind = rng.random()
         if kind < (0.8 if full else 0.35):
             for _ in range(int(rng.integers(4, 16))):
-                thick = uniform(rng, 0.015, 0.05)
-                tall = min(uniform(rng, 0.17, 0.31), gap * 0.95)
-                deep = min(uniform(rng, 0.13, 0.23), depth * 0.9)
-                if x + thick > high - 0.01:
+                thickness = uniform(rng, 0.015, 0.05)
+                height_m = min(uniform(rng, 0.17, 0.31), gap * 0.95)
+                depth_m = min(uniform(rng, 0.13, 0.23), depth * 0.9)
+                if x + thickness > high - 0.01:
                     break
-                front = z + depth / 2 - 0.015 - deep / 2
+                front = z + depth / 2 - 0.015 - depth_m / 2
                 k = int(rng.integers(len(covers)))
-                piles[k].append((thick - 0.001, tall, deep, x + thick / 2, floor, front))
-                x += thick
+                piles[k].append((thickness - 0.001, height_m, depth_m, x + thickness / 2, floor, front))
+                x += thickness
         elif kind < 0.88 and high - x > 0.24:
             y, across = floor, uniform(rng, 0.17, 0.23)
             for _ in range(int(rng.integers(2, 5))):
-                thick = uniform(rng, 0.015, 0.04)
-                if y + thick > floor + gap * 0.9:
+                thickness = uniform(rng, 0.015, 0.04)
+                if y + thickness > floor + gap * 0.9:
                     break
                 k = int(rng.integers(len(covers)))
-                deep = min(uniform(rng, 0.14, 0.2), depth * 0.9)
-                piles[k].append((across, 0.003, deep, x + across / 2, y, z))
-                piles[k].append((across, 0.003, deep, x + across / 2, y + thick - 0.003, z))
-                pages.append((across - 0.01, thick - 0.006, deep - 0.012, x + across / 2, y + 0.003, z))
-                y += thick
+                depth_m = min(uniform(rng, 0.14, 0.2), depth * 0.9)
+                piles[k].append((across, 0.003, depth_m, x + across / 2, y, z))
+                piles[k].append((across, 0.003, depth_m, x + across / 2, y + thickness - 0.003, z))
+                pages.append((across - 0.01, thickness - 0.006, depth_m - 0.012, x + across / 2, y + 0.003, z))
+                y += thickness
             x += across + 0.02
         elif kind < 0.94 and high - x > 0.2:
             side = min(uniform(rng, 0.12, 0.3), gap * 0.85, high - x - 0.02)
@@ -265,11 +266,11 @@ def fill_shelf(
             parts.slab(box, (side, side * 0.8, min(side, depth * 0.9)), (x + side / 2, floor, z), radius=0.006)
             x += side + 0.03
         elif rng.random() < 0.7:
-            tall = min(uniform(rng, 0.1, 0.28), gap * 0.85)
-            across = min(tall * 0.6, depth * 0.8, 0.18)
+            height_m = min(uniform(rng, 0.1, 0.28), gap * 0.85)
+            across = min(height_m * 0.6, depth * 0.8, 0.18)
             if high - x < across + 0.02:
                 break
-            parts.add_mesh(vessel(rng, tall, across, segments=12), (x + across / 2, floor, z))
+            parts.add_mesh(vessel(rng, height_m, across, segments=12), (x + across / 2, floor, z))
             x += across + uniform(rng, 0.02, 0.12)
         else:
             radius = min(uniform(rng, 0.03, 0.06), gap * 0.4)

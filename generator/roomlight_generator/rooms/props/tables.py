@@ -12,19 +12,25 @@ from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import Number, loft
 
 
-def add_round_top(parts: Parts, material: Material, half_x: Number, half_z: Number, thick: Number, y: Number) -> None:
+def add_round_top(
+    parts: Parts, material: Material, half_x: Number, half_z: Number, thickness: Number, y: Number
+) -> None:
     """Add a round or oval board with its underside at y."""
-    edge = min(0.008, thick * 0.4)
+    edge = min(0.008, thickness * 0.4)
     parts.add(
         loft(
             [
                 [(1e-3, 1e-3, 0.0), (half_x - edge, half_z - edge, 0.0)],
                 [
                     (half_x - edge, half_z - edge, 0.0),
-                    (half_x, half_z, thick / 2),
-                    (half_x - edge, half_z - edge, thick),
+                    (half_x, half_z, thickness / 2),
+                    (half_x - edge, half_z - edge, thickness),
                 ],
-                [(half_x - edge, half_z - edge, thick), (half_x / 2, half_z / 2, thick), (1e-3, 1e-3, thick)],
+                [
+                    (half_x - edge, half_z - edge, thickness),
+                    (half_x / 2, half_z / 2, thickness),
+                    (1e-3, 1e-3, thickness),
+                ],
             ],
             segments=36,
         ),
@@ -38,13 +44,13 @@ def _add_supports(
 ) -> None:
     """Add the supports of a table top of this size whose underside is at `height`."""
     kind = int(rng.integers(6))
-    thick = float(np.clip(height * 0.045, 0.014, 0.036)) * uniform(rng, 0.8, 1.3)
+    thickness = float(np.clip(height * 0.045, 0.014, 0.036)) * uniform(rng, 0.8, 1.3)
     inset = uniform(rng, 0.03, 0.1)
     if kind <= 2:
         # Square and straight, round and tapering, or splayed.
         splay = 0.0 if kind < 2 else min(0.06, inset)
-        size = (width - 2 * inset - 2 * thick, depth - 2 * inset - 2 * thick)
-        add_legs(parts, material, size, height, thick=thick, square=kind == 0, splay=splay)
+        size = (width - 2 * inset - 2 * thickness, depth - 2 * inset - 2 * thickness)
+        add_legs(parts, material, size, height, thickness=thickness, square=kind == 0, splay=splay)
         if kind < 2:
             apron = min(0.09, height * 0.14)
             for x in (-1, 1):
@@ -88,29 +94,29 @@ def _table(rng: np.random.Generator, name: str, width: Number, depth: Number, he
     def build() -> Mesh:
         parts = Parts()
         material = palette.wood_or_paint(rng, 0.75)
-        thick = uniform(rng, 0.018, 0.045)
+        thickness = uniform(rng, 0.018, 0.045)
         top = material
         if rng.random() < 0.12:
-            top, thick = palette.glass(), 0.01
+            top, thickness = palette.glass(), 0.01
         elif rng.random() < 0.15:
             top = palette.worktop(rng)
         under = material if rng.random() < 0.55 else (palette.metal(rng) if rng.random() < 0.6 else palette.paint(rng))
         if round_one:
-            add_round_top(parts, top, width / 2, depth / 2, thick, height - thick)
+            add_round_top(parts, top, width / 2, depth / 2, thickness, height - thickness)
             if rng.random() < 0.5:
-                _add_pedestal(parts, rng, under, min(width, depth) * 0.32, height - thick)
+                _add_pedestal(parts, rng, under, min(width, depth) * 0.32, height - thickness)
             else:
                 add_legs(
                     parts,
                     under,
                     (width * 0.5, depth * 0.5),
-                    height - thick,
-                    thick=0.022 if height > 0.6 else 0.016,
+                    height - thickness,
+                    thickness=0.022 if height > 0.6 else 0.016,
                     splay=width * 0.07,
                 )
         else:
-            parts.slab(top, (width, thick, depth), (0, height - thick, 0), radius=min(0.006, thick / 3))
-            _add_supports(parts, rng, under, width, depth, height - thick)
+            parts.slab(top, (width, thickness, depth), (0, height - thickness, 0), radius=min(0.006, thickness / 3))
+            _add_supports(parts, rng, under, width, depth, height - thickness)
         return parts.mesh()
 
     return Draft(name, (width, height, depth), build, top_m=height)
@@ -178,10 +184,10 @@ def desk(rng: np.random.Generator) -> Draft:
         parts = Parts()
         top = palette.wood_or_paint(rng, 0.65)
         under = top if rng.random() < 0.5 else palette.metal(rng)
-        thick = uniform(rng, 0.018, 0.04)
-        below = height - thick
+        thickness = uniform(rng, 0.018, 0.04)
+        below = height - thickness
         back = -(depth + wing) / 2
-        parts.slab(top, (width, thick, depth), (0, below, back + depth / 2))
+        parts.slab(top, (width, thickness, depth), (0, below, back + depth / 2))
         middle = (0.0, back + depth / 2)
         if kind == 1:
             for x in (-1, 1):
@@ -208,13 +214,19 @@ def desk(rng: np.random.Generator) -> Draft:
             parts.slab(under, (0.04, below, depth - 0.06), (-width / 2 + 0.04, 0, middle[1]), radius=0)
         else:
             add_legs(
-                parts, under, (width - 0.1, depth - 0.1), below, thick=0.022, square=rng.random() < 0.6, middle=middle
+                parts,
+                under,
+                (width - 0.1, depth - 0.1),
+                below,
+                thickness=0.022,
+                square=rng.random() < 0.6,
+                middle=middle,
             )
         if wing:
             side = 1 if rng.random() < 0.5 else -1
             x = side * (width / 2 - 0.25)
-            parts.slab(top, (0.5, thick, wing), (x, below, depth / 2), radius=0)
-            add_legs(parts, under, (0.4, wing - 0.1), below, thick=0.02, middle=(x, depth / 2))
+            parts.slab(top, (0.5, thickness, wing), (x, below, depth / 2), radius=0)
+            add_legs(parts, under, (0.4, wing - 0.1), below, thickness=0.02, middle=(x, depth / 2))
         elif rng.random() < 0.4:
             parts.slab(top, (width - 0.2, uniform(rng, 0.2, 0.4), 0.016), (0, below - 0.42, back + 0.08), radius=0)
         return parts.mesh()
@@ -230,12 +242,12 @@ def nightstand(rng: np.random.Generator) -> Draft:
         parts = Parts()
         body = palette.wood_or_paint(rng, 0.6)
         leg = uniform(rng, 0.0, 0.2)
-        thick = 0.02
+        thickness = 0.02
         if rng.random() < 0.35:
-            parts.blocks(body, [(thick, height - leg, depth, x * (width - thick) / 2, leg, 0) for x in (-1, 1)])
-            levels = (leg, leg + (height - leg) * uniform(rng, 0.35, 0.6), height - thick)
-            parts.blocks(body, [(width - thick, thick, depth - 0.002, 0, y, 0) for y in levels])
-            parts.slab(body, (width - thick, height - leg, 0.01), (0, leg, -depth / 2 + 0.006), radius=0)
+            parts.blocks(body, [(thickness, height - leg, depth, x * (width - thickness) / 2, leg, 0) for x in (-1, 1)])
+            levels = (leg, leg + (height - leg) * uniform(rng, 0.35, 0.6), height - thickness)
+            parts.blocks(body, [(width - thickness, thickness, depth - 0.002, 0, y, 0) for y in levels])
+            parts.slab(body, (width - thickness, height - leg, 0.01), (0, leg, -depth / 2 + 0.006), radius=0)
         else:
             size, place = (width, height - leg, depth - 0.02), (0.0, leg, -0.01)
             parts.slab(body, size, place)
@@ -250,7 +262,7 @@ def nightstand(rng: np.random.Generator) -> Draft:
             )
         if leg > 0.02:
             under = body if rng.random() < 0.6 else palette.metal(rng)
-            add_legs(parts, under, (width - 0.07, depth - 0.07), leg + 0.005, thick=0.014)
+            add_legs(parts, under, (width - 0.07, depth - 0.07), leg + 0.005, thickness=0.014)
         return parts.mesh()
 
     return Draft("nightstand", (width, height, depth), build, top_m=height)

@@ -191,22 +191,27 @@ def food(rng: np.random.Generator) -> Draft:
             for k in range(count):
                 r = min(width / count, depth) * 0.48
                 x = (k / (count - 1) - 0.5) * (width - 2 * r)
-                tall = height * (1.0 if k == 0 else uniform(rng, 0.6, 1))
+                height_m = height * (1.0 if k == 0 else uniform(rng, 0.6, 1))
                 filling = palette.paint(rng, palette.hue(rng, (0.2, 0.8), (0.3, 0.9)))
                 parts.add(
-                    solid_of_revolution([(r * 0.97, 0.0), (r * 0.97, tall * 0.86), (r * 0.8, tall * 0.9)], segments=14),
+                    solid_of_revolution(
+                        [(r * 0.97, 0.0), (r * 0.97, height_m * 0.86), (r * 0.8, height_m * 0.9)], segments=14
+                    ),
                     filling,
                     (x, 0, 0),
                 )
-                parts.bar(palette.metal(rng), (x, tall * 0.88, 0), (x, tall, 0), r, segments=14)
+                parts.bar(palette.metal(rng), (x, height_m * 0.88, 0), (x, height_m, 0), r, segments=14)
         else:
             count = int(rng.integers(2, 4))
             for k in range(count):
-                x, tall = (k + 0.5) / count * width - width / 2, height * (1.0 if k == 0 else uniform(rng, 0.6, 1))
+                x, height_m = (k + 0.5) / count * width - width / 2, height * (1.0 if k == 0 else uniform(rng, 0.6, 1))
                 packet = Material("packet", albedo=palette.hue(rng, (0.4, 1), (0.4, 1)), roughness=0.3)
-                parts.slab(packet, (width / count * 0.94, tall, depth), (x, 0, 0), radius=0)
+                parts.slab(packet, (width / count * 0.94, height_m, depth), (x, 0, 0), radius=0)
                 parts.slab(
-                    palette.paper(rng), (width / count * 0.6, tall * 0.3, 0.002), (x, tall * 0.4, depth / 2), radius=0
+                    palette.paper(rng),
+                    (width / count * 0.6, height_m * 0.3, 0.002),
+                    (x, height_m * 0.4, depth / 2),
+                    radius=0,
                 )
         return parts.mesh()
 

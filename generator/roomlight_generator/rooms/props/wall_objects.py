@@ -148,22 +148,22 @@ def wall_shelf(rng: np.random.Generator) -> Draft:
     def build() -> Mesh:
         parts = Parts()
         wood = palette.wood_or_paint(rng, 0.7)
-        thick = uniform(rng, 0.018, 0.04)
+        thickness = uniform(rng, 0.018, 0.04)
         brackets = palette.metal(rng) if rng.random() < 0.5 else None
         for k in range(boards):
             y = k * gap
-            parts.slab(wood, (width, thick, depth), (0, y, 0), radius=0)
+            parts.slab(wood, (width, thickness, depth), (0, y, 0), radius=0)
             if brackets:
                 for x in (-1, 1):
                     parts.slab(
-                        brackets, (0.02, 0.12, 0.012), (x * width * 0.38, y + thick, -depth / 2 + 0.006), radius=0
+                        brackets, (0.02, 0.12, 0.012), (x * width * 0.38, y + thickness, -depth / 2 + 0.006), radius=0
                     )
-            fill_shelf(parts, rng, -width / 2 + 0.03, width / 2 - 0.03, y + thick, gap - thick, depth - 0.03, 0)
+            fill_shelf(parts, rng, -width / 2 + 0.03, width / 2 - 0.03, y + thickness, gap - thickness, depth - 0.03, 0)
         # One object must be as tall as the draft's size says.
-        tall = gap - thick
+        height_m = gap - thickness
         parts.add_mesh(
-            vessel(rng, tall, min(tall * 0.5, depth * 0.8), segments=12),
-            (width / 2 - 0.1, (boards - 1) * gap + thick, 0),
+            vessel(rng, height_m, min(height_m * 0.5, depth * 0.8), segments=12),
+            (width / 2 - 0.1, (boards - 1) * gap + thickness, 0),
         )
         return parts.mesh()
 
@@ -275,11 +275,11 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
             )
             if k == 0 or rng.random() < 0.5:
                 coat = palette.cloth(rng)
-                tall = height - 0.06 if k == 0 else uniform(rng, 0.5, 0.9)
+                height_m = height - 0.06 if k == 0 else uniform(rng, 0.5, 0.9)
                 top = height - 0.06
-                wide, deep = uniform(rng, 0.15, 0.2), depth * uniform(rng, 0.2, 0.3)
+                width_m, depth_m = uniform(rng, 0.15, 0.2), depth * uniform(rng, 0.2, 0.3)
                 folds = [
-                    (wide * s, deep * r, top - tall * t, float(x), 0.01)
+                    (width_m * s, depth_m * r, top - height_m * t, float(x), 0.01)
                     for t, s, r in (
                         (1.0, 1.0, 0.8),
                         (0.5, 0.82, 0.8),
@@ -291,7 +291,7 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 parts.add(
                     loft(
                         [
-                            [(1e-3, 1e-3, top - tall, float(x), 0.01), folds[0]],
+                            [(1e-3, 1e-3, top - height_m, float(x), 0.01), folds[0]],
                             folds,
                             [folds[-1], (1e-3, 1e-3, top, float(x), 0.01)],
                         ],
@@ -302,8 +302,8 @@ def _clutter(rng: np.random.Generator, kind: int, size: tuple[Number, Number, Nu
                 )
                 for side in (-1, 1):
                     shoulder, hand = (
-                        (float(x) + side * wide * 0.8, top - tall * 0.18, 0.02),
-                        (float(x) + side * wide * 0.9, top - tall * 0.62, 0.05),
+                        (float(x) + side * width_m * 0.8, top - height_m * 0.18, 0.02),
+                        (float(x) + side * width_m * 0.9, top - height_m * 0.62, 0.05),
                     )
                     parts.bar(coat, shoulder, hand, 0.055, 0.04, segments=10)
     elif kind == 1:

@@ -35,9 +35,9 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
     skirting, beam, curtain, blind, moulding and second_room (every part of a second room and of its doors).
     """
     room = choose_envelope(style, rng)
-    deep = uniform(rng, (0.1, 0.22)) if rng.random() < style.beams and room.height_m >= 2.35 else 0.0
-    floor_plan = choose_floor_plan(room, style, rng, beams_m=0.0 if room.slopes else deep)
-    trim, band = _choose_trim(room, floor_plan, style, finishes, deep, rng)
+    depth_m = uniform(rng, (0.1, 0.22)) if rng.random() < style.beams and room.height_m >= 2.35 else 0.0
+    floor_plan = choose_floor_plan(room, style, rng, beams_m=0.0 if room.slopes else depth_m)
+    trim, band = _choose_trim(room, floor_plan, style, finishes, depth_m, rng)
     items, openings = _room_items(room, floor_plan.holes, finishes, finishes.room, trim, rng, band=band)
     for k, light in enumerate(floor_plan.skylights):
         plane = room.slopes[light.side].plane
@@ -46,8 +46,8 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
         openings += [opening] if opening is not None else []
     items.append(Item("ceiling", "ceiling", build_ceiling(room, finishes.room.ceiling, floor_plan.skylights).mesh()))
     items.append(Item("floor", "floor", build_floor(room, finishes.room.floor).mesh()))
-    if deep:
-        items += beam_items(room, floor_plan.skylights, finishes.beam, deep, rng)
+    if depth_m:
+        items += beam_items(room, floor_plan.skylights, finishes.beam, depth_m, rng)
     spots: list[tuple[float, float, float]] = []
     if floor_plan.second is not None:
         items += _second_room_items(room, floor_plan, finishes, trim, rng)
@@ -64,12 +64,17 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
 
 
 def _choose_trim(
-    room: Envelope, floor_plan: FloorPlan, style: ShellStyle, finishes: Finishes, deep: float, rng: np.random.Generator
+    room: Envelope,
+    floor_plan: FloorPlan,
+    style: ShellStyle,
+    finishes: Finishes,
+    depth_m: float,
+    rng: np.random.Generator,
 ) -> tuple[Trim, int | None]:
     """Choose the trim; also return the side that has the backsplash, if any."""
     skirting = uniform(rng, (0.05, 0.15)) if rng.random() < style.skirting else 0.0
     accent = bool(rng.random() < style.accent_wall)
-    crown = uniform(rng, (0.03, 0.11)) if rng.random() < style.crown_moulding and not deep else 0.0
+    crown = uniform(rng, (0.03, 0.11)) if rng.random() < style.crown_moulding and not depth_m else 0.0
     if style.lower_wall == "none" or finishes.room.lower_wall is None or rng.random() >= style.lower_wall_chance:
         return Trim(skirting_m=skirting, crown_m=crown, accent=accent), None
     top = min(uniform(rng, style.lower_wall_m), room.height_m - 0.05)
@@ -89,7 +94,7 @@ def _room_items(
     room: Envelope,
     holes: Sequence[AnyHole],
     finishes: Finishes,
-    own: RoomFinishes,
+    room_finishes: RoomFinishes,
     trim: Trim,
     rng: np.random.Generator,
     *,
@@ -99,25 +104,27 @@ def _room_items(
     """Build walls, the windows and doors in them and the trim along them. `cuts` are further holes, lined elsewhere."""
     items: list[Item] = []
     openings: list[Opening] = []
-    accent = _accent_side(room, holes) if own.accent_wall is not None and trim.accent else None
+    accent = _accent_side(room, holes) if room_finishes.accent_wall is not None and trim.accent else None
     for i, side in enumerate(room.sides):
-        here = [hole for hole in holes if hole.side == i]
-        outlines: list[Outline] = [hole_outline(hole) for hole in here]
+        side_holes = [hole for hole in holes if hole.side == i]
+        outlines: list[Outline] = [hole_outline(hole) for hole in side_holes]
         outlines += (cuts or {}).get(i, [])
-        builder = build_wall(room, i, outlines, own, trim, accent=i == accent)
+        builder = build_wall(room, i, outlines, room_finishes, trim, accent=i == accent)
         items.append(Item(f"wall {i}, backsplash" if i == band else f"wall {i}", "wall", builder.mesh()))
-        paper = own.accent_wall if i == accent and own.accent_wall is not None else own.wall
-        for k, hole in enumerate(here):
-            made, opening = _hole_items(hole, side.plane, finishes, own, paper, rng, name=f"{i}.{k}")
+        wall_finish = (
+            room_finishes.accent_wall if i == accent and room_finishes.accent_wall is not None else room_finishes.wall
+        )
+        for k, hole in enumerate(side_holes):
+            made, opening = _hole_items(hole, side.plane, finishes, room_finishes, wall_finish, rng, name=f"{i}.{k}")
             items += made
             openings += [opening] if opening is not None else []
-        items += trim_items(room, i, _holes_and_cuts(here, i, cuts), own, finishes.moulding, trim)
+        items += trim_items(room, i, _holes_and_cuts(side_holes, i, cuts), room_finishes, finishes.moulding, trim)
     return items, openings
 
 
-def _holes_and_cuts(here: Sequence[AnyHole], side: int, cuts: dict[int, list[Outline]] | None) -> list[AnyHole]:
+def _holes_and_cuts(side_holes: Sequence[AnyHole], side: int, cuts: dict[int, list[Outline]] | None) -> list[AnyHole]:
     """Return the holes at which trim stops; a cut counts as a plain doorway with an architrave's margin."""
-    found = list(here)
+    found = list(side_holes)
     for cut in (cuts or {}).get(side, []):
         s, h = [p[0] for p in cut], [p[1] for p in cut]
         found.append(Passage(side, (min(s), max(s), min(h), max(h)), 0.1, 0.0, lined=True))
@@ -135,19 +142,19 @@ def _hole_items(
     hole: AnyHole,
     plane: Plane,
     finishes: Finishes,
-    own: RoomFinishes,
-    paper: Material,
+    room_finishes: RoomFinishes,
+    wall_finish: Material,
     rng: np.random.Generator,
     *,
     name: str,
 ) -> tuple[list[Item], Opening | None]:
     if isinstance(hole, Window):
-        return window_items(hole, plane, finishes, paper, rng, name=f"window {name}")
+        return window_items(hole, plane, finishes, wall_finish, rng, name=f"window {name}")
     if isinstance(hole, Door):
-        return door_items(hole, plane, finishes, own.floor, name=f"door {name}"), None
+        return door_items(hole, plane, finishes, room_finishes.floor, name=f"door {name}"), None
     if isinstance(hole, Niche):
-        return niche_items(hole, plane, paper, finishes.frame, name=f"niche {name}"), None
-    return passage_items(hole, plane, finishes, paper, own.floor, name=f"passage {name}"), None
+        return niche_items(hole, plane, wall_finish, finishes.frame, name=f"niche {name}"), None
+    return passage_items(hole, plane, finishes, wall_finish, room_finishes.floor, name=f"passage {name}"), None
 
 
 def _second_room_entry(floor_plan: FloorPlan) -> Door | Passage:
@@ -166,13 +173,13 @@ def _second_room_items(
     near = second.sides[3].plane
     cut = [(float((plane.at(s, h, hole.depth_m) - near.origin) @ near.u), h) for s, h in hole_outline(hole)]
     cut.reverse()
-    own = finishes.second
+    room_finishes = finishes.second
     plain = Trim(skirting_m=trim.skirting_m or 0.08)
-    if own.lower_wall is not None:
+    if room_finishes.lower_wall is not None:
         plain = Trim((0.0, 1.1), frozenset(range(4)), skirting_m=plain.skirting_m)
-    items, _ = _room_items(second, floor_plan.second_holes, finishes, own, plain, rng, cuts={3: [cut]})
-    items.append(Item("floor", "floor", build_floor(second, own.floor).mesh()))
-    items.append(Item("ceiling", "ceiling", build_ceiling(second, own.ceiling, []).mesh()))
+    items, _ = _room_items(second, floor_plan.second_holes, finishes, room_finishes, plain, rng, cuts={3: [cut]})
+    items.append(Item("floor", "floor", build_floor(second, room_finishes.floor).mesh()))
+    items.append(Item("ceiling", "ceiling", build_ceiling(second, room_finishes.ceiling, []).mesh()))
     return [Item(f"second room: {item.name}", "second_room", item.mesh) for item in items]
 
 
@@ -182,12 +189,12 @@ def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> l
     if second is None:
         return []
     far = second.sides[1]
-    deep = second.sides[0].length_m
+    depth_m = second.sides[0].length_m
     # A leaf that swings into the second room needs clear floor.
     leaf = 0.0
     if isinstance(hole, Door) and not hole.design.swings_in:
         leaf = (hole.rect[1] - hole.rect[0]) / hole.design.leaves
-    radius = min(0.5, (deep - leaf) / 2 - 0.05, far.length_m / 2 - 0.05)
+    radius = min(0.5, (depth_m - leaf) / 2 - 0.05, far.length_m / 2 - 0.05)
     if radius < 0.15:
         return []
     side = room.sides[hole.side].plane

@@ -91,8 +91,8 @@ def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, b
     s0, s1, h0, h1 = window.rect
     cover = window.cover
     pitch = max(cover.pitch_m, (h1 - h0) / 90)
-    wide = 1.15 * pitch
-    at = near_m - _clearance_m(window) - wide / 2
+    width_m = 1.15 * pitch
+    at = near_m - _clearance_m(window) - width_m / 2
     left, right = s0 + 0.012, s1 - 0.012
     head = h1 - 0.035
     low = head - cover.share * (head - h0 - 0.03)
@@ -100,7 +100,7 @@ def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, b
     hanging = min(int((head - low) / pitch), total)
     packed = total - hanging
     tilt = np.radians(cover.tilt_degrees)
-    half_d, half_h = 0.5 * wide * float(np.cos(tilt)), 0.5 * wide * float(np.sin(tilt))
+    half_d, half_h = 0.5 * width_m * float(np.cos(tilt)), 0.5 * width_m * float(np.sin(tilt))
     for n in range(hanging):
         h = head - (n + 0.7) * pitch
         if h - abs(half_h) < h0 + 0.01:
@@ -114,12 +114,12 @@ def _venetian(window: Window, plane: Plane, finishes: Finishes, near_m: float, b
         builder.quad(plane, corners, finishes.blind)
     foot = max(head - hanging * pitch - 0.004 * packed - 0.02, h0 + 0.002)
     boxes = [
-        [left, right, head, h1, at - 0.5 * wide, at + 0.5 * wide],
-        [left, right, foot, foot + 0.018 + 0.004 * packed, at - 0.5 * wide, at + 0.5 * wide],
+        [left, right, head, h1, at - 0.5 * width_m, at + 0.5 * width_m],
+        [left, right, foot, foot + 0.018 + 0.004 * packed, at - 0.5 * width_m, at + 0.5 * width_m],
     ]
     for share in (0.12, 0.88):
         s = left + share * (right - left)
-        boxes.append([s - 0.0015, s + 0.0015, foot, head, at - 0.5 * wide - 0.001, at - 0.5 * wide + 0.001])
+        boxes.append([s - 0.0015, s + 0.0015, foot, head, at - 0.5 * width_m - 0.001, at - 0.5 * width_m + 0.001])
     builder.bars(plane, np.array(boxes), finishes.blind)
 
 
@@ -157,7 +157,7 @@ def _curtains(
     middle, width = (s0 + s1) / 2, s1 - s0
     gathered = cover.spread_m + min(0.12 * width, 0.25)
     at = -0.085
-    thick = finishes.curtain
+    thickness_m = finishes.curtain
     if cover.kind == "half_curtains":
         reach = cover.share * (right - left)
         one_side = rng.random() < 0.4
@@ -174,7 +174,7 @@ def _curtains(
     for start, end in spans:
         # Gathered cloth has narrower folds than drawn cloth.
         pitch = cover.pitch_m * (0.62 if end - start < 0.45 * (right - left) else 1.0)
-        _add_cloth(_Cloth((start, end), (low, high), at, pitch), plane, thick, rng, builder)
+        _add_cloth(_Cloth((start, end), (low, high), at, pitch), plane, thickness_m, rng, builder)
     if sealed is not None and cover.kind != "drawn_curtains":
         behind = at + 0.05 if spans else at
         cloth = _Cloth((left + 0.01, right - 0.01), (low, high), behind, 0.8 * cover.pitch_m, fold_depth_m=0.014)
@@ -203,7 +203,7 @@ def _add_cloth(cloth: _Cloth, plane: Plane, material: Material, rng: np.random.G
     span, heights = cloth.span, cloth.heights
     count = max(2, round((span[1] - span[0]) / cloth.pitch_m))
     pitch = (span[1] - span[0]) / count
-    deep = min(cloth.fold_depth_m, 0.3 * pitch)
+    depth_m = min(cloth.fold_depth_m, 0.3 * pitch)
     columns = _FOLD_COLUMNS * count + 1
     t = np.linspace(0.0, 1.0, columns)
     rows = np.array([0.0, 0.06, 0.4, 0.75, 1.0])
@@ -221,7 +221,7 @@ def _add_cloth(cloth: _Cloth, plane: Plane, material: Material, rng: np.random.G
     ends = np.sin(np.pi * t) ** 0.2
     local[..., 0] = np.clip(span[0] + t * (span[1] - span[0]) + sideways * ends, *span)
     local[..., 1] = (heights[0] + rows * (heights[1] - heights[0]))[:, None]
-    local[..., 2] = np.minimum(cloth.depth_m - deep * depth * swell * np.sin(phase + drift), -0.004)
+    local[..., 2] = np.minimum(cloth.depth_m - depth_m * depth * swell * np.sin(phase + drift), -0.004)
     length = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(local[2], axis=0), axis=1))])
     uvs = np.stack(np.broadcast_arrays(length[None], -local[..., 1]), -1)
     index = np.arange(local.shape[0] * columns).reshape(-1, columns)

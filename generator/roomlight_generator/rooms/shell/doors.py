@@ -73,12 +73,12 @@ def _architrave(door: Door, plane: Plane, material: Material, builder: MeshBuild
     s0, s1, h0, h1 = door.rect
     if flipped:
         s0, s1 = -s1, -s0
-    wide, lap = door.design.architrave_m, 0.008
+    width_m, lap = door.design.architrave_m, 0.008
     depths = (-_ARCHITRAVE_M, OVERLAP)
     boxes = [
-        [s0 - wide, s0 - lap, h0, h1 + lap, *depths],
-        [s1 + lap, s1 + wide, h0, h1 + lap, *depths],
-        [s0 - wide, s1 + wide, h1 + lap, h1 + wide, *depths],
+        [s0 - width_m, s0 - lap, h0, h1 + lap, *depths],
+        [s1 + lap, s1 + width_m, h0, h1 + lap, *depths],
+        [s0 - width_m, s1 + width_m, h1 + lap, h1 + width_m, *depths],
     ]
     builder.bars(plane, np.array(boxes), material, back=False)
 
@@ -140,24 +140,24 @@ def _panel_rectangles(width: float, height: float, design: DoorDesign) -> list[t
     found: list[tuple[float, float, float, float]] = []
     low = foot
     for share in shares:
-        tall = share * free
+        height_m = share * free
         for column in range(columns):
             left = stile + column * (cell + rail)
-            found.append((left, left + cell, low, low + tall))
-        low += tall + rail
+            found.append((left, left + cell, low, low + height_m))
+        low += height_m + rail
     return found
 
 
 def _panel(face: Plane, field: tuple[float, float, float, float], material: Material, builder: MeshBuilder) -> None:
     """Build a recessed panel with sloping edges."""
     s0, s1, h0, h1 = field
-    deep, bevel = 0.009, 0.022
+    depth_m, bevel = 0.009, 0.022
     outer = [(s0, h0), (s1, h0), (s1, h1), (s0, h1)]
     inner = [(s0 + bevel, h0 + bevel), (s1 - bevel, h0 + bevel), (s1 - bevel, h1 - bevel), (s0 + bevel, h1 - bevel)]
-    builder.panel(face, inner, material, depth=deep, grain_up=True)
+    builder.panel(face, inner, material, depth=depth_m, grain_up=True)
     for k in range(4):
         a, b, c, d = outer[k], outer[(k + 1) % 4], inner[(k + 1) % 4], inner[k]
-        builder.quad(face, [(*a, 0.0), (*b, 0.0), (*c, deep), (*d, deep)], material)
+        builder.quad(face, [(*a, 0.0), (*b, 0.0), (*c, depth_m), (*d, depth_m)], material)
 
 
 def _handle(face: Plane, s: float, toward: float, metal: Material, builder: MeshBuilder) -> None:

@@ -196,8 +196,8 @@ def _place_second_room(
         occupancy.outside.append(corners)
         if isinstance(hole, Door) and hole.design.swings_in:
             occupancy.swings.append(side.footprint(start, start + width, -hole.keep_clear_m, -0.001))
-        tall = max(height + 0.15, uniform(rng, (2.35, 2.9)))
-        second = envelope(corners, tall, ())
+        height_m = max(height + 0.15, uniform(rng, (2.35, 2.9)))
+        second = envelope(corners, height_m, ())
         return second, _second_holes(second, design, rng)
     return None
 
@@ -210,12 +210,12 @@ def _choose_second_room_corners(
     s0, s1 = hole.rect[:2]
     for _ in range(6):
         corridor = rng.random() < 0.5
-        deep = uniform(rng, (1.1, 1.7) if corridor else (2.0, 3.8))
+        depth_m = uniform(rng, (1.1, 1.7) if corridor else (2.0, 3.8))
         left, right = uniform(rng, (0.15, 2.4)), uniform(rng, (0.15, 2.4))
         low = min(max(s0 - left, 0.0), s0 - 0.12)
         high = max(min(s1 + right, side.length_m), s1 + 0.12)
-        corners = side.footprint(low, high, hole.depth_m, hole.depth_m + deep)
-        if occupancy.free_outside(side.footprint(low - 0.02, high + 0.02, hole.depth_m, hole.depth_m + deep + 0.02)):
+        corners = side.footprint(low, high, hole.depth_m, hole.depth_m + depth_m)
+        if occupancy.free_outside(side.footprint(low - 0.02, high + 0.02, hole.depth_m, hole.depth_m + depth_m + 0.02)):
             return corners
     return None
 
@@ -310,15 +310,15 @@ def _choose_skylights(
     found: list[Window] = []
     for k, slope in enumerate(room.slopes):
         wanted = int(rng.integers(1, 3))
-        wide, tall = uniform(rng, (0.55, 1.1)), min(uniform(rng, (0.8, 1.4)), slope.rise_m - 0.35)
-        if tall < 0.45 or (k > 0 and rng.random() < 0.35):
+        width_m, height_m = uniform(rng, (0.55, 1.1)), min(uniform(rng, (0.8, 1.4)), slope.rise_m - 0.35)
+        if height_m < 0.45 or (k > 0 and rng.random() < 0.35):
             continue
-        low = uniform(rng, (0.15, max(slope.rise_m - tall - 0.15, 0.16)))
+        low = uniform(rng, (0.15, max(slope.rise_m - height_m - 0.15, 0.16)))
         cell = slope.length_m / wanted
         for n in range(wanted):
-            start = n * cell + uniform(rng, (0.2, max(cell - wide - 0.2, 0.21)))
-            window = window_style.skylight(k, (start, start + wide, low, low + tall), max(style.wall_m[0], 0.16))
-            if start + wide < slope.length_m - 0.15 and _on_slope(room, k, window):
+            start = n * cell + uniform(rng, (0.2, max(cell - width_m - 0.2, 0.21)))
+            window = window_style.skylight(k, (start, start + width_m, low, low + height_m), max(style.wall_m[0], 0.16))
+            if start + width_m < slope.length_m - 0.15 and _on_slope(room, k, window):
                 found.append(window)
     return found[: max(count, 1)] if style.windows[1] else []
 

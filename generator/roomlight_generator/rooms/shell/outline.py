@@ -151,15 +151,15 @@ def _with_features(corners: list[Point], features: list[_OutlineFeature], width:
     for feature in features:
         low = 0.35
         start = low + feature.place * max(width - feature.width_m - 2 * low, 0.0)
-        end, deep = start + feature.width_m, feature.depth_m
+        end, depth_m = start + feature.width_m, feature.depth_m
         if feature.kind == "chamfer":
-            return [corners[0], (width - deep, 0.0), (width, deep), *corners[2:]]
+            return [corners[0], (width - depth_m, 0.0), (width, depth_m), *corners[2:]]
         if feature.kind == "bay":
             start = (width - feature.width_m) / 2
-            end, inset = start + feature.width_m, min(deep, feature.width_m / 4)
-            cut = [(start, 0.0), (start + inset, -deep), (end - inset, -deep), (end, 0.0)]
+            end, inset = start + feature.width_m, min(depth_m, feature.width_m / 4)
+            cut = [(start, 0.0), (start + inset, -depth_m), (end - inset, -depth_m), (end, 0.0)]
         else:
-            z = -deep if feature.kind == "alcove" else deep
+            z = -depth_m if feature.kind == "alcove" else depth_m
             cut = [(start, 0.0), (start, z), (end, z), (end, 0.0)]
         corners = [corners[0], *cut, *corners[1:]]
     return corners

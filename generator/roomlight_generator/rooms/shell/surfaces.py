@@ -169,8 +169,8 @@ def trim_items(
     side = room.sides[index]
     items: list[Item] = []
     if trim.skirting_m > 0:
-        builder, tall = MeshBuilder(), trim.skirting_m
-        profile = [(0.014, 0.0), (0.014, tall - 0.012), (0.006, tall), (0.0, tall)]
+        builder, height_m = MeshBuilder(), trim.skirting_m
+        profile = [(0.014, 0.0), (0.014, height_m - 0.012), (0.006, height_m), (0.0, height_m)]
         _sweep_along(side, holes, profile, finishes.skirting, builder)
         if builder:
             items.append(Item(f"skirting {index}", "skirting", builder.mesh()))
@@ -187,10 +187,10 @@ def trim_items(
             )
     flat = side.least_height_m > room.height_m - 1e-6 and not room.slopes
     if trim.crown_m > 0 and flat:
-        top, deep = room.height_m, trim.crown_m
+        top, depth_m = room.height_m, trim.crown_m
         turn = np.linspace(0, np.pi / 2, 4)
-        cove = [(deep * float(1 - np.cos(t)), top - deep * float(1 - np.sin(t))) for t in turn]
-        profile = [(0.0, top - deep - 0.012), (0.008, top - deep - 0.012), *[(a + 0.008, h) for a, h in cove]]
+        cove = [(depth_m * float(1 - np.cos(t)), top - depth_m * float(1 - np.sin(t))) for t in turn]
+        profile = [(0.0, top - depth_m - 0.012), (0.008, top - depth_m - 0.012), *[(a + 0.008, h) for a, h in cove]]
         _sweep_along(side, [], profile, moulding, builder)
     if builder:
         items.append(Item(f"moulding {index}", "moulding", builder.mesh()))
@@ -198,11 +198,11 @@ def trim_items(
 
 
 def beam_items(
-    room: Envelope, skylights: Sequence[Window], material: Material, deep: float, rng: np.random.Generator
+    room: Envelope, skylights: Sequence[Window], material: Material, depth_m: float, rng: np.random.Generator
 ) -> list[Item]:
     """Build beams below a flat ceiling along its shorter side, none in the middle (the place of lamps); rafters on
     slopes, but not across a skylight."""
-    wide = float(rng.uniform(0.08, 0.2))
+    width_m = float(rng.uniform(0.08, 0.2))
     spacing = float(rng.uniform(0.6, 1.25))
     builder = MeshBuilder()
     for k, slope in enumerate(room.slopes):
@@ -210,13 +210,13 @@ def beam_items(
         rise = slope.rise_m if slope.rise_m > 0.3 else 0.0
         for n in range(count + 1 if rise else 0):
             middle = n * slope.length_m / count
-            start, end = max(middle - wide / 2, 0.0), min(middle + wide / 2, slope.length_m)
+            start, end = max(middle - width_m / 2, 0.0), min(middle + width_m / 2, slope.length_m)
             if any(
                 light.side == k and light.rect[0] < end + 0.03 and light.rect[1] > start - 0.03 for light in skylights
             ):
                 continue
             builder.bar(
-                slope.plane, (start, end, -0.2, rise + deep * 0.5), (-deep * 0.7, OVERLAP), material, back=False
+                slope.plane, (start, end, -0.2, rise + depth_m * 0.5), (-depth_m * 0.7, OVERLAP), material, back=False
             )
     if not room.slopes:
         points = np.array(room.corners)
@@ -228,17 +228,17 @@ def beam_items(
         step = (high - low) / count
         for n in range(count):
             middle = float(low + (n + 0.5) * step)
-            for start, end in _chords(points, across, middle, wide):
-                span = (middle - wide / 2, middle + wide / 2, start, end)
+            for start, end in _chords(points, across, middle, width_m):
+                span = (middle - width_m / 2, middle + width_m / 2, start, end)
                 box = span if across == 0 else (span[2], span[3], span[0], span[1])
-                builder.bar(plane, box, (-deep, OVERLAP), material, back=False)
+                builder.bar(plane, box, (-depth_m, OVERLAP), material, back=False)
     return [Item("beams", "beam", builder.mesh())] if builder else []
 
 
-def _chords(points: np.ndarray, across: int, middle: float, wide: float) -> list[tuple[float, float]]:
+def _chords(points: np.ndarray, across: int, middle: float, width_m: float) -> list[tuple[float, float]]:
     """Return where lines at both edges of a beam run inside the outline; 1 cm into the walls at each end."""
     spans: list[list[tuple[float, float]]] = []
-    for place in (middle - wide / 2, middle + wide / 2):
+    for place in (middle - width_m / 2, middle + width_m / 2):
         hits: list[float] = []
         for i in range(len(points)):
             a, b = points[i], points[(i + 1) % len(points)]

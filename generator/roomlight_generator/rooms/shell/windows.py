@@ -30,9 +30,9 @@ def window_items(
     sides.tube(plane, rect(*window.rect), (-OVERLAP, far), reveal)
     items = [Item(f"reveal of {name}", "wall", sides.mesh())]
     # The frame stands behind the inner part of the reveal, entirely within the wall.
-    thick = min(design.thickness_m, depth - 0.02)
-    near = min(max(design.inset * depth, 0.025), depth - thick - 0.004)
-    frame, panes = _frame(design, plane, window.rect, (near, near + thick), finishes)
+    thickness_m = min(design.thickness_m, depth - 0.02)
+    near = min(max(design.inset * depth, 0.025), depth - thickness_m - 0.004)
+    frame, panes = _frame(design, plane, window.rect, (near, near + thickness_m), finishes)
     items.append(Item(f"frame of {name}", "frame", frame.mesh()))
     items.append(Item(f"pane of {name}", "pane", panes.mesh()))
     if design.sill_m > 0 and not window.in_slope:
@@ -95,16 +95,16 @@ def _frame(
 
 
 def _ring(
-    hole: Rect, wide: float, depths: tuple[float, float], *, foot: float | None = None
+    hole: Rect, width_m: float, depths: tuple[float, float], *, foot: float | None = None
 ) -> list[tuple[float, float, float, float, float, float]]:
     """Return four bars around the inside of a rectangle, the lowest one `foot` tall."""
     s0, s1, h0, h1 = hole
-    foot = wide if foot is None else foot
+    foot = width_m if foot is None else foot
     return [
-        (s0, s0 + wide, h0, h1, *depths),
-        (s1 - wide, s1, h0, h1, *depths),
-        (s0 + wide, s1 - wide, h0, h0 + foot, *depths),
-        (s0 + wide, s1 - wide, h1 - wide, h1, *depths),
+        (s0, s0 + width_m, h0, h1, *depths),
+        (s1 - width_m, s1, h0, h1, *depths),
+        (s0 + width_m, s1 - width_m, h0, h0 + foot, *depths),
+        (s0 + width_m, s1 - width_m, h1 - width_m, h1, *depths),
     ]
 
 
