@@ -1,6 +1,7 @@
 """One `Light` class: the same light from the engine, and from a response of a server through the client."""
 
 import json
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,27 +9,27 @@ from light_rooms import room
 
 import roomlight as rl
 import roomlight_client as sdk
-from roomlight.light.light import FormReader
+from roomlight.light.light import FileFormat, FormReader
 from roomlight.light.spherical_harmonics import SphericalHarmonics
 from roomlight.wire.light_message import MEDIA_TYPE, pack_light
 from roomlight.wire.messages import EncodedLight, LightResponse, ProbeLight
 from roomlight_client.light import ReceivedForms, parse_lights
 
 ROOM = room(24)
-OBSERVED = np.tile(np.float32([0, 1]), (24, 24))
+OBSERVED = np.tile(np.array([0, 1], np.float32), (24, 24))
 ENGINE = rl.Light((1.0, 0.5, -2.0), ROOM, OBSERVED, frame=7, name="table")
-FILES = ("exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular")
+FILES: tuple[FileFormat, ...] = ("exr", "hdr", "png", "npy", "confidence", "cube", "ktx2", "specular")
 
 
-def received(*forms):
-    """`ENGINE` as a server sends it in these forms: names of files, or (name, values)."""
+def received(*forms: Any) -> rl.Light:
+    """Return `ENGINE` as a server sends it in these forms: file formats, or (format, values)."""
     encoded, parts = [], []
     for form in forms:
-        if isinstance(form, str):
+        if isinstance(form, tuple):
+            encoded.append(EncodedLight(format=form[0], media_type="application/json", values=form[1]))
+        else:
             parts.append(ENGINE.file(form))
             encoded.append(EncodedLight(format=form, media_type="x", bytes=len(parts[-1])))
-        else:
-            encoded.append(EncodedLight(format=form[0], media_type="application/json", values=form[1]))
     result = ProbeLight(position=[1.0, 0.5, -2.0], name="table", coverage=ENGINE.coverage, etag="e", forms=encoded)
     (light,) = parse_lights(pack_light(LightResponse(frame=7, results=[result]), parts), MEDIA_TYPE)
     return light
