@@ -182,7 +182,7 @@ def check_size(request: LightRequest) -> None:
     """Check that the answer cannot exceed `MAX_ANSWER_BYTES`.
 
     Raises:
-        ProblemError: It could (422).
+        ProblemError: The answer could be larger (422).
     """
     size = len(request.probes) * sum(max_bytes(form) for form in request.forms)
     if size > MAX_ANSWER_BYTES:
