@@ -1,4 +1,4 @@
-"""Recordings of box rooms, made on the spot: what a dataset gives, in miniature."""
+"""Small recordings of box rooms, rendered when they are read, in place of a dataset."""
 
 import numpy as np
 
@@ -8,7 +8,7 @@ from rooms import BoxRoom, camera_at
 
 
 class BoxRecordings:
-    """`count` sequences of 31 small frames in box rooms of several sizes; frames are drawn when they are asked for."""
+    """`count` sequences of 31 small frames in box rooms of several sizes; frames are rendered when they are read."""
 
     def __init__(self, count, *, height=60):
         self._count, self._height = count, height
@@ -22,20 +22,20 @@ class BoxRecordings:
     def read(self, index, *, frames):
         room = BoxRoom(size_m=(5.0 + index % 3, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
         poses = [camera_at((0.2 * index % 1, 1.4, 1.2), yaw_degrees=3.0 * number) for number in frames]
-        shots = [room.frame(pose, width=64, height=48) for pose in poses]
+        rendered = [room.frame(pose, width=64, height=48) for pose in poses]
         centre = camera_at((0.2 * index % 1, 1.4, 1.2))[:3, 3]
         positions = centre + np.array([[0.0, -0.2, -1.0], [0.4, 0.1, -1.5], [-0.5, -0.5, -1.2]])
         exposure = np.array([1.0 + 0.01 * number for number in frames])
         colour = np.stack([
-            linear_to_srgb8(np.clip(shot.image * gain, 0, 1)) for shot, gain in zip(shots, exposure, strict=True)
+            linear_to_srgb8(np.clip(frame.image * gain, 0, 1)) for frame, gain in zip(rendered, exposure, strict=True)
         ])  # fmt: skip
-        depth_mm = np.stack([np.rint(shot.depth_m * 1000).astype(np.uint16) for shot in shots])
+        depth_mm = np.stack([np.rint(frame.depth_m * 1000).astype(np.uint16) for frame in rendered])
         return Recording(
             name=f"box-{index}",
             colour=colour,
             depth_mm=depth_mm,
             surface=np.zeros(depth_mm.shape, np.uint8),
-            intrinsics=shots[0].intrinsics,
+            intrinsics=rendered[0].intrinsics,
             camera_to_world=np.stack(poses),
             exposure=exposure,
             timestamp_s=np.array(frames) / 3.0,

@@ -1,4 +1,4 @@
-"""Image files: round trips, and every way a file can be broken ends in one error that names it."""
+"""Image files: round trips, and an ImageError that names the file for every kind of damage."""
 
 import io
 import struct
@@ -90,7 +90,7 @@ def test_beyond_half_becomes_its_largest_value(tmp_path):
     assert (read_panorama(tmp_path / "p.exr") == 65504).all()
 
 
-def test_exr_colour_without_sense_becomes_black(tmp_path):
+def test_invalid_exr_colours_become_black(tmp_path):
     bad = np.ones((4, 8, 3), np.float32)
     bad[0, 0], bad[1, 1], bad[2, 2] = np.nan, -5, np.inf
     image, clipped = read_colour(_exr(tmp_path, RGB=bad))
@@ -131,7 +131,7 @@ def test_depth_png_is_in_its_unit_and_65535_is_unknown(tmp_path):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float16])
-def test_depth_exr_is_in_metres_and_what_is_not_finite_is_unknown(tmp_path, dtype):
+def test_depth_exr_is_in_metres_and_not_finite_is_unknown(tmp_path, dtype):
     metres = np.array([[1.5, np.nan, np.inf, -np.inf], [-1.0, 0.0, 2.0, 4.0]], dtype)
     path = _exr(tmp_path, Z=metres)
     assert decode_depth(path.read_bytes(), "d", unit_m=0.001).tolist() == [[1.5, 0, 0, 0], [0, 0, 2.0, 4.0]]
@@ -158,7 +158,7 @@ def test_missing_and_empty_files_are_named(tmp_path):
 
 
 @pytest.mark.parametrize("data", [b"x", b"GIF89a......", b"\x89PNG", b"\xff\xd8", b"#?", b"\x76\x2f\x31\x01"])
-def test_stubs_of_files_are_refused(data):
+def test_files_of_a_few_bytes_are_refused(data):
     with pytest.raises(ImageError, match=r"^stub: "):
         decode_colour(data, "stub")
 
@@ -189,7 +189,7 @@ def test_a_header_of_absurd_size_is_refused_before_decoding(kind, tmp_path):
 # A JPEG that is larger than its data says decodes (grey at the end), by the format's own rules.
 @pytest.mark.parametrize("kind", ["png", "hdr", "exr"])
 @pytest.mark.parametrize("size", [(0, 12), (16, 0), (17, 13), (4000, 4000)])
-def test_a_header_that_lies_is_refused(kind, size, tmp_path):
+def test_a_header_of_another_size_than_the_data_is_refused(kind, size, tmp_path):
     with pytest.raises(ImageError, match=r"^liar: "):
         decode_colour(_bomb(kind, *size, tmp_path), "liar")
 
@@ -288,14 +288,14 @@ def test_writing_makes_folders_and_leaves_nothing_else(kind, tmp_path):
 
 
 @pytest.mark.parametrize("kind", ["exr", "png", "bytes"])
-def test_where_nothing_can_be_written_the_error_names_the_file(kind, tmp_path):
+def test_a_write_error_names_the_file(kind, tmp_path):
     (tmp_path / "file").write_text("not a folder")
     with pytest.raises(OutputError, match=r"file/x\."):
         _write(kind, tmp_path / "file" / f"x.{kind}")
 
 
 @pytest.mark.parametrize("kind", ["exr", "png", "bytes"])
-def test_a_failed_write_leaves_the_old_file_and_no_half_one(kind, tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_file_only(kind, tmp_path, monkeypatch):
     target = tmp_path / f"x.{kind}"
     target.write_text("old")
 

@@ -74,7 +74,7 @@ def test_only_a_clearly_closer_surface_replaces(seen_m, now_m, kept):
     assert float(ruled) == pytest.approx(0.8 if kept else 0.0)
 
 
-def test_gradients_pass_the_rule_where_it_lets_through():
+def test_gradients_pass_where_the_rule_keeps_the_weight():
     weight = torch.full((1, 1, 1, 2), 0.5, requires_grad=True)
     depth = torch.tensor([[[[1.0, 2.0]]]])
     conservative(weight, depth, torch.full_like(depth, 2.0)).sum().backward()

@@ -1,4 +1,4 @@
-"""Checkpoint files: a faithful round trip, and a clear refusal of everything else."""
+"""Checkpoint files: an exact round trip, and a clear refusal of all other files."""
 
 import collections
 
@@ -71,7 +71,7 @@ def test_refuses_tampered(tmp_path, contents, change, named):
 
 
 @pytest.mark.usefixtures("contents")
-def test_refuses_what_is_no_checkpoint(tmp_path):
+def test_refuses_files_that_are_not_checkpoints(tmp_path):
     with pytest.raises(ModelError, match="cannot be read"):
         load_checkpoint(tmp_path / "none.pt")
     with pytest.raises(ModelError, match="cannot be read"):
@@ -97,7 +97,7 @@ def test_runs_no_code_from_the_file(tmp_path, contents):
         load_checkpoint(tmp_path / "code.pt")
 
 
-def test_refuses_to_save_nonsense(tmp_path):
+def test_refuses_to_save_invalid_cards_and_paths(tmp_path):
     model = SingleModel(CONFIG)
     with pytest.raises(ModelError, match="JSON"):
         save_checkpoint(tmp_path / "a.pt", model, card={"data": object()})

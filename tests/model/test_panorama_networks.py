@@ -63,7 +63,7 @@ def test_sizes_that_do_not_halve(height):
     assert BlendDecoder(BLEND)(f0, f1, seen).shape == seen.shape
 
 
-def test_turning_the_panorama_turns_the_weight():
+def test_rotating_the_panorama_rotates_the_weight():
     """Eight columns are one step of the coarsest level; the seam must not show. Tolerance: order of summation."""
     encoder, decoder = BlendEncoder(BLEND, panels=SINGLE_PANELS), BlendDecoder(BLEND)
     seen = observation(1)
@@ -100,7 +100,7 @@ def test_single_view_blend_lies_between_its_panoramas():
     assert torch.equal(light[outside], seen.hdr[outside])
 
 
-def test_a_probes_first_frame_is_the_single_view_panorama_filled_beyond_the_mesh():
+def test_a_probes_first_frame_is_the_single_view_panorama():
     seen = observation(4)
     model = VideoModel(CONFIG)
     state = model.blend_start(seen)

@@ -1,4 +1,4 @@
-"""The compiled marching and its hand-written gradient, held to the differentiable twin."""
+"""The compiled ray marching and its hand-written gradient against the differentiable twin."""
 
 import pytest
 import torch

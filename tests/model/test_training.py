@@ -139,7 +139,7 @@ def test_a_killed_run_repeats_the_curve_of_a_whole_one(tmp_path):
 
 
 def test_a_mirrored_example_is_the_mirrored_room():
-    """The same volume seen in a mirror gives the same light along mirrored rays."""
+    """The mirrored volume gives the same light along mirrored rays."""
     recordings = BoxRecordings(1)
     plain = example_of(recordings.read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([plain, replace(plain, mirrored=True)], volume_shape=(16, 15, 21), panorama_height=None)
@@ -157,7 +157,7 @@ def test_a_mirrored_example_is_the_mirrored_room():
 
 
 def test_truth_and_image_agree_in_units_and_place():
-    """What the frame's mesh shows at a probe is what the truth shows there: poses, units and mirroring all agree."""
+    """The frame's mesh rendered at a probe equals the truth: poses, units and mirroring agree."""
     example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
     seen = batch.mask.expand_as(batch.truth) > 0
@@ -386,7 +386,7 @@ def test_detail_of_earlier_frames_stays_without_gradient():
 
 
 def test_frames_shown_together_have_one_exposure():
-    """Phones change exposure as they go; a wall is as bright in the third frame as in the first."""
+    """Phones change exposure while recording; a wall must be as bright in the third frame as in the first."""
     recording = BoxRecordings(1).read(0, frames=[0, 0])
     twice = replace(recording, exposure=np.array([1.0, 0.5]))
     darker = linear_to_srgb8(srgb8_to_linear(recording.colour[1]) * 0.5)

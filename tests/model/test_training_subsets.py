@@ -1,4 +1,4 @@
-"""Which sequences a run trains on, while its dataset grows, and that none of those held out is ever among them."""
+"""The training sequences of a growing dataset; held-out sequences are never among them."""
 
 from dataclasses import replace
 
@@ -33,7 +33,7 @@ def test_a_dataset_that_grows_keeps_its_held_out_rooms(tmp_path):
     assert names(rooms.training) == [f"train-{number:06d}" for number in range(2, 12)]
 
 
-def test_other_folders_are_trained_on_whole(tmp_path):
+def test_all_of_the_other_folders_is_trained_on(tmp_path):
     rooms = TrainingRooms([make(tmp_path / "first", 4), make(tmp_path / "second", 4)])
     assert (len(rooms.held_out), len(rooms.training)) == (1, 7)
     make(tmp_path / "second", 8)
@@ -75,11 +75,11 @@ def test_only_views_of_the_lit_side_are_trained_on(tmp_path):
     assert not set(names(rooms.training)) & set(names(rooms.held_out))
 
 
-def test_where_no_view_is_left_the_least_is_said(tmp_path):
+def test_if_no_sequence_is_left_the_error_states_the_least(tmp_path):
     with pytest.raises(DatasetError, match=r"none of 6 sequences .* at most 0.01 .*the least: [0-9.]+\); allow more"):
         TrainingRooms([make(tmp_path / "first", 8)], surround_max=0.01)
 
 
-def test_what_is_no_dataset_is_named(tmp_path):
+def test_a_folder_without_a_dataset_is_named(tmp_path):
     with pytest.raises(DatasetError, match="nowhere"):
         TrainingRooms([make(tmp_path / "first", 4), tmp_path / "nowhere"])

@@ -49,7 +49,7 @@ def test_decoder_gives_the_renderers_layout(recurrent):
 
 
 @pytest.mark.parametrize("spherical_gaussians", [True, False])
-def test_nothing_is_left_where_the_depth_map_says_empty(spherical_gaussians):
+def test_voxels_that_the_depth_map_empties_are_cleared(spherical_gaussians):
     given = volume(2)
     config = SGConfig(channels=8, full_channels=4, spherical_gaussians=spherical_gaussians)
     predicted = SingleModel(ModelConfig(config))(given)
@@ -120,7 +120,7 @@ def test_unseen_walls_begin_in_the_rooms_own_colour():
     assert colours / colours[1] == pytest.approx(torch.ones(3), rel=0.2)
 
 
-def test_unseen_places_begin_with_what_is_seen_around_them():
+def test_unseen_voxels_start_from_their_surroundings():
     given = torch.zeros((1, 5, *SHAPE))
     given[:, 3, :2], given[:, 3, -2:] = 1, 1
     given[:, :3, :2] = torch.tensor([0.8, 0.2, 0.2])[:, None, None, None]
@@ -133,7 +133,7 @@ def test_unseen_places_begin_with_what_is_seen_around_them():
     assert alone.std(dim=(0, 1, 2)).max() < 1e-5
 
 
-def test_a_window_lends_its_surroundings_no_more_than_white():
+def test_a_window_fills_its_surroundings_with_at_most_white():
     given = yellow_room()
     given[:, :3, :8, :, 12:] = 50.0
     around = first_colours(given)[8:]
@@ -141,7 +141,7 @@ def test_a_window_lends_its_surroundings_no_more_than_white():
     assert first_colours(given)[:8, :, 12:].min() > 45  # what was seen itself stays as bright as it is
 
 
-def test_twice_the_light_is_answered_by_twice_the_light():
+def test_twice_the_input_light_gives_twice_the_light():
     model = SingleModel(CONFIG)
     torch.manual_seed(3)
     dim = model(yellow_room(0.4)).lobes.detach()[..., :6]
@@ -152,7 +152,7 @@ def test_twice_the_light_is_answered_by_twice_the_light():
     assert nothing.mean() == pytest.approx(0.3, rel=0.2)  # a black volume: grey, not an end of all light
 
 
-def test_the_frames_tint_can_be_heard():
+def test_the_decoder_uses_the_frames_tint():
     model = SingleModel(CONFIG)
     before = model(yellow_room()).alpha
     torch.nn.init.normal_(model.sg_decoder.tint.weight)
@@ -173,8 +173,8 @@ def test_weights_fit_other_volume_sizes():
     assert SingleModel(CONFIG)(given).alpha.shape == (1, 16, 16, 24)
 
 
-def test_every_voxel_hears_the_whole_room():
-    """128 voxels apart is beyond all convolutions: only the global view carries it (normalisation is off)."""
+def test_every_voxel_depends_on_the_whole_volume():
+    """128 voxels are beyond all convolutions: only the global view transmits the change (normalisation is off)."""
     model = SingleModel(ModelConfig(SGConfig(channels=4, full_channels=4, norm="none")))
     dark = volume(shape=(128, 8, 8))
     lit = dark.clone()

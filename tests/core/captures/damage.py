@@ -1,4 +1,4 @@
-"""Ways to break a recorded capture, drawn by a seeded generator; `damaged` breaks one to three things of a copy."""
+"""Kinds of damage to a capture, drawn by a seeded generator; `damaged` damages one to three files of a copy."""
 
 import json
 import os
@@ -213,7 +213,7 @@ def huge_member(archive: Path, rng: random.Random) -> None:
 
 
 def damaged(original: Path, scratch: Path, rng: random.Random) -> Path:
-    """A copy of a capture (folder or archive) below `scratch`, broken."""
+    """Copy a capture (folder or archive) below `scratch` and damage the copy."""
     path = scratch / "broken" / original.name
     if original.is_file():
         path.parent.mkdir()

@@ -136,17 +136,17 @@ def nerfcapture(path: Path, views: list[View]) -> Path:
 
 
 def seven_scenes(path: Path, views: list[View]) -> Path:
-    """World turned by 25 degrees about x, which gravity-direction.txt tells."""
-    turn = np.eye(4)
-    turn[:3, :3] = rotation("x", 25.0)
+    """World rotated by 25 degrees about x, as gravity-direction.txt states."""
+    rotated = np.eye(4)
+    rotated[:3, :3] = rotation("x", 25.0)
     for index, view in enumerate(views):
         stem = f"frame-{index * 4:06d}"
         save(path / f"{stem}.color.jpg", image(".jpg", view.srgb8))
         save(path / f"{stem}.depth.png", image(".png", millimetres(view)))
-        rows = turn @ view.pose @ FLIP
+        rows = rotated @ view.pose @ FLIP
         save(path / f"{stem}.pose.txt", "\n".join("\t ".join(f"{v:.10e}" for v in row) for row in rows).encode())
     save(path / "camera-intrinsics.txt", f"{FX} 0 {CX}\n0 {FY} {CY}\n0 0 1\n".encode())
-    gravity = turn[:3, :3] @ [0, -1, 0]
+    gravity = rotated[:3, :3] @ [0, -1, 0]
     save(path / "gravity-direction.txt", "\n".join(str(value) for value in gravity).encode())
     return path
 

@@ -1,4 +1,4 @@
-"""Each rule for bad input by itself: what is skipped, what is refused, and that the message names file and reason."""
+"""Every rule for bad input: the frame is skipped or the capture refused, and the message names file and reason."""
 
 import json
 import os
@@ -29,7 +29,7 @@ def edit(path: Path, change: Callable[[dict], object]) -> None:
 
 
 def one_skipped(path: Path, index: int, *parts: str) -> Capture:
-    """The capture still gives its other three frames, and says of this one what is wrong with which file."""
+    """Check that the other three frames are read and this one is skipped with file and reason."""
     capture = open_capture(path)
     assert [frame.index for frame in capture] == [number for number in range(4) if number != index]
     (skipped,) = capture.skipped
@@ -69,13 +69,13 @@ def native(tmp_path: Path) -> Path:
         (None, "4 x 4"),
     ],
 )
-def test_a_lost_or_senseless_pose(transforms: Path, matrix: object, says: str) -> None:
+def test_an_invalid_pose_skips_the_frame(transforms: Path, matrix: object, says: str) -> None:
     edit(transforms / "transforms.json", lambda index: index["frames"][1].update(transform_matrix=matrix))
     one_skipped(transforms, 1, says)
 
 
 @pytest.mark.parametrize("focal", [0, -28, NAN, 1e-3, 1e308, "28", None])
-def test_a_focal_length_that_no_lens_has(native: Path, focal: object) -> None:
+def test_an_invalid_focal_length_skips_the_frame(native: Path, focal: object) -> None:
     edit(native / "capture.json", lambda index: index["frames"][1]["intrinsics"].update(fx=focal))
     one_skipped(native, 1, "fx")
 
@@ -129,18 +129,18 @@ def test_intrinsics_without_a_size_must_suit_the_image(tmp_path: Path) -> None:
         list(open_capture(path))
 
 
-def test_depth_that_is_nowhere_known(native: Path) -> None:
+def test_a_frame_without_known_depth_is_skipped(native: Path) -> None:
     formats.save(native / "depth/000000.png", formats.image(".png", np.zeros((24, 32), np.uint16)))
     one_skipped(native, 0, "depth/000000.png", "no pixel has a known depth")
 
 
-def test_a_depth_unit_that_is_clearly_wrong(native: Path) -> None:
+def test_a_wrong_depth_unit_skips_the_frame(native: Path) -> None:
     formats.save(native / "depth/000003.png", formats.image(".png", formats.millimetres(VIEWS[3]) // 1000))
     one_skipped(native, 3, "depth/000003.png", "depth unit looks wrong", "depth_unit_m")
 
 
 @pytest.mark.parametrize("broken", [b"", b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff", b"GIF89a", b"#?RADIANCE\n\n-Y 1"])
-def test_pictures_that_are_none(native: Path, broken: bytes) -> None:
+def test_broken_image_files_are_skipped(native: Path, broken: bytes) -> None:
     (native / "colour/000001.jpg").write_bytes(broken)
     one_skipped(native, 1, "colour/000001.jpg")
 
@@ -160,7 +160,7 @@ def test_a_gigantic_picture_is_not_decoded(native: Path) -> None:
     one_skipped(native, 1, "60000 x 60000")
 
 
-def test_npy_depth_that_lies_about_its_size_or_hides_objects(native: Path, tmp_path: Path) -> None:
+def test_npy_depth_of_false_size_or_with_objects_is_refused(native: Path, tmp_path: Path) -> None:
     np.save(tmp_path / "object.npy", np.array([{}, {}], dtype=object), allow_pickle=True)
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (99999, 99999), }\n"
     giant = b"\x93NUMPY\x01\x00" + struct.pack("<H", len(header)) + header
@@ -170,13 +170,13 @@ def test_npy_depth_that_lies_about_its_size_or_hides_objects(native: Path, tmp_p
 
 
 @pytest.mark.parametrize("exposure", [0, -1, NAN, 1e9, "1", True])
-def test_an_exposure_that_is_none(native: Path, exposure: object) -> None:
+def test_an_exposure_out_of_range_skips_the_frame(native: Path, exposure: object) -> None:
     edit(native / "capture.json", lambda index: index["frames"][1].update(exposure=exposure))
     one_skipped(native, 1, "exposure")
 
 
 @pytest.mark.parametrize("entry", [None, 7, "x", [], {}])
-def test_an_entry_that_is_no_frame(native: Path, entry: object) -> None:
+def test_an_entry_that_is_not_a_frame_is_skipped(native: Path, entry: object) -> None:
     edit(native / "capture.json", lambda index: index["frames"].__setitem__(2, entry))
     one_skipped(native, 2, "capture.json: frame 2")
 
@@ -195,7 +195,7 @@ def test_a_path_out_of_the_folder(transforms: Path, name: str) -> None:
     assert len(skipped.reason) < 1200
 
 
-def test_links_out_of_the_folder_in_a_circle_and_inside(transforms: Path) -> None:
+def test_links_may_lead_only_inside_the_folder(transforms: Path) -> None:
     outside = transforms.parent / "outside.png"
     formats.save(outside, formats.image(".png", VIEWS[1].srgb8))
     target = transforms / "images/frame_00002.png"
@@ -290,7 +290,7 @@ def test_a_broken_index_refuses_the_capture(transforms: Path, data: bytes, says:
         (b'{"format": "roomlight-capture", "version": 1, "frames": [], "probes": 3}', "probes"),
     ],
 )
-def test_a_native_index_of_another_kind(native: Path, data: bytes, says: str) -> None:
+def test_a_native_index_of_another_format_is_refused(native: Path, data: bytes, says: str) -> None:
     (native / "capture.json").write_bytes(data)
     with pytest.raises(CaptureError, match=says):
         open_capture(native)
@@ -305,7 +305,7 @@ def test_an_index_larger_than_the_limit_is_not_read(transforms: Path, monkeypatc
         open_capture(transforms)
 
 
-def test_when_every_frame_is_bad_the_first_reason_is_told(transforms: Path) -> None:
+def test_if_every_frame_is_bad_the_error_gives_a_reason(transforms: Path) -> None:
     for file in (transforms / "images").iterdir():
         file.unlink()
     capture = open_capture(transforms)
@@ -342,7 +342,7 @@ def test_a_broken_list_of_tum_refuses_the_capture(tmp_path: Path, name: str, tex
 
 
 @pytest.mark.parametrize("name", ["rgb.mp4", "camera_matrix.csv", "odometry.csv"])
-def test_a_missing_or_broken_part_of_stray_scanner_refuses_the_capture(tmp_path: Path, name: str) -> None:
+def test_a_broken_stray_scanner_file_refuses_the_capture(tmp_path: Path, name: str) -> None:
     path = formats.stray_scanner(tmp_path / "capture", VIEWS)
     (path / name).write_bytes(b"\x00\x01 nothing \xff")
     with pytest.raises(CaptureError, match=name):
@@ -446,7 +446,7 @@ def test_a_bomb_is_refused_by_its_declared_size(tmp_path: Path) -> None:
     one_skipped(path, 2, "rgbd/2.jpg", "declares 1073741824 bytes")
 
 
-def test_members_with_other_names_are_left_alone(tmp_path: Path) -> None:
+def test_members_with_other_names_are_ignored(tmp_path: Path) -> None:
     extra = {"../../outside.jpg": b"x", "/rgbd/9.jpg": b"x", "rgbd/../7.jpg": b"x", f"rgbd/{'9' * 50}.jpg": b"x"}
     path = repacked(tmp_path / "a.r3d", lambda members: members.update(extra))
     assert open_capture(path).frame_count == 4
@@ -486,7 +486,7 @@ def test_a_zip_is_record3d_only_by_its_listing(tmp_path: Path) -> None:
     "change",
     [{"K": [0] * 9}, {"K": [1, 2]}, {"K": None}, {"w": 0}, {"h": "x"}, {"dw": -1}, {"dh": 1e9}, {"poses": None}],
 )
-def test_senseless_metadata_refuses_the_capture(tmp_path: Path, change: dict) -> None:
+def test_invalid_metadata_refuses_the_capture(tmp_path: Path, change: dict) -> None:
     path = formats.record3d_export(tmp_path / "capture", VIEWS)
     edit(path / "metadata.json", lambda index: index.update(change))
     with pytest.raises(CaptureError, match=r"metadata\.json"):

@@ -75,7 +75,7 @@ def test_every_and_max_frames_select_records_by_their_own_index(built: tuple[str
         assert capture.frames_per_second == pytest.approx(15, rel=1e-3)
 
 
-def test_frames_are_had_singly_and_again(built: tuple[str, Path]) -> None:
+def test_frames_can_be_read_singly_and_repeatedly(built: tuple[str, Path]) -> None:
     _, path = built
     capture = open_capture(path)
     third = capture.frame_at(2)
@@ -150,7 +150,7 @@ def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
         {"max_frames": 0},
     ],
 )
-def test_options_that_mean_nothing_are_refused(options: dict) -> None:
+def test_options_out_of_range_are_refused(options: dict) -> None:
     (name,) = options
     with pytest.raises(OptionError, match=rf"^{name} is .*must be"):
         CaptureOptions(**options)
@@ -169,7 +169,7 @@ def test_unknown_format_names_and_paths(tmp_path: Path) -> None:
         open_capture(tmp_path / ("x" * 5000))
 
 
-def test_opening_decodes_nothing_and_frames_come_before_a_late_fault(built: tuple[str, Path]) -> None:
+def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
     name, path = built
     if path.is_file():  # an archive: cut the last member's picture short instead
         members = formats.record3d_members(VIEWS)
@@ -291,7 +291,7 @@ def test_lens_distortion_is_removed(tmp_path: Path, model: str) -> None:
     assert np.median(np.abs(frame.depth_m[inside] - there)) < 1e-3
 
 
-def test_a_distorted_camera_model_that_is_not_read_is_said(tmp_path: Path) -> None:
+def test_an_unknown_distortion_model_is_refused_by_name(tmp_path: Path) -> None:
     path = formats.nerfstudio(tmp_path / "capture", VIEWS)
     edit(path / "transforms.json", lambda index: index.update(k1=0.1, camera_model="EQUIRECTANGULAR"))
     with pytest.raises(CaptureError, match=r"EQUIRECTANGULAR.*undistort"):

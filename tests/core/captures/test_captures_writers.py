@@ -1,4 +1,4 @@
-"""What the writers write, the readers read back; and nothing partial is ever taken for whole."""
+"""Writers and readers round-trip, and a partial capture is never read as a complete one."""
 
 from pathlib import Path
 
@@ -80,7 +80,7 @@ def test_stray_scanner_round_trip(tmp_path: Path) -> None:
     check(tmp_path / "capture", pose_tolerance=1e-7)
 
 
-def test_depth_that_16_bits_of_millimetres_do_not_hold_is_unknown(tmp_path: Path) -> None:
+def test_depth_beyond_16_bits_of_millimetres_is_unknown(tmp_path: Path) -> None:
     depth_m = np.full((24, 32), 2.0, np.float32)
     depth_m[0, :5] = [np.nan, np.inf, -1, 65.535, 70]
     depth_m[0, 5] = 65.534
@@ -102,7 +102,7 @@ def test_an_exception_leaves_nothing(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
 
 
-def test_an_unfinished_capture_is_not_readable_and_does_not_hinder_the_next(tmp_path: Path) -> None:
+def test_an_unfinished_capture_is_unreadable_and_replaced(tmp_path: Path) -> None:
     add_all(CaptureWriter(tmp_path / "capture"))
     (partial,) = tmp_path.iterdir()
     with pytest.raises(UnknownFormatError):
@@ -112,7 +112,7 @@ def test_an_unfinished_capture_is_not_readable_and_does_not_hinder_the_next(tmp_
     assert open_capture(tmp_path / "capture").frame_count == 4
 
 
-def test_what_the_native_writer_refuses(tmp_path: Path) -> None:
+def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
     view = VIEWS[0]
     whole = {"srgb8": view.srgb8, "depth_m": view.depth_m, "intrinsics": CAMERA, "camera_to_world": view.pose}
     with pytest.raises(OutputError, match="at least one frame"), CaptureWriter(tmp_path / "a"):
@@ -135,7 +135,7 @@ def test_what_the_native_writer_refuses(tmp_path: Path) -> None:
     assert open_capture(tmp_path / "b").frame_count == 1
 
 
-def test_what_the_stray_scanner_writer_refuses(tmp_path: Path) -> None:
+def test_invalid_input_to_the_stray_scanner_writer_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="at least one frame"):
         write_stray_scanner(tmp_path / "a", [])
     square = Intrinsics(30.0, 30.0, 12.0, 12.0, 24, 24)

@@ -1,4 +1,4 @@
-"""Any sequence by number, all of them as a stream that trains: every one once, in an order that a seed decides."""
+"""Reading sequences by number, and as a stream: every sequence once, in an order given by the seed."""
 
 from itertools import pairwise
 
@@ -43,7 +43,7 @@ def names(stream):
     return [example.recording.name for example in stream]
 
 
-def test_sequences_are_read_by_number_whatever_was_read_before(folder):
+def test_sequences_are_read_by_number_in_any_order(folder):
     dataset = Dataset(folder)
     assert len(dataset) == 24
     assert dataset[17].name == "train-000017"
@@ -75,7 +75,7 @@ def test_a_folder_without_a_manifest_is_no_dataset(tmp_path):
         Dataset(tmp_path / "nowhere")
 
 
-def test_a_stream_gives_every_sequence_once_in_an_order_of_its_seed(folder):
+def test_a_stream_has_every_sequence_once_ordered_by_its_seed(folder):
     dataset = Dataset(folder)
     orders = [
         names(dataset.stream(StreamOptions(seed=seed, epoch=epoch, buffer=6)))
@@ -103,7 +103,7 @@ def test_parts_share_no_sequence_and_miss_none(folder):
     assert sorted(name for part in parts for name in part) == dataset.names
 
 
-def test_exact_depth_is_the_recording_s_and_arkit_depth_a_phone_s(folder):
+def test_depth_is_exact_or_simulated_phone_depth(folder):
     dataset = Dataset(folder)
     exact = next(dataset.stream(StreamOptions(frames=(0, 2))))
     np.testing.assert_array_equal(exact.depth_mm, exact.recording.depth_mm)
@@ -123,7 +123,7 @@ def test_a_stream_can_be_left_early(folder):
     stream.close()
 
 
-def test_damage_is_one_sequence_s_and_the_others_load(one_damaged):
+def test_damage_to_one_sequence_leaves_the_others_readable(one_damaged):
     dataset = Dataset(one_damaged)
     for number in range(24):
         if number != 9:

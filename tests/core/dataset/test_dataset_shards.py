@@ -1,4 +1,4 @@
-"""What is stored is what was given, and a sequence is there whole or not at all, whatever happens to the files."""
+"""Stored sequences decode to their recordings, and are complete or absent whatever happens to the files."""
 
 import errno
 import io
@@ -31,7 +31,7 @@ def contents(seed, size):
 
 
 def filled(folder, count=3, *, finish=False):
-    """A shard of small sequences, and its bytes as written without any accident."""
+    """Write a shard of small sequences; returns its path and the bytes of both files."""
     folder.mkdir(parents=True, exist_ok=True)
     tar = folder / "train-00000.tar"
     with ShardWriter(tar) as shard:
@@ -63,12 +63,12 @@ def test_an_archive_is_what_tar_programs_read(files):
         }
 
 
-def test_another_folder_s_members_are_refused():
+def test_members_of_another_folder_are_refused():
     with pytest.raises(ValueError, match="does not belong to train-000001"):
         unpack(pack("train-000000", {"a": b"x"}), "train-000001")
 
 
-def test_a_filler_hides_what_is_behind_it():
+def test_a_filler_hides_the_bytes_it_covers():
     lost = contents(0, 3 * BLOCK)
     archive = filler(".damaged", len(lost)) + lost[BLOCK:] + pack("f", {"a": b"kept"})
     with tarfile.open(fileobj=io.BytesIO(archive + end_of_archive(len(archive)))) as file:
@@ -140,7 +140,7 @@ def test_a_sequence_is_a_capture_that_the_readers_know(tmp_path):
     )
 
 
-def test_what_is_brighter_than_a_half_float_keeps_its_hue():
+def test_colours_beyond_half_floats_keep_their_hue():
     before = one(5)
     before.probe_panoramas[0, 3, 4] = (400_000, 300_000, 100_000)
     after = sequence_files.decode(sequence_files.encode(before), "here").probe_panoramas[0, 3, 4]
@@ -160,7 +160,7 @@ def test_what_is_brighter_than_a_half_float_keeps_its_hue():
         ({"facts": {"x": float("nan")}}, "not JSON compliant"),
     ],
 )
-def test_a_recording_that_contradicts_itself_is_not_stored(change, says):
+def test_an_inconsistent_recording_is_not_stored(change, says):
     broken = one(6)
     for name, value in change.items():
         object.__setattr__(broken, name, value)
@@ -182,7 +182,7 @@ def test_a_shard_holds_what_was_appended(tmp_path):
     assert subprocess.run(["tar", "tf", str(tar)], capture_output=True, check=True).stderr == b""
 
 
-def test_a_finished_shard_is_gone_on_with_as_if_it_never_was(tmp_path):
+def test_a_finished_shard_can_be_continued(tmp_path):
     tar, _, _ = filled(tmp_path / "at-once", 5, finish=True)
     other, _, _ = filled(tmp_path / "in-two", 2, finish=True)
     assert is_finished(other, {"train-000000", "train-000001"})
@@ -203,7 +203,7 @@ def _cuts(length, step):
     )
 
 
-def test_a_tail_torn_anywhere_is_cut_off_and_made_again_to_the_same_bytes(tmp_path, monkeypatch):
+def test_a_truncated_end_is_removed_and_written_again(tmp_path, monkeypatch):
     """Every place where a kill can end the last sequence's bytes and then its line, and one byte more or less."""
     monkeypatch.setattr(os, "fsync", lambda _: None)  # 40 resumptions; what is synced when has a test of its own
     tar, whole, lines = filled(tmp_path, finish=True)
@@ -233,7 +233,7 @@ def test_a_tail_torn_anywhere_is_cut_off_and_made_again_to_the_same_bytes(tmp_pa
 @pytest.mark.parametrize(
     "rubbish", [b"\0" * 300, b"{}\n", b"\n\n", b'{"name": "train-000003", "offset": 0}\n', b"\xff\xfe\n{"]
 )
-def test_rubbish_behind_the_last_line_is_nobody_s_sequence(rubbish, tmp_path):
+def test_bytes_after_the_last_line_belong_to_no_sequence(rubbish, tmp_path):
     tar, whole, lines = filled(tmp_path)
     index_path(tar).write_bytes(lines + rubbish)
     tar.write_bytes(whole + contents(9, 5000))
@@ -243,7 +243,7 @@ def test_rubbish_behind_the_last_line_is_nobody_s_sequence(rubbish, tmp_path):
     assert (tar.read_bytes(), index_path(tar).read_bytes()) == (whole, lines)
 
 
-def test_a_line_is_written_when_its_bytes_are_on_the_disk(tmp_path, monkeypatch):
+def test_a_line_is_written_after_its_bytes_are_synced(tmp_path, monkeypatch):
     events = []
     tar = tmp_path / "train-00000.tar"
     real_sync, real_pwrite, real_write = os.fsync, os.pwrite, os.write
@@ -258,7 +258,7 @@ def test_a_line_is_written_when_its_bytes_are_on_the_disk(tmp_path, monkeypatch)
 
 @pytest.mark.parametrize("where", [0, 1, 2])
 @pytest.mark.parametrize("at", [0.0, 0.5, 1.0])
-def test_a_flipped_byte_is_one_sequence_s_error_that_says_what_to_do(where, at, tmp_path):
+def test_a_flipped_byte_damages_one_sequence_and_names_a_remedy(where, at, tmp_path):
     tar, whole, _ = filled(tmp_path, finish=True)
     entries = read_index(tar).entries
     damaged = bytearray(whole)
@@ -279,7 +279,7 @@ def test_a_flipped_byte_is_one_sequence_s_error_that_says_what_to_do(where, at, 
             assert shard.names == {"train-000000", "train-000001"}
 
 
-def test_a_flipped_byte_of_the_index_loses_its_line_alone(tmp_path):
+def test_a_flipped_byte_of_the_index_damages_one_line(tmp_path):
     tar, _, lines = filled(tmp_path)
     first = lines.index(b"\n") + 1
     second = lines.index(b"\n", first) + 1
@@ -305,7 +305,7 @@ def test_the_checksum_of_a_line_is_over_all_of_it():
 
 
 @pytest.mark.parametrize("stage", ["bytes", "sync", "line"])
-def test_a_full_disk_is_an_error_and_what_was_finished_stays(stage, tmp_path, monkeypatch):
+def test_a_full_disk_is_an_error_and_finished_sequences_stay(stage, tmp_path, monkeypatch):
     tar, whole, lines = filled(tmp_path)
     call = {"bytes": "pwrite", "sync": "fsync", "line": "write"}[stage]
     real = getattr(os, call)
@@ -340,7 +340,7 @@ with locked(Path(sys.argv[1])):
 """
 
 
-def test_a_second_writer_is_told_who_the_first_is_and_a_killed_one_leaves_no_lock(tmp_path):
+def test_a_second_writer_gets_the_holders_name_until_it_ends(tmp_path):
     holder = subprocess.Popen(
         [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
