@@ -22,7 +22,8 @@ def roomlight(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
             main()
         code = ended.value.code or 0
         assert isinstance(code, int)
-        return Finished(code, *capsys.readouterr())
+        printed = capsys.readouterr()
+        return Finished(code, printed.out, printed.err)
 
     return run
 

@@ -250,7 +250,7 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
-    mean = evaluate_predictions(sample_capture(), out).cells("predictions", "log_l2")
+    mean = evaluate_predictions([sample_capture()], out).means("predictions", "log_l2")
     assert f"log-L2 {mean[0].mean:.3f} over the first seven frames, {mean[4].mean:.3f} over the last" in result.stdout
     report = json.loads((out / "report.json").read_text())
     assert len(report["probes"]) == 3

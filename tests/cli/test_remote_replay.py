@@ -36,8 +36,9 @@ def server():
 def native(tmp_path_factory) -> Path:
     """Every kind of frame: JPEG, linear EXR, an exposure of its own, confidence, a depth map that does not decode."""
     path = tmp_path_factory.mktemp("captures") / "box"
+    frames = list(pan(ROOM, 4, width=340, height=255))
     with CaptureWriter(path) as writer:
-        for number, frame in enumerate(pan(ROOM, 4, width=340, height=255)):
+        for number, frame in enumerate(frames):
             exposure = 0.7 if number == 2 else 1.0
             confidence = np.full(frame.depth_m.shape, 2, np.uint8)
             confidence[:30] = 0
@@ -50,11 +51,9 @@ def native(tmp_path_factory) -> Path:
                 confidence=confidence,
                 exposure=exposure,
             )
-            if number == 1:
-                linear = frame.image
     index = json.loads((path / "capture.json").read_text())
     index["frames"][1]["colour"] = "colour/linear.exr"
-    write_exr(path / "colour" / "linear.exr", linear)
+    write_exr(path / "colour" / "linear.exr", frames[1].image)
     broken = path / index["frames"][3]["depth"]
     broken.write_bytes(broken.read_bytes()[:60])
     (path / "capture.json").write_text(json.dumps(index))
@@ -153,6 +152,7 @@ def test_frames_without_depth_at_working_size_are_alike(native, server, tmp_path
     for number in (0, 2):
         depth = odd / index["frames"][number]["depth"]
         millimetres = cv2.imread(str(depth), cv2.IMREAD_UNCHANGED)
+        assert millimetres is not None
         millimetres[:, sorted(set(range(340)) - {left_out[5]})] = 0
         write_png(depth, millimetres)
     options = ReplayOptions(session=SMALL, probes=PROBES[:1])

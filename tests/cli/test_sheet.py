@@ -19,7 +19,7 @@ def flat(height: int, width: int, value: float) -> np.ndarray:
 
 def has(image: np.ndarray, value: float) -> int:
     """How many pixels show this radiance."""
-    return int((image == linear_to_srgb8(np.float32([value]))[0]).all(axis=-1).sum())
+    return int((image == linear_to_srgb8(np.array([value], np.float32))[0]).all(axis=-1).sum())
 
 
 def test_the_sheet_shows_every_frame_and_panorama() -> None:

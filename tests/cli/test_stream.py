@@ -143,6 +143,7 @@ def test_a_recording_keeps_its_own_pace(timed):
     assert tally.pace == 1.0
     assert tally.rate(room.now_s) == pytest.approx(RATE)
     assert tally.rate(room.now_s + 60) == 0.0
+    assert tally.light is not None
     assert tally.light.coverage == 0.25
     assert room.deleted == 1
 
@@ -239,10 +240,10 @@ def test_a_slow_reader_plays_slower_and_reports_its_pace(timed):
     assert room.tally.pace == pytest.approx(1 / 3, abs=0.01)
 
 
-def test_colour_selects_the_frame_encoding(timed):
-    for colour, encoding in (("jpeg", "jpeg"), ("png", "png"), ("exact", "linear_f32")):
-        room = played(timed, StreamOptions(CaptureOptions(max_frames=1), colour=colour))
-        assert parse(room.bodies[0]).header.colour.encoding == encoding
+@pytest.mark.parametrize(("colour", "encoding"), [("jpeg", "jpeg"), ("png", "png"), ("exact", "linear_f32")])
+def test_colour_selects_the_frame_encoding(timed, colour, encoding):
+    room = played(timed, StreamOptions(CaptureOptions(max_frames=1), colour=colour))
+    assert parse(room.bodies[0]).header.colour.encoding == encoding
 
 
 def test_bad_frames_of_the_recording_are_counted(tmp_path):
@@ -253,10 +254,10 @@ def test_bad_frames_of_the_recording_are_counted(tmp_path):
     assert (room.tally.unreadable, room.tally.sent, room.tally.frames) == (1, 2, 3)
 
 
-def test_impossible_options_are_refused():
-    for wrong in ({"fps": 0.0}, {"fps": float("nan")}, {"in_flight": 0}):
-        with pytest.raises(OptionError, match="must be"):
-            StreamOptions(**wrong)
+@pytest.mark.parametrize("options", [{"fps": 0.0}, {"fps": float("nan")}, {"in_flight": 0}])
+def test_impossible_options_are_refused(options):
+    with pytest.raises(OptionError, match="must be"):
+        StreamOptions(**options)
 
 
 def test_the_probe_is_a_position_a_pixel_or_a_default(timed):

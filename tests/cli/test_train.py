@@ -1,17 +1,16 @@
-"""`roomlight train` from the inside: held-out rooms, curves, pictures, stopping and going on."""
+"""`roomlight train`: held-out rooms, curves, pictures, stopping and continuing."""
 
 import json
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from rich.console import Console
-from typer.testing import CliRunner
 
 import stub_rooms
 from recordings import BoxRecordings
 from roomlight.engine.graphs import SHIPPED
-from roomlight.errors import ModelError
-from roomlight_cli.main import app
+from roomlight.errors import OptionError
 from roomlight_cli.train import train
 from roomlight_export.importing import load_exported
 from roomlight_generator.generate import GenerateOptions, generate
@@ -29,9 +28,9 @@ OPTIONS = TrainOptions(
 
 
 def run(tmp_path, options=OPTIONS, **changes):
-    given = {"device": "cpu", "start_from": None, "minutes": None, "every_steps": 2} | changes
+    arguments = {"device": "cpu", "start_from": None, "minutes": None, "every_steps": 2} | changes
     training, held_out = train_val_split([BoxRecordings(6)])
-    return train(options, training, tmp_path / "run", held_out=held_out, console=Console(quiet=True), **given)
+    return train(options, training, tmp_path / "run", held_out=held_out, console=Console(quiet=True), **arguments)
 
 
 def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
@@ -54,7 +53,7 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
         held_out=BoxRecordings(1), device="cpu", start_from=tmp_path / "run" / "model.pt", minutes=None,
         every_steps=100, console=Console(quiet=True),
     )  # fmt: skip
-    assert card["options"]["model"]["sg"]["channels"] == 4  # the network is the one that was begun
+    assert card["options"]["model"]["sg"]["channels"] == 4  # the network is that of the first stage
     assert (card["before"]["stage"], card["before"]["steps"]) == ("single-sglv", 4)
     after = load_checkpoint(tmp_path / "blend" / "model.pt")
     before = weights.model.state_dict()
@@ -72,7 +71,7 @@ def test_the_shipped_weights_can_be_trained_further(tmp_path):
     assert any(not value.equal(before[name]) for name, value in after.items() if name.startswith("blend_"))
 
 
-def test_sequences_finished_meanwhile_are_taken_in(tmp_path):
+def test_sequences_finished_meanwhile_are_used(tmp_path):
     training, held_out = train_val_split([BoxRecordings(4)])
     grown, _ = train_val_split([BoxRecordings(9)], 1)
     card = train(
@@ -84,40 +83,40 @@ def test_sequences_finished_meanwhile_are_taken_in(tmp_path):
 
 def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
     run(tmp_path)
-    best = load_checkpoint(tmp_path / "run" / "best.pt").card
+    best: dict[str, Any] = load_checkpoint(tmp_path / "run" / "best.pt").card
     assert best["steps"] in (2, 4)
     assert best["held_out"] > 0
     assert best["scores"]["log_l2_sglv"] + 0.3 * best["scores"]["rendering_sglv"] == pytest.approx(best["held_out"])
     assert {"mean_colour", "warp"} <= {name.removeprefix("log_l2_") for name in best["scores"]}
 
 
-def test_a_run_out_of_time_stops_and_goes_on(tmp_path):
+def test_a_run_out_of_time_stops_and_continues(tmp_path):
     assert run(tmp_path, minutes=0.0)["steps"] == 0
     assert run(tmp_path)["steps"] == 4
 
 
-def test_held_out_rooms_are_trained_on_by_nobody():
+def test_held_out_rooms_are_not_trained_on():
     training, held_out = train_val_split([BoxRecordings(200), BoxRecordings(40)])
     assert (len(training), len(held_out)) == (192, 48)
     assert held_out.read(0, frames=[0]).name == "box-0"
     assert training.read(0, frames=[0]).name == "box-48"
-    assert training.read(152, frames=[0]).name == "box-0"  # the second folder's
+    assert training.read(152, frames=[0]).name == "box-0"  # of the second folder
     assert [len(part) for part in train_val_split([BoxRecordings(3)])] == [3, 0]
 
 
-def test_a_run_keeps_what_it_began_with_from_training_when_its_data_have_grown(tmp_path):
+def test_a_continued_run_keeps_its_held_out_rooms(tmp_path, roomlight):
     data, out = tmp_path / "data", tmp_path / "run"
     for steps, sequences in ((1, 8), (2, 16)):
         generate(data, GenerateOptions(sequences, shard_size=8, frames=1, renderer=stub_rooms.NAME), workers=1)
         options = ["--stage", "single-sglv", "--steps", str(steps), "--batch", "1"]
-        shown = CliRunner().invoke(app, ["train", str(data), "--out", str(out), *options])
-        assert shown.exit_code == 0, shown.output
+        result = roomlight("train", data, "--out", out, *options)
+        assert result.code == 0, result.err
         card = load_checkpoint(out / "model.pt").card
         assert (card["steps"], card["sequences"]) == (steps, sequences - 2)
     assert TrainOptions.read(out / OPTIONS_FILE).held_out == 2
 
 
-def test_a_missing_gpu_is_an_error_that_says_what_to_do(tmp_path, monkeypatch):
+def test_a_missing_gpu_is_an_option_error(tmp_path, monkeypatch):
     monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    with pytest.raises(ModelError, match="use --device cpu"):
+    with pytest.raises(OptionError, match="use 'cpu'"):
         run(tmp_path, device="cuda")

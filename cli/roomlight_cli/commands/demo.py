@@ -8,7 +8,7 @@ import typer
 from roomlight.sample import sample_capture
 from roomlight_cli.console import say
 from roomlight_cli.lazy import single_command_app
-from roomlight_cli.replay import ReplayOptions
+from roomlight_cli.replay_options import ReplayOptions
 from roomlight_cli.replay_run import run_replay
 from roomlight_evaluation.capture_evaluation import evaluate_predictions
 
@@ -33,8 +33,8 @@ def demo(
 
 def score_line(capture: Path, out: Path) -> str:
     """Return one sentence on how far the replay in `out` is from the sample's ground truth."""
-    evaluation = evaluate_predictions([capture], out)
-    first, *_, last, _all = (interval.mean for interval in evaluation.means("predictions", "log_l2"))
+    scores = evaluate_predictions([capture], out)
+    first, *_, last, _all = (interval.mean for interval in scores.means("predictions", "log_l2"))
     return (
         f"Against the room's ground truth: log-L2 {first:.3f} over the first seven frames, {last:.3f} over the last six"
         f" (0 is perfect). Compare methods with: roomlight eval {capture}"

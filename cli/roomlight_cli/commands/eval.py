@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 from rich.markup import escape
-from rich.progress import Progress
 
 from roomlight.engine.session import warm_up
 from roomlight_cli import arguments, console
@@ -72,7 +71,7 @@ def evaluate(
         max_frames=max_frames,
         every=every,
     )
-    with Progress(console=console.err, transient=True) as bars:
+    with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()
 
@@ -87,4 +86,4 @@ def evaluate(
         console.print_table(console.out, table)
     if json_out:
         scores.write(json_out)
-        console.say(f"scores written to {json_out}")
+        console.say(f"Scores: {json_out}")

@@ -20,7 +20,7 @@ from roomlight_evaluation.dataset_tables import dataset_markdown, dataset_tables
 
 app = single_command_app()
 
-_SCORED_ANYWAY: Final = ("mean colour", "warp and fill", "classical", "full", "SGLV alone")
+_SCORED_ANYWAY: Final = ("mean colour", "warp and fill", "classical", BLENDED, UNBLENDED)
 
 
 @app.command("eval-dataset")
