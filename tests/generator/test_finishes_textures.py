@@ -1,4 +1,4 @@
-"""Textures: they repeat without a seam, reflect as real surfaces do, and never cross from one split to another."""
+"""Textures tile without a seam, have plausible reflectance, and differ between splits."""
 
 import numpy as np
 import pytest
@@ -35,7 +35,7 @@ LEAST, MOST = 0.012, 0.86
 
 
 def seam(image):
-    """The mean step across the seam, and the largest mean step between neighbours inside, along columns."""
+    """Return the mean step across the seam and the largest mean step between inner neighbours, along columns."""
     wide = image.astype(np.float64)
     steps = np.abs(np.diff(wide, axis=1)).mean((0, 2))
     return float(np.abs(wide[:, 0] - wide[:, -1]).mean()), float(steps.max())
@@ -96,7 +96,7 @@ def test_screens_cloths_and_woods_are_plausible():
     rng = np.random.default_rng(3)
     assert {screen_picture("train", rng).image.shape for _ in range(6)} == {(144, 256, 3)}
     blue = (0.05, 0.1, 0.4)
-    # A colour of one's own stays the cloth's main colour, whatever is woven or printed on it.
+    # The given colour stays the cloth's main colour under any weave or print.
     mean = np.mean(
         [srgb8_to_linear(fabric_texture("train", rng, colour=blue).image).mean((0, 1)) for _ in range(12)], 0
     )
@@ -132,6 +132,6 @@ def test_block_patterns_have_equal_blocks():
     for name, (blocks, count) in laid.items():
         labels, sizes = np.unique(blocks.index, return_counts=True)
         assert len(labels) == count, name
-        # Pixels on a joint fall to one side or the other.
+        # Pixels on a joint belong to either block.
         assert sizes.min() > 0.7 * sizes.max(), name
         assert blocks.joint_px.min() >= 0, name

@@ -1,4 +1,4 @@
-"""Packed meshes and cache files: what goes in comes out; what is damaged is said to be."""
+"""Packed meshes and cache files: round trips, and detection of damage."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Splits that share nothing, choices, and where the library is looked for."""
+"""Disjoint splits, choice of models, and the search for installed libraries."""
 
 import zipfile
 from collections import Counter

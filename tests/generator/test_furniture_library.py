@@ -1,4 +1,4 @@
-"""Reading a .sh3f: the model frame, sizes, lights; and everything that can be wrong with one."""
+"""Reading a .sh3f file: model frame, sizes, lights, and rejection of malformed files."""
 
 import re
 import zipfile
@@ -29,7 +29,7 @@ def library(tmp_path, obj, *, mtl=MTL, files=None, **properties):
 
 
 def two_part_obj():
-    """A seat 1 x 0.4 x 1 and a back at low z: a chair whose front is toward +z."""
+    """Return a chair whose front is toward +z: a seat 1 x 0.4 x 1 and a back at low z."""
     back = box_obj((0, 0.4, 0), (1, 1, 0.2), material="back", library="", first=9)
     return box_obj((0, 0, 0), (1, 0.4, 1)) + back
 
@@ -44,7 +44,7 @@ def test_models_stand_on_the_floor_in_metres_facing_plus_z(tmp_path):
 
 
 def test_the_rotation_is_applied_before_the_size(tmp_path):
-    """The back at low z turns to low x: a quarter turn that takes z to x and x to -z."""
+    """The back at low z moves to low x: a 90 degree rotation that maps z to x and x to -z."""
     _, mesh = load(library(tmp_path, two_part_obj(), modelRotation="0 0 1 0 1 0 -1 0 0"))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.3], [0.25, 0.9, 0.3]], atol=1e-6)
     assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
@@ -53,7 +53,7 @@ def test_the_rotation_is_applied_before_the_size(tmp_path):
 def test_a_listed_rotation_corrects_the_front(tmp_path, monkeypatch):
     monkeypatch.setitem(FRONT_ROTATION_DEGREES, "a", 90.0)
     _, mesh = load(library(tmp_path, two_part_obj()))
-    # +z goes to +x: the back at low z goes to low x, and width and depth change places.
+    # +z goes to +x: the back at low z goes to low x, and width and depth are exchanged.
     np.testing.assert_allclose(mesh.bounds(), [[-0.3, 0, -0.25], [0.3, 0.9, 0.25]], atol=1e-6)
     assert mesh.vertices[mesh.vertices[:, 1] > 0.5][:, 0].max() < -0.1
 
@@ -147,7 +147,7 @@ def test_leaves_are_cut_out_of_their_rectangles(tmp_path):
         corners = mesh.vertices[mesh.faces]
         return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
 
-    # Each of the box's faces shows the picture once; a chair's triangles are kept whole or left out.
+    # Each of the box's faces shows the picture once; a chair's triangles are kept or removed whole.
     assert area(leafy) == pytest.approx((image[..., 3] > 0).mean() * area(whole), rel=0.08)
     assert len(leafy.faces) > 100
     assert len(whole.faces) == 12

@@ -1,4 +1,4 @@
-"""OBJ, MTL and property files: what they mean, and what is refused."""
+"""OBJ, MTL and property files: parsing, and rejection of malformed files."""
 
 import cv2
 import numpy as np

@@ -1,4 +1,4 @@
-"""Cleaning, simplification and shading of library geometry, and the heights that things are put down at."""
+"""Welding, simplification and shading of library geometry, and heights of supporting surfaces."""
 
 import numpy as np
 import pytest
@@ -29,7 +29,7 @@ def soup_of(points, faces, *, uvs=None, uv_faces=None, materials=None):
 
 
 def grid(n, *, seam=False, split=False):
-    """A flat square of n x n quads; textured by its x and z, with a seam along the middle where asked for."""
+    """Return a flat square of n x n quads, textured by its x and z, optionally with a seam along the middle."""
     x, z = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
     points = np.stack([x.ravel(), np.zeros(x.size), z.ravel()], 1)
     at = np.arange(x.size).reshape(n + 1, n + 1)
@@ -55,7 +55,7 @@ def test_of_coincident_triangles_the_outer_one_is_kept():
     quad = np.array(BOX_FACES) - 1
     corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)], float)
     outward = np.concatenate([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
-    points = np.concatenate([corners, corners + 1e-8])  # the same places with other numbers
+    points = np.concatenate([corners, corners + 1e-8])  # the same positions with other indices
     both = np.concatenate([outward[:, ::-1] + 8, outward, [[0, 0, 1], [2, 2, 2]]])
     clean = welded(soup_of(points, both))
     assert len(clean.points) == 8

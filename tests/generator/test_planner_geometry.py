@@ -35,7 +35,7 @@ def test_overlap_agrees_with_sampling(
             hit |= abs(right) < other.half_width and abs(front) < other.half_depth
     assert one.overlaps(other) == other.overlaps(one)
     if hit and not one.overlaps(other):
-        # Samples may lie within the millimetre of slack.
+        # Samples may lie within the slack of one millimetre.
         assert not one.overlaps(other, slack_m=0.0) or one.overlaps(other, slack_m=-0.002)
     if not one.overlaps(other, slack_m=0.0):
         assert not hit

@@ -1,4 +1,4 @@
-"""Procedural furniture: every role, exact sizes, sound meshes, materials within their ranges, disjoint splits."""
+"""Procedural furniture: every role, exact sizes, valid meshes, materials within their ranges, disjoint splits."""
 
 import hashlib
 import pickle
@@ -55,7 +55,7 @@ def volume_m3(mesh: Mesh) -> float:
 
 
 def pieces(mesh: Mesh) -> list[np.ndarray]:
-    """Faces by connected piece: vertices at the same place (to 0.1 mm) are one."""
+    """Return the faces of each connected piece; vertices within 0.1 mm count as one."""
     _, place = np.unique(np.rint(mesh.vertices * 1e4).astype(np.int64), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]
     label = np.arange(int(faces.max()) + 1)
@@ -227,7 +227,7 @@ def test_sofas_and_screens_face_plus_z(train_models: tuple[FurnitureModel, ...])
 
 
 def test_kitchen_units_of_one_number_match(train_models: tuple[FurnitureModel, ...]) -> None:
-    """Same depth and the same front colour, and a worktop at one height."""
+    """Units of one number share depth, front colour and worktop height."""
     by_id = {model.id: model for model in train_models}
     numbers = [number for number in range(6) if f"procedural/kitchen_unit-drawers-60/train{number}" in by_id]
     assert numbers

@@ -121,7 +121,7 @@ def test_an_open_shade_shares_the_flux_with_its_bulb():
     part = replace(lit.mesh, faces=lit.mesh.faces[np.isin(lit.mesh.face_materials, bulb)],
                    face_materials=lit.mesh.face_materials[np.isin(lit.mesh.face_materials, bulb)])  # fmt: skip
     white = float(np.dot((1.2, 0.95, 0.8), [0.2126, 0.7152, 0.0722]))
-    assert total == pytest.approx(0.8 * white, rel=0.06)  # a sphere of flat faces has a little less area
+    assert total == pytest.approx(0.8 * white, rel=0.06)  # a faceted sphere has slightly less area
     assert 0.1 < flux_klm(part) / total < 0.9
     centre = part.vertices[np.unique(part.faces)].mean(0)
     np.testing.assert_allclose(centre, placement.light_positions()[0], atol=0.01)

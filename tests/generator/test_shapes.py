@@ -82,7 +82,7 @@ def test_solids_have_their_analytic_volume() -> None:
 
 
 def test_a_loft_of_exponent_two_is_a_lathe() -> None:
-    """The same profile, round: a slow general maker against the plain one."""
+    """A loft with round rings equals the lathe of the same profile."""
     profile = [[(0.001, 0.0), (0.2, 0.0)], [(0.2, 0.0), (0.25, 0.1), (0.1, 0.3)]]
     plain = lathe(profile, segments=28)
     general = loft([[(r, r, y) for r, y in line] for line in profile], segments=28)
@@ -100,7 +100,7 @@ def test_a_high_exponent_fills_its_rectangle() -> None:
 
 @pytest.mark.parametrize("name", ["box", "block", "cushion", "prism"])
 def test_boxes_are_closed(name: str) -> None:
-    """Welded by position, every edge is walked once each way."""
+    """After welding by position, every edge occurs once in each direction."""
     mesh = SOLIDS[name]()
     _, place = np.unique(np.rint(mesh.vertices * 1e5).astype(int), axis=0, return_inverse=True)
     faces = place.reshape(-1)[mesh.faces]

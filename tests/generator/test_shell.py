@@ -168,7 +168,7 @@ def test_ceiling_meshes_agree_with_ceiling_at(name: str, seed: int) -> None:
     rays = Rays([item for item in shell.items if item.name == "ceiling"])
     up = rays.distance_m(points, np.tile([0.0, 1.0, 0.0], (len(points), 1))) + 0.01
     known = np.array([shell.ceiling_at(float(x), float(z)) for x, _, z in points])
-    # Up through a skylight there is nothing.
+    # A ray up through a skylight hits nothing.
     hit = np.isfinite(up)
     assert hit.mean() > 0.6
     assert np.abs(up - known)[hit].max() < 0.002
@@ -209,7 +209,7 @@ def test_a_fully_covered_window_emits_and_has_no_opening(kind: CoverKind, materi
         windows = [item for item in shell.items if item.role == "pane"]
         glowing = [m for i in shell.items for m in i.mesh.materials if i.role != "pane" and m.name == material]
         whole = len(windows) - len(shell.openings)
-        # A half-lowered translucent blind glows too, and its window keeps its opening.
+        # A half-lowered translucent blind emits too, and its window keeps its opening.
         assert len(glowing) == (len(windows) if kind == "roller_down" else whole)
         assert whole > 0 or seed > 0
         assert len({id(m) for m in glowing}) == len(glowing)

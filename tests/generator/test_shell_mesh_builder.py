@@ -34,7 +34,7 @@ def test_difference_and_intersection_add_up_to_the_piece(
     common = intersection(piece, hole)
     left = sum(area(part) for part in difference([piece], hole))
     taken = area(common) if common else 0.0
-    # Pieces overlap the hole, and one another, by OVERLAP at most along the hole's four edges' lines.
+    # Pieces overlap the hole and each other by at most OVERLAP along the lines of the hole's four edges.
     assert -1e-6 <= left - (area(piece) - taken) < 4 * OVERLAP * 6.3 + 1e-6
 
 

@@ -1,4 +1,4 @@
-"""Colours of black bodies and paints, and skies: energy, colour, where the sun stands."""
+"""Colours of black bodies and paints, and skies: energy, colour, position of the sun."""
 
 import numpy as np
 import pytest
@@ -105,7 +105,7 @@ def test_skies_have_the_illuminance_of_their_kind(kind):
         level = float(LUMINANCE @ horizontal_irradiance(sky))
         assert low <= level <= high
         assert 0 < float(LUMINANCE @ vertical_irradiance(sky, np.array([0.0, 0.0, 1.0]))) < 120
-        # Nowhere is the sky black, and nothing outside the sun is brighter than 40 kcd/m2.
+        # The sky is nowhere black, and nothing except the sun is brighter than 40 kcd/m2.
         brightness = sky.panorama @ LUMINANCE
         assert brightness[0].min() > 0
         assert brightness.max() < 40
@@ -128,7 +128,7 @@ def test_the_sun_is_near_toward_and_above_the_skyline(kind):
         assert 7.9 <= np.degrees(np.arcsin(sun.direction[1])) <= 60
         assert 19 <= float(LUMINANCE @ np.array(sun.irradiance)) <= 101
         assert sun.irradiance[0] > sun.irradiance[2]
-        # Sky, not a house, at the sun's place: it is brighter than the mean of its row.
+        # The sun's position shows sky, not a house: it is brighter than the mean of its row.
         row, column = np.unravel_index(np.argmax(panorama_directions(HEIGHT) @ sun.direction), (HEIGHT, 2 * HEIGHT))
         brightness = sky.panorama @ LUMINANCE
         assert brightness[row, column] > brightness[row].mean()

@@ -57,7 +57,11 @@ def build_mesh(archive: Archive, entry: LibraryEntry, *, role: str, warn: Warnin
 
 
 def assemble_mesh(obj: Obj, archive: Archive, entry: LibraryEntry, *, role: str, warn: WarningCallback) -> Mesh:
-    """Build the mesh of an OBJ that is already parsed (see `build_mesh`)."""
+    """Build the mesh of an OBJ that is already parsed (see `build_mesh`).
+
+    Raises:
+        FurnitureError: no triangle is visible and of non-zero area.
+    """
     loaded = _load_materials(obj, archive, entry, role, warn)
     levels = _HOLE_LEVELS if role in _LEAFY_ROLES else 0
     soup = _drop_unused_uvs(_cut_holes(_soup(obj, entry), loaded.coverages, levels), loaded.materials)

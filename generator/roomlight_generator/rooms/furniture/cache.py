@@ -201,11 +201,19 @@ class Cache:
         ]
 
     def mesh(self, blob: int) -> Mesh:
-        """Return the mesh in a blob."""
+        """Return the mesh in a blob.
+
+        Raises:
+            FurnitureError: the file is damaged.
+        """
         return unpack_mesh(self._read(blob), self.texture, f"{self.path}: blob {blob}")
 
     def texture(self, blob: int) -> Texture:
-        """Return the texture in a blob; the same object while it is referenced elsewhere."""
+        """Return the texture in a blob; the same object while it is referenced elsewhere.
+
+        Raises:
+            FurnitureError: the file is damaged.
+        """
         found = self._textures.get(blob)
         if found is None:
             pixels = cv2.imdecode(np.frombuffer(self._read(blob), np.uint8), cv2.IMREAD_COLOR)

@@ -22,7 +22,7 @@ from roomlight_generator.rooms.furniture_model import LightSource
 CATALOGUE_FILE: Final = "PluginFurnitureCatalog.properties"
 
 WarningCallback = Callable[[str], None]
-"""Called with a one-line message for each thing left out."""
+"""Called with a one-line message for each item left out."""
 
 _SIZES_M: Final = (0.0005, 60.0)
 """Plausible sizes: the thinnest model of the Debian libraries is 1 mm, the largest a truck of 21 m."""

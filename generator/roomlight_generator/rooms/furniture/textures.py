@@ -37,8 +37,11 @@ def read_image(archive: Archive, member: str, *, side: int = MAX_SIDE) -> Textur
 
 
 def decode_image(data: bytes, where: str, *, side: int = MAX_SIDE) -> TextureImage:
-    """Decode an image (see `read_image`). Uncovered pixels get the mean of the others, since their colour in files
-    is arbitrary."""
+    """Decode an image (see `read_image`). Uncovered pixels get the mean of the others: their colour is arbitrary.
+
+    Raises:
+        FurnitureError: the image does not decode or is too large; the message starts with `where`.
+    """
     try:
         width, height = peek_size(data, where)
     except ImageError as error:

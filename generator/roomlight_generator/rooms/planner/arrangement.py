@@ -126,7 +126,7 @@ class Arrangement:
         self._reserve_gaps()
         self._doorsteps = self._open_doorsteps()
         free = replace(self.floor, free=self.free_cells())
-        # An open door's leaf may cut off part of the empty room. Nobody can walk under low slopes: such a room must
+        # An open door's leaf may cut off part of the empty room. People cannot walk under low slopes: such a room must
         # keep most of its walkable area.
         self._min_free_m2 = min(MIN_FREE_SHARE * self.area_m2, 0.7 * free.largest().swept_m2(WALKER_RADIUS_M))
         self._min_reachable_share = min(MIN_REACHABLE_SHARE, 0.9 * free.largest().area_m2() / max(free.area_m2(), 1e-9))
