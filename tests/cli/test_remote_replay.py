@@ -96,6 +96,7 @@ def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path)
         assert (tmp_path / "there" / name).read_bytes() == (tmp_path / "here" / name).read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("model", ["video", "single"])
 def test_networks_give_the_same_files(native, tiny_video, model, tmp_path):

@@ -45,6 +45,7 @@ def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
     assert [json.loads(line)["step"] for line in (folder / "log.jsonl").read_text().splitlines()] == [4]
 
 
+@pytest.mark.slow
 def test_the_next_stage_starts_from_the_one_before(tmp_path):
     run(tmp_path)
     weights = load_checkpoint(tmp_path / "run" / "model.pt")
@@ -60,6 +61,7 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
     assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
 
 
+@pytest.mark.slow
 def test_the_shipped_weights_can_be_trained_further(tmp_path):
     options = replace(OPTIONS, stage="single-blend", steps=1)
     card = run(tmp_path, options, start_from=SHIPPED / "single", every_steps=10)
@@ -71,6 +73,7 @@ def test_the_shipped_weights_can_be_trained_further(tmp_path):
     assert any(not value.equal(before[name]) for name, value in after.items() if name.startswith("blend_"))
 
 
+@pytest.mark.slow
 def test_sequences_finished_meanwhile_are_used(tmp_path):
     training, held_out = train_val_split([BoxRecordings(4)])
     grown, _ = train_val_split([BoxRecordings(9)], 1)
@@ -81,6 +84,7 @@ def test_sequences_finished_meanwhile_are_used(tmp_path):
     assert card["sequences"] == 8
 
 
+@pytest.mark.slow
 def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
     run(tmp_path)
     best: dict[str, Any] = load_checkpoint(tmp_path / "run" / "best.pt").card
@@ -90,6 +94,7 @@ def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
     assert {"mean_colour", "warp"} <= {name.removeprefix("log_l2_") for name in best["scores"]}
 
 
+@pytest.mark.slow
 def test_a_run_out_of_time_stops_and_continues(tmp_path):
     assert run(tmp_path, minutes=0.0)["steps"] == 0
     assert run(tmp_path)["steps"] == 4
@@ -104,6 +109,7 @@ def test_held_out_rooms_are_not_trained_on():
     assert [len(part) for part in train_val_split([BoxRecordings(3)])] == [3, 0]
 
 
+@pytest.mark.slow
 def test_a_continued_run_keeps_its_held_out_rooms(tmp_path, roomlight):
     data, out = tmp_path / "data", tmp_path / "run"
     for steps, sequences in ((1, 8), (2, 16)):

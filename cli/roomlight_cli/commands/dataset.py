@@ -13,7 +13,7 @@ from roomlight.dataset.extract import extract as extract_sequence
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
 from roomlight.dataset.verify import verify as verify_dataset
-from roomlight.errors import DatasetError, FurnitureError
+from roomlight.errors import DatasetError, FurnitureError, OutputError
 from roomlight.files import write_json
 from roomlight_cli import console
 from roomlight_cli.console import run, say
@@ -191,6 +191,8 @@ def sample(
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of another room; default: the shipped room's.")] = None,
 ) -> None:
     """Generate the sample capture that the package ships, or another room of its kind."""
+    if out.exists() and (not out.is_dir() or any(out.iterdir())):  # said now, not after a minute of rendering
+        raise OutputError(f"{out}: exists already; choose another folder or delete it")
     with console.err.status("solving the room's light and rendering the frames"):
         generate_sample(out, seed=SEED if seed is None else seed)
     say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
