@@ -18,7 +18,7 @@ from roomlight.wire.frame_message import column_major, pack
 SAMPLE = Path(str(files("roomlight") / "data" / "sample"))
 INDEX = json.loads((SAMPLE / "capture.json").read_text())
 PROBES = [tuple(probe["position"]) for probe in INDEX["probes"][:2]]
-EVERY, FRAMES = 4, 6
+EVERY, FRAMES = 4, 4
 
 
 def messages():
