@@ -70,7 +70,7 @@ def exif_camera(data: bytes, name: str) -> ExifCamera:
     Missing or damaged EXIF gives the defaults: it describes the photo and is not needed to decode it.
 
     Raises:
-        ImageError: The data is no image, or its header declares more than `MAX_PIXELS`.
+        ImageError: The header is damaged, or declares more than `MAX_PIXELS`.
     """
     if data[:8] != _PNG and data[:2] != _JPEG:
         return ExifCamera()

@@ -98,6 +98,6 @@ def _detect_zip(path: Path) -> str:
     top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
     found = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
     raise UnknownFormatError(
-        f"{path}: this zip archive is no Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
+        f"{path}: this zip archive is not a Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "
         f"it holds {found or 'nothing'}. Unpack a capture of another format first"
     )
