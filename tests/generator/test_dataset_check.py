@@ -144,6 +144,8 @@ def test_panes_are_removed_also_from_shared_meshes() -> None:
     assert left.openings == whole.openings
 
 
+@pytest.mark.slow
+@pytest.mark.statistical
 def test_both_renderers_agree_in_a_small_room() -> None:
     """Frame and probe of a box room with a panel, a mirror and a coated floor; few paths, wide bounds."""
     room = check_view(
@@ -169,6 +171,7 @@ def test_both_renderers_agree_in_a_small_room() -> None:
     assert one.pixels.mean == pytest.approx(room.coated.pixels.mean)
 
 
+@pytest.mark.slow
 def test_the_sun_is_added_to_the_references_panorama() -> None:
     """A probe on which the sun shines through a roof window: most of its light is the disc, by both."""
     sun = Sun(np.array([0.1, 0.99, 0.1]) / np.linalg.norm([0.1, 0.99, 0.1]), (80.0, 70.0, 60.0))

@@ -33,16 +33,22 @@ def radiance_toward(traced: Scene, origin, target, *, samples: int = 64, seed: i
     return Reference(traced).radiance(begin, np.array([target], np.float64) - begin, samples=samples, seed=seed)[0]
 
 
+@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize("albedo", [0.2, 0.7])
 def test_white_furnace(albedo: float) -> None:
     """Inside a sphere that emits 1 and reflects rho the radiance is 1 / (1 - rho); its sheets lose nothing."""
-    wall = with_material(sphere(2, rings=40, segments=80), Material("wall", (albedo,) * 3, emission=(1.0, 1.0, 1.0)))
+    wall = with_material(
+        sphere(2, rings=40, segments=80), Material("wall", (albedo, albedo, albedo), emission=(1.0, 1.0, 1.0))
+    )
     directions = np.random.default_rng(0).normal(size=(150, 3))
     seen = Reference(scene(wall)).radiance(np.zeros((150, 3)), directions, samples=32, seed=1)
     # Of 4,800 paths, whose lengths differ: the standard error is 0.3 % at 0.7.
     assert seen.mean() == pytest.approx(1 / (1 - albedo), rel=0.012)
 
 
+@pytest.mark.slow
+@pytest.mark.statistical
 def test_a_bulb_lights_the_floor_as_its_triangles_do() -> None:
     """The sum over a small bulb's triangles, in a corner of the world where float32 is coarse."""
     at = np.array([6.0, 0.5, -7.0])
@@ -122,6 +128,8 @@ def test_texture_rows_run_down_and_wrap() -> None:
     np.testing.assert_allclose(seen, image.reshape(4, 3) / 127.5, atol=1e-4)
 
 
+@pytest.mark.slow
+@pytest.mark.statistical
 def test_a_texture_is_decoded_and_multiplied_by_the_albedo() -> None:
     grey = Texture(np.full((1, 1, 3), 188, np.uint8))  # 0.503 linear
     plate = with_material(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (0.8, 0.4, 0.2), grey))
@@ -139,12 +147,14 @@ def test_a_mirror_reflects_what_is_in_front_of_it() -> None:
     np.testing.assert_allclose(found, [0.9, 1.8, 2.7], rtol=1e-4)
 
 
+@pytest.mark.slow
+@pytest.mark.statistical
 @pytest.mark.parametrize(("alpha", "albedo"), [(0.05, 0.5), (0.3, 0.8), (0.6, 0.0)])
 @pytest.mark.parametrize("cosine", [0.95, 0.3])
 def test_the_coat_equals_the_transports_tables(alpha: float, albedo: float, cosine: float) -> None:
     """Under an even sky a coated plate reflects what the transport's tables say, and never more than arrives."""
     plate = with_material(
-        rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (albedo,) * 3, roughness=alpha)
+        rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (albedo, albedo, albedo), roughness=alpha)
     )
     offset = np.array([np.sqrt(1 - cosine**2), cosine, 0])
     target = np.array([0.03, 0, 0.04])

@@ -49,7 +49,7 @@ def solved(items, openings=(), sky=NIGHT):
 @pytest.mark.parametrize("albedo", [0.3, 0.8])
 def test_white_furnace(albedo):
     """In a closed room that emits evenly, radiance is e / (1 - a) in every direction at every point."""
-    light = solved(walls(Material("glow", (albedo,) * 3, emission=(1.0, 2.0, 0.5))))
+    light = solved(walls(Material("glow", (albedo, albedo, albedo), emission=(1.0, 2.0, 0.5))))
     expected = np.array([1.0, 2.0, 0.5]) / (1 - albedo)
     panorama = light.panorama(np.array([0.4, 1.0, 0.3]), 16, seed=0)
     np.testing.assert_allclose(panorama.mean((0, 1)), expected, rtol=0.02)
@@ -71,7 +71,9 @@ def test_a_small_sphere_lights_by_the_inverse_square():
     bulb = Item(
         "bulb",
         "lamp",
-        with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3)).placed(0.0, 1.5, 0.0),
+        with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow, glow, glow))).placed(
+            0.0, 1.5, 0.0
+        ),
     )
     light = solved([*walls(BLACK), bulb])
     points = np.array([[0.0, 0.0, 0.0], [0.7, 0.0, 0.4], [1.5, 0.0, -1.0]])
@@ -85,7 +87,7 @@ def test_a_small_sphere_lights_by_the_inverse_square():
 def test_a_small_lamp_has_its_energy_and_place_in_a_panorama():
     radius, glow = 0.02, 500.0  # a third of a pixel across
     place = np.array([1.2, 1.9, -0.8])
-    shape = with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow,) * 3))
+    shape = with_material(sphere(radius), Material("b", (0.0, 0.0, 0.0), emission=(glow, glow, glow)))
     bulb = Item("bulb", "lamp", shape.placed(*(float(x) for x in place)))
     light = solved([*walls(BLACK), bulb])
     eye = np.array([-0.5, 1.0, 0.3])
@@ -151,7 +153,7 @@ def test_a_mirror_shows_its_surroundings_and_ends_depth():
 
 def test_depth_is_exact_and_surfaces_are_told_apart():
     pane = item("pane", rectangle([-2, 1.0, -1.0], [1.2, 0, 0], [0, 1.0, 0]), Material("p", glass=True))
-    lamp = item("lamp", rectangle([0.6, 1.0, -1.2], [0.8, 0, 0], [0, 0.8, 0]), Material("l", emission=(2.0,) * 3))
+    lamp = item("lamp", rectangle([0.6, 1.0, -1.2], [0.8, 0, 0], [0, 0.8, 0]), Material("l", emission=(2.0, 2.0, 2.0)))
     light = solved([*walls(GREY), pane, lamp])
     view = light.frame(CAMERA, looking_along_minus_z(y=1.25), seed=0)
     assert view.depth_m[30, 40] == pytest.approx(2.5, abs=1e-3)
@@ -175,7 +177,7 @@ def test_a_pane_lets_light_through():
 
 
 def test_the_same_calls_give_the_same_bytes():
-    lamp = item("lamp", rectangle([-0.3, 2.4, -0.3], [0.6, 0, 0], [0, 0, 0.6]), Material("l", emission=(8.0,) * 3))
+    lamp = item("lamp", rectangle([-0.3, 2.4, -0.3], [0.6, 0, 0], [0, 0, 0.6]), Material("l", emission=(8.0, 8.0, 8.0)))
     views = []
     for _ in range(2):
         light = solved([*walls(GREY), lamp])
@@ -187,7 +189,7 @@ def test_the_same_calls_give_the_same_bytes():
 def test_bounces_between_walls_follow_radiosity():
     """A lamp in a grey closed room: flux in = flux absorbed, so the mean irradiance is flux / (area (1 - albedo))."""
     lamp = rectangle([-0.3, 2.49, -0.3], [0.6, 0, 0], [0, 0, 0.6])
-    light = solved([*walls(GREY), item("lamp", lamp, Material("l", (0.0, 0.0, 0.0), emission=(8.0,) * 3))])
+    light = solved([*walls(GREY), item("lamp", lamp, Material("l", (0.0, 0.0, 0.0), emission=(8.0, 8.0, 8.0)))])
     rng = np.random.default_rng(0)
     w, h, d = SIZE
     points, normals = [], []
