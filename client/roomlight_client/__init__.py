@@ -14,7 +14,7 @@
 
 `AsyncClient` has the same names with `await`. Frames are `roomlight.frame.Frame` or, with a camera's JPEG bytes and
 depth map, `CameraFrame`. Conventions: `roomlight.conventions` (world metres, y up; linear RGB); the wire format:
-`server/WIRE.md`. Every error is a `roomlight.errors.RoomLightError`; `errors` shows the classes.
+`docs/wire.md`. Every error is a `roomlight.errors.RoomLightError`; `errors` shows the classes.
 """
 
 from roomlight_client.async_client import AsyncClient, AsyncSession

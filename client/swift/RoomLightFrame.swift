@@ -1,4 +1,4 @@
-// RoomLight for ARKit in one file: converts an ARFrame to the message of `roomlight serve` (server/WIRE.md), with a
+// RoomLight for ARKit in one file: converts an ARFrame to the message of `roomlight serve` (docs/wire.md), with a
 // small client. Copy it into an app. It needs Swift 5, iOS 15, a device with LiDAR, and only Apple's frameworks.
 //
 // It has never been compiled, only parsed, because no Swift compiler was available. tests/client/test_swift_source.py

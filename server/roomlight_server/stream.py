@@ -1,4 +1,4 @@
-"""`/v1/sessions/{id}/stream`: frames in, their outcomes and light out, on one WebSocket (format: server/WIRE.md).
+"""`/v1/sessions/{id}/stream`: frames in, their outcomes and light out, on one WebSocket (format: docs/wire.md).
 
 Back pressure: for a client that reads slowly, outcomes of frames wait, then its frames (the server stops reading), and
 only the newest lighting update is kept. A message that is rejected or fails is answered with a problem and the

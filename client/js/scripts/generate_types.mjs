@@ -7,7 +7,7 @@ import ts from "typescript";
 const HEADER = `\
 // Generated from the server's OpenAPI document by \`npm run generate\`. Do not edit.
 // Units: world metres (y up), seconds, milliseconds where a name says so. Light is linear RGB; 1.0 is the radiance that
-// the session's reference exposure shows as white. server/WIRE.md specifies the format.
+// the session's reference exposure shows as white. docs/wire.md specifies the format.
 
 `;
 const EMPTY = ["paths", "webhooks", "operations", "$defs"]; // the document has schemas only

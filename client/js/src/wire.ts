@@ -1,4 +1,4 @@
-// The wire format (server/WIRE.md): its message types, generated in schemas.ts, and its names and constants.
+// The wire format (docs/wire.md): its message types, generated in schemas.ts, and its names and constants.
 
 import type {
   ColourPart,
