@@ -151,7 +151,7 @@ def test_a_mirror_shows_its_surroundings_and_ends_depth():
     assert view.surface[30, 40] == MIRROR
 
 
-def test_depth_is_exact_and_surfaces_are_told_apart():
+def test_depth_is_exact_and_surfaces_are_classified():
     pane = item("pane", rectangle([-2, 1.0, -1.0], [1.2, 0, 0], [0, 1.0, 0]), Material("p", glass=True))
     lamp = item("lamp", rectangle([0.6, 1.0, -1.2], [0.8, 0, 0], [0, 0.8, 0]), Material("l", emission=(2.0, 2.0, 2.0)))
     light = solved([*walls(GREY), pane, lamp])

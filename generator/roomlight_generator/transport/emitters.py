@@ -328,7 +328,7 @@ def _clustered(
     lean = np.sqrt(np.clip(1 - (pieces.normal * axis[own]).sum(1) ** 2, 0, 1))
     np.maximum.at(thickness, own, off + lean * pieces.reach)
     coated = np.where(kind == SPOT, pieces.uv[:, 0], 0)
-    thrown = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
+    reflected = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
     coat = coat_table()
     # Near a point, triangles of one cluster stand in for each other, pieces of openings only for themselves.
     near = np.where(kind == TRIANGLE, np.minimum(per(pieces.area)[own], PIECE_M**2), pieces.area)
@@ -373,8 +373,8 @@ def _clustered(
         axis=np.ascontiguousarray(axis.T, np.float32),
         coherence=coherence.astype(np.float32),
         thickness=thickness.astype(np.float32),
-        lobe_power=per(thrown).astype(np.float32),
-        lobe_alpha=(per(coated * thrown) / np.maximum(per(thrown), 1e-30)).astype(np.float32),
+        lobe_power=per(reflected).astype(np.float32),
+        lobe_alpha=(per(coated * reflected) / np.maximum(per(reflected), 1e-30)).astype(np.float32),
         sun=sun.astype(np.float32),
         coat_share=coat.through / coat.mean_through[:, None],
         near_area=near_area,
