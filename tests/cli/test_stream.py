@@ -50,8 +50,8 @@ def untimed(tmp_path_factory) -> Path:
     return write_capture(tmp_path_factory.mktemp("captures") / "untimed", timed=False)
 
 
-class Room:
-    """A server and a clock in one: frame n is answered `takes_s[n]` after it came, by `outcomes[n]` if there is one."""
+class FakeServer:
+    """A server and a clock: frame n is answered after `takes_s[n]` seconds, with `outcomes[n]` if given."""
 
     def __init__(self, *, takes_s=None, outcomes=None, last_index=None):
         self.tally = Tally()
@@ -101,7 +101,7 @@ class Room:
                 released.set()
 
     async def sleep(self, seconds):
-        """Time passes: what is due by then is answered, and nothing else happens meanwhile."""
+        """Advance the time and answer the frames that are due by then."""
         await self._settled()
         self.now_s += seconds
         self._release()
@@ -129,7 +129,7 @@ class Room:
 
 
 def played(path, options=None, show=None, **room):
-    room = Room(**room)
+    room = FakeServer(**room)
     asyncio.run(room.play(path, options or StreamOptions(), show))
     return room
 
@@ -196,7 +196,7 @@ def test_each_outcome_is_counted_once_and_nothing_is_resent(timed):
     ],
 )
 def test_a_fatal_error_is_raised_and_the_session_deleted(timed, outcomes, expected):
-    room = Room(outcomes=outcomes)
+    room = FakeServer(outcomes=outcomes)
     with pytest.raises(expected):
         asyncio.run(room.play(timed, StreamOptions()))
     assert room.deleted == 1
@@ -204,7 +204,7 @@ def test_a_fatal_error_is_raised_and_the_session_deleted(timed, outcomes, expect
 
 def test_an_interrupted_stream_deletes_its_session(timed):
     async def main():
-        room = Room(takes_s={2: 1e6})
+        room = FakeServer(takes_s={2: 1e6})
 
         def stop(tally):
             if tally.sent == 3:
@@ -227,7 +227,7 @@ def test_an_existing_session_is_continued_and_kept(timed):
 
 
 def test_a_slow_reader_plays_slower_and_reports_its_pace(timed):
-    room = Room()
+    room = FakeServer()
     due = []
 
     def dawdle(tally):
@@ -302,7 +302,7 @@ def test_exact_frames_one_at_a_time_give_the_engine_s_light(timed):
     async def main(url):
         async with AsyncClient(url) as client:
             held = StreamOptions(session_id="exact", keep=True, colour="exact", height=16, in_flight=1, probe=PROBE)
-            room = Room()
+            room = FakeServer()
 
             async def wait(_):
                 while room._unanswered():
