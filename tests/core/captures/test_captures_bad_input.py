@@ -469,7 +469,7 @@ def test_a_zip_is_record3d_only_by_its_listing(tmp_path: Path) -> None:
     with zipfile.ZipFile(nested, "w") as archive:
         for name in ("holiday/transforms.json", "holiday/images/1.png", "notes.txt"):
             archive.writestr(name, b"x")
-    with pytest.raises(UnknownFormatError, match=r"b\.zip: .*not a Record3D capture.*it holds holiday/, notes\.txt\. Unp"):
+    with pytest.raises(UnknownFormatError, match=r"b\.zip: .*not a Record3D.*it holds holiday/, notes\.txt\. Unp"):
         open_capture(nested)
     with zipfile.ZipFile(tmp_path / "many.epub", "w") as archive:
         for number in range(9):
