@@ -16,9 +16,9 @@ from rich.table import Table
 
 from roomlight_bench.reporting import describe_machine, short_number
 from roomlight_bench.timing import ProgressCallback
-from roomlight_model.training.step_clock import PARTS, StepClock
 from roomlight_model.training.examples import Recordings
 from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.step_clock import PARTS, StepClock
 from roomlight_model.training.trainer import Trainer
 
 _WARM_UP = 3
