@@ -1,10 +1,10 @@
 """`roomlight bench rendering`: the rendering layer's importance sampling beside a uniform grid of directions.
 
 Both use the same number of directions per pixel: drawn by the BRDF (`roomlight_model.sphere_rendering`), or a fixed
-grid over theta and phi of each pixel's hemisphere, as in earlier rendering layers (Li et al. 2020). A grid misses lamps
-between its directions, in a pattern that follows the normal: this is the aliasing of the paper's figure. Importance sampling
-has noise instead, which differs from pixel to pixel and averages out. A blur removes noise, so the error that remains
-after it is aliasing. The reference has 2,048 directions by importance.
+grid over theta and phi of each pixel's hemisphere, as in earlier rendering layers (Li et al. 2020). A grid misses
+lamps between its directions, in a pattern that follows the normal: this is the aliasing of the paper's figure.
+Importance sampling has noise instead, which differs from pixel to pixel and averages out. A blur removes noise, so
+the error that remains after it is aliasing. The reference has 2,048 directions by importance.
 
 Importing this module needs PyTorch: pip install 'roomlight[train]'.
 """
