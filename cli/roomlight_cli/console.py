@@ -69,8 +69,8 @@ def run(app: typer.Typer) -> None:
 def with_flags(error: RoomLightError) -> str:
     """Return the error's message with the command line's flags for Python's options.
 
-    Names with an underscore, and names before "=", are replaced wherever they stand ("allow_untrained=True" becomes
-    "--allow-untrained"). A name that is the first word of an OptionError is replaced too.
+    Names with an underscore, in backticks, or before "=" are replaced wherever they stand ("allow_untrained=True"
+    becomes "--allow-untrained"). A name that is the first word of an OptionError is replaced too.
     """
     message = str(error)
     if isinstance(error, OptionError):
@@ -79,12 +79,12 @@ def with_flags(error: RoomLightError) -> str:
     names = "|".join(FLAGS)
 
     def flag(match: re.Match[str]) -> str:
-        name, value = match.groups()
-        if not value and "_" not in name:
+        quote, name, value = match.groups()
+        if not quote and not value and "_" not in name:
             return match.group()
-        return FLAGS[name] + (" " if value == "=" else "")
+        return quote + FLAGS[name] + (" " if value == "=" else "")
 
-    return re.sub(rf"(?<![\w./-])({names})\b(=True\b|=)?(?!/)", flag, message)
+    return re.sub(rf"(?<![\w./-])(`?)({names})\b(=True\b|=)?(?!/)", flag, message)
 
 
 def progress_bars() -> Progress:

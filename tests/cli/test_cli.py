@@ -123,6 +123,7 @@ def test_an_error_is_one_line_without_traceback(
         (OptionError("every is 0; it must be 1 or more"), "--every is 0; it must be 1 or more"),
         (OptionError("every frame counts"), "--every frame counts"),
         (FrameError("every frame is bad"), "every frame is bad"),
+        (FrameError("use the `every` and `max_frames` that"), "use the `--every` and `--max-frames` that"),
         (
             ModelError("w: untrained; set allow_untrained=True to use it"),
             "w: untrained; set --allow-untrained to use it",
