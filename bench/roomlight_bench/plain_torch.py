@@ -1,6 +1,6 @@
 """Stages in plain PyTorch, to time beside ours: `grid_sample` and whole tensors, without kernels of our own.
 
-Ray tracing is `roomlight_model.ray_marching_reference`, the readable twin of training's own ray tracing; accumulation is
+Ray tracing is `roomlight_model.ray_marching_reference`, the readable twin of training's ray tracing; accumulation is
 `roomlight_model.accumulate`.
 
 Functions import PyTorch when they are called, because `roomlight bench stages` also runs without it: call them only if
