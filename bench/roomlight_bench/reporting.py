@@ -7,8 +7,9 @@ from pathlib import Path
 
 import numba
 import numpy as np
-import onnxruntime
 from rich.table import Table
+
+from roomlight.engine.runtime import ort
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ def describe_machine() -> dict[str, str]:
         "python": platform.python_version(),
         "numpy": np.__version__,
         "numba": numba.__version__,
-        "onnxruntime": onnxruntime.__version__,
+        "onnxruntime": ort.__version__,
     }
 
 

@@ -8,8 +8,8 @@ twice the ONNX file's size, but no conversion on the phone.
 from pathlib import Path
 
 import numpy as np
-import onnxruntime
 
+from roomlight.engine.runtime import ort
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph
 from roomlight_export.parity import Tensors, difference, session_runner
@@ -21,17 +21,17 @@ def write_ort(source: Path, target: Path, graph: Graph, *, tolerance: float) -> 
     Raises:
         ModelError: The outputs differ by more than `tolerance`.
     """
-    options = onnxruntime.SessionOptions()
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
+    options = ort.SessionOptions()
+    options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_ENABLE_EXTENDED
     options.optimized_model_filepath = str(target)
     options.log_severity_level = 3
     options.add_session_config_entry("session.save_model_format", "ORT")
-    converted = onnxruntime.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
+    converted = ort.InferenceSession(str(source), options, providers=["CPUExecutionProvider"])
 
-    options = onnxruntime.SessionOptions()
+    options = ort.SessionOptions()
     options.log_severity_level = 3
     options.add_session_config_entry("session.load_model_format", "ORT")
-    loaded = onnxruntime.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
+    loaded = ort.InferenceSession(str(target), options, providers=["CPUExecutionProvider"])
 
     inputs = _inputs(graph)
     wanted = session_runner({graph.name: converted})(graph.name, inputs)

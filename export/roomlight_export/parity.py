@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import onnxruntime
 import torch
 
+from roomlight.engine.runtime import ort
 from roomlight_export.graphs import Graph
 from roomlight_export.inputs import ProbeFrame
 
@@ -57,7 +57,7 @@ def torch_runner(graphs: Mapping[str, Graph]) -> Run:
     return run
 
 
-def session_runner(sessions: Mapping[str, onnxruntime.InferenceSession]) -> Run:
+def session_runner(sessions: Mapping[str, ort.InferenceSession]) -> Run:
     """Return a function that runs graphs as ONNX Runtime sessions."""
 
     def run(name: str, inputs: Tensors) -> Tensors:

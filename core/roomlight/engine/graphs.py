@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final, Literal
 
 import numpy as np
-import onnxruntime as ort
 from jaxtyping import Float32
 
 from roomlight.engine.providers import Provider, open_graph, resolve_provider
+from roomlight.engine.runtime import ort
 from roomlight.errors import ModelError
 
 NetworkForm = Literal["single", "video"]

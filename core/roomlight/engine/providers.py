@@ -7,8 +7,7 @@ from functools import cache
 from pathlib import Path
 from typing import Literal
 
-import onnxruntime as ort
-
+from roomlight.engine.runtime import ort
 from roomlight.errors import ModelError
 from roomlight.threads import thread_count
 

@@ -1,0 +1,74 @@
+"""ONNX Runtime is loaded without its telemetry, which writes `~/.cache/Microsoft` and looks up a host at its import."""
+
+import ast
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDERS = (
+    "bench",
+    "cli",
+    "client/roomlight_client",
+    "core",
+    "evaluation",
+    "examples",
+    "export",
+    "generator",
+    "model",
+    "server",
+)
+IMPORTS = {
+    "engine": "import roomlight as rl; rl.Session(rl.SessionOptions(model='classical'))",
+    "export": "import roomlight_export.exporting",
+    "bench": "import roomlight_bench.reporting",
+}
+
+
+@pytest.fixture
+def home(tmp_path, monkeypatch):
+    """An empty home for child processes, whose environment does not switch telemetry off."""
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("ORT_DISABLE_TELEMETRY", "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    return tmp_path
+
+
+def telemetry_files(home):
+    return [str(path) for path in home.rglob("*") if "Microsoft" in path.parts or "onnxruntime" in path.name]
+
+
+@pytest.mark.parametrize(
+    "name", ["engine", pytest.param("export", marks=pytest.mark.slow), pytest.param("bench", marks=pytest.mark.slow)]
+)
+def test_a_process_writes_no_telemetry_file(name, home):
+    code = f"{IMPORTS[name]}; import os, sys; print('onnxruntime' in sys.modules, os.environ['ORT_DISABLE_TELEMETRY'])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=200)
+    assert done.stdout.split() == ["True", "1"]
+    assert telemetry_files(home) == []
+
+
+def test_roomlight_serve_writes_no_telemetry_file(home):
+    command = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0"]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}) as server:
+        assert server.stderr is not None
+        assert any(line.startswith("Serving on") for line in server.stderr)
+        server.terminate()
+        server.communicate(timeout=200)
+    assert telemetry_files(home) == []
+
+
+def test_only_one_module_imports_onnx_runtime():
+    root = Path(__file__).parents[3]
+    importing = set()
+    for path in (
+        path for folder in FOLDERS for path in (root / folder).rglob("*.py") if "node_modules" not in path.parts
+    ):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module or ""] if isinstance(node, ast.ImportFrom) else []
+            if any(name.partition(".")[0] == "onnxruntime" for name in names):
+                importing.add(path.name)
+    assert importing == {"runtime.py"}
