@@ -9,6 +9,7 @@ import logging
 import warnings
 from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from typing import TypeVar
 
 import numpy as np
 import onnx
@@ -19,11 +20,13 @@ from torch import nn
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph, sample_inputs
 
+_Network = TypeVar("_Network", bound=nn.Module)
+
 OPSET = 20
 """The oldest opset with all operators used here; OpenVINO and the CPU providers of phones support it."""
 
 
-def half_rounded(module: nn.Module, name: str) -> nn.Module:
+def half_rounded(module: _Network, name: str) -> _Network:
     """Copy a network with every weight rounded to float16 but kept in float32: the precision of the files.
 
     Raises:

@@ -30,7 +30,7 @@ SRGB = RNG.integers(0, 256, (12, 16, 3), dtype=np.uint8)
 LINEAR = RNG.uniform(0.1, 30, (12, 24, 3)).astype(np.float32)
 
 
-def _encoded(kind, pixels=SRGB):
+def _encoded(kind, pixels: np.ndarray = SRGB):
     ok, data = cv2.imencode(f".{kind}", pixels)
     assert ok
     return data.tobytes()

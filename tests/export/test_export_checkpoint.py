@@ -131,7 +131,8 @@ def test_phone_files_run(exported):
     for graph in graphs_of(load_checkpoint(exported.checkpoint).model):
         path = exported.folder / "ort" / f"{graph.name}.ort"
         session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
-        outputs = session.run(None, {name: random.random(shape, np.float32) for name, shape in graph.inputs.items()})
+        inputs = {name: random.random(shape, np.float32) for name, shape in graph.inputs.items()}
+        outputs = [np.asarray(output) for output in session.run(None, inputs)]
         assert [np.shape(output) for output in outputs] == list(graph.outputs.values())
         assert all(np.isfinite(output).all() for output in outputs)
 

@@ -53,7 +53,7 @@ def test_difference_compares_light_in_the_logarithm():
     assert difference("lobes", first, second) == 0.5
     second[..., 8] = np.nan
     assert difference("lobes", first, second) == float("inf")
-    assert difference("alpha", np.float32([0.5]), np.float32([0.75])) == 0.25
+    assert difference("alpha", np.array([0.5], np.float32), np.array([0.75], np.float32)) == 0.25
 
 
 def test_a_changed_weight_shows_after_the_recursion():

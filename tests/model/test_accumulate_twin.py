@@ -78,4 +78,5 @@ def test_gradients_pass_where_the_rule_keeps_the_weight():
     weight = torch.full((1, 1, 1, 2), 0.5, requires_grad=True)
     depth = torch.tensor([[[[1.0, 2.0]]]])
     conservative(weight, depth, torch.full_like(depth, 2.0)).sum().backward()
+    assert weight.grad is not None
     assert weight.grad.flatten().tolist() == [1.0, 0.0]

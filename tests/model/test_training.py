@@ -160,6 +160,10 @@ def test_truth_and_image_agree_in_units_and_place():
     """The frame's mesh rendered at a probe equals the truth: poses, units and mirroring agree."""
     example = example_of(BoxRecordings(1).read(0, frames=[0]), np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+    assert batch.partial is not None
+    assert batch.mask is not None
+    assert batch.before is not None
+    assert batch.kept is not None
     seen = batch.mask.expand_as(batch.truth) > 0
     assert seen.float().mean() > 0.05
     assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.02
@@ -172,6 +176,10 @@ def test_augmented_image_and_truth_show_one_room():
     for _ in range(12):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True)
         batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+        assert batch.partial is not None
+        assert batch.mask is not None
+        assert batch.before is not None
+        assert batch.kept is not None
         seen = (batch.mask.expand_as(batch.truth) > 0) & (batch.partial < 0.95)
         assert (batch.partial[seen] - batch.truth[seen]).abs().median() < 0.03
         brightness.add(round(float(example.frame.image.mean()), 3))
@@ -246,6 +254,7 @@ def test_pieces_of_a_batch_add_up_to_its_gradient():
     whole.total.backward()
     torch.testing.assert_close(losses.total, whole.total.detach())
     for parameter, gradient in zip(parameters, pieces, strict=True):
+        assert gradient is not None
         assert gradient.stride() == parameter.stride()
         torch.testing.assert_close(gradient, parameter.grad, rtol=1e-3, atol=1e-6)
 
@@ -361,7 +370,12 @@ def test_several_frames_are_fused_as_in_the_serving_engine():
         session.push(frame)
     resized = [replace(frame.resized(*WORKING_SIZE), index=k) for k, frame in enumerate(frames)]
     whole = replace(example, frame=resized[0], depth_m=resized[0].depth_m, later=tuple(resized[1:]))
+    assert session.grid is not None
     batch = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
+    assert batch.partial is not None
+    assert batch.mask is not None
+    assert batch.before is not None
+    assert batch.kept is not None
     np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
     np.testing.assert_array_equal(batch.volume[0].numpy(), session._backend._volume)
     seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
@@ -375,6 +389,10 @@ def test_detail_of_earlier_frames_stays_without_gradient():
     recording = BoxRecordings(1).read(0, frames=[0, 16])
     example = example_of(recording, np.random.default_rng(0), depth="exact")
     batch = collate([example], volume_shape=(16, 15, 21), panorama_height=24)
+    assert batch.partial is not None
+    assert batch.mask is not None
+    assert batch.before is not None
+    assert batch.kept is not None
     model = SingleModel(TINY)
     _, blended = predicted_panoramas(model, model(batch.volume), batch, bf16=False, device=CPU)
     kept = (batch.kept > 0).expand_as(blended)
@@ -413,6 +431,10 @@ def test_augmented_frames_and_truth_show_one_room():
     for _ in range(8):
         example = read_example(BoxRecordings(1), 0, rng, depth="exact", augment=True, frames=4)
         batch = collate([example], volume_shape=(16, 15, 21), panorama_height=60)
+        assert batch.partial is not None
+        assert batch.mask is not None
+        assert batch.before is not None
+        assert batch.kept is not None
         seen = torch.where(batch.kept > 0, batch.before, batch.partial)
         known = ((batch.mask > 0) | (batch.kept > 0)).expand_as(seen) & (seen < 0.95)
         assert (seen[known] - batch.truth[known]).abs().median() < 0.03

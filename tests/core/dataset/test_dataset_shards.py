@@ -45,6 +45,12 @@ def filled(folder, count=3, *, finish=False):
 # archives
 
 
+def content(archive, member):
+    file = archive.extractfile(member)
+    assert file is not None
+    return file.read()
+
+
 @settings(max_examples=30, deadline=None)
 @given(
     st.dictionaries(
@@ -58,7 +64,7 @@ def test_an_archive_is_what_tar_programs_read(files):
     whole = packed + end_of_archive(len(packed))
     assert len(whole) % RECORD == 0
     with tarfile.open(fileobj=io.BytesIO(whole)) as archive:
-        assert {member.name: archive.extractfile(member).read() for member in archive} == {
+        assert {member.name: content(archive, member) for member in archive} == {
             f"folder/{name}": data for name, data in files.items()
         }
 
@@ -122,7 +128,7 @@ def test_a_sequence_is_a_capture_that_the_readers_know(tmp_path):
     with tarfile.open(fileobj=io.BytesIO(packed)) as archive:
         for member in filter(tarfile.TarInfo.isfile, archive):  # extractall warns without a filter, which 3.11.2 lacks
             (tmp_path / member.name).parent.mkdir(parents=True, exist_ok=True)
-            (tmp_path / member.name).write_bytes(archive.extractfile(member).read())
+            (tmp_path / member.name).write_bytes(content(archive, member))
     capture = open_capture(tmp_path / "train-000000")
     frames = list(capture)
     assert (capture.format, len(frames), capture.skipped) == ("roomlight", 4, [])
@@ -345,6 +351,7 @@ def test_a_second_writer_gets_the_holders_name_until_it_ends(tmp_path):
         [sys.executable, "-c", HOLDER, str(tmp_path)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     )
     with holder:
+        assert holder.stdout is not None
         assert holder.stdout.readline() == "held\n"
         with pytest.raises(OutputError, match=rf"process {holder.pid} on .* is writing"), locked(tmp_path):
             pass
