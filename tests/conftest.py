@@ -8,6 +8,7 @@ import os
 from pathlib import Path
 
 import pytest
+from filelock import FileLock
 from hypothesis import settings
 from jaxtyping import install_import_hook
 
@@ -41,19 +42,30 @@ install_import_hook(_modules(), "beartype.beartype")
 
 
 @pytest.fixture(scope="session")
-def tiny_video(tmp_path_factory):
-    """(checkpoint, model folder) of the video form, which holds the single-view graphs too: untrained, for volumes of
-    16 x 15 x 21 voxels and panoramas of 32 rows.
+def tiny_video(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[Path, Path]:
+    """Export a small untrained video model once for all workers; returns (checkpoint, model folder).
+
+    It holds the single-view graphs too: volumes of 16 x 15 x 21 voxels, panoramas of 32 rows.
     """
+    base = tmp_path_factory.getbasetemp()
+    folder = (base if worker_id == "master" else base.parent) / "tiny-video"  # workers share the parent
+    with FileLock(folder.with_suffix(".lock")):
+        if not folder.exists():
+            _export_tiny_video(folder)
+    return folder / "video.pt", folder / "video"
+
+
+def _export_tiny_video(folder: Path) -> None:
     from roomlight_export.exporting import export_checkpoint
     from roomlight_model.checkpoint import save_untrained
     from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 
-    folder = tmp_path_factory.mktemp("tiny")
     config = ModelConfig(
         sg=SGConfig(volume_shape=(16, 15, 21), channels=4, full_channels=4),
         blend=BlendConfig(height=32, channels=4, full_channels=4),
     )
-    save_untrained(folder / "video.pt", "video", config, seed=3)
-    export_checkpoint(folder / "video.pt", folder / "video", ort=False)
-    return folder / "video.pt", folder / "video"
+    unfinished = folder.with_suffix(".unfinished")
+    unfinished.mkdir()
+    save_untrained(unfinished / "video.pt", "video", config, seed=3)
+    export_checkpoint(unfinished / "video.pt", unfinished / "video", ort=False)
+    unfinished.rename(folder)

@@ -71,7 +71,7 @@ def point_at_pixel(frame: Frame, u: float, v: float, *, above_m: float = ABOVE_M
 
 
 def _normal(frame: Frame, row: int, column: int, surface: Float[np.ndarray, "3"]) -> Float[np.ndarray, "3"]:
-    """Unit normal in camera axes, toward the camera, of the surface around a depth pixel."""
+    """Fit the unit normal of the surface around a depth pixel: camera axes, toward the camera."""
     toward_camera = -surface / np.linalg.norm(surface)
     rows, columns = frame.depth_m.shape
     down = np.arange(max(0, row - _WINDOW), min(rows, row + _WINDOW + 1))[:, None]
@@ -92,7 +92,7 @@ def _normal(frame: Frame, row: int, column: int, surface: Float[np.ndarray, "3"]
 
 
 def _no_depth(frame: Frame, u: float, v: float, row: int, column: int) -> str:
-    """What to do about a pixel without depth: the nearest pixel that has one, if there is any."""
+    """Suggest the nearest pixel that has depth, if there is one."""
     message = f"there is no depth at pixel {u:g},{v:g}"
     known = np.argwhere(frame.depth_m > 0)
     if not len(known):

@@ -49,7 +49,7 @@ def test_coarser_depth_gives_the_same_point(frame):
     assert point_at_pixel(coarse, 80.0, 60.0) == pytest.approx(fine, abs=0.02)
 
 
-def test_the_camera_pose_is_applied(frame):
+def test_the_camera_pose_is_applied():
     turned = ROOM.frame(camera_at(EYE, yaw_degrees=90.0))
     point = point_at_pixel(turned, 80.0, 60.0, above_m=0.2)
     assert abs(abs(point[0]) - (3.0 - 0.2)) < 0.01
