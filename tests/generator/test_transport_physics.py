@@ -46,6 +46,7 @@ def solved(items, openings=(), sky=NIGHT):
     return RoomLight.solve(Tracer(Scene(tuple(items), tuple(openings), sky)), 0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("albedo", [0.3, 0.8])
 def test_white_furnace(albedo):
     """In a closed room that emits evenly, radiance is e / (1 - a) in every direction at every point."""
@@ -58,6 +59,7 @@ def test_white_furnace(albedo):
     np.testing.assert_allclose(frame.mean((0, 1)), expected, rtol=0.02)
 
 
+@pytest.mark.slow
 def test_a_coat_neither_adds_nor_loses_light():
     """The furnace with coated walls stays within what a linear coat model loses between its layers."""
     light = solved(walls(Material("coated", (0.5, 0.5, 0.5), roughness=0.2, emission=(1.0, 1.0, 1.0))))
