@@ -13,6 +13,7 @@ from fastapi.openapi.utils import get_openapi
 from fastapi_offline import FastAPIOffline
 from starlette.exceptions import HTTPException
 from starlette.middleware.cors import CORSMiddleware
+from starlette.requests import ClientDisconnect
 
 from roomlight import __version__
 from roomlight.errors import RoomLightError
@@ -21,6 +22,7 @@ from roomlight.wire.frame_header import FrameHeader
 from roomlight_server import light_forms, light_routes, problems, session_routes, stream
 from roomlight_server.auth import DOCS_ASSETS, AuthMiddleware, Tokens
 from roomlight_server.bodies import BodyMiddleware
+from roomlight_server.connections import ConnectionGuard
 from roomlight_server.context import Context, ContextDep
 from roomlight_server.metrics import CONTENT_TYPE, Metrics
 from roomlight_server.registry import Clock, Registry
@@ -64,7 +66,7 @@ def create_app(
     metrics = Metrics()
     workers = Workers(settings)
     registry = Registry(settings, workers, metrics, clock)
-    context = Context(settings, metrics, workers, registry)
+    context = Context(settings, metrics, workers, registry, ConnectionGuard(settings, metrics))
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
@@ -97,6 +99,7 @@ def create_app(
             problems.ProblemError: problems.on_problem,
             RequestValidationError: problems.on_invalid,
             HTTPException: problems.on_http_exception,
+            ClientDisconnect: problems.on_disconnect,
             Exception: problems.on_error,
         },
     )

@@ -70,9 +70,11 @@ class AuthMiddleware:
 
     def _check(self, scope: Scope, headers: Headers) -> ProblemError | None:
         host, origin = headers.get("host", ""), headers.get("origin")
-        if self._loopback and urlsplit(f"//{host}").hostname not in ("localhost", "127.0.0.1", "::1"):
+        if self._loopback and _host_name(host) not in ("localhost", "127.0.0.1", "::1"):
             # DNS rebinding: a page of another site whose name resolves to this machine
-            return ProblemError("forbidden-origin", f"without a token the server serves localhost only, not {host}")
+            return ProblemError(
+                "forbidden-origin", f"without a token the server serves localhost only, not {host[:100]}"
+            )
         if origin is not None and not self._allowed(origin, host):
             return ProblemError("forbidden-origin", f"{origin[:100]} is not in allow_origins", field="Origin")
         owner = self._tokens.owner(_token_of(scope, headers))
@@ -82,7 +84,15 @@ class AuthMiddleware:
         return None
 
     def _allowed(self, origin: str, host: str) -> bool:
-        return "*" in self._origins or origin in self._origins or urlsplit(origin).netloc == host
+        return "*" in self._origins or origin in self._origins or origin.partition("://")[2] == host
+
+
+def _host_name(host: str) -> str | None:
+    """Return the name or address in a header `Host`; None if the header is malformed."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:  # unbalanced brackets
+        return None
 
 
 def _is_open(path: str) -> bool:

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from fastapi import Request
 from pydantic import ValidationError
+from python_multipart.multipart import parse_options_header
 from starlette.datastructures import Headers, UploadFile
 from starlette.exceptions import HTTPException
 from starlette.formparsers import MultiPartException
@@ -21,6 +22,8 @@ from roomlight_server.problems import ProblemError
 
 MAX_JSON_BYTES: Final = 65_536
 """Largest JSON body; a request with 64 probes has 6 kB."""
+_MAX_LENGTH_DIGITS: Final = 15
+_CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
 _FRAME_PATH: Final = re.compile(r"/v1/sessions/[^/]+/frames/[^/]+")
 
 
@@ -61,7 +64,8 @@ class BodyMiddleware:
 
     def _limited(self, scope: Scope, receive: Receive, limit: int) -> Receive:
         declared = Headers(scope=scope).get("content-length", "")
-        too_long = declared.isdecimal() and int(declared) > limit
+        # Python converts at most 4,300 digits to an integer
+        too_long = declared.isdecimal() and (len(declared) > _MAX_LENGTH_DIGITS or int(declared) > limit)
         received, done = 0, False
         deadline = time.monotonic() + self._timeout_s
 
@@ -70,7 +74,7 @@ class BodyMiddleware:
             if done:  # the application now waits for a disconnect
                 return await receive()
             if too_long:
-                raise HTTPException(413, f"the body has {declared} bytes; the limit is {limit}")
+                raise HTTPException(413, f"the body has {declared[:_MAX_LENGTH_DIGITS]} bytes; the limit is {limit}")
             try:
                 async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
                     message = await receive()
@@ -89,11 +93,16 @@ async def read_frame(request: Request) -> bytes:
     """Return the frame message in a request's body, assembled from its parts if the body is multipart.
 
     Raises:
-        ProblemError: The multipart body cannot be parsed.
+        ProblemError: The multipart body cannot be parsed, or has another charset than UTF-8.
     """
-    if not request.headers.get("content-type", "").startswith("multipart/form-data"):
+    content_type = request.headers.get("content-type", "")
+    if not content_type.startswith("multipart/form-data"):
         chunks = [chunk async for chunk in request.stream()]
         return b"".join(chunks)
+    charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
+    if charset.lower() not in _CHARSETS:  # Starlette decodes with any of Python's codecs, some of which raise
+        rule = "must be utf-8"
+        raise ProblemError("bad-request", f"charset: {rule}", field="Content-Type", value=charset, rule=rule)
     try:
         async with request.form(max_files=4, max_fields=4, max_part_size=MAX_HEADER_BYTES) as form:
             parts: dict[str, bytes] = {}

@@ -7,6 +7,7 @@ from typing import Annotated, Final
 from fastapi import Depends, Path, Request
 
 from roomlight.wire.messages import ID_PATTERN
+from roomlight_server.connections import ConnectionGuard
 from roomlight_server.live_session import LiveSession
 from roomlight_server.metrics import Metrics
 from roomlight_server.registry import Registry
@@ -22,6 +23,7 @@ class Context:
     metrics: Metrics
     workers: Workers
     registry: Registry
+    guard: ConnectionGuard
     ready: bool = False
 
 

@@ -48,6 +48,16 @@ class Metrics:
             buckets=_SECONDS,
             registry=registry,
         )
+        self.connections = Gauge("roomlight_connections", "Open connections.", registry=registry)
+        self.connections_refused = Counter(
+            "roomlight_connections_refused",
+            "Connections that were refused or closed, by reason.",
+            ["kind"],
+            registry=registry,
+        )
+        self.unauthorized = Counter(
+            "roomlight_unauthorized", "Requests without a valid token, by reason.", ["reason"], registry=registry
+        )
         self.streams = Gauge("roomlight_streams", "Open WebSockets.", registry=registry)
 
     def observe_frame(self, report: FrameReport) -> None:

@@ -1,11 +1,12 @@
 """Error responses as problem details (RFC 9457): `application/problem+json` with field, value and rule."""
 
+import logging
 import re
 from collections.abc import Mapping
 from http import HTTPStatus
 from typing import Any, Final
 
-from fastapi import Request
+from fastapi import Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
@@ -14,8 +15,11 @@ from roomlight.errors import WireError
 from roomlight.wire.frame_message import rule_text
 from roomlight.wire.messages import Problem
 
+_log = logging.getLogger("roomlight.server")
 MEDIA_TYPE: Final = "application/problem+json"
 INTERNAL_DETAIL: Final = "unexpected error; the log of the server has the traceback"
+CLIENT_CLOSED: Final = 499
+"""Status in metrics and logs of a request whose client disconnected, as nginx counts it."""
 TYPE_PREFIX: Final = "urn:roomlight:problem:"
 
 TITLES: Final[Mapping[str, tuple[int, str]]] = {
@@ -26,6 +30,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "probe-not-found": (404, "Probe not found"),
     "method-not-allowed": (405, "Method not allowed"),
     "body-timeout": (408, "Request body timed out"),
+    "header-timeout": (408, "Request headers timed out"),
     "frame-conflict": (409, "Frame index was already used"),
     "session-conflict": (409, "Session exists with other options"),
     "session-failed": (409, "Session has failed"),
@@ -37,9 +42,12 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "bad-frame": (422, "Frame is invalid"),
     "invalid": (422, "Request is invalid"),
     "session-full": (429, "Session queue is full"),
+    "headers-too-large": (431, "Request headers are too large"),
     "engine-failed": (500, "Engine failed"),
     "internal": (500, "Internal server error"),
     "server-full": (503, "Session limit reached"),
+    "server-busy": (503, "Memory limit of requests and answers reached"),
+    "too-many-connections": (503, "Connection limit reached"),
     "stopping": (503, "Server is stopping"),
 }
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""
@@ -126,6 +134,13 @@ def _methods_at(request: Request) -> set[str]:
         if re.fullmatch(pattern, request.url.path):
             methods |= {method.upper() for method in operations}
     return methods
+
+
+async def on_disconnect(request: Request, error: Exception) -> Response:
+    """Handle a client that disconnects while it sends its body. The answer reaches nobody; metrics show its status."""
+    del error
+    _log.info("client disconnected during its request", extra={"path": request.url.path[:200]})
+    return Response(status_code=CLIENT_CLOSED)
 
 
 async def on_error(_: Request, error: Exception) -> JSONResponse:

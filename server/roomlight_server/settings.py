@@ -44,7 +44,16 @@ class ServerSettings(BaseSettings):
         body_timeout_s: Time limit for receiving the body of a request.
         engine_threads: Sessions whose frames are processed at once. Each already uses `ROOMLIGHT_THREADS` threads, so
             more than 1 trades latency per frame for less waiting.
-        decode_threads: Images decoded, and light encoded, at once.
+        decode_threads: Images decoded, and light encoded, at once. As many decoding processes are started.
+        max_connections: Connections at once; half of the usual limit of 1,024 open files.
+        max_connections_per_address: Connections at once from one address. Behind a proxy all share its address.
+        max_header_bytes: Largest request line and headers. The WebSocket library limits each line to 8 KiB besides.
+        header_timeout_s: Time limit for the headers of a request, and for the first request of a connection.
+        send_timeout_s: A connection whose client receives nothing of its answer for this time is closed.
+        max_pending_bytes: Memory of all frames being received and answers being made or sent, before 503.
+        wrong_token_delay_s: Time after which a request with a wrong token is answered.
+        decode_timeout_s: Time limit for decoding the images of a frame; then its process is killed and the frame is
+            rejected.
     """
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=PREFIX)
@@ -72,6 +81,14 @@ class ServerSettings(BaseSettings):
     decode_threads: Annotated[int, Field(ge=1, le=64)] = 2
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     access_log: bool = False
+    max_connections: Annotated[int, Field(ge=1, le=100_000)] = 512
+    max_connections_per_address: Annotated[int, Field(ge=1, le=100_000)] = 128
+    max_header_bytes: Annotated[int, Field(ge=1024, le=2**20)] = 2**15
+    header_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
+    send_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
+    max_pending_bytes: Annotated[int, Field(ge=2**20)] = 2**30
+    wrong_token_delay_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    decode_timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
 
     @model_validator(mode="before")
     @classmethod

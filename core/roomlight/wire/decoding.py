@@ -91,7 +91,9 @@ def _heic(message: FrameMessage) -> UInt8[np.ndarray, "h w 3"]:
             rule = f"the image must have the size stated in the header, {size[0]} x {size[1]}"
             raise _error("colour", f"{image.size[0]} x {image.size[1]}", rule)
         pixels = np.asarray(image)
-    except (ValueError, RuntimeError, OSError, EOFError, SyntaxError) as error:
+    except WireError:
+        raise
+    except Exception as error:  # whatever the damaged bytes lead to: IndexError without a primary image, ...
         raise _error("colour", f"{len(message.colour)} bytes of heic", f"does not decode ({error})") from error
     if pixels.dtype != np.uint8 or pixels.shape not in ((size[1], size[0], 3), (size[1], size[0], 4)):
         raise _error("colour", f"{pixels.dtype} {pixels.shape}", "8-bit RGB")

@@ -1,0 +1,183 @@
+"""Limits below HTTP, over a real socket: connections, bytes of headers, slow requests, clients that do not read."""
+
+import http.client
+import json
+import logging
+import socket
+
+import pytest
+from websockets.sync.client import connect
+
+from http_servers import RunningServer
+
+TOKEN = "a-token-of-sixteen-or-more"
+GET = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+
+
+def dial(server):
+    return socket.create_connection(("127.0.0.1", server.port), timeout=60)
+
+
+def answer_of(connection):
+    answer = http.client.HTTPResponse(connection)
+    answer.begin()
+    return answer.status, json.loads(answer.read())
+
+
+def refusals(caplog, kind):
+    return [r for r in caplog.records if r.getMessage() == "connection refused" and vars(r)["kind"] == kind]
+
+
+def is_closed(connection):
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+def send_until_closed(connection, data, limit):
+    """Send data repeatedly until the server closes; return the bytes sent, at most about `limit`."""
+    sent = 0
+    try:
+        while sent < limit:
+            sent += connection.send(data)
+    except ConnectionError:
+        pass
+    return sent
+
+
+@pytest.mark.parametrize("part", [b"X-Long: " + b"x" * 65_536, b"X-%d: x\r\n" * 10_000, b"X: " + b"x" * 2**20])
+def test_headers_beyond_the_limit_are_refused(part, caplog):
+    """Headers were unlimited: 300 MB were taken, and one header of 100 MB stalled the event loop for 12 s."""
+    with RunningServer(max_header_bytes=16_384) as server, dial(server) as connection:
+        connection.sendall(GET)
+        send_until_closed(connection, part, len(part))
+        status, problem = answer_of(connection)
+        assert (status, problem["type"]) == (431, "urn:roomlight:problem:headers-too-large")
+        assert is_closed(connection)
+        assert len(refusals(caplog, "headers-too-large")) == 1
+        assert server.call("GET", "/healthz").status == 200
+
+
+def test_a_long_url_is_refused():
+    with RunningServer(max_header_bytes=4096) as server, dial(server) as connection:
+        connection.sendall(b"GET /healthz?" + b"x" * 5000 + b" HTTP/1.1\r\nHost: localhost\r\n\r\n")
+        assert answer_of(connection)[0] == 431
+
+
+def test_endless_headers_close_the_connection():
+    with RunningServer(max_header_bytes=4096) as server, dial(server) as connection:
+        connection.sendall(GET)
+        assert send_until_closed(connection, b"X: " + b"x" * 2**16 + b"\r\n", 2**26) < 2**26
+
+
+def test_endless_trailers_close_the_connection():
+    with RunningServer(max_header_bytes=4096) as server, dial(server) as connection:
+        connection.sendall(b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n0\r\n")
+        assert send_until_closed(connection, b"X: " + b"x" * 2**16 + b"\r\n", 2**26) < 2**26
+
+
+def test_connections_of_one_address_are_limited(caplog):
+    """1,100 idle connections of one client refused all others."""
+    with RunningServer(max_connections_per_address=3) as server:
+        held = [dial(server) for _ in range(3)]
+        assert server.call("GET", "/healthz").status == 503
+        with dial(server) as fourth:
+            status, problem = answer_of(fourth)
+            assert (status, problem["rule"]) == (503, "at most 3 connections per address")
+        assert len(refusals(caplog, "too-many-connections")) == 2
+        for connection in held:
+            connection.close()
+        while server.call("GET", "/healthz").status != 200:  # until the server has seen the closed connections
+            pass
+
+
+def test_connections_are_limited_in_all():
+    with RunningServer(max_connections=2) as server, dial(server), dial(server), dial(server) as third:
+        assert answer_of(third)[1]["rule"] == "at most 2 connections"
+
+
+def test_a_websocket_is_counted_until_it_closes():
+    with RunningServer(max_connections=2) as server:
+        server.open()
+        address = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
+        with connect(address), connect(address), dial(server) as third:
+            assert answer_of(third)[0] == 503
+        while server.call("GET", "/healthz").status != 200:
+            pass
+
+
+def test_a_connection_without_a_request_is_closed(caplog):
+    """Connections without a request never closed."""
+    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+        assert is_closed(connection)
+        assert len(refusals(caplog, "no-request")) == 1
+
+
+@pytest.mark.parametrize("before", [b"", GET + b"\r\n"])
+def test_headers_that_stop_arriving_are_answered(before, caplog):
+    """A first byte of the next request ended the limit of an idle connection."""
+    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+        connection.sendall(before + GET)
+        if before:
+            assert answer_of(connection)[0] == 200
+        status, problem = answer_of(connection)
+        assert (status, problem["type"]) == (408, "urn:roomlight:problem:header-timeout")
+        assert len(refusals(caplog, "header-timeout")) == 1
+
+
+def test_blank_lines_do_not_keep_a_connection():
+    with RunningServer(header_timeout_s=0.1) as server, dial(server) as connection:
+        connection.sendall(GET + b"\r\n")
+        assert answer_of(connection)[0] == 200
+        connection.sendall(b"\r\n")
+        assert is_closed(connection)
+
+
+def test_the_body_of_a_refused_request_is_not_read_on(caplog):
+    """After a 401 the server read 8.8 GB of body."""
+    with RunningServer(tokens=(TOKEN,)) as server, dial(server) as connection:
+        connection.sendall(
+            b"PUT /v1/sessions/room/frames/0 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 99999999999\r\n\r\n"
+        )
+        assert answer_of(connection)[0] == 401
+        assert send_until_closed(connection, bytes(2**16), 2**27) < 2**27
+        assert len(refusals(caplog, "too-large")) == 1
+
+
+def test_the_rest_of_a_small_refused_body_is_discarded():
+    """A client with a wrong token sends the whole frame before it reads its 401, and the connection goes on."""
+    with RunningServer(tokens=(TOKEN,)) as server:
+        connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+        for _ in range(3):
+            connection.request("PUT", "/v1/sessions/room/frames/0", bytes(2**20))
+            answer = connection.getresponse()
+            assert answer.status == 401
+            answer.read()
+        connection.close()
+
+
+def test_a_client_that_does_not_read_is_closed(caplog):
+    """An unread answer was held in memory for as long as its client liked."""
+    with RunningServer(send_timeout_s=0.1) as server:
+        server.open(options={"mode": "classical", "height": 512})
+        with socket.socket() as connection:
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.connect(("127.0.0.1", server.port))
+            connection.sendall(
+                b"GET /v1/sessions/room/probe?x=0&y=0&z=0&format=npy HTTP/1.1\r\nHost: localhost\r\n\r\n" * 4
+            )
+            while not refusals(caplog, "slow-reader"):
+                assert server.call("GET", "/healthz").status == 200
+
+
+def test_the_metrics_count_connections(caplog):
+    caplog.set_level(logging.WARNING)
+    with RunningServer(max_connections_per_address=1) as server:
+        with dial(server), dial(server) as second:
+            assert answer_of(second)[0] == 503
+        while server.call("GET", "/healthz").status != 200:
+            pass
+        text = server.call("GET", "/metrics").body.decode()
+        assert 'roomlight_connections_refused_total{kind="too-many-connections"}' in text
+        assert "roomlight_connections 1.0" in text

@@ -1,0 +1,229 @@
+"""Requests that once were answered with 500, or filled the log: over a real socket."""
+
+import http.client
+import json
+import logging
+import os
+import socket
+import subprocess
+import sys
+import threading
+
+import cv2
+import numpy as np
+import pytest
+from websockets.exceptions import InvalidMessage, InvalidStatus
+from websockets.sync.client import connect
+
+from http_servers import SMALL, RunningServer, box_shot, frame, header_of, parts_of
+
+TOKEN = "a-token-of-sixteen-or-more"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer(body_timeout_s=0.3) as running:
+        running.open()
+        yield running
+
+
+@pytest.fixture
+def errors(caplog):
+    """Log records at ERROR, or with a traceback, of the test so far."""
+    caplog.set_level(logging.INFO)
+    return lambda: [r for r in caplog.records if r.levelno >= logging.ERROR or r.exc_info]
+
+
+def raw(server, request):
+    """Send bytes and return (status, body) of the answer."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+        connection.sendall(request)
+        answer = http.client.HTTPResponse(connection)
+        answer.begin()
+        return answer.status, answer.read()
+
+
+@pytest.mark.parametrize(
+    ("headers", "status"),
+    [
+        ({"Origin": "http://["}, 403),
+        ({"Origin": "http://[::1"}, 403),
+        ({"Host": "["}, 403),
+        ({"Host": "[::1"}, 403),
+        ({"Host": "[::1]:8090"}, 200),
+    ],
+)
+def test_a_malformed_host_or_origin_is_refused(server, errors, headers, status):
+    """`Origin: http://[` and `Host: [` were a ValueError of urlsplit and a 500."""
+    lines = "".join(f"{name}: {value}\r\n" for name, value in ({"Host": "localhost"} | headers).items())
+    found, body = raw(server, f"GET /v1/sessions/room HTTP/1.1\r\n{lines}Connection: close\r\n\r\n".encode())
+    assert found == status, body
+    assert errors() == []
+
+
+@pytest.mark.parametrize("digits", [16, 19, 5001])
+def test_a_content_length_of_any_digits_is_refused(server, errors, digits):
+    """5,001 digits were a ValueError, because Python converts at most 4,300, and a 500."""
+    status, body = raw(
+        server, f"PUT /v1/sessions/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: {'1' * digits}\r\n\r\n".encode()
+    )
+    assert status in (400, 413), body
+    assert errors() == []
+
+
+def multipart(charset):
+    """Return (headers, body) of the frame of a box room as multipart form data of a charset."""
+    colour, depth = parts_of(box_shot(0))
+    lines = [b"--limit"]
+    for name, data in (("header", json.dumps(header_of(box_shot(0))).encode()), ("colour", colour), ("depth", depth)):
+        file = b"" if name == "header" else b'; filename="f"'
+        lines += [f'Content-Disposition: form-data; name="{name}"'.encode() + file, b"", data, b"--limit"]
+    return {"Content-Type": f"multipart/form-data; boundary=limit; charset={charset}"}, b"\r\n".join(lines) + b"--\r\n"
+
+
+@pytest.mark.parametrize(
+    "charset", ["undefined", "utf-7", "unicode_escape", "raw_unicode_escape", "punycode", "utf-16"]
+)
+def test_a_multipart_charset_must_be_utf8(server, errors, charset):
+    """Starlette decodes with any codec of Python; `undefined` and others raised a UnicodeError and a 500."""
+    headers, body = multipart(charset)
+    answer = server.call("PUT", "/v1/sessions/room/frames/0", body.replace(b"box", b"b\\ud800x"), headers=headers)
+    assert (answer.status, answer.kind) == (400, "bad-request")
+    assert answer.json["field"] == "Content-Type"
+    assert errors() == []
+
+
+def test_a_multipart_frame_of_utf8_is_processed(server):
+    headers, body = multipart("UTF-8")
+    assert server.call("PUT", "/v1/sessions/room/frames/0", body, headers=headers).json["status"] == "processed"
+
+
+def heic(tmp_path, *, primary):
+    """Return a HEIC file, or one whose primary image does not exist."""
+    heif = pytest.importorskip("pillow_heif")
+    file = heif.from_bytes(mode="RGB", size=(48, 36), data=bytes(48 * 36 * 3))
+    path = tmp_path / "image.heic"
+    file.save(path, quality=50)
+    data = bytearray(path.read_bytes())
+    if not primary:
+        at = data.index(b"pitm")
+        data[at + 8 : at + 10] = b"\x00\x63"
+    return bytes(data)
+
+
+def with_colour(encoding, data, **changes):
+    from roomlight.wire.frame_header import FrameHeader
+    from roomlight.wire.frame_message import pack
+
+    colour = {"colour": {"encoding": encoding, "bytes": len(data)}}
+    header = FrameHeader.model_validate_json(json.dumps(header_of(box_shot(0)) | colour | changes))
+    return pack(header, data, parts_of(box_shot(0))[1])
+
+
+def test_a_heic_without_a_primary_image_is_invalid(server, errors, tmp_path):
+    """pillow_heif raised an IndexError, which was a 500."""
+    server.open("heic")
+    assert server.push(0, with_colour("heic", heic(tmp_path, primary=True)), name="heic").status == 200
+    answer = server.push(1, with_colour("heic", heic(tmp_path, primary=False)), name="heic")
+    assert (answer.status, answer.json.get("field")) == (422, "colour"), answer.json
+    assert errors() == []
+
+
+def test_a_client_that_hangs_up_is_no_error(server, errors, caplog):
+    """Broken uploads were logged as ERROR with a traceback, 517 in one run."""
+    for _ in range(3):
+        with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+            connection.sendall(
+                b"PUT /v1/sessions/room/frames/8 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9999\r\n\r\n"
+                + bytes(99)
+            )
+    for _ in range(10_000):
+        if sum("disconnected" in record.getMessage() for record in caplog.records) == 3:
+            break
+        server.call("GET", "/healthz")
+    else:
+        pytest.fail("the disconnects were not logged")
+    assert errors() == []
+
+
+def test_websocket_messages_are_not_compressed(server):
+    """permessage-deflate was on: 6.9 MB on the wire became 3.8 GB of memory."""
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", compression="deflate") as websocket:
+        assert websocket.protocol.extensions == []
+
+
+@pytest.mark.parametrize("length", [9_000, 20_000])
+def test_a_websocket_with_a_long_header_is_refused(server, errors, length):
+    with pytest.raises((InvalidStatus, InvalidMessage, ConnectionError)):
+        connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", additional_headers={"X-Long": "x" * length})
+    assert errors() == []
+
+
+def test_text_that_is_not_utf8_closes_without_traceback(server, errors):
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as websocket:
+        websocket.send(b"\xff\xfe", text=True)
+        with pytest.raises(Exception, match="1007"):
+            websocket.recv(timeout=60)
+    assert errors() == []
+
+
+def serve_in_process(*options, **variables):
+    command = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0", *options]
+    environment = os.environ | {"COLUMNS": "200"} | variables
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
+
+
+def lines_of_a_run(process, use):
+    """Run `use(port)` on a server process, stop it, and return the lines of its log after the first."""
+    lines: list[str] = []
+    listening = threading.Event()
+
+    def read():
+        for line in process.stderr:
+            lines.append(line)
+            if line.startswith("Serving on"):
+                listening.set()
+
+    reader = threading.Thread(target=read)
+    reader.start()
+    try:
+        assert listening.wait(120), lines
+        use(int(next(line for line in lines if line.startswith("Serving")).split()[2].rsplit(":", 1)[1]))
+    finally:
+        process.terminate()
+        process.wait(120)
+        reader.join(120)
+        process.stderr.close()
+    return [line for line in lines if not line.startswith("Serving on")]
+
+
+def call(port, method, path, body=None, headers=None):
+    connection = http.client.HTTPConnection("127.0.0.1", port, timeout=120)
+    connection.request(method, path, body, headers or {})
+    answer = connection.getresponse()
+    content = answer.read()
+    connection.close()
+    return answer.status, content
+
+
+def test_every_line_of_the_log_is_json_without_tokens():
+    """libjpeg wrote plain lines between those of the log; websockets logged the token of a connection at debug."""
+    damaged = bytearray(cv2.imencode(".jpg", np.random.default_rng(1).integers(0, 255, (36, 48, 3), np.uint8))[1])
+    damaged[len(damaged) // 2 : len(damaged) // 2 + 40] = bytes(40)
+    token = {"Authorization": f"Bearer {TOKEN}"}
+
+    def use(port):
+        options = {"Content-Type": "application/json"} | token
+        assert call(port, "PUT", "/v1/sessions/room", json.dumps(SMALL), options)[0] == 201
+        call(port, "PUT", "/v1/sessions/room/frames/0", with_colour("jpeg", bytes(damaged)), token)
+        call(port, "PUT", "/v1/sessions/room/frames/1", frame(1), token)
+        address = f"ws://127.0.0.1:{port}/v1/sessions/room/stream"
+        for given in ({"additional_headers": token}, {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]}):
+            with connect(address, **given) as websocket:
+                websocket.send(frame(2, index=2))
+                websocket.recv(timeout=120)
+
+    lines = lines_of_a_run(serve_in_process("--log-level", "debug", "--access-log", ROOMLIGHT_TOKENS=TOKEN), use)
+    records = [json.loads(line) for line in lines]
+    assert any("Corrupt JPEG" in record["event"] for record in records)
+    assert not any(TOKEN in line for line in lines)
