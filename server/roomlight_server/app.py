@@ -22,6 +22,7 @@ from roomlight.wire.frame_header import FrameHeader
 from roomlight_server import light_forms, light_routes, problems, session_routes, stream
 from roomlight_server.auth import DOCS_ASSETS, AuthMiddleware, Tokens
 from roomlight_server.bodies import BodyMiddleware
+from roomlight_server.byte_budget import ByteBudget
 from roomlight_server.connections import ConnectionGuard
 from roomlight_server.context import Context, ContextDep
 from roomlight_server.metrics import CONTENT_TYPE, Metrics
@@ -66,7 +67,10 @@ def create_app(
     metrics = Metrics()
     workers = Workers(settings)
     registry = Registry(settings, workers, metrics, clock)
-    context = Context(settings, metrics, workers, registry, ConnectionGuard(settings, metrics))
+    guard = ConnectionGuard(settings, metrics)
+    budget = ByteBudget(settings.max_pending_bytes, lambda: guard.unsent_bytes)
+    metrics.pending_bytes.set_function(lambda: budget.used)
+    context = Context(settings, metrics, workers, registry, guard, budget)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:

@@ -17,6 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from roomlight.errors import WireError
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import MAX_HEADER_BYTES, pack, to_wire_error
+from roomlight_server.byte_budget import Reservation
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
 
@@ -89,15 +90,20 @@ class BodyMiddleware:
         return limited
 
 
-async def read_frame(request: Request) -> bytes:
+async def read_frame(request: Request, held: Reservation) -> bytes:
     """Return the frame message in a request's body, assembled from its parts if the body is multipart.
 
+    `held` reserves the memory as the body arrives.
+
     Raises:
-        ProblemError: The multipart body cannot be parsed, or has another charset than UTF-8.
+        ProblemError: The multipart body cannot be parsed or is not UTF-8 (400), or the memory budget is used up (503).
     """
     content_type = request.headers.get("content-type", "")
     if not content_type.startswith("multipart/form-data"):
-        chunks = [chunk async for chunk in request.stream()]
+        chunks: list[bytes] = []
+        async for chunk in request.stream():
+            held.add(len(chunk))
+            chunks.append(chunk)
         return b"".join(chunks)
     charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
     if charset.lower() not in _CHARSETS:  # Starlette decodes with any of Python's codecs, some of which raise
@@ -107,6 +113,7 @@ async def read_frame(request: Request) -> bytes:
         async with request.form(max_files=4, max_fields=4, max_part_size=MAX_HEADER_BYTES) as form:
             parts: dict[str, bytes] = {}
             for name, value in form.multi_items():
+                held.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
                 parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
     except MultiPartException as error:
         raise ProblemError("bad-request", f"the multipart body cannot be parsed: {error.message}") from error

@@ -7,6 +7,7 @@ from typing import Annotated, Final
 from fastapi import Depends, Path, Request
 
 from roomlight.wire.messages import ID_PATTERN
+from roomlight_server.byte_budget import ByteBudget, Reservation
 from roomlight_server.connections import ConnectionGuard
 from roomlight_server.live_session import LiveSession
 from roomlight_server.metrics import Metrics
@@ -24,6 +25,7 @@ class Context:
     workers: Workers
     registry: Registry
     guard: ConnectionGuard
+    budget: ByteBudget
     ready: bool = False
 
 
@@ -57,6 +59,13 @@ async def live_session(
         yield live
 
 
+async def reservation(context: Annotated[Context, Depends(context_of)]) -> AsyncGenerator[Reservation]:
+    """Yield the request's reservation of memory, which is released when the answer is written."""
+    with context.budget.reservation() as held:
+        yield held
+
+
 ContextDep = Annotated[Context, Depends(context_of)]
 OwnerDep = Annotated[str, Depends(owner_of)]
 SessionDep = Annotated[LiveSession, Depends(live_session)]
+ReservationDep = Annotated[Reservation, Depends(reservation)]

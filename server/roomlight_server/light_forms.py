@@ -33,6 +33,7 @@ MEDIA_TYPES: Final[dict[str, str]] = {
 }
 _WARM_FACE_SIZES: Final = (16, 32, 64)
 """Face widths that are prepared at the start: ARCore's, the default, and a usual one for reflections."""
+_PIXEL_BYTES: Final = {"exr": 6, "hdr": 4, "png": 3, "npy": 12, "confidence": 1}
 _BASES: Final[dict[HarmonicsBasis, tuple[CoefficientOrder, Phase]]] = {
     "arcore": ("interleaved", "condon-shortley"),
     "arkit": ("planar", "condon-shortley"),
@@ -62,14 +63,16 @@ def http_etag(light: Light, form: LightForm) -> str:
     return f'"{light.etag}-{form.format}{size}{extra}"'
 
 
-def max_bytes(form: LightForm) -> int:
-    """Return an upper bound of the form's size in bytes; a panorama without a stated size counts as 1 MB."""
+def max_bytes(form: LightForm, height: int) -> int:
+    """Return an upper bound of the form's size in bytes, for a session whose panoramas have this height in pixels."""
     if form.format in ("sh", "main_light"):
         return 1024
     if form.format in CUBE_FORMATS:
         face_size = form.size or DEFAULT_SIZE
         return 6 * face_size**2 * 8 * (2 if form.format == "specular" else 1) + 1024
-    return (2 * form.size**2 * 12 if form.size else 2**20) + 1024
+    rows = form.size or height
+    pixels = 2 * rows**2 * _PIXEL_BYTES[form.format]
+    return pixels + pixels // 32 + 16 * rows + 4096  # incompressible data grows a little; headers and line offsets
 
 
 def encode(light: Light, form: LightForm) -> LightPayload:

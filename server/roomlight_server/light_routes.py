@@ -1,5 +1,6 @@
 """Routes for light: at one point with an ETag, at many points in one call, at named probes."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any, Final
 
 from fastapi import APIRouter, Body, Query, Request, Response
@@ -20,7 +21,7 @@ from roomlight.wire.messages import (
     ProbeLight,
     ProbeQuery,
 )
-from roomlight_server.context import ContextDep, ProbeName, SessionDep
+from roomlight_server.context import ContextDep, ProbeName, ReservationDep, SessionDep
 from roomlight_server.light_forms import MEDIA_TYPES, encode, encode_all, http_etag, max_bytes
 from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import BODY_PROBLEMS, ProblemError, documented
@@ -74,11 +75,12 @@ _Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="pn
     "/probe",
     summary="Light at a point",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "engine-failed"),
+    responses=_ONE | documented(*_PROBLEMS, "engine-failed", "server-busy"),
 )
 async def probe(
     live: SessionDep,
     context: ContextDep,
+    held: ReservationDep,
     request: Request,
     x: _Metres,
     y: _Metres,
@@ -94,6 +96,7 @@ async def probe(
     Before the first frame this is the default light: grey, brighter from above, coverage 0, frame -1.
     """
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
+    held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     return await _answer_one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
 
 
@@ -101,11 +104,12 @@ async def probe(
     "/probes/{name}",
     summary="Light at a named probe",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "probe-not-found"),
+    responses=_ONE | documented(*_PROBLEMS, "probe-not-found", "server-busy"),
 )
 async def named_probe(
     live: SessionDep,
     context: ContextDep,
+    held: ReservationDep,
     name: ProbeName,
     request: Request,
     format: _Format = "exr",
@@ -116,6 +120,7 @@ async def named_probe(
 ) -> Response:
     """Return the light at a named probe. It is updated with every frame, so this is the best light, without delay."""
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
+    held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
     return await _answer_one(live, context.workers, request, ProbeQuery(name=name), form)
 
 
@@ -158,37 +163,51 @@ async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     summary="Light at many points",
     response_model=LightResponse,
     responses={200: {"description": "The light in the order of the request", "content": {MEDIA_TYPE: {}}}}
-    | documented(*BODY_PROBLEMS, *_PROBLEMS, "probe-not-found", "engine-failed"),
+    | documented(*BODY_PROBLEMS, *_PROBLEMS, "probe-not-found", "engine-failed", "server-busy"),
 )
 async def probes(
     live: SessionDep,
     context: ContextDep,
+    held: ReservationDep,
     body: Annotated[LightRequest, Body(openapi_examples=_BATCH)],
     request: Request,
 ) -> Response:
     """Return the light at many points after the same frame, each in every form, as JSON or (by `Accept`) binary."""
-    check_size(body)
+    binary = MEDIA_TYPE in request.headers.get("accept", "")
+    size = answer_bytes(len(body.probes), body.forms, live.request.height, base64=not binary)
+    check_size(size)
+    held.add(memory_of(live, len(body.probes), size))
     with context.metrics.light_seconds.time():
         lights = await live.lights(body.probes)
         results, parts = await encode_lights(context.workers, lights, body.forms)
     response = LightResponse(frame=lights[0].frame, results=results)
-    if MEDIA_TYPE in request.headers.get("accept", ""):
+    if binary:
         return Response(pack_light(response, parts), media_type=MEDIA_TYPE)
     text = await context.workers.run_in_decode_pool(_to_json, response, parts)
     return Response(text, media_type="application/json")
 
 
-def check_size(request: LightRequest) -> None:
-    """Check that the answer cannot exceed `MAX_ANSWER_BYTES`.
+def answer_bytes(probes: int, forms: Sequence[LightForm], height: int, *, base64: bool = False) -> int:
+    """Return an upper bound of an answer's size, for a session whose panoramas have this height in pixels."""
+    size = probes * sum(max_bytes(form, height) for form in forms)
+    return size * 4 // 3 if base64 else size
+
+
+def check_size(size: int) -> None:
+    """Check that an answer of this size in bytes may be sent.
 
     Raises:
-        ProblemError: The answer could be larger (422).
+        ProblemError: The size exceeds `MAX_ANSWER_BYTES` (422).
     """
-    size = len(request.probes) * sum(max_bytes(form) for form in request.forms)
     if size > MAX_ANSWER_BYTES:
         rule = f"at most {MAX_ANSWER_BYTES} bytes per answer; request fewer probes, forms or pixels"
         detail = f"the answer could have {size} bytes: {rule}"
         raise ProblemError("invalid", detail, field="forms", value=size, rule=rule)
+
+
+def memory_of(live: LiveSession, probes: int, size: int) -> int:
+    """Return the memory that an answer of `size` bytes takes while it is made: panoramas, parts, and joined bytes."""
+    return probes * live.light_bytes + 2 * size
 
 
 async def encode_lights(

@@ -394,11 +394,12 @@ class LiveSession:
         """Upper bound of the session's memory."""
         keyframes, probes = self._keyframe_capacity, self._limits.max_probes
         return self._footprint.total(keyframes=keyframes, probes=probes, started=True) + (
-            MAX_CACHED_LIGHTS * self._light_bytes
+            MAX_CACHED_LIGHTS * self.light_bytes
         )
 
     @property
-    def _light_bytes(self) -> int:
+    def light_bytes(self) -> int:
+        """Memory of one light."""
         return 16 * 2 * self.request.height**2  # float32 radiance and observed
 
     def state(self) -> SessionState:
@@ -407,7 +408,7 @@ class LiveSession:
         grid = None if engine is None else engine.grid
         keyframes = 0 if engine is None else engine.keyframes
         held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=grid is not None)
-        kept = held + len(self._lights) * self._light_bytes
+        kept = held + len(self._lights) * self.light_bytes
         volume = None
         if grid is not None:
             volume = Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)

@@ -49,6 +49,9 @@ class Metrics:
             registry=registry,
         )
         self.connections = Gauge("roomlight_connections", "Open connections.", registry=registry)
+        self.pending_bytes = Gauge(
+            "roomlight_pending_bytes", "Memory of requests and answers in progress.", registry=registry
+        )
         self.connections_refused = Counter(
             "roomlight_connections_refused",
             "Connections that were refused or closed, by reason.",

@@ -8,7 +8,7 @@ from fastapi import APIRouter, Body, Header, Path, Request, Response
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_server.bodies import read_frame
-from roomlight_server.context import ContextDep, OwnerDep, SessionDep, SessionId
+from roomlight_server.context import ContextDep, OwnerDep, ReservationDep, SessionDep, SessionId
 from roomlight_server.problems import BODY_PROBLEMS, documented
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
@@ -123,11 +123,12 @@ async def delete_session(session_id: SessionId, context: ContextDep, owner: Owne
     }
     | documented(
         *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "frame-conflict", "session-failed", "session-closed"),
-        *("bad-frame", "invalid", "session-full", "engine-failed"),
+        *("bad-frame", "invalid", "session-full", "engine-failed", "server-busy"),
     ),
 )
 async def put_frame(
     live: SessionDep,
+    held: ReservationDep,
     index: Annotated[int, Path(ge=0, le=MAX_INDEX)],
     request: Request,
     response: Response,
@@ -139,7 +140,7 @@ async def put_frame(
     a conflict (409). Indices may leave gaps.
     """
     async with live.frame_slot():
-        entry = await live.accept(await read_frame(request), index)
+        entry = await live.accept(await read_frame(request, held), index)
         if "respond-async" in prefer.lower() and not entry.outcome.done():
             response.status_code = 202
             return FrameResult(index=index, status="queued")

@@ -86,7 +86,7 @@ class ServerSettings(BaseSettings):
     max_header_bytes: Annotated[int, Field(ge=1024, le=2**20)] = 2**15
     header_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 10.0
     send_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
-    max_pending_bytes: Annotated[int, Field(ge=2**20)] = 2**30
+    max_pending_bytes: Annotated[int, Field(ge=2**27)] = 2**30
     wrong_token_delay_s: Annotated[float, Field(ge=0, le=60)] = 1.0
     decode_timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
 

@@ -17,14 +17,12 @@ from pydantic import TypeAdapter, ValidationError
 from roomlight.wire.frame_message import stated_index, to_wire_error
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import (
-    MAX_PROBES,
     ClientMessage,
     FrameEvent,
     LightAnswer,
     LightCall,
     LightForm,
     LightingUpdate,
-    LightRequest,
     ProbeLight,
     ProbeQuery,
     ProbesEvent,
@@ -37,7 +35,7 @@ from roomlight.wire.messages import (
 from roomlight_server.auth import SUBPROTOCOL
 from roomlight_server.bodies import MAX_JSON_BYTES
 from roomlight_server.context import Context
-from roomlight_server.light_routes import check_size, encode_lights
+from roomlight_server.light_routes import answer_bytes, check_size, encode_lights, memory_of
 from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
 
@@ -152,9 +150,14 @@ class _Connection:
 
     async def _process_frame(self, data: bytes) -> None:
         async with self._answering_errors(frame=data):
-            entry = await self._live.accept(data, None)
-            result = await asyncio.shield(entry.outcome)
-            await self._send(FrameEvent(**result.model_dump()))
+            with self._context.budget.reservation() as held:
+                held.add(len(data))
+                await self._accept_frame(data)
+
+    async def _accept_frame(self, data: bytes) -> None:
+        entry = await self._live.accept(data, None)
+        result = await asyncio.shield(entry.outcome)
+        await self._send(FrameEvent(**result.model_dump()))
 
     async def _handle_text(self, text: str) -> None:
         if len(text) > MAX_JSON_BYTES:
@@ -166,9 +169,12 @@ class _Connection:
             raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
         if isinstance(message, LightCall):
             async with self._answering_errors(request=message.request):
-                check_size(message)
-                frame, results, parts = await self._encoded_lights(message.probes, message.forms)
-                await self._send(LightAnswer(request=message.request, frame=frame, results=results), parts)
+                with self._context.budget.reservation() as held:
+                    size = self._answer_bytes(len(message.probes), message.forms)
+                    check_size(size)
+                    held.add(memory_of(self._live, len(message.probes), size))
+                    frame, results, parts = await self._encoded_lights(message.probes, message.forms)
+                    await self._send(LightAnswer(request=message.request, frame=frame, results=results), parts)
         elif isinstance(message, Subscribe):
             self._subscribe(message.forms)
         elif isinstance(message, Track):
@@ -181,10 +187,12 @@ class _Connection:
 
     def _subscribe(self, forms: list[LightForm]) -> None:
         if forms:
-            probes = min(self._context.settings.max_probes, MAX_PROBES)
-            check_size(LightRequest(probes=[ProbeQuery(name="any")] * probes, forms=forms))
+            check_size(self._answer_bytes(self._context.settings.max_probes, forms))
         self._subscribed_forms = forms
         self._update_due.set()
+
+    def _answer_bytes(self, probes: int, forms: Sequence[LightForm]) -> int:
+        return answer_bytes(probes, forms, self._live.request.height)
 
     async def _send_probes(self) -> None:
         probes = {name: list(position) for name, position in self._live.probes.items()}
@@ -215,10 +223,13 @@ class _Connection:
 
     async def _send_update(self, named: list[ProbeQuery]) -> None:
         try:
-            frame, results, parts = await self._encoded_lights(named, self._subscribed_forms)
+            with self._context.budget.reservation() as held:
+                size = self._answer_bytes(len(named), self._subscribed_forms)
+                held.add(memory_of(self._live, len(named), size))
+                frame, results, parts = await self._encoded_lights(named, self._subscribed_forms)
+                await self._send(LightingUpdate(frame=frame, results=results), parts)
         except ProblemError:
-            return  # a probe was deleted in the meantime, or the session has ended, which is the next event
-        await self._send(LightingUpdate(frame=frame, results=results), parts)
+            return  # a probe was deleted, the memory budget is used up, or the session has ended: the next event
 
     async def _send(self, message: WireModel, parts: Sequence[bytes] = ()) -> None:
         """Send a message as text, or as binary if it has data, and wait until the client accepts it."""
