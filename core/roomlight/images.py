@@ -99,11 +99,13 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
-def decode_colour(data: bytes, name: str) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
+def decode_colour(
+    data: bytes, name: str, *, as_stored: bool = False
+) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
     """Decode a JPEG, PNG, EXR or HDR file to linear RGB float32 and the mask of clipped pixels.
 
-    8-bit files are sRGB-encoded, clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation; EXR and HDR are
-    linear and never clip.
+    8-bit files are sRGB-encoded, clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless `as_stored`;
+    EXR and HDR are linear and never clip.
 
     Raises:
         ImageError: The data does not decode, or its header declares more than `MAX_PIXELS`; begins with `name`.
@@ -115,7 +117,8 @@ def decode_colour(data: bytes, name: str) -> tuple[Float[np.ndarray, "h w 3"], B
         encoded = _decode_with_opencv(data, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
         image = _finite(np.ascontiguousarray(encoded[..., ::-1], np.float32), name)
         return image, np.zeros(image.shape[:2], bool)
-    encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR)
+    orientation = cv2.IMREAD_IGNORE_ORIENTATION if as_stored else 0
+    encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR | orientation)
     rgb = np.ascontiguousarray(encoded[..., ::-1])
     return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
 

@@ -120,6 +120,8 @@ def create_app(
         tokens=Tokens(settings.tokens),
         origins=settings.allow_origins,
         loopback=not settings.tokens,
+        metrics=metrics,
+        wrong_token_delay_s=settings.wrong_token_delay_s,
     )
     if settings.allow_origins:
         app.add_middleware(

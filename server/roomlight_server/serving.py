@@ -1,6 +1,7 @@
 """Running a server: uvicorn, its options, a graceful stop."""
 
 import gc
+import logging
 import os
 import socket
 import sys
@@ -17,6 +18,7 @@ from roomlight_server.context import Context
 from roomlight_server.logs import configure_logging, native_lines_logged
 from roomlight_server.settings import ServerSettings
 
+_log = logging.getLogger("roomlight.server")
 GRACE_S: Final = 20
 """Time to finish running requests when the server stops; a frame takes a tenth of a second."""
 KEEP_ALIVE_S: Final = 75
@@ -107,6 +109,8 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
         app = create_app(settings, when_ready=freeze_garbage_collector)
         context: Context = app.state.context
         context.workers.load()
+        if "*" in settings.allow_origins and not settings.tokens:
+            _log.warning("allow_origins is * and there is no token: any web page on this machine can use the server")
         with listen(settings) as bound:
             listening(address_of(settings, bound))
             make_server(settings, app).run(sockets=[bound])

@@ -153,10 +153,12 @@ def test_unusable_depth_is_rejected(depth, rule):
     assert caught.value.field == "depth"
 
 
-def test_an_image_with_an_exif_rotation_is_rejected():
-    upright = cv2.imencode(".jpg", np.zeros((HEIGHT, WIDTH, 3), np.uint8))[1].tobytes()
-    tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0\x06\0\0" + bytes(4)
+@pytest.mark.parametrize("orientation", [2, 3, 6])
+def test_an_exif_orientation_is_ignored(orientation):
+    pixels = np.random.default_rng(3).integers(0, 255, (HEIGHT, WIDTH, 3), np.uint8)
+    upright = cv2.imencode(".jpg", pixels)[1].tobytes()
+    tiff = b"MM\0*\0\0\0\x08" + b"\0\x01" + b"\x01\x12\0\x03\0\0\0\x01\0" + bytes([orientation, 0, 0]) + bytes(4)
     body = b"Exif\0\0" + tiff
     turned = upright[:2] + b"\xff\xe1" + (len(body) + 2).to_bytes(2, "big") + body + upright[2:]
-    with pytest.raises(WireError, match="without an EXIF rotation"):
-        decode_frame(message(("jpeg", turned)), 0)
+    expected = decode_frame(message(("jpeg", upright)), 0).image
+    np.testing.assert_array_equal(decode_frame(message(("jpeg", turned)), 0).image, expected)

@@ -69,11 +69,12 @@ def _colour(message: FrameMessage) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.
         rgb = np.frombuffer(data, np.uint8).reshape(height, width, 3) if encoding == "rgb8" else _heic(message)
         return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
     try:
-        image, clipped = decode_colour(bytes(data), "the image")
+        # turned by its EXIF orientation, the image would no longer fit its depth and intrinsics
+        image, clipped = decode_colour(bytes(data), "the image", as_stored=True)
     except RoomLightError as error:
         raise _error("colour", f"{len(data)} bytes of {encoding}", str(error)) from error
     if image.shape[:2] != (height, width):
-        rule = f"the pixels must be stored as {width} x {height}, without an EXIF rotation"
+        rule = f"the image must have the size stated in the header, {width} x {height}"
         raise _error("colour", f"{image.shape[1]} x {image.shape[0]}", rule)
     return image, clipped
 

@@ -1,0 +1,69 @@
+"""Who is answered: the `Host` of all paths, wrong tokens, and the warning of a server that is open to all pages."""
+
+import asyncio
+
+import pytest
+
+from http_servers import RunningServer
+from roomlight_server import auth, serving
+from roomlight_server.settings import ServerSettings
+
+TOKEN = "a-token-of-sixteen-or-more"
+
+
+@pytest.mark.parametrize(
+    "path", ["/metrics", "/docs", "/openapi.json", "/docs-assets/swagger-ui.css", "/v1/sessions/a"]
+)
+def test_a_server_without_token_checks_the_host_of_every_path(path):
+    """/metrics and /docs were answered for any `Host`, so that a page of another site could read them."""
+    with RunningServer() as server:
+        answer = server.call("GET", path, headers={"Host": "evil.example"})
+        assert (answer.status, answer.kind) == (403, "forbidden-origin")
+        assert server.call("GET", path).status in (200, 404)
+
+
+@pytest.mark.parametrize("path", ["/healthz", "/readyz"])
+def test_probes_are_answered_for_every_host(path):
+    with RunningServer() as server:
+        assert server.call("GET", path, headers={"Host": "10.0.0.7:8090"}).status in (200, 503)
+
+
+def test_a_server_with_tokens_answers_metrics_for_every_host():
+    with RunningServer(tokens=(TOKEN,)) as server:
+        assert server.call("GET", "/metrics", headers={"Host": "lights.example"}).status == 200
+
+
+def test_wrong_tokens_are_counted_logged_and_slowed(monkeypatch, caplog):
+    """A wrong token left no trace and could be guessed at the speed of the server."""
+    delays = []
+
+    class Recorder:
+        @staticmethod
+        async def sleep(delay_s):
+            delays.append(delay_s)
+            await asyncio.sleep(0)
+
+    monkeypatch.setattr(auth, "asyncio", Recorder)
+    with RunningServer(tokens=(TOKEN,), wrong_token_delay_s=1.5) as server:
+        assert server.call("GET", "/v1/sessions/a").status == 401
+        assert delays == []
+        assert server.call("GET", "/v1/sessions/a", token="guess").status == 401
+        assert delays == [1.5]
+        assert server.call("GET", "/v1/sessions/a", token=TOKEN).status == 404
+        text = server.call("GET", "/metrics").body.decode()
+    assert 'roomlight_unauthorized_total{reason="wrong"} 1.0' in text
+    assert 'roomlight_unauthorized_total{reason="missing"} 1.0' in text
+    logged = [record for record in caplog.records if record.getMessage() == "wrong token"]
+    assert [vars(record)["address"] for record in logged] == ["127.0.0.1"]
+    assert "guess" not in caplog.text
+
+
+@pytest.mark.parametrize(("tokens", "warns"), [((), True), ((TOKEN,), False)])
+def test_all_origins_without_a_token_is_warned_about(monkeypatch, capfd, tokens, warns):
+    class Stopped(serving.uvicorn.Server):
+        def run(self, sockets=None):
+            del sockets
+
+    monkeypatch.setattr(serving.uvicorn, "Server", Stopped)
+    serving.serve(ServerSettings(port=0, allow_origins=("*",), tokens=tokens), listening=lambda _: None)
+    assert ("any web page" in capfd.readouterr().err) is warns
