@@ -150,7 +150,7 @@ def test_the_test_camera_is_square():
 
 
 def test_intrinsics_are_plain_numbers_so_that_rays_stay_float32():
-    camera = Intrinsics(*(np.float64(value) for value in (200.0, 210.0, 81.5, 59.0)), 160, 120)
+    camera = Intrinsics(np.float64(200.0), np.float64(210.0), np.float64(81.5), np.float64(59.0), 160, 120)
     assert all(type(getattr(camera, name)) is float for name in ("fx", "fy", "cx", "cy"))
     assert camera.rays().dtype == np.float32
     assert (camera.rays() == CAMERA.rays()).all()

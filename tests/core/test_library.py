@@ -30,6 +30,7 @@ def test_type_checkers_see_every_public_name():
                 for name in node.names}  # fmt: skip
     assert imported.keys() == PUBLIC
     for name, module in imported.items():
+        assert module is not None
         assert getattr(sys.modules[module], name) is getattr(rl, name)
 
 

@@ -145,6 +145,7 @@ def test_a_wrong_exposure_is_an_option_error(light):
 
 def test_a_notebook_shows_the_tone_mapped_panorama(light):
     picture = cv2.imdecode(np.frombuffer(light._repr_png_(), np.uint8), cv2.IMREAD_COLOR)
+    assert picture is not None
     assert picture.shape == (24, 48, 3)
     assert picture.max() == 255  # the window is brighter than white
     assert light._repr_png_() == light.file("png")

@@ -58,20 +58,27 @@ def test_hdr_of_a_room_keeps_its_light() -> None:
     assert np.isfinite(huge).all()
 
 
+def pixels_of(png: bytes) -> np.ndarray:
+    """Decode a PNG to pixels [H, W, 3], BGR."""
+    pixels = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
+    assert pixels is not None
+    return pixels
+
+
 @pytest.mark.parametrize("exposure_ev", [-3.0, -0.5, 0.0, 1.0, 16.0])
 def test_png_is_white_at_its_exposure(exposure_ev: float) -> None:
     white = np.float32(2.0**-exposure_ev)
     panorama = np.zeros((8, 16, 3), np.float32)
     panorama[0], panorama[1], panorama[2] = white, white * 4, white * np.float32(0.18)
     data = to_png(panorama, exposure_ev=exposure_ev)
-    pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    pixels = pixels_of(data)
     assert (pixels[:2] == 255).all()
     assert (pixels[2] == 118).all()  # 18 % grey in sRGB
     assert not pixels[3:].any()
 
 
 def test_png_without_exposure_is_the_panorama_in_srgb() -> None:
-    pixels = cv2.imdecode(np.frombuffer(to_png(room(24)), np.uint8), cv2.IMREAD_COLOR)
+    pixels = pixels_of(to_png(room(24)))
     np.testing.assert_array_equal(pixels[..., ::-1], linear_to_srgb8(room(24)))
 
 

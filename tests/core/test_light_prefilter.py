@@ -29,7 +29,7 @@ def rms(difference):
 
 @pytest.mark.parametrize("size", [8, 16, 32, 64])
 def test_white_furnace(size: int) -> None:
-    mips = prefilter(CubeMap(np.broadcast_to(np.float32([0.5, 1.0, 7.0]), (6, size, size, 3)).copy()))
+    mips = prefilter(CubeMap(np.broadcast_to(np.array([0.5, 1.0, 7.0], np.float32), (6, size, size, 3)).copy()))
     for level in mips.levels:
         np.testing.assert_allclose(level.faces, np.broadcast_to([0.5, 1.0, 7.0], level.faces.shape), rtol=1e-5)
 

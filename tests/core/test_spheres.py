@@ -21,8 +21,8 @@ def room(height: int, seed: int = 0) -> np.ndarray:
     """A smooth dim surrounding, a window of 25 x 25 degrees at radiance 8, and a lamp of 3 degrees at 60."""
     directions = panorama_directions(height)
     dim = 0.3 + 0.2 * directions @ np.random.default_rng(seed).normal(size=(3, 3)).astype(np.float32) / 3
-    window = (directions @ np.float32([0.6, 0.3, 0.742])) > np.cos(np.radians(14))
-    lamp = (directions @ np.float32([-0.5, 0.7, -0.51])) > np.cos(np.radians(3))
+    window = (directions @ np.array([0.6, 0.3, 0.742], np.float32)) > np.cos(np.radians(14))
+    lamp = (directions @ np.array([-0.5, 0.7, -0.51], np.float32)) > np.cos(np.radians(3))
     return (np.abs(dim) + 8 * window[..., None] + 60 * lamp[..., None]).astype(np.float32)
 
 
@@ -74,7 +74,7 @@ def test_spheres_agree_with_dense_integration(material: Material, of_mean: float
 @pytest.mark.parametrize("material", ["mirror", "matte", "diffuse"])
 def test_white_furnace(material: Material, height: int) -> None:
     spheres = SphereRenderer((1.0, 0.5, 0.2), size=16)
-    panorama = np.broadcast_to(np.float32([0.5, 1.0, 7.0]), (height, 2 * height, 3)).copy()
+    panorama = np.broadcast_to(np.array([0.5, 1.0, 7.0], np.float32), (height, 2 * height, 3)).copy()
     pixels = spheres.pixels(panorama, material)
     np.testing.assert_allclose(pixels, np.broadcast_to(panorama[0, 0], pixels.shape), rtol=1e-5)
 
@@ -123,7 +123,7 @@ def test_turning_room_and_view_together_changes_nothing(material: Material, quar
 )
 def test_the_mirror_shows_a_light_where_it_is(light: tuple[float, float, float], column: float, row: float) -> None:
     directions = panorama_directions(90)
-    panorama = np.repeat(((directions @ np.float32(light)) > 0.995).astype(np.float32)[..., None], 3, axis=2)
+    panorama = np.repeat(((directions @ np.array(light, np.float32)) > 0.995).astype(np.float32)[..., None], 3, axis=2)
     spheres = SphereRenderer((0.0, 0.0, -1.0), size=64)
     image = spheres.render(panorama, "mirror")[..., 0] * spheres.mask
     rows, columns = np.nonzero(image > 0.5)
@@ -132,7 +132,7 @@ def test_the_mirror_shows_a_light_where_it_is(light: tuple[float, float, float],
 
 
 def test_the_brightest_diffuse_pixel_faces_the_light() -> None:
-    light = np.float32([0.48, 0.6, 0.64])
+    light = np.array([0.48, 0.6, 0.64], np.float32)
     panorama = np.zeros((60, 120, 3), np.float32)
     u, v = direction_to_uv(light)
     panorama[int(v * 60), int(u * 120)] = 1000

@@ -63,7 +63,7 @@ def test_a_changed_weight_shows_after_the_recursion():
     torch.nn.init.normal_(model.sg_decoder.heads.weight)
     good = torch_runner({graph.name: graph for graph in graphs_of(half_rounded(model, "good"))})
     tampered = half_rounded(model, "tampered")
-    tampered.sg_gru0.candidate.bias.data += 0.05
+    tampered.get_parameter("sg_gru0.candidate.bias").data += 0.05
     bad = torch_runner({graph.name: graph for graph in graphs_of(tampered)})
     volumes = [room_volume((8, 8, 8), frame=frame) for frame in range(9)]
     same = compare_volumes(good, good, good, volumes=volumes, recurrent=True)

@@ -16,6 +16,7 @@ import torch
 from recordings import BoxRecordings
 from roomlight.conventions import linear_to_srgb8, panorama_rays, srgb8_to_linear
 from roomlight.dataset.recording import GLASS
+from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
 from roomlight.errors import ModelError, OptionError, OutputError
 from roomlight_model.checkpoint import load_checkpoint
@@ -377,6 +378,7 @@ def test_several_frames_are_fused_as_in_the_serving_engine():
     assert batch.before is not None
     assert batch.kept is not None
     np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
+    assert isinstance(session._backend, NetworkBackend)
     np.testing.assert_array_equal(batch.volume[0].numpy(), session._backend._volume)
     seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
     for handle, mask in zip(handles, seen, strict=True):

@@ -155,7 +155,7 @@ def test_twice_the_input_light_gives_twice_the_light():
 def test_the_decoder_uses_the_frames_tint():
     model = SingleModel(CONFIG)
     before = model(yellow_room()).alpha
-    torch.nn.init.normal_(model.sg_decoder.tint.weight)
+    torch.nn.init.normal_(model.get_parameter("sg_decoder.tint.weight"))
     assert not torch.equal(model(yellow_room()).alpha, before)
 
 
@@ -231,11 +231,12 @@ def test_merge_needs_an_update_volume():
 @pytest.mark.parametrize("kernel", [1, 3])
 def test_gru_gates_do_what_they_are_for(kernel):
     gru = SGGRU(4, gate_kernel=kernel)
+    gates_bias = gru.get_parameter("gates.bias")
     hidden, feature = torch.rand(1, 4, 5, 6, 7) * 2 - 1, torch.rand(1, 4, 5, 6, 7) * 2 - 1
-    gru.gates.bias.data[:4] = 100.0  # keep all
+    gates_bias.data[:4] = 100.0  # keep all
     assert torch.equal(gru(hidden, feature), hidden)
-    gru.gates.bias.data[:4] = -100.0  # keep nothing
-    gru.gates.bias.data[4:] = -100.0  # and reset what the candidate sees
+    gates_bias.data[:4] = -100.0  # keep nothing
+    gates_bias.data[4:] = -100.0  # and reset what the candidate sees
     assert torch.equal(gru(hidden, feature), gru(-hidden, feature))
     assert not torch.equal(gru(hidden, feature), gru(hidden, -feature))
 
@@ -269,7 +270,7 @@ def test_video_begins_with_the_single_view_networks():
 def test_gradients_reach_every_3d_weight():
     model = VideoModel(CONFIG)
     volumes = torch.stack([volume(seed=seed) for seed in range(3)], dim=1)
-    sum(predicted.lobes.sum() + predicted.alpha.sum() for predicted in model(volumes)).backward()
+    torch.stack([predicted.lobes.sum() + predicted.alpha.sum() for predicted in model(volumes)]).sum().backward()
     silent = [
         name
         for name, weight in model.named_parameters()

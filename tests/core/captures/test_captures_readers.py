@@ -318,7 +318,9 @@ def test_seven_scenes_defaults(tmp_path: Path) -> None:
 def test_stray_scanner_old_depth_and_new_columns(tmp_path: Path) -> None:
     path = formats.stray_scanner(tmp_path / "capture", VIEWS)
     for file in (path / "depth").glob("*.png"):
-        np.save(file.with_suffix(".npy"), cv2.imread(str(file), cv2.IMREAD_UNCHANGED))
+        millimetres = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+        assert millimetres is not None
+        np.save(file.with_suffix(".npy"), millimetres)
         file.unlink()
     lines = (path / "odometry.csv").read_text().splitlines()
     lines = [lines[0] + ", fx, fy, cx, cy"] + [f"{line}, 1200, 1210, 950, 710" for line in lines[1:]]

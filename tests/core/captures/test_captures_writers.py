@@ -1,5 +1,6 @@
 """Writers and readers round-trip, and a partial capture is never read as a complete one."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import formats
@@ -16,34 +17,28 @@ VIEWS = formats.scene()
 CAMERA = Intrinsics(formats.FX, formats.FY, formats.CX, formats.CY, formats.WIDTH, formats.HEIGHT)
 
 
-def add_all(writer: CaptureWriter, **extra: object) -> None:
-    for view in VIEWS:
-        writer.add(
-            srgb8=view.srgb8,
-            depth_m=view.depth_m,
-            intrinsics=CAMERA,
-            camera_to_world=view.pose,
-            timestamp_s=view.time_s,
-            confidence=view.confidence,
-            **extra,
-        )
+def add(writer: CaptureWriter, frame: RecordedFrame, *, exposure: float | None = None) -> None:
+    writer.add(
+        srgb8=frame.srgb8,
+        depth_m=frame.depth_m,
+        intrinsics=frame.intrinsics,
+        camera_to_world=frame.camera_to_world,
+        timestamp_s=frame.timestamp_s,
+        confidence=frame.confidence,
+        exposure=exposure,
+    )
+
+
+def add_all(writer: CaptureWriter, *, exposure: float | None = None) -> None:
+    for frame in recorded():
+        add(writer, frame, exposure=exposure)
 
 
 def recorded(**changes: object) -> list[RecordedFrame]:
-    return [
-        RecordedFrame(
-            **{
-                "srgb8": view.srgb8,
-                "depth_m": view.depth_m,
-                "intrinsics": CAMERA,
-                "camera_to_world": view.pose,
-                "timestamp_s": view.time_s,
-                "confidence": view.confidence,
-            }
-            | changes
-        )
-        for view in VIEWS
+    frames = [
+        RecordedFrame(view.srgb8, view.depth_m, CAMERA, view.pose, view.time_s, view.confidence) for view in VIEWS
     ]
+    return [replace(frame, **changes) for frame in frames]
 
 
 def check(path: Path, *, pose_tolerance: float) -> None:
@@ -114,13 +109,13 @@ def test_an_unfinished_capture_is_unreadable_and_replaced(tmp_path: Path) -> Non
 
 def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
     view = VIEWS[0]
-    whole = {"srgb8": view.srgb8, "depth_m": view.depth_m, "intrinsics": CAMERA, "camera_to_world": view.pose}
+    whole = RecordedFrame(view.srgb8, view.depth_m, CAMERA, view.pose)
     with pytest.raises(OutputError, match="at least one frame"), CaptureWriter(tmp_path / "a"):
         pass
     with pytest.raises(OutputError, match="32 x 20"), CaptureWriter(tmp_path / "a") as writer:
-        writer.add(**whole | {"srgb8": view.srgb8[:20]})
+        add(writer, replace(whole, srgb8=view.srgb8[:20]))
     with pytest.raises(OutputError, match="lost tracking"), CaptureWriter(tmp_path / "a") as writer:
-        writer.add(**whole | {"camera_to_world": np.eye(4) * np.nan})
+        add(writer, replace(whole, camera_to_world=np.eye(4) * np.nan))
     with pytest.raises(OutputError, match="twice as wide"), CaptureWriter(tmp_path / "a") as writer:
         writer.add_probe((0.0, 0.0, 0.0), np.zeros((4, 4, 3), np.float32))
     (tmp_path / "full").mkdir()
@@ -130,7 +125,7 @@ def test_invalid_input_to_the_native_writer_is_refused(tmp_path: Path) -> None:
     with pytest.raises(OutputError, match="cannot be created"):
         CaptureWriter(tmp_path / "full/file/capture")
     with CaptureWriter(tmp_path / "b") as writer:
-        writer.add(**whole)
+        add(writer, whole)
         writer.close()  # closing early is closing once
     assert open_capture(tmp_path / "b").frame_count == 1
 

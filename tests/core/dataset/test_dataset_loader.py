@@ -1,5 +1,6 @@
 """Reading sequences by number, and as a stream: every sequence once, in an order given by the seed."""
 
+from collections.abc import Generator
 from itertools import pairwise
 
 import numpy as np
@@ -120,6 +121,7 @@ def test_depth_is_exact_or_simulated_phone_depth(folder):
 def test_a_stream_can_be_left_early(folder):
     stream = Dataset(folder).stream(StreamOptions())
     next(stream)
+    assert isinstance(stream, Generator)
     stream.close()
 
 

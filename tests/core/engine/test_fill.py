@@ -111,7 +111,7 @@ def test_warm_light_fills_in_its_own_colour():
     known = np.zeros((16, 32), np.float32)
     known[:, 10:14] = 1
     lent = fill_unknown(image, known)[known == 0]
-    np.testing.assert_allclose(lent, np.broadcast_to(np.float32([1, 0.5, 0.25]), lent.shape), rtol=1e-5)
+    np.testing.assert_allclose(lent, np.broadcast_to(np.array([1, 0.5, 0.25], np.float32), lent.shape), rtol=1e-5)
 
 
 def test_at_most_white_keeps_darker_pixels():

@@ -29,6 +29,12 @@ def _load(folder, **options):
     return load_graphs(folder, **{"provider": "cpu", "allow_untrained": True, **options})
 
 
+def _chosen_form(model, **options):
+    graphs = choose_graphs(SessionOptions(model=model, **options))
+    assert graphs is not None
+    return graphs.form
+
+
 def _edit(folder, **changes):
     index = json.loads((folder / "model.json").read_text())
     (folder / "model.json").write_text(json.dumps({**index, **changes}))
@@ -127,14 +133,14 @@ def test_a_single_view_folder_supports_single_and_auto_not_video(folder):
     _edit(folder, form="single")
     options = {"weights": folder, "provider": "cpu", "allow_untrained": True}
     for model in ("single", "auto"):
-        assert choose_graphs(SessionOptions(model=model, **options)).form == "single"
+        assert _chosen_form(model, **options) == "single"
     with pytest.raises(OptionError, match="single-view weights only"):
         choose_graphs(SessionOptions(model="video", **options))
 
 
 def test_a_video_folder_serves_every_form(folder):
     options = {"weights": folder, "provider": "cpu", "allow_untrained": True}
-    forms = {model: choose_graphs(SessionOptions(model=model, **options)).form for model in FORMS_ASKED}
+    forms = {model: _chosen_form(model, **options) for model in FORMS_ASKED}
     assert forms == {"single": "single", "video": "video", "auto": "video"}
 
 
@@ -143,7 +149,7 @@ def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "video")
     monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
-    forms = {model: choose_graphs(SessionOptions(model=model, provider="cpu")).form for model in FORMS_ASKED}
+    forms = {model: _chosen_form(model, provider="cpu") for model in FORMS_ASKED}
     assert forms == {"single": "single", "video": "video", "auto": "video"}
 
 
@@ -153,7 +159,7 @@ def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
     folder.rename(folder.parent / "shipped" / "single")
     monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
     for model in ("single", "auto"):
-        assert choose_graphs(SessionOptions(model=model, provider="cpu")).form == "single"
+        assert _chosen_form(model, provider="cpu") == "single"
     assert choose_graphs(SessionOptions(model="classical")) is None
     with pytest.raises(ModelError, match=r'model="video": .* no trained weights'):
         choose_graphs(SessionOptions(model="video", provider="cpu"))

@@ -1,11 +1,13 @@
 """SGLV ray tracing: equations 1 and 2, conservation, equivariance, and the kernel against its readable reference."""
 
 import dataclasses
+from functools import cached_property
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from jaxtyping import Float
 
 from roomlight.conventions import panorama_directions
 from roomlight.engine.sglv import Sglv, check_position, render_panorama, render_rays, render_rays_reference
@@ -184,12 +186,12 @@ def test_turning_the_volume_by_90_degrees_turns_the_panorama():
 
 
 class _CubicGrid(VolumeGrid):
-    @property
-    def lower_m(self):
+    @cached_property
+    def lower_m(self) -> Float[np.ndarray, "3"]:
         return np.array([-1.0, -0.8, -1.0])
 
-    @property
-    def upper_m(self):
+    @cached_property
+    def upper_m(self) -> Float[np.ndarray, "3"]:
         return np.array([1.0, 0.8, 1.0])
 
 
