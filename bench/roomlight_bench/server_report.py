@@ -110,7 +110,7 @@ class ProbeRow:
         tracked: Whether the probes are tracked from the first frame on; else they are late probes.
         count: Number of points.
         keyframes: Keyframes of the session.
-        frame_ms: A frame while so many probes are tracked; None for late probes.
+        frame_ms: A frame while `count` probes are tracked; None for late probes.
         batched_ms: The light of all points in one request.
         one_by_one_ms: The light of all points in a request each.
     """
@@ -227,7 +227,7 @@ class ServerReport:
             "ms p50 / p95 / p99",
             "light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped by the "
             f"phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: resident "
-            "memory per session with so many keyframes; stated: what sessions report for themselves",
+            "memory per session with this many keyframes; stated: what sessions report for themselves",
             ("sessions", "wanted", "held", "lost", "frame", "light", "/healthz", "most", "MB", "stated", "keyframes"),
             [
                 (

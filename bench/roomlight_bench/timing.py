@@ -41,7 +41,7 @@ def time_interleaved(
 ) -> list[Timing]:
     """Time every implementation `repeats` times, or `max_runs` times if that is less, one run of each per round.
 
-    Each must have run once before: compilation and allocation are not to be measured.
+    Each must have run once before, so that compilation and allocation are not measured.
     """
     samples_ms: list[list[float]] = [[] for _ in implementations]
     for number in range(repeats):

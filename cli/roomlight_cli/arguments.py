@@ -59,7 +59,8 @@ MaxFrames = Annotated[
 Model = Annotated[
     ModelName,
     typer.Option(
-        rich_help_panel=MODEL_PANEL, help="auto: the trained networks that come with RoomLight, else classical."
+        rich_help_panel=MODEL_PANEL,
+        help="auto: classical, or the networks of --weights. single: the networks that come with RoomLight.",
     ),
 ]
 Weights = Annotated[

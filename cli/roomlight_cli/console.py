@@ -69,7 +69,7 @@ def run(app: typer.Typer) -> None:
 def with_flags(error: RoomLightError) -> str:
     """Return the error's message with the command line's flags for Python's options.
 
-    Names with an underscore, in backticks, or before "=" are replaced wherever they stand ("allow_untrained=True"
+    Names with an underscore, in backticks, or before "=" are replaced everywhere ("allow_untrained=True"
     becomes "--allow-untrained"). A name that is the first word of an OptionError is replaced too.
     """
     message = str(error)

@@ -80,7 +80,7 @@ def check(
 def print_check(terminal: Console, report: CheckReport) -> None:
     """Print errors of surfaces and probes, a row per room, and compare the means with the two targets.
 
-    Beside each error stands what the reference's noise alone would give; rms is the error without that noise.
+    Each error is followed by what the reference's noise alone would give; rms is the error without that noise.
     """
     diffuse, coated, probe = report.diffuse(), report.coated(), report.probe()
     for title, parts, total in (

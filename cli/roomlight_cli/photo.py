@@ -125,7 +125,8 @@ def read_photo(
     Raises:
         ImageError: A file cannot be read.
         FrameError: Depth and photo do not fit, or the depth is empty or in another unit.
-        OptionError: "auto" cannot decide, because the depth's aspect fits both orientations.
+        OptionError: "auto" cannot decide, because the depth's aspect fits both orientations; or it fits only the
+            orientation that was not stated.
     """
     data = read_bytes(image)
     colour, clipped = decode_colour(data, str(image))
@@ -178,20 +179,26 @@ def _upright_depth(
     """Rotate the depth as EXIF rotates the photo, if it is stored like the photo.
 
     `orientation` is EXIF's, 1 to 8; `photo_size` is (width, height) of the upright photo. A depth map that fits
-    neither way is returned as it is, for `Frame` to refuse. Raises OptionError if "auto" cannot decide.
+    neither way is returned as it is, for `Frame` to refuse. Raises OptionError if "auto" cannot decide, or if the
+    depth fits only the other orientation.
     """
-    if orientation == 1 or depth_orientation == "upright":
+    if orientation == 1:
         return depth_m
-    if depth_orientation == "stored":
-        return oriented(depth_m, orientation)
-    fits_upright = _same_aspect(depth_m, photo_size)
-    fits_stored = _same_aspect(oriented(depth_m, orientation), photo_size)
-    if fits_upright and fits_stored:
+    rotated = oriented(depth_m, orientation)
+    fits = {"upright": _same_aspect(depth_m, photo_size), "stored": _same_aspect(rotated, photo_size)}
+    if depth_orientation != "auto":
+        other = "stored" if depth_orientation == "upright" else "upright"
+        if fits[other] and not fits[depth_orientation]:
+            raise OptionError(
+                f"depth_orientation is {depth_orientation}; the aspect of {name} fits the photo only as {other}"
+            )
+        return depth_m if depth_orientation == "upright" else rotated
+    if all(fits.values()):
         raise OptionError(
             f"{name}: the photo's EXIF orientation is {orientation}, and the depth's aspect does not show whether the "
             "depth has it too; state depth_orientation as upright (as viewers show the photo) or stored"
         )
-    return oriented(depth_m, orientation) if fits_stored else depth_m
+    return rotated if fits["stored"] else depth_m
 
 
 def oriented(pixels: Float[np.ndarray, "h w"], orientation: int) -> Float[np.ndarray, "uh uw"]:

@@ -115,7 +115,7 @@ def _draw_probe(
     number: int,
     spheres: SphereRenderer,
 ) -> None:
-    """Draw one probe's coverage, panoramas and spheres; the spheres' names stand in the first column."""
+    """Draw one probe's coverage, panoramas and spheres; the first column names the spheres."""
     panorama_top = top + LABEL_ROWS
     name_top = panorama_top + _TILE // 2 + _GAP
     sphere_top = name_top + LABEL_ROWS
@@ -145,7 +145,7 @@ def write_contact_sheet(
 
 
 def _panorama_label(column: SheetColumn, number: int) -> str:
-    """Return what stands above a panorama: the coverage, or the title of a column that has no frame for it."""
+    """Return the text above a panorama: the coverage, or the title of a column that has no frame for it."""
     if column.frame is None:
         return column.label
     return f"coverage {percent(column.coverage[number])}" if column.coverage else ""

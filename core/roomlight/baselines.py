@@ -72,7 +72,7 @@ class WarpAndFill:
     its nearest point, at equal distance that of the newest frame. The cells with points are averaged to the panorama,
     and its pixels without any are filled smoothly from the others (`push_pull`). Pixels without depth are not warped,
     so windows are lost: that is the weakness of this baseline. Frames are kept as points, 24 bytes for each pixel with
-    depth (1.8 MB for a 320 x 240 frame), so that a position first asked about late still gets every frame.
+    depth (1.8 MB for a 320 x 240 frame), so that a position requested late still gets every frame.
     """
 
     name = "warp and fill"

@@ -21,7 +21,7 @@ class Intrinsics:
     cx, cy:  principal point in pixels.
 
     Raises:
-        ValueError: no lens has these values; the message names field and value.
+        ValueError: a value is impossible for a camera; the message names field and value.
     """
 
     fx: float

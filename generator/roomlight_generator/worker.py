@@ -38,7 +38,7 @@ class RenderRoom(Protocol):
     def __call__(
         self, room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
     ) -> Iterator[Recording]:
-        """Yield the recordings of `count` walks, of so many frames each, through the room of this index."""
+        """Yield the recordings of `count` walks, of `frames` frames each, through the room of this index."""
         ...
 
 

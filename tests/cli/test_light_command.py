@@ -239,6 +239,15 @@ def test_orientation_is_exif_s(orientation):
     assert (oriented(stored(pixels, orientation), orientation) == pixels).all()
 
 
+@pytest.mark.parametrize(("stated", "other"), [("upright", "stored"), ("stored", "upright")])
+def test_a_depth_orientation_that_does_not_fit_is_refused(room, stated, other):
+    folder, shot, fov = room
+    write_jpeg(folder / "photo.jpg", linear_to_srgb8(np.clip(shot.image, 0, 1)), orientation=6)
+    np.save(folder / "depth.npy", shot.depth_m if stated == "stored" else stored(shot.depth_m, 6))
+    with pytest.raises(OptionError, match=rf"depth_orientation is {stated}; .* fits the photo only as {other}"):
+        read_photo(folder / "photo.jpg", folder / "depth.npy", fov_deg=fov, depth_orientation=stated)
+
+
 @pytest.mark.parametrize("orientation", [5, 6, 7, 8])
 @pytest.mark.parametrize("depth_is", ["upright", "stored"])
 def test_depth_of_a_rotated_photo_is_fitted_by_aspect(room, orientation, depth_is):

@@ -232,9 +232,9 @@ def test_a_finished_replay_is_not_run_again(capture, tmp_path, monkeypatch, room
     other = roomlight(*command, "--every", "2")
     assert other.code == 1
     assert "holds another replay" in other.err
-    anew = roomlight(*command, "--overwrite")
-    assert anew.code == 0, anew.err
-    assert "already holds" not in anew.out
+    repeated = roomlight(*command, "--overwrite")
+    assert repeated.code == 0, repeated.err
+    assert "already holds" not in repeated.out
 
 
 @pytest.mark.usefixtures("no_pictures")

@@ -25,7 +25,7 @@ def cast(origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.nda
     return distance, WALLS[2 * axis + positive]
 
 
-def look(position: tuple[float, float, float], yaw_deg: float, *, index: int = 0, depth_step: int = 1) -> Frame:
+def frame_at(position: tuple[float, float, float], yaw_deg: float, *, index: int = 0, depth_step: int = 1) -> Frame:
     """A frame of the box room: yaw 0 looks along -z, 90 along -x."""
     intrinsics = Intrinsics(60.0, 60.0, 60.0, 45.0, 120, 90)
     yaw = np.radians(yaw_deg)
@@ -54,7 +54,7 @@ def interior(panorama: np.ndarray) -> np.ndarray:
 @pytest.mark.parametrize("depth_step", [1, 3])
 def test_warping_recovers_what_the_camera_sees(position: tuple[float, float, float], depth_step: int) -> None:
     method = WarpAndFill(height=30)
-    method.push(look((0.5, 0.2, 1.0), 20.0, depth_step=depth_step))
+    method.push(frame_at((0.5, 0.2, 1.0), 20.0, depth_step=depth_step))
     panorama, mask = method.warped(position)
     expected = truth(position, 30)
     seen = (mask == 1) & interior(expected)
@@ -66,7 +66,7 @@ def test_warping_recovers_what_the_camera_sees(position: tuple[float, float, flo
 
 def test_a_probe_at_the_camera_sees_its_whole_frustum() -> None:
     position = (0.5, 0.2, 1.0)
-    frame = look(position, 0.0)
+    frame = frame_at(position, 0.0)
     method = WarpAndFill(height=30)
     method.push(frame)
     panorama, mask = method.warped(position)
@@ -84,7 +84,7 @@ def test_a_full_pan_gives_the_room_and_gaps_are_filled() -> None:
     method = WarpAndFill(height=30)
     shares = []
     for index in range(4):
-        method.push(look((0.0, 0.0, 0.0), 90.0 * index, index=index))
+        method.push(frame_at((0.0, 0.0, 0.0), 90.0 * index, index=index))
         shares.append(method.warped((0.2, 0.1, 0.3))[1].mean())
         filled = method.light_at((0.2, 0.1, 0.3))
         assert np.isfinite(filled).all()
@@ -98,7 +98,7 @@ def test_a_full_pan_gives_the_room_and_gaps_are_filled() -> None:
 def test_a_late_probe_equals_one_tracked_from_the_start() -> None:
     tracked, late = WarpAndFill(height=20), WarpAndFill(height=20)
     for index in range(3):
-        frame = look((0.1 * index, 0.0, 0.5), 40.0 * index, index=index)
+        frame = frame_at((0.1 * index, 0.0, 0.5), 40.0 * index, index=index)
         tracked.push(frame)
         tracked.light_at((0.3, 0.2, 0.0))
         late.push(frame)
@@ -123,7 +123,7 @@ def test_the_nearest_point_is_kept_and_of_equals_the_newest() -> None:
 
 
 def test_pixels_without_depth_are_not_warped() -> None:
-    frame = look((0.0, 0.0, 0.0), 0.0)
+    frame = frame_at((0.0, 0.0, 0.0), 0.0)
     depth = np.zeros_like(frame.depth_m)
     blind = Frame(0, frame.image, frame.clipped, depth, frame.intrinsics, frame.camera_to_world)
     method = WarpAndFill(height=10)
@@ -134,7 +134,7 @@ def test_pixels_without_depth_are_not_warped() -> None:
 def test_mean_colour_is_the_mean_of_all_pixels_so_far_everywhere() -> None:
     method = MeanColour(height=8)
     np.testing.assert_array_equal(method.light_at((0.0, 0.0, 0.0)), np.zeros((8, 16, 3)))
-    frames = [look((0.0, 0.0, 0.0), yaw) for yaw in (0.0, 77.0)]
+    frames = [frame_at((0.0, 0.0, 0.0), yaw) for yaw in (0.0, 77.0)]
     for frame in frames:
         method.push(frame)
     panorama = method.light_at((1.0, 0.0, 0.0))

@@ -61,12 +61,12 @@ def test_a_listed_rotation_corrects_the_front(tmp_path, monkeypatch):
 def test_box_normals_point_outward_and_edges_are_sharp(tmp_path):
     _, mesh = load(library(tmp_path, box_obj()))
     corners = mesh.vertices[mesh.faces]
-    wound = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    wound /= np.linalg.norm(wound, axis=1, keepdims=True)
+    geometric_normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    geometric_normals /= np.linalg.norm(geometric_normals, axis=1, keepdims=True)
     for corner in range(3):
-        np.testing.assert_allclose(mesh.normals[mesh.faces[:, corner]], wound, atol=0.01)
+        np.testing.assert_allclose(mesh.normals[mesh.faces[:, corner]], geometric_normals, atol=0.01)
     outward = corners.mean(1) - [0, 0.45, 0]
-    assert ((outward * wound).sum(1) > 0).all()
+    assert ((outward * geometric_normals).sum(1) > 0).all()
 
 
 def test_lights_are_in_the_model_frame(tmp_path):

@@ -62,15 +62,15 @@ def test_only_views_of_the_lit_side_are_trained_on(tmp_path):
     everything = TrainingRooms([folder])
     ratios = [surround(everything.training.read(number, frames=[0])) for number in range(6)]
     most = sorted(ratios)[3]
-    told = []
-    rooms = TrainingRooms([folder], surround_max=most, progress=lambda *done: told.append(done))
+    reported = []
+    rooms = TrainingRooms([folder], surround_max=most, progress=lambda *done: reported.append(done))
     assert names(rooms.held_out) == names(everything.held_out)
     assert names(rooms.training) == [f"train-{2 + number:06d}" for number in range(6) if ratios[number] <= most]
     assert len(rooms.training) == 4
-    assert told == [(k, 6) for k in range(1, 7)]
+    assert reported == [(k, 6) for k in range(1, 7)]
     make(tmp_path / "first", 12)
     new = rooms.grow()
-    assert len(told) == 10  # what was looked at once is not read again
+    assert len(reported) == 10  # sequences that were measured are not read again
     assert len(rooms.training) == 4 + new
     assert not set(names(rooms.training)) & set(names(rooms.held_out))
 

@@ -54,7 +54,8 @@ def eval_dataset(
     The tables show log-L2 and rendering loss, confidence intervals over rooms, and ratios to the targets.
     """
     others = [_named_folder(text) for text in also or ()]
-    session = SessionOptions(model="auto", weights=weights, provider=provider, allow_untrained=allow_untrained)
+    model = "single" if weights is None else "auto"
+    session = SessionOptions(model=model, weights=weights, provider=provider, allow_untrained=allow_untrained)
     methods = _methods(session, others)
     with console.progress_bars() as bars:
         task = bars.add_task("scoring", total=None)

@@ -53,7 +53,7 @@ def serve(
     max_sessions: Annotated[int | None, _flag(_LIMITS, "Sessions at the same time (default: 16).")] = None,
     max_probes: Annotated[int | None, _flag(_LIMITS, "Named probes per session (default: 16).")] = None,
     idle_expiry_s: Annotated[
-        float | None, _flag(_LIMITS, "Delete a session after so many seconds without a request (default: 600).")
+        float | None, _flag(_LIMITS, "Delete a session after this many seconds without a request (default: 600).")
     ] = None,
     max_body_bytes: Annotated[int | None, _flag(_LIMITS, "Largest frame in bytes (default: 16 MiB).")] = None,
     engine_threads: Annotated[

@@ -1,6 +1,7 @@
 """Recorded captures: readers that stream RGB-D frames with poses, and writers.
 
-`open_capture` detects the format by the files in the folder. Every reader yields `roomlight.frame.Frame` in
+Start at `open_capture` (`opening`), which detects the format by the files in the folder. Each format has a module;
+`native` specifies RoomLight's own format and has its `CaptureWriter`. Every reader yields `roomlight.frame.Frame` in
 RoomLight's conventions: world y up, camera x right, y up, z backward, camera-to-world, metres.
 """
 

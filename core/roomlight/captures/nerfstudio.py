@@ -5,7 +5,7 @@ intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour 
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
 (x, y, z, -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale`
-keys), whose world is ARKit's, y-up. cx and cy are taken as they stand: pixel centres at half integers, as
+keys), whose world is ARKit's, y-up. cx and cy are used unchanged: pixel centres at half integers, as
 nerfstudio and ARKit have them.
 
 Depth: uint16 PNG or .npy times the unit, or float EXR in metres. The unit is `depth_unit_scale_factor`, or

@@ -11,7 +11,7 @@ network_backend    the model on ONNX graphs; graphs and providers load and run t
 sglv               the spherical Gaussian lighting volume, and its ray tracing at a point
 mesh               the frame's depth as a textured mesh, and its panorama at a point
 blend              a probe's panorama: how a frame's details enter it; fill completes what was not observed
-keyframes          frames that are kept for positions first asked about late
+keyframes          frames that are kept for positions requested later
 memory             bytes that a session takes
 
 Units: metres; world y up; linear relative RGB (`roomlight.conventions`).

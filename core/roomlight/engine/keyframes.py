@@ -1,4 +1,4 @@
-"""A bounded store of keyframes, chosen for coverage: a position first asked about late is computed from them.
+"""A bounded store of keyframes, chosen for coverage: the light at a position requested later is computed from them.
 
 Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; a vertex
 outside the volume counts in the nearest cell of its outer layer.

@@ -45,9 +45,9 @@ class Footprint:
         return cls(4 * volume, panorama + 4 * blend)
 
     def total(self, *, keyframes: int, probes: int, started: bool) -> int:
-        """Return the bytes of a session with so many keyframes and probes.
+        """Return the bytes of a session with these numbers of keyframes and probes.
 
-        `started`: whether the first frame was processed; nothing but probes is allocated before it.
+        `started`: whether the first frame was processed; before it, only probes take memory.
         """
         return (self.volume + (keyframes + 1) * self.keyframe) * started + probes * self.probe
 

@@ -49,13 +49,14 @@ panorama of 120 rows."""
 class SessionOptions:
     """Options of a session.
 
-    model:            classical (no networks), single or video (networks), or auto: the network form of `weights`;
-                      without `weights` the networks inside the package, video before single; else classical.
+    model:            classical (no networks), single or video (networks), or auto: the network form of `weights`,
+                      and without `weights` classical. On streams of 35 captures that no choice was made with, the
+                      networks inside the package had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
     weights:          a model directory of `roomlight export`, instead of the weights inside the package.
     provider:         runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
     allow_untrained:  accept weights that were never trained, for tests.
     height:           rows of the panoramas, 16 to 2048; they have twice as many columns.
-    keyframes:        most frames kept for positions that are first asked about late, 1 or more.
+    keyframes:        most frames kept for positions that are requested later, 1 or more.
     unknown_depth:    where pixels without depth are placed (`roomlight.depth`).
 
     Raises:
@@ -121,7 +122,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         OptionError: model="video" contradicts `weights`, which are single-view.
         ModelError: the weights are missing, damaged or untrained, or the provider is not available.
     """
-    if options.model == "classical":
+    if options.model == "classical" or (options.model == "auto" and options.weights is None):
         return None
     if options.weights is not None:
         graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
@@ -129,16 +130,13 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
             raise OptionError(f'{options.weights}: holds single-view weights only; use model="single" or "auto"')
         return replace(graphs, form="single") if options.model == "single" else graphs
     # A video folder holds the single-view graphs too: its first frame needs them.
-    folders = {"single": ("single", "video"), "video": ("video",), "auto": ("video", "single")}
-    for folder in folders[options.model]:
+    for folder in ("single", "video") if options.model == "single" else ("video",):
         if _shipped(folder):
             graphs = load_graphs(SHIPPED / folder, provider=options.provider)
             return replace(graphs, form="single") if options.model == "single" else graphs
-    if options.model == "auto":
-        return None
     raise ModelError(
         f'model="{options.model}": this version contains no trained weights for it; '
-        'set weights to a model directory (from `roomlight export`) or use model="classical"'
+        'set `weights` to a model directory (from `roomlight export`) or use model="classical"'
     )
 
 

@@ -15,7 +15,7 @@ from roomlight.light.resample import MAX_ROWS, SparseMap, cube_to_panorama, pano
 from roomlight.spheres import resize_panorama
 
 SIZES: Final = (16, 32, 64, 128, 256)
-"""Pixels across a face that can be made; ARCore gives 16."""
+"""Face widths in pixels that can be made; ARCore uses 16."""
 DEFAULT_SIZE: Final = 32
 """A face of 16 shows next to nothing in a mirror; 32 (3 degrees a texel) is the resolution of 120 panorama rows."""
 _LARGEST_HALF: Final = 65504.0

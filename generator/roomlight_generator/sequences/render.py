@@ -38,10 +38,10 @@ _EXTRA_TRIES: Final = 8
 """Walks tried beyond those wanted, until one has places for its probes."""
 _COMPARED_WALKS: Final = (1, 12, 4)
 _COMPARED_SHARES: Final = (0.2, 0.4, 0.4)
-"""How many walks are compared, and how often each: the one whose first view is brightest for its surroundings is taken.
+"""Numbers of walks to compare, and their probabilities. The walk with the relatively brightest first view is taken.
 
-People turn a phone to the lit side of a room, some of them with care. Of walks that begin anywhere, panoramas are 1.2
-times as bright as the first frame in the median, and seldom darker.
+People point a phone at the lit side of a room, some of them with care. If walks begin anywhere, panoramas are 1.2 times
+as bright as the first frame in the median, and seldom darker.
 """
 _VIEW_SIZE: Final = (20, 15)
 _PANORAMA_HEIGHT: Final = 8
@@ -71,7 +71,7 @@ class CameraPath:
 def render_room(
     room_index: int, *, seed: int, split: Split, furniture: Path | None, count: int, frames: int
 ) -> Iterator[Recording]:
-    """Yield `count` sequences of so many frames in one room; the same arguments give the same recordings.
+    """Yield `count` sequences of `frames` frames in one room; the same arguments give the same recordings.
 
     Raises:
         ValueError: if no walk through the room is found; the generator then takes another room.

@@ -124,7 +124,7 @@ def motion_statistics(camera_to_world: Float[np.ndarray, "f 4 4"]) -> Motion:
 
 
 def timestamps_s(frames: int) -> Float[np.ndarray, " f"]:
-    """Return the times of so many frames, in seconds from the first."""
+    """Return the times of `frames` frames, in seconds from the first."""
     return np.arange(frames) * FRAME_INTERVAL_S
 
 
@@ -283,7 +283,7 @@ def _simulate(
 def _first_azimuths(
     free: FreeSpace, cameras: Float[np.ndarray, "b 3"], rng: np.random.Generator
 ) -> Float[np.ndarray, " b"]:
-    """Draw the azimuths of the first views: the likelier the farther one sees."""
+    """Draw the azimuths of the first views: directions with a farther view are likelier."""
     directions = 16
     azimuths = 2 * np.pi * (np.arange(directions) + rng.random((len(cameras), 1))) / directions
     fan = np.stack([np.cos(azimuths), np.zeros_like(azimuths), np.sin(azimuths)], axis=-1)

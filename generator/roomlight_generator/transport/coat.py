@@ -1,8 +1,8 @@
 """The clear coat of glossy materials, tabulated: Mitsuba's `roughplastic`, index 1.5, GGX, nonlinear = false.
 
 Its diffuse base reflects albedo * scale * T(incoming) * T(outgoing) / pi, where T is the share of light from a
-direction that gets through the rough boundary and scale = 1 / ((1 - internal reflectance) * 1.5^2). What masking at
-the boundary loses (single scattering) is lost, as it is there.
+direction that gets through the rough boundary and scale = 1 / ((1 - internal reflectance) * 1.5^2). Light lost
+to masking at the boundary (single scattering) stays lost, as in Mitsuba.
 """
 
 from functools import cache

@@ -40,7 +40,7 @@ class Points(NamedTuple):
 
 
 class Received(NamedTuple):
-    """Irradiance of points, and what of it their coats let through.
+    """Irradiance of points, and the part of it that their coats let through.
 
     sun and sun_coated are the parts of both that the sun sends straight through an opening; its light elsewhere comes
     from spots.

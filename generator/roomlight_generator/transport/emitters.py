@@ -31,7 +31,7 @@ MOST_CLUSTERS: Final = 128
 MOST_SPOT_CLUSTERS: Final = 40
 
 MOST_CUTS: Final = 24
-"""A triangle's sides are cut into at most so many parts."""
+"""Most parts that a triangle's side is cut into."""
 
 TRIANGLE: Final = 0
 OPENING: Final = 1
@@ -81,7 +81,7 @@ class Lights(NamedTuple):
 
 
 class LightSources(NamedTuple):
-    """All of a scene that the kernels read of its lights."""
+    """The lights of a scene as the kernels read them."""
 
     lights: Lights
     outdoors: Outdoors
@@ -330,7 +330,7 @@ def _clustered(
     coated = np.where(kind == SPOT, pieces.uv[:, 0], 0)
     reflected = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
     coat = coat_table()
-    # Near a point, triangles of one cluster stand in for each other, pieces of openings only for themselves.
+    # Near a point, triangles of one cluster represent each other; pieces of openings represent only themselves.
     near = np.where(kind == TRIANGLE, np.minimum(per(pieces.area)[own], PIECE_M**2), pieces.area)
     near[kind == SPOT] = NEAR_SPOT_M2
     near_area = np.zeros(len(face_cuts), np.float32)

@@ -16,7 +16,7 @@ SHARP: Final = 0.1
 """Alpha below which reflections have edges that smoothing must keep."""
 
 OUTSHINES: Final = 3.0
-"""A pixel's reflection may be so many times as bright as its surroundings'.
+"""Largest ratio of the brightness of a pixel's reflection to that of its surroundings.
 
 A brighter one is an outlier that smoothing would spread to a white dot. Highlights are wider than the compared pixels.
 """
@@ -26,7 +26,7 @@ RECEIVES: Final = 1.7
 
 
 class Grid:
-    """Surface points of a picture (height, width) with what they receive and reflect; other pixels are left out."""
+    """Surface points of a picture (height, width) with the light that they receive and reflect; other pixels are left out."""
 
     def __init__(
         self,
@@ -59,7 +59,7 @@ class Grid:
     def smooth_lobes(
         self, lobe: Float32[np.ndarray, "m 3"], known: Bool[np.ndarray, " m"]
     ) -> tuple[Float32[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
-        """Spread what the known points reflect over their surfaces; returns it, and which points then have it."""
+        """Spread the known points' reflections over their surfaces; return them, and which points then have one."""
         laid = np.zeros(self._shape, bool)
         laid.reshape(-1)[self._ray] = known
         image = self._laid_out(lobe)

@@ -50,7 +50,7 @@ REACH_PIXELS: Final = (18.0, 8.0, 3.5)
 """Reach of the records of each round: the later rounds add records in corners."""
 
 ROUND_SHARE: Final = (8, 4, 2)
-"""Each round considers one in so many new cells: the first round's records are far apart."""
+"""Each round considers one in this many new cells, so that the first round's records are far apart."""
 
 SMALLEST_PIXELS: Final = 3.0
 FARTHEST_M: Final = 0.35
@@ -181,7 +181,7 @@ class IrradianceCache:
     def gathered(
         self, points: Points, *, rays: int, first: int
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-        """Compute indirect irradiance by so many rays from each point, and the harmonic mean of their lengths.
+        """Compute indirect irradiance by `rays` rays from each point, and the harmonic mean of their lengths.
 
         The points seed their random streams by `first`, `first` + 1 and so on.
         """

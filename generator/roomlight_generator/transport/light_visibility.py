@@ -10,14 +10,14 @@ from roomlight_generator.transport.kernels import patches as kernels
 from roomlight_generator.transport.tables import Table
 
 PRIOR_RAYS: Final = 4.0
-"""The share in a patch's surroundings counts as so many rays of its own."""
+"""Number of the patch's own rays that the share in its surroundings counts as."""
 
 
 class LightVisibility:
     """How often each patch tried each light with shadow rays, and saw it.
 
-    There are more lights than a patch has rays: for lights that it tried too seldom its surroundings decide, and for
-    those that these tried too seldom the whole room.
+    There are more lights than a patch has rays. If it tried a light too seldom, its surroundings decide; if these did
+    too, the whole room decides.
     """
 
     def __init__(

@@ -37,7 +37,7 @@ SETTLED: Final = 2e-3
 """Bounces stop when one adds less than this share of all light: after 8 in a room of albedo 0.5, 25 in a white one."""
 
 FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
-"""(Halvings, distance): patches this near to lamps are halved so often, at level 3 one a face; openings 1."""
+"""(Halvings, distance): patches this near to lamps are halved that many times, 3 means one per face; openings: 1."""
 
 ENCLOSED_M: Final = 0.3
 """A point near a lamp is inside of a closed lamp if all its rays end on lamps within this: its light does not leave.
@@ -163,7 +163,7 @@ class RoomCache:
 
     Rows: patches, then wider surroundings, then whole materials, then a row of zeros (the last, so that index -1 finds
     it). base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat
-    reflects; sun_base and sun_lobe are the parts of both due to the sun's direct light, for which spots stand; indirect
+    reflects; sun_base and sun_lobe are the parts of both due to the sun's direct light, which spots represent; indirect
     and indirect_coated are the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen
     from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside, whose light is unknown.
     """
@@ -179,7 +179,7 @@ class RoomCache:
     enclosed: Bool[np.ndarray, " rows"]
 
     def visible(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
-        """Return the rows, with -1 in place of those that cannot be seen from so far."""
+        """Return the rows, with -1 in place of those that cannot be seen from that distance."""
         return np.where(self.enclosed[row] & (distance_m > ENCLOSED_M), np.int32(-1), row)
 
 
@@ -271,7 +271,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
         low, high = (getattr(tracer.geometry.corners, name)((0, 1)) for name in ("min", "max"))
         begin = rng.uniform(low, high, (SEED_RAYS, 3)).astype(np.float32)
     else:
-        # Evenly over clusters and over each one's pieces: a weak lamp in a corner finds what a window does not.
+        # Evenly over clusters and over each one's pieces: weak lamps in corners reach places that windows do not.
         cluster = rng.integers(len(lights.start), size=SEED_RAYS)
         piece = lights.start[cluster] + (rng.random(SEED_RAYS) * lights.pieces[cluster]).astype(np.int64)
         a, b = rng.random((2, SEED_RAYS, 1))
@@ -287,7 +287,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
 
 
 class _Rays(NamedTuple):
-    """Where gather rays ended, what the patch's coat lets through of each, and how many rays each patch has."""
+    """Where gather rays ended, the share that the patch's coat lets through, and each patch's number of rays."""
 
     ends: Arrivals
     passed: Float32[np.ndarray, " n"]
@@ -322,7 +322,7 @@ def _gather(
 
 
 def _linked(found: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
-    """Return of each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
+    """Return for each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
     patch the irradiance that comes from no patch, plain and as let through by its coat."""
     ends = rays.ends
     target, cosine = found.visit(ends)

@@ -26,10 +26,10 @@ LOBE_PICKS: Final = 2
 FAINT: Final = 0.15
 FAINT_WIDTH: Final = 4.0
 STRONG_WIDTH: Final = 1.5
-"""Reflected surfaces are lit from cells so many pixels wide; wider ones where a surface reflects a FAINT share."""
+"""Width in pixels of the cells that light reflected surfaces; wider where a surface reflects a FAINT share."""
 
 LOBE_WIDENING: Final = 0.5
-"""A reflection's footprint grows by so much of alpha a metre; its rays' spread does the rest of the blur."""
+"""Growth of a reflection's footprint per metre, as a share of alpha; the rays' spread adds the rest of the blur."""
 
 Shares = Callable[[Paths], tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]]
 
@@ -93,7 +93,7 @@ class Reflections:
         return out * paths.share[:, None]
 
     def lobes(self, points: Surfaces, some: Int64[np.ndarray, " k"], *, seed: int) -> Float32[np.ndarray, "k 3"]:
-        """Return what the coats of some of the points reflect specularly; each of them must have one."""
+        """Return the specular reflections of the coats of some points, all of which must have a coat."""
         at = some
         if len(at) == 0:
             return np.zeros((0, 3), np.float32)

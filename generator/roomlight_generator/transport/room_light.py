@@ -22,10 +22,10 @@ from roomlight_generator.transport.tracer import FAR_M, OFFSET_M, Tracer
 from roomlight_generator.transport.view import Camera, Viewer
 
 FINER: Final = 2
-"""A panorama is rendered at so many times its height and averaged."""
+"""A panorama is rendered at this many times its height and averaged."""
 
 SMALL_PIXELS: Final = 3.0
-"""Lights narrower than so many pixels of a panorama are added by samples of their own: rays would miss them."""
+"""Lights narrower than this many pixels of a panorama are sampled separately: rays would miss them."""
 
 SPLAT_SAMPLES: Final = 512
 """Samples of a small light's cluster in a panorama."""

@@ -105,7 +105,7 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
 def _coat_gain(
     alpha: Float32[np.ndarray, " n"], cosine: Float32[np.ndarray, " n"]
 ) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
-    """Compute what a coat does to sunlight that arrives at a cosine, as means over all directions.
+    """Compute a coat's effect on sunlight that arrives at a cosine, as means over all directions.
 
     Returns a factor on the base's radiance (1 without a coat), and the lobe's mean radiance a unit of irradiance.
     """

@@ -10,13 +10,13 @@ class Table:
     """A map from 64-bit keys (not -1 or -2) to 32-bit values, at most half full."""
 
     def __init__(self, entries: int = 1 << 15) -> None:
-        """Start empty, with space for so many entries."""
+        """Start empty, with space for `entries` entries."""
         self.keys = np.full(1 << 4, -1, np.int64)
         self.values = np.zeros(1 << 4, np.int32)
         self.reserve(entries)
 
     def reserve(self, entries: int) -> None:
-        """Make space for so many entries in all; `arrays` are replaced when it grows."""
+        """Make space for `entries` entries in all; `arrays` are replaced when it grows."""
         places = len(self.keys)
         if 2 * entries <= places:
             return

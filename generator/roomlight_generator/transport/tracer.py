@@ -51,7 +51,7 @@ class Materials(NamedTuple):
 
 
 class SceneArrays(NamedTuple):
-    """All of a scene that the kernels read of its surfaces."""
+    """The surfaces of a scene as the kernels read them."""
 
     geometry: Geometry
     materials: Materials

@@ -1,6 +1,6 @@
 """Which points' direct light is uncertain: some of their shadow rays met a light and others did not.
 
-What a point received is a sum of its rays' weights, each counted or not. Where a share p of the weight arrived, the
+A point's light is a sum of its rays' weights, each of which arrives or not. If a share p of the weight arrives, the
 sum's variance is about p (1 - p) times the sum of squared weights (the rays taken as independent).
 """
 
@@ -12,14 +12,14 @@ from jaxtyping import Bool, Float32, Int64
 from roomlight_generator.transport.direct import ShadowRays
 
 _FEW: Final = 0.5
-"""A point is credited with the light of so many rays, so that one whose rays all failed does not count as dark."""
+"""A point is credited with the light of this many rays, so that one whose rays all failed does not count as dark."""
 
 
 class VisibilityVariance:
     """The variance of points' direct light, estimated from the shadow rays of `DirectLight.received`."""
 
     def __init__(self, count: int) -> None:
-        """Start without rays, for so many points."""
+        """Start without rays, for `count` points."""
         self._sent, self._seen, self._squares, self._rays = (np.zeros(count) for _ in range(4))
 
     def add(self, first: int, rays: ShadowRays, seen: Bool[np.ndarray, " n"], count: int) -> None:

@@ -47,11 +47,11 @@ POINTS: Final = 96
 NOISE: Final = 0.02
 """Mean noise at which the reference stops: a sixth of a 5 % error, in squares."""
 PATHS: Final = 12_000_000
-"""Most paths for a room's points: a minute on two cores. Few rooms reach `NOISE` with so many."""
+"""Most paths for a room's points: a minute on two cores. Few rooms reach `NOISE` with that many."""
 BLOCK_SHARE: Final = 0.75
 """Share of these paths for blocks; the rest is for single pixels."""
 JUDGED_NOISE: Final = 0.05
-"""Rooms whose reference has more noise in the blocks than this, the error aimed at, are not judged."""
+"""Rooms whose reference has more noise in the blocks than this, the target error, are not judged."""
 
 _LEAST_BLOCKS: Final = 12
 _PATHS_A_ROUND: Final = 500_000
@@ -158,7 +158,7 @@ def check_rooms(
     paths: int = PATHS,
     done: Callable[[RoomCheck], None] | None = None,
 ) -> CheckReport:
-    """Check so many rooms from index `first` on, one by one; `done` is called after each.
+    """Check `rooms` rooms from index `first` on, one by one; `done` is called after each.
 
     samples are a pixel's paths in pictures, paths the most for a room's points. A room without a place for a camera is
     left out and the next one taken.

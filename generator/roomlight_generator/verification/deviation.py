@@ -22,10 +22,10 @@ _LEAST_SHARE: Final = 0.02
 
 @dataclass(frozen=True)
 class Deviation:
-    """Relative errors over so many points.
+    """Relative errors over a number of points.
 
     mean and median are of the error, noise is the mean error that the reference's noise alone would give, rms the root
-    mean square of our error, from which the halves remove that noise.
+    mean square of our error after the reference's two halves have removed that noise.
     """
 
     points: int

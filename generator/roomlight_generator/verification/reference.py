@@ -60,7 +60,7 @@ _EVEN_SHARE: Final = 0.3
 """Share of the paths' light samples that is spread evenly over the lights; the rest goes by power."""
 
 _SKY_ROWS: Final = 257
-"""Rows of the resampled sky: Mitsuba's maps have rows on the poles. With so many the two differ by less than 1e-3."""
+"""Rows of the resampled sky: Mitsuba's maps have rows on the poles. With this many they differ by less than 1e-3."""
 
 _TRIAL: Final = """
 from drjit.detail import llvm_version
@@ -159,8 +159,8 @@ class Reference:
     def _aim_sun(self, toward: Float[np.ndarray, "3"]) -> None:
         mi = self._mi
         up = [1.0, 0.0, 0.0] if abs(toward[1]) > 0.9 else [0.0, 1.0, 0.0]
-        look = mi.ScalarTransform4f().look_at([0, 0, 0], [-float(value) for value in toward], up)
-        self._parameters["sun.to_world"] = mi.Transform4f(look)
+        to_world = mi.ScalarTransform4f().look_at([0, 0, 0], [-float(value) for value in toward], up)
+        self._parameters["sun.to_world"] = mi.Transform4f(to_world)
         self._parameters.update()
 
     def _paths(

@@ -2,7 +2,7 @@
 """SGLV ray marching; readable reference: `roomlight.engine.sglv.render_rays_reference`.
 
 One thread, 28,800 rays of 38 samples through a volume that a network could have made (alpha about 0.03
-everywhere): 35 ms as a plain loop over samples and channels, 17 ms as it stands; through the sparse classical
+everywhere): 35 ms as a plain loop over samples and channels, 17 ms in this form; through the sparse classical
 volume 11.7 and 7 ms. The gains, in this order (`roomlight bench stages` times the result):
 
 - The ten channels of a voxel are added as a vector of 8 and one of 2 (35 to 26 ms). LLVM unrolls a loop over ten

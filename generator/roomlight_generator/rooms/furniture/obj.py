@@ -100,8 +100,8 @@ def parse_obj(data: bytes, name: str) -> Obj:
 
 
 def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
-    """Parse the materials of an MTL file by name. Malformed lines are skipped: a wrong colour is no reason to reject
-    a model."""
+    """Parse the materials of an MTL file by name. Malformed lines are skipped: a model
+    with a wrong colour is still usable."""
     found: dict[str, dict[str, object]] = {}
     current: dict[str, object] = {}
     for line in data.decode("utf-8", "replace").splitlines():

@@ -182,12 +182,12 @@ def add_fruit(
     floor: Number,
 ) -> None:
     """Add round fruit heaped in a bowl."""
-    ball = with_material(sphere(radius, rings=6, segments=10), material)
+    fruit = with_material(sphere(radius, rings=6, segments=10), material)
     for k in range(count):
         angle = _GOLDEN_ANGLE * k
         away = spread * np.sqrt((k + 0.5) / count)
         parts.add_mesh(
-            ball,
+            fruit,
             (away * np.cos(angle), floor + radius * (1.6 if k < count // 3 else 1.0), away * np.sin(angle)),
             yaw=uniform(rng, 0, 360),
         )

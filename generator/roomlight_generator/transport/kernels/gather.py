@@ -25,7 +25,7 @@ from roomlight_generator.transport.kernels.lights import estimates
 
 LEAST_SEEN = 40  # 255ths: a light that a patch never saw may still shine on surfaces that the patch sees
 WIDER = 1.25
-WIDER_M = 0.03  # a light's cone is so much wider than its cluster
+WIDER_M = 0.03  # factor by which a light's cone is wider than its cluster
 _ZERO = np.float32(0)
 
 

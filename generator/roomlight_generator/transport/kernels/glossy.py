@@ -36,7 +36,7 @@ from roomlight_generator.transport.kernels.lights import (
 )
 from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal
 
-SPOT_M = 0.06  # where a lobe is wider than this, samples of spots stand for sunlit surfaces
+SPOT_M = 0.06  # where a lobe is wider than this, samples of spots replace sunlit surfaces
 
 
 @njit(**JIT)

@@ -12,7 +12,7 @@ from numba import njit
 from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
 
 REACH = 4  # pixels to each side that decide whether one is an outlier: 80, of which a quarter are known in rough coats
-FEW = 8  # an outlier has fewer similar pixels about it than one in so many
+FEW = 8  # an outlier has fewer similar pixels around it than one in this many
 ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise is smoothed, a shadow's edge is kept
 
 
@@ -79,8 +79,8 @@ def smooth(grid, image, known, spread, step, out):
 def tame(image, kind, known, most):
     """Darken outliers: known pixels brighter than `most` times the mean of their surroundings.
 
-    The surroundings are the known pixels of the same kind within `REACH` pixels that are less than half as bright. Only
-    where nearly all are is the pixel an outlier, which few rays found by chance.
+    The surroundings are the known pixels of the same kind within `REACH` pixels that are less than half as bright. The
+    pixel is an outlier only if nearly all known pixels are: few rays found its light by chance.
     """
     height, width = kind.shape
     total = np.zeros((height, width))

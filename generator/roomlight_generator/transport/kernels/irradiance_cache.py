@@ -12,11 +12,11 @@ from numba import njit
 from roomlight_generator.transport.kernels.common import JIT, direction_bucket, in_row, in_table, slot_of
 from roomlight_generator.transport.kernels.lights import left_to_gathering
 
-CELL_PIXELS = 1.9  # a cell's width is the power of two in metres nearest to so many pixels' footprint
+CELL_PIXELS = 1.9  # a cell's width is the power of two in metres nearest to the footprint of this many pixels
 LOWEST_LEVEL = -12
 NORMAL_AGREES = 0.8  # cosine: records count for normals within 37 degrees, in full at 0
-BLEND = 1.6  # a record counts up to so many times its reach: the mean of more records has less noise
-COVERED = 0.35  # a point that the records about it weigh less than this gets a record of its own
+BLEND = 1.6  # a record counts up to this many times its reach: the mean of more records has less noise
+COVERED = 0.35  # a point gets a new record if the total weight of the records around it is below this
 
 
 @njit(**JIT)

@@ -30,7 +30,7 @@ from roomlight_generator.transport.kernels.common import (
 from roomlight_generator.transport.kernels.surfaces import texel, uv_of
 
 FAR = 1e4  # `tracer.FAR_M`
-SHORT = 1e-4  # shadow rays stop so far before a light: a lampshade's skin may lie a millimetre before it
+SHORT = 1e-4  # shadow rays stop this far before a light: a lampshade's skin may lie a millimetre before it
 LEAST_SEEN = 8  # 255ths: a light that a patch never saw may still be seen from a corner of it
 NEAR_SQ = 1e-8  # least squared distance of a light, (0.1 mm)^2: keeps it off zero
 _ZERO, _QUARTER, _ONE, _NEAR, _PER_255 = (np.float32(value) for value in (0, 0.25, 1, 1e-9, 1 / 255))
@@ -119,7 +119,7 @@ def estimate(lights, which, point, normal):
     per_d = _ONE / (np.sqrt(d_sq) + _NEAR)
     r, t = lights.radius[which], lights.thickness[which]
     ax, ay, az = lights.axis[0, which], lights.axis[1, which], lights.axis[2, which]
-    # A disc of that radius and thickness reaches so far along the normal.
+    # Extent along the normal of a disc of that radius and thickness.
     lean = nx * ax + ny * ay + nz * az
     facing = (nx * x + ny * y + nz * z + r * np.sqrt(max(_ONE - lean * lean, _ZERO)) + t * abs(lean)) * per_d
     k = lights.coherence[which]
@@ -252,7 +252,7 @@ def point_on(surfaces, piece, r1, r2, point):
 
 @njit(**JIT)
 def pick_piece(table, low, pieces, remainder):
-    """Find the piece, of so many from `low` on, in whose share of [0, 1) the remainder falls."""
+    """Find the piece, of `pieces` from `low` on, in whose share of [0, 1) the remainder falls."""
     high = low + pieces - 1
     while low < high:
         middle = (low + high) // 2
@@ -279,7 +279,7 @@ def candidate(lights, running, total, at, which):
 def resample(drawn, column, live, picks, shift):
     """Replace a column of the candidates, their contributions, by the factors on their weights.
 
-    Up to `picks` candidates are all kept (factor 1). Of more, so many are picked in proportion (systematic, with a
+    Up to `picks` candidates are all kept (factor 1). Of more, `picks` are selected in proportion (systematic, with a
     shift in [0, 1)); the others' factor is 0.
     """
     total = 0.0
@@ -393,7 +393,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
 def add_visible(rays, seen, count, outside, out):
     """Add the first `count` shadow rays, where visible, to their points' light (`Received`).
 
-    What comes straight from the sun through an opening counts with the sun's, and if `outside` also what passed none.
+    Light straight from the sun through an opening is added to the sun's part; if `outside`, light that passed none too.
     """
     owner, _, _, _, weight, passed, cluster = rays
     irradiance, coated, sun, sun_coated = out

@@ -30,7 +30,7 @@ from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal, 
 
 CELL_M = 0.08
 POINTS = 4
-COARSE = 3  # the fallback's cells are so many times as wide, and hold all normals
+COARSE = 3  # the fallback's cells are this many times as wide, and hold all normals
 FOOT_M = 0.04  # textures are averaged over this at each of a patch's points
 
 
@@ -224,7 +224,7 @@ def link_shares(links, cosine, alpha, coat):
 def spots_gathered(links, sun, area, rays, out):
     """Write the light of sunlit spots (`SentLight`) that rays bring beyond the share that `left_to_gathering` leaves.
 
-    It is to be subtracted from what the patches gather.
+    The caller subtracts it from what the patches gather.
     """
     target, base, lobe, passed, distance, factor = links
     sun_base, sun_lobe = sun
@@ -332,8 +332,8 @@ def fill_coarse(position, used, material, table, owner):
 def look_up(table, point, geometric_normal, material, face):
     """Find the row (`PatchTable`) of the patch at a place.
 
-    Without a patch, the row of its surroundings of that material, else of that material's mean; inside of lamps, where
-    neighbours say nothing about a place, -1.
+    Without a patch, return the row of the surroundings with that material, else the row of the material's mean. Inside
+    lamps, where neighbours are no guide, return -1.
     """
     fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material = table
     x, y, z = point

@@ -45,9 +45,9 @@ class SurfacePoints(NamedTuple):
 
 
 class LightSurfaces(NamedTuple):
-    """What a sample on a light is worked out from: arrays of `Lights`, `Outdoors` and the textures.
+    """Inputs for a sample on a light: arrays of `Lights`, `Outdoors` and the textures.
 
-    Apart from them because each array more costs time at every call of `point_on`.
+    They are separate because each further array costs time at every call of `point_on`.
     """
 
     piece: Float32[np.ndarray, "p 21"]
@@ -82,7 +82,7 @@ class LightScratch(NamedTuple):
 
     @classmethod
     def empty(cls, clusters: int, candidates: int) -> "LightScratch":
-        """Allocate space for so many clusters, and candidates of a point."""
+        """Allocate space for this many clusters, and candidates of a point."""
         return cls(
             np.empty(max(clusters, 1), np.float32),
             np.empty(max(clusters, 1)),
@@ -100,7 +100,7 @@ class ConeScratch(NamedTuple):
 
     @classmethod
     def empty(cls, clusters: int) -> "ConeScratch":
-        """Allocate space for so many clusters."""
+        """Allocate space for this many clusters."""
         count = max(clusters, 1)
         return cls(np.empty(count, np.float32), np.empty((5, count), np.float32), np.empty(count))
 
@@ -248,7 +248,7 @@ class CacheHits(NamedTuple):
 
 
 class CachedRadiance(NamedTuple):
-    """Rows of the room's cache: radiance of base and lobe, and of both what is the sun's direct light."""
+    """Rows of the room's cache: radiance of base and lobe, and the part of both that is the sun's direct light."""
 
     base: Float32[np.ndarray, "rows 3"]
     lobe: Float32[np.ndarray, "rows 3"]
@@ -292,7 +292,7 @@ class PatchPoints(NamedTuple):
 
 
 class PatchRays(NamedTuple):
-    """Cosine-weighted rays of patches, and what a coat would let through of each."""
+    """Cosine-weighted rays of patches, and the share of each that a coat would let through."""
 
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
@@ -372,7 +372,7 @@ class ExtraRays(NamedTuple):
 
 
 class Borrowed(NamedTuple):
-    """What neighbouring pixels know of extra rays' surfaces, and where any of them does."""
+    """Light of extra rays' surfaces taken from neighbouring pixels, and whether such a pixel was found."""
 
     received: Float32[np.ndarray, "n 3"]
     lobe: Float32[np.ndarray, "n 3"]

@@ -123,7 +123,7 @@ def face_normal(corner, dx, dy, dz):
 
 @njit(**JIT)
 def shading_normal(normals, u, v, gx, gy, gz):
-    """Interpolate the corners' normals, on the side of the geometric normal, which stands in for one without length."""
+    """Interpolate the corners' normals, on the side of the geometric normal, which replaces a result of length 0."""
     w = 1 - u - v
     x = w * normals[0, 0] + u * normals[1, 0] + v * normals[2, 0]
     y = w * normals[0, 1] + u * normals[1, 1] + v * normals[2, 1]
