@@ -4,8 +4,8 @@ Colour is decoded to linear RGB, depth to metres. Every failure is an `ImageErro
 
 Sizes are read by hand and EXIF by Pillow. Pillow reads no HDR and no EXR; of PNG and JPEG it reads the size, but takes
 16 and 34 us instead of 0.4 and 10, on every frame of a stream, and keeps each segment of a JPEG in memory: 8 MB of
-empty segments take 4 s and 270 MB, where `peek_size` takes 1 s and no memory. EXIF is read from a user's own photos
-only.
+empty segments take 4 s and 270 MB, where `peek_size` stops at the limit of `image_limits`. EXIF is read from a user's
+own photos only.
 """
 
 import io
@@ -29,6 +29,7 @@ from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import CLIPPED_SRGB8
+from roomlight.image_limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
 
 MAX_PIXELS: Final = 64_000_000
 """Largest image decoded (8192 x 7812). Phones take up to 48 megapixels; a larger header is a decompression bomb."""
@@ -217,7 +218,11 @@ def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray
 
 
 def _check_size(data: bytes, name: str) -> tuple[int, int]:
-    """Read (width, height) from the header. Raises ImageError above `MAX_PIXELS`."""
+    """Read (width, height) from the header. Raises ImageError above `MAX_PIXELS` and beyond `image_limits`."""
+    if data[:8] == _PNG:
+        check_png(data, name)
+    elif data[:2] == _JPEG:
+        check_jpeg(data, name)
     width, height = _exr_size(data, name) if data[:4] == _EXR else peek_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
@@ -239,7 +244,7 @@ def peek_size(data: bytes, name: str) -> tuple[int, int]:
         if data[:2] == _JPEG:
             if b"\xff\xd9" not in data[-64:]:
                 raise ImageError(f"{name}: the JPEG ends before its end mark; the file is truncated")
-            return _jpeg_size(data)
+            return _jpeg_size(data, name)
         if data[:2] == _HDR:
             line = data[data.index(b"\n\n") + 2 :].split(b"\n", 1)[0].split()
             return int(line[3]), int(line[1])
@@ -248,9 +253,9 @@ def peek_size(data: bytes, name: str) -> tuple[int, int]:
     raise ImageError(f"{name}: neither PNG, JPEG, EXR nor HDR (it starts with {data[:4].hex()})")
 
 
-def _jpeg_size(data: bytes) -> tuple[int, int]:
+def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
     offset = 2
-    while True:
+    for _ in range(MAX_JPEG_SEGMENTS):
         if data[offset] != 0xFF:
             raise ValueError("no marker")
         marker = data[offset + 1]
@@ -262,6 +267,7 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
             height, width = struct.unpack(">HH", data[offset + 5 : offset + 9])
             return width, height
         offset += 2 + length
+    raise ImageError(f"{name}: the JPEG has more than {MAX_JPEG_SEGMENTS} segments before its size")
 
 
 def _exr_size(data: bytes, name: str) -> tuple[int, int]:

@@ -7,10 +7,11 @@ waiting in the queue: then it is decoded when the engine takes it.
 import hashlib
 
 from roomlight.engine.session import WORKING_SIZE
-from roomlight.errors import RoomLightError, WireError
+from roomlight.errors import WireError
 from roomlight.frame import Frame
-from roomlight.wire.decoding import decode_frame
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
+from roomlight_server.decode_processes import DecodeProcesses
+from roomlight_server.decode_worker import decode_to_box
 
 
 def parse_frame(body: bytes, limits: FrameLimits) -> tuple[FrameMessage, bytes]:
@@ -22,26 +23,29 @@ def parse_frame(body: bytes, limits: FrameLimits) -> tuple[FrameMessage, bytes]:
     return parse(body, limits), hashlib.sha256(body).digest()
 
 
-def decode_to_size(message: FrameMessage, index: int, reference: float, min_confidence: int) -> Frame:
+def decode_to_size(
+    message: FrameMessage, index: int, reference: float, min_confidence: int, processes: DecodeProcesses
+) -> Frame:
     """Decode a frame at the working size (a waiting frame takes 1.3 MB, whatever the camera).
+
+    Image files are decoded in a process with a time limit; raw and zstd parts, whose sizes bound the time, on this
+    thread.
 
     Args:
         message: The parsed message.
         index: Index of the frame.
         reference: Exposure at which radiance 1 is white.
         min_confidence: Depth below this confidence becomes unknown.
+        processes: Decode image files.
 
     Raises:
-        WireError: A part does not decode or has unusable values.
+        WireError: A part does not decode, has unusable values or takes too long.
     """
-    try:
-        frame = decode_frame(message, index, reference_exposure=reference, min_confidence=min_confidence)
-        return frame.resized(*WORKING_SIZE)
-    except WireError:
-        raise
-    except (RoomLightError, ValueError) as error:
-        size = f"{message.intrinsics.width} x {message.intrinsics.height}"
-        raise WireError("bad-frame", field="intrinsics", value=size, rule=str(error)) from error
+    header = message.header
+    planes = (header.depth.encoding, None if header.confidence is None else header.confidence.encoding)
+    if header.colour.encoding in ("jpeg", "png", "heic") or "png" in planes:
+        return processes.decode(message, index, reference, min_confidence, WORKING_SIZE)
+    return decode_to_box(message, index, reference, min_confidence, WORKING_SIZE)
 
 
 def index_of(message: FrameMessage, index: int | None) -> int:

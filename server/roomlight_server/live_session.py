@@ -175,7 +175,8 @@ class LiveSession:
     async def _decoded(self, message: FrameMessage, index: int) -> Frame:
         reference = self._reference or message.header.exposure
         least = self.request.min_confidence
-        frame = await self._workers.run_in_decode_pool(decode_to_size, message, index, reference, least)
+        processes = self._workers.decode_processes
+        frame = await self._workers.run_in_decode_pool(decode_to_size, message, index, reference, least, processes)
         self._reference = reference
         return frame
 

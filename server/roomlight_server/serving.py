@@ -111,6 +111,9 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
         context.workers.load()
         if "*" in settings.allow_origins and not settings.tokens:
             _log.warning("allow_origins is * and there is no token: any web page on this machine can use the server")
-        with listen(settings) as bound:
-            listening(address_of(settings, bound))
-            make_server(settings, app).run(sockets=[bound])
+        try:
+            with listen(settings) as bound:
+                listening(address_of(settings, bound))
+                make_server(settings, app).run(sockets=[bound])
+        finally:
+            context.workers.decode_processes.stop()  # also if it cannot listen

@@ -14,6 +14,7 @@ from typing import ParamSpec, TypeVar
 from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.memory import release_free_memory
 from roomlight.engine.session import ModelName, SessionOptions, choose_graphs, warm_up
+from roomlight_server.decode_processes import DecodeProcesses
 from roomlight_server.settings import ServerSettings
 
 _P = ParamSpec("_P")
@@ -27,6 +28,8 @@ class Workers:
         """Create the pools; threads start when they are first used."""
         self._engine = ThreadPoolExecutor(settings.engine_threads, thread_name_prefix="engine")
         self._decode = ThreadPoolExecutor(settings.decode_threads, thread_name_prefix="decode")
+        self.decode_processes = DecodeProcesses(settings.decode_timeout_s)
+        self._decode_threads = settings.decode_threads
         self._engine_slots = asyncio.Semaphore(settings.engine_threads)
         self._base = SessionOptions(
             model=settings.model,
@@ -39,12 +42,13 @@ class Workers:
         self._loading_lock = asyncio.Lock()
 
     def load(self) -> None:
-        """Load the graphs of the default model, blocking.
+        """Load the graphs of the default model, blocking, and start the decoding processes.
 
         Raises:
             ModelError: The weights cannot be loaded.
         """
         self._graphs[self._base.model] = choose_graphs(self._base)
+        self.decode_processes.start(self._decode_threads)
 
     async def start(self) -> None:
         """Load the graphs of the default model if necessary and run them once, which compiles the kernels.
@@ -56,7 +60,8 @@ class Workers:
         await asyncio.get_running_loop().run_in_executor(self._engine, warm_up, graphs)
 
     def stop(self) -> None:
-        """Finish running work and drop work that has not started."""
+        """Finish running work and drop work that has not started; images that are being decoded are dropped too."""
+        self.decode_processes.stop()
         self._engine.shutdown(wait=True, cancel_futures=True)
         self._decode.shutdown(wait=True, cancel_futures=True)
 
