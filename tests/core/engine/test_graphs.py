@@ -149,8 +149,9 @@ def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "video")
     monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
-    forms = {model: _chosen_form(model, provider="cpu") for model in FORMS_ASKED}
-    assert forms == {"single": "single", "video": "video", "auto": "video"}
+    forms = {model: _chosen_form(model, provider="cpu") for model in ("single", "video")}
+    assert forms == {"single": "single", "video": "video"}
+    assert choose_graphs(SessionOptions(model="auto")) is None
 
 
 def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
@@ -158,8 +159,8 @@ def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "single")
     monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
-    for model in ("single", "auto"):
-        assert _chosen_form(model, provider="cpu") == "single"
+    assert _chosen_form("single", provider="cpu") == "single"
+    assert choose_graphs(SessionOptions(model="auto")) is None
     assert choose_graphs(SessionOptions(model="classical")) is None
     with pytest.raises(ModelError, match=r'model="video": .* no trained weights'):
         choose_graphs(SessionOptions(model="video", provider="cpu"))

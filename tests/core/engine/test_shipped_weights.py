@@ -79,7 +79,8 @@ def test_panoramas_are_close_to_the_classical_models(scores):
     assert scores["single"][0] < 1.8 * scores["classical"][0]
 
 
-def test_shipped_weights_are_the_default():
-    chosen = choose_graphs(SessionOptions(provider="cpu"))
+def test_shipped_weights_are_used_by_name_and_not_by_default():
+    assert choose_graphs(SessionOptions(provider="cpu")) is None
+    chosen = choose_graphs(SessionOptions(model="single", provider="cpu"))
     assert chosen is not None
     assert (chosen.path, chosen.form) == (FOLDER, "single")
