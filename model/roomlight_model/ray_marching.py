@@ -13,7 +13,13 @@ from torch import Tensor
 
 from roomlight.engine.sglv import MAX_SAMPLES, Far
 from roomlight.threads import parallel_for
-from roomlight_model.kernels.ray_marching import SAMPLES, march_forward_backward
+from roomlight_model.kernels.ray_marching import (
+    SAMPLES,
+    RayArrays,
+    VolumeArrays,
+    VolumeGradient,
+    march_forward_backward,
+)
 from roomlight_model.ray_marching_reference import render_rays
 
 
@@ -95,9 +101,14 @@ def _run(
     def volumes(start: int, stop: int) -> None:
         for b in range(start, stop):
             march_forward_backward(
-                alpha[b], lobes[b], origins[b], directions[b], lower_m[b], voxel_m[b], np.float32(voxel_m[b].mean()),
-                samples, boundary, outer[b], shown[min(b, len(shown) - 1)], g_alpha[min(b, len(g_alpha) - 1)],
-                g_lobes[min(b, len(g_lobes) - 1)], gradients is not None,
-            )  # fmt: skip
+                VolumeArrays(alpha[b], lobes[b], lower_m[b], voxel_m[b]),
+                RayArrays(origins[b], directions[b]),
+                samples,
+                boundary,
+                outer[b],
+                shown[min(b, len(shown) - 1)],
+                VolumeGradient(g_alpha[min(b, len(g_alpha) - 1)], g_lobes[min(b, len(g_lobes) - 1)]),
+                gradients is not None,
+            )
 
     parallel_for(volumes, len(alpha))

@@ -5,11 +5,37 @@ Twin: `roomlight_model.ray_marching_reference.render_rays` under autograd. The b
 again: 128 samples of 11 channels a ray would take 5.6 kB, the ray itself takes 24 bytes.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 SAMPLES = 256
 """Largest number of samples on a ray."""
+
+
+class VolumeArrays(NamedTuple):
+    """One volume, float32: alpha [z, y, x], lobes [z, y, x, 10], its lower corner and voxel edges [3] in metres."""
+
+    alpha: NDArray[np.float32]
+    lobes: NDArray[np.float32]
+    lower: NDArray[np.float32]
+    voxel: NDArray[np.float32]
+
+
+class RayArrays(NamedTuple):
+    """Origins and unit directions [n, 3], float32, in the volume's frame (metres)."""
+
+    origins: NDArray[np.float32]
+    directions: NDArray[np.float32]
+
+
+class VolumeGradient(NamedTuple):
+    """Gradients of `VolumeArrays.alpha` and `.lobes`, added to in place."""
+
+    alpha: NDArray[np.float32]
+    lobes: NDArray[np.float32]
 
 
 @njit(nogil=True, cache=True, inline="always")
@@ -19,14 +45,15 @@ def _corner(at, axis_count):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def march_forward_backward(
-    alpha, lobes, origins, directions, lower, voxel, step, samples, boundary, g_radiance, radiance, g_alpha, g_lobes,
-    with_gradient,
-):  # fmt: skip
-    """March the rays of one volume. Fills `radiance`, or, `with_gradient`, adds to `g_alpha` and `g_lobes`.
+def march_forward_backward(volume, rays, samples, boundary, g_radiance, radiance, gradient, with_gradient):
+    """March the rays of one volume (`VolumeArrays`, `RayArrays`), one mean voxel edge a step.
 
-    alpha [z, y, x], lobes [z, y, x, 10], origins and unit directions [n, 3] in the volume frame (metres).
+    Fills `radiance` [n, 3], or, `with_gradient`, adds to `gradient` (`VolumeGradient`) for `g_radiance` [n, 3].
     """
+    alpha, lobes, lower, voxel = volume
+    origins, directions = rays
+    g_alpha, g_lobes = gradient
+    step = (voxel[0] + voxel[1] + voxel[2]) / np.float32(3)
     nz, ny, nx = alpha.shape
     zero, one, half = np.float32(0), np.float32(1), np.float32(0.5)
     top = np.array([nx - 1, ny - 1, nz - 1], np.float32)

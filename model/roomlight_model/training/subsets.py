@@ -108,7 +108,8 @@ class TrainingRooms:
             where = ", ".join(str(folder) for folder in folders)
             raise DatasetError(
                 f"{where}: none of {len(chosen)} sequences has surroundings at most {surround_max} "
-                f"times as bright as its first frame (the least: {min(self._surrounds.values()):.2f}); allow more"
+                f"times as bright as its first frame (the least: {min(self._surrounds.values()):.2f}); "
+                "raise `surround_max`"
             )
 
     def grow(self) -> int:
