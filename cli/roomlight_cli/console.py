@@ -38,8 +38,11 @@ FLAGS: Final = {
     "pixel": "--pixel",
     "pose_direction": "--pose-direction",
     "provider": "--provider",
+    "seed": "--seed",
+    "surround_max": "--surround-max",
     "unknown_depth": "--unknown-depth",
     "weights": "--weights",
+    "workers": "--workers",
     "world_up": "--world-up",
 }
 """Flags of the options that the library's messages name as Python does."""

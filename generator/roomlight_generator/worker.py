@@ -121,7 +121,7 @@ def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emi
             if attempt == ATTEMPTS - 1:
                 raise DatasetError(
                     f"room {room} of {task.split} with seed {task.seed} cannot be made; all {ATTEMPTS} attempts "
-                    f"failed, the last with {last}; another --seed gives other rooms"
+                    f"failed, the last with {last}; another `seed` gives other rooms"
                 ) from error
 
 

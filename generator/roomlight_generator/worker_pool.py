@@ -93,7 +93,7 @@ class WorkerPool:
         if self._deaths[task.tar] >= DEATHS:
             raise DatasetError(
                 f"{task.tar}: {DEATHS} workers in a row died making it, the last by {ending}. Signal 9 is "
-                "mostly the system short of memory: give fewer --workers; what is finished stays"
+                "mostly the system short of memory: use fewer `workers`; finished sequences are kept"
             )
 
 

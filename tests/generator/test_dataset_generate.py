@@ -177,7 +177,7 @@ def test_a_worker_that_dies_is_replaced(undisturbed, tmp_path, steer):
 
 def test_workers_that_keep_dying_are_an_error(tmp_path, steer):
     steer(dies={"2": 3})
-    with pytest.raises(DatasetError, match=r"train-00001\.tar: 3 workers in a row died .* signal 9.* fewer --workers"):
+    with pytest.raises(DatasetError, match=r"train-00001\.tar: 3 workers in a row died .* signal 9.* fewer `workers`"):
         generate(tmp_path / "out", options(), workers=1)
     assert len(Dataset(tmp_path / "out")) == 4
 

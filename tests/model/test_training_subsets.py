@@ -76,7 +76,9 @@ def test_only_views_of_the_lit_side_are_trained_on(tmp_path):
 
 
 def test_if_no_sequence_is_left_the_error_states_the_least(tmp_path):
-    with pytest.raises(DatasetError, match=r"none of 6 sequences .* at most 0.01 .*the least: [0-9.]+\); allow more"):
+    with pytest.raises(
+        DatasetError, match=r"none of 6 sequences .* at most 0.01 .*the least: [0-9.]+\); raise `surround_max`"
+    ):
         TrainingRooms([make(tmp_path / "first", 8)], surround_max=0.01)
 
 

@@ -86,7 +86,7 @@ def _detect(path: Path) -> str:
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"
-    raise UnknownFormatError(f"{path}: no capture format recognised; looked for {_SIGNS}. Set format to force one")
+    raise UnknownFormatError(f"{path}: no capture format recognised; looked for {_SIGNS}. Set `format` to force one")
 
 
 def _detect_zip(path: Path) -> str:

@@ -26,7 +26,7 @@ RECEIVES: Final = 1.7
 
 
 class Grid:
-    """Surface points of a picture (height, width) with the light that they receive and reflect; other pixels are left out."""
+    """Surface points of a picture (height, width) and the light that they receive and reflect; others are left out."""
 
     def __init__(
         self,
