@@ -26,8 +26,9 @@ class RunningServer:
     """A server in its own thread on a free port; use it in a `with` statement."""
 
     def __init__(self, *, clock=None, **settings):
-        # no delay, and time to decode on a machine that is busy with other tests
-        self.settings = ServerSettings(port=0, **({"wrong_token_delay_s": 0, "decode_timeout_s": 120} | settings))
+        settings.setdefault("wrong_token_delay_s", 0)
+        settings.setdefault("decode_timeout_s", 120)  # the machine is busy with other tests
+        self.settings = ServerSettings(port=0, **settings)
         self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
         self._up = threading.Event()
         self._server = make_server(self.settings, self.app)

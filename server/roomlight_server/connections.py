@@ -11,7 +11,7 @@ from collections import Counter
 from http import HTTPStatus
 from typing import Any, Final, Protocol, runtime_checkable
 
-from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
+from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol, RequestResponseCycle
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
 
 from roomlight_server.metrics import Metrics
@@ -123,6 +123,12 @@ class HttpProtocol(HttpToolsProtocol):
         self._reading_headers = False
         self._follows_another = False
         self._refused = False
+        self._upgraded = False  # StreamProtocol has the connection
+
+    @property
+    def _cycle(self) -> RequestResponseCycle | None:
+        """The current or last request; uvicorn declares no None, but there is none before the first."""
+        return self.cycle
 
     def connection_made(self, transport: Any) -> None:
         """Admit or refuse a connection."""
@@ -155,19 +161,21 @@ class HttpProtocol(HttpToolsProtocol):
             return
         self._reported_bytes = 0
         super().data_received(data)
+        if self._upgraded:
+            return
         self._count_unparsed(len(data))
         limit = self._guard.settings.max_header_bytes
         if max(self._header_bytes, self._unparsed_bytes) > limit and not self.transport.is_closing():
             detail = f"the request line and headers have more than {limit} bytes"
             self._refuse(ProblemError("headers-too-large", detail, rule=f"at most {limit} bytes"))
-        elif self._timer is None and (self.cycle is None or self.cycle.response_complete):
+        elif self._timer is None and (self._cycle is None or self._cycle.response_complete):
             self._start_timer()
 
     def on_message_begin(self) -> None:
         """Begin a request."""
         super().on_message_begin()
         self._header_bytes = self._unparsed_bytes = self._discarded_bytes = 0
-        self._follows_another = self.cycle is not None
+        self._follows_another = self._cycle is not None
         self._reading_headers = True
         if self._timer is None:
             self._start_timer()
@@ -203,13 +211,14 @@ class HttpProtocol(HttpToolsProtocol):
         self._reported_bytes += 1
         if not self._are_headers_too_large():
             super().on_message_complete()
-            if self.cycle is not None and self.cycle.response_complete:
-                self.cycle.more_body = False
+            if self._cycle is not None and self._cycle.response_complete:
+                self._cycle.more_body = False
 
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection to `StreamProtocol`, which releases it."""
         if not self._are_headers_too_large():
             self._stop_timer()
+            self._upgraded = True
             super().handle_websocket_upgrade()
 
     def pause_writing(self) -> None:
@@ -237,7 +246,7 @@ class HttpProtocol(HttpToolsProtocol):
 
     def _is_answered_early(self) -> bool:
         """Whether the current request is answered, but its body is still arriving."""
-        return self.cycle is not None and self.cycle.response_complete and self.cycle.more_body
+        return self._cycle is not None and self._cycle.response_complete and self._cycle.more_body
 
     def _start_timer(self) -> None:
         self._timer = self.loop.call_later(self._guard.settings.header_timeout_s, self._time_out)

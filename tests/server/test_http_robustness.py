@@ -13,6 +13,7 @@ import threading
 import cv2
 import numpy as np
 import pytest
+from websockets import Subprotocol
 from websockets.exceptions import InvalidMessage, InvalidStatus
 from websockets.sync.client import connect
 
@@ -219,8 +220,9 @@ def test_every_line_of_the_log_is_json_without_tokens():
         call(port, "PUT", "/v1/sessions/room/frames/0", with_colour("jpeg", bytes(damaged)), token)
         call(port, "PUT", "/v1/sessions/room/frames/1", frame(1), token)
         address = f"ws://127.0.0.1:{port}/v1/sessions/room/stream"
-        for given in ({"additional_headers": token}, {"subprotocols": ["roomlight.v1", f"bearer.{TOKEN}"]}):
-            with connect(address, **given) as websocket:
+        offered = [Subprotocol("roomlight.v1"), Subprotocol(f"bearer.{TOKEN}")]
+        for websocket in (connect(address, additional_headers=token), connect(address, subprotocols=offered)):
+            with websocket:
                 websocket.send(frame(2, index=2))
                 websocket.recv(timeout=120)
 

@@ -66,7 +66,9 @@ def serve(
 
     Every flag can be set in the environment as ROOMLIGHT_NAME, for example ROOMLIGHT_MAX_SESSIONS; a flag wins over
     its variable. These settings have a variable only: max_session_bytes, frames_in_flight, body_timeout_s,
-    max_colour_pixels, max_depth_pixels and decode_threads.
+    max_colour_pixels, max_depth_pixels, decode_threads, decode_timeout_s, max_connections,
+    max_connections_per_address, max_header_bytes, header_timeout_s, send_timeout_s, max_pending_bytes and
+    wrong_token_delay_s.
     """
     settings = load_settings(
         host=host,
