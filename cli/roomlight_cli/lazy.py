@@ -21,10 +21,11 @@ APP_OPTIONS: Final[dict[str, Any]] = {
 class CommandEntry:
     """A command as its group lists it.
 
-    name:     as typed.
-    module:   the module whose `app` (a `typer.Typer`) is the command.
-    summary:  the first paragraph of the command's own help; a test compares the two.
-    panel:    the heading under which the group's help lists the command.
+    Attributes:
+        name: as typed.
+        module: the module whose `app` (a `typer.Typer`) is the command.
+        summary: the first paragraph of the command's own help; a test compares the two.
+        panel: the heading under which the group's help lists the command.
     """
 
     name: str

@@ -12,11 +12,11 @@
 
 Conventions (axes, units, colour): `roomlight.conventions`. Packages, from the lowest layer to the highest:
 
-light     forms of light: panoramas, harmonics, main light, cube maps, files
-captures  recorded captures: readers and writers
-dataset   training sequences in folders and shards
-wire      messages of the session server
-engine    frames in, light out: the lighting volume, the models, the session
+    light     forms of light: panoramas, harmonics, main light, cube maps, files
+    captures  recorded captures: readers and writers
+    dataset   training sequences in folders and shards
+    wire      messages of the session server
+    engine    frames in, light out: the lighting volume, the models, the session
 
 Importing `roomlight` loads none of them; the names below are loaded on first use.
 """

@@ -17,8 +17,9 @@ FOCAL_LENGTH: Final = (0.01, 100.0)
 class Intrinsics:
     """A pinhole camera for an image of `width` x `height` pixels; pixel centres are at half integers.
 
-    fx, fy:  focal length in pixels.
-    cx, cy:  principal point in pixels.
+    Attributes:
+        fx, fy: focal length in pixels.
+        cx, cy: principal point in pixels.
 
     Raises:
         ValueError: a value is impossible for a camera; the message names field and value.

@@ -29,15 +29,16 @@ class Frame:
 
     Every value is checked here, so that the kernels, which check nothing, get finite, contiguous float32.
 
-    image:            linear RGB radiance, float32 [h, w, 3], relative to the session's reference exposure.
-    clipped:          bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least this.
-    depth_m:          z-depth in metres, float32 [dh, dw], 0 = unknown (what is not finite or below 0 becomes 0);
-                      same view as the image, any size of at least 2 x 2.
-    intrinsics:       of the image (depth's are the same, resized).
-    camera_to_world:  rigid 4 x 4, float64.
-    index:            number of the frame in its stream.
-    timestamp_s:      seconds, from any origin.
-    source:           name of the frame in messages, e.g. its file.
+    Attributes:
+        image: linear RGB radiance, float32 [h, w, 3], relative to the session's reference exposure.
+        clipped: bool [h, w]: pixels whose sensor value saturated, whose true radiance is at least this.
+        depth_m: z-depth in metres, float32 [dh, dw], 0 = unknown (what is not finite or below 0 becomes 0); same view
+            as the image, any size of at least 2 x 2.
+        intrinsics: of the image (depth's are the same, resized).
+        camera_to_world: rigid 4 x 4, float64.
+        index: number of the frame in its stream.
+        timestamp_s: seconds, from any origin.
+        source: name of the frame in messages, e.g. its file.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.

@@ -37,14 +37,15 @@ class GenerateOptions:
 
     To continue a dataset, `sequences` may grow; the other options must be those that it was made with.
 
-    sequences:           in the split, in all.
-    seed:                of all random numbers of the dataset.
-    split:               train or test.
-    shard_size:          sequences a file: 16 are 40 MB.
-    sequences_per_room:  walks through one room, which share its light's solution.
-    frames:              in each sequence; 1 makes single views, of which an hour gives four times as many.
-    furniture:           a furniture library or cache to use instead of the installed one.
-    renderer:            `module:function` that renders a room's recordings (`worker.RenderRoom`).
+    Attributes:
+        sequences: in the split, in all.
+        seed: of all random numbers of the dataset.
+        split: train or test.
+        shard_size: sequences a file: 16 are 40 MB.
+        sequences_per_room: walks through one room, which share its light's solution.
+        frames: in each sequence; 1 makes single views, of which an hour gives four times as many.
+        furniture: a furniture library or cache to use instead of the installed one.
+        renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`).
 
     Raises:
         DatasetError: if an option is out of range, or a shard does not hold whole rooms.

@@ -40,9 +40,10 @@ def farthest_depth_m(depth_max_m: float) -> float:
 class PanoramaState:
     """One probe's accumulated panorama, updated in place; float32.
 
-    radiance:  [H, 2H, 3] linear RGB.
-    depth_m:   [H, 2H] distance along the ray.
-    seen:      [H, 2H] accumulated weight: 1 = observed, 0 = inferred.
+    Attributes:
+        radiance: [H, 2H, 3] linear RGB.
+        depth_m: [H, 2H] distance along the ray.
+        seen: [H, 2H] accumulated weight: 1 = observed, 0 = inferred.
     """
 
     radiance: Float[np.ndarray, "h w 3"]

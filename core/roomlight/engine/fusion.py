@@ -10,9 +10,10 @@ from jaxtyping import Float
 class FusedVolume:
     """Sums over frames of one grid, updated in place; float32.
 
-    colour:   sum of alpha C.
-    opacity:  sum of alpha.
-    count:    number of frames that observed the voxel, as surface or as empty.
+    Attributes:
+        colour: sum of alpha C.
+        opacity: sum of alpha.
+        count: number of frames that observed the voxel, as surface or as empty.
     """
 
     colour: Float[np.ndarray, "z y x 3"]

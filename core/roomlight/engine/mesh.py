@@ -35,9 +35,10 @@ TEXTURE_LEVELS = 4
 class PartialPanorama:
     """What a probe sees of one frame's mesh.
 
-    radiance:  [H, 2H, 3] linear RGB, 0 where the mask is False.
-    mask:      [H, 2H] directions in which the mesh is seen.
-    depth_m:   [H, 2H] distance along the ray in metres, 0 where the mask is False.
+    Attributes:
+        radiance: [H, 2H, 3] linear RGB, 0 where the mask is False.
+        mask: [H, 2H] directions in which the mesh is seen.
+        depth_m: [H, 2H] distance along the ray in metres, 0 where the mask is False.
     """
 
     radiance: Float[np.ndarray, "h w 3"]

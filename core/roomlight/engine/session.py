@@ -49,15 +49,16 @@ panorama of 120 rows."""
 class SessionOptions:
     """Options of a session.
 
-    model:            classical (no networks), single or video (networks), or auto: the network form of `weights`,
-                      and without `weights` classical. On streams of 35 captures that no choice was made with, the
-                      networks inside the package had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
-    weights:          a model directory of `roomlight export`, instead of the weights inside the package.
-    provider:         runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
-    allow_untrained:  accept weights that were never trained, for tests.
-    height:           rows of the panoramas, 16 to 2048; they have twice as many columns.
-    keyframes:        most frames kept for positions that are requested later, 1 or more.
-    unknown_depth:    where pixels without depth are placed (`roomlight.depth`).
+    Attributes:
+        model: classical (no networks), single or video (networks), or auto: the network form of `weights`, and without
+            `weights` classical. On streams of 35 captures that no choice was made with, the networks inside the package
+            had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
+        weights: a model directory of `roomlight export`, instead of the weights inside the package.
+        provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
+        allow_untrained: accept weights that were never trained, for tests.
+        height: rows of the panoramas, 16 to 2048; they have twice as many columns.
+        keyframes: most frames kept for positions that are requested later, 1 or more.
+        unknown_depth: where pixels without depth are placed (`roomlight.depth`).
 
     Raises:
         OptionError: a value is out of range, or a name is unknown.
@@ -85,10 +86,11 @@ class SessionOptions:
 class FrameReport:
     """Report of one frame.
 
-    index:     of the frame.
-    stage_ms:  milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend.
-    keyframe:  whether it was kept as a keyframe.
-    coverage:  of each tracked probe, in the order of `Session.handles`.
+    Attributes:
+        index: of the frame.
+        stage_ms: milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend.
+        keyframe: whether it was kept as a keyframe.
+        coverage: of each tracked probe, in the order of `Session.handles`.
     """
 
     index: int

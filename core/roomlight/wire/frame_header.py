@@ -90,11 +90,12 @@ class WireIntrinsics(WireModel):
 class FrameHeader(WireModel):
     """Everything about a frame except its pixels.
 
-    index:            required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
-    camera_to_world:  16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
-    exposure:         exposure of the image in the unit of the session's reference exposure (for example shutter
-                      seconds x ISO); linear radiance is divided by exposure / reference exposure.
-    tracking_state:   ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
+    Attributes:
+        index: required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+        camera_to_world: 16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+        exposure: exposure of the image in the unit of the session's reference exposure (for example shutter seconds x
+            ISO); linear radiance is divided by exposure / reference exposure.
+        tracking_state: ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
     """
 
     version: Annotated[Literal[1], WHOLE_NUMBER] = VERSION

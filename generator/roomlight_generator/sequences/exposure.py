@@ -31,13 +31,14 @@ _DEAD_BAND: Final = 0.15
 class MeterSettings:
     """How one phone and its app meter.
 
-    bias, first_error: exposure offset of the sequence, and error of its first frame, in stops.
-    highlights:        0 (ignore them) to 1 (expose for them alone).
-    settle_s:          time constant: 63 % of the way to a new brightness.
-    locked:            exposure stays as in the first frame, as in some AR apps.
-    max_multiplier:    largest multiplier per kcd/m2.
-    balance:           strength of the white balance, 0 (none) to 1 (full).
-    grey_world:        weight of the mean colour against the bright parts' colour in the white balance.
+    Attributes:
+        bias, first_error: exposure offset of the sequence, and error of its first frame, in stops.
+        highlights: 0 (ignore them) to 1 (expose for them alone).
+        settle_s: time constant: 63 % of the way to a new brightness.
+        locked: exposure stays as in the first frame, as in some AR apps.
+        max_multiplier: largest multiplier per kcd/m2.
+        balance: strength of the white balance, 0 (none) to 1 (full).
+        grey_world: weight of the mean colour against the bright parts' colour in the white balance.
     """
 
     bias: float
