@@ -1,12 +1,11 @@
 """Client of the RoomLight server: send frames, get light. It imports no engine, no ONNX Runtime and no PyTorch.
 
-    from pathlib import Path
-    from roomlight.captures import open_capture
+    import roomlight as rl
     from roomlight_client import Client
 
     with Client("http://localhost:8090") as client, client.open() as session:
         session.track("table", (0.2, 0.1, -1.5))  # world metres, y up; updated with each frame
-        for frame in open_capture(Path("my-capture")):
+        for frame in rl.open_capture("my-capture"):
             session.push(frame)
         light = session.light_at("table")  # or at any point, at any time: light_at((x, y, z))
         print(light.main_light, light.harmonics, light.coverage)  # coverage: observed share of the sphere

@@ -255,7 +255,7 @@ def test_an_unreachable_server_names_the_command():
 
 def test_the_example_of_the_package_runs(server, tmp_path, monkeypatch, capsys):
     text = sdk.__doc__ or ""
-    block = textwrap.dedent(text[text.index("    from pathlib") : text.index("`AsyncClient` has")])
+    block = textwrap.dedent(text[text.index("    import roomlight") : text.index("`AsyncClient` has")])
     assert sum(bool(line.strip()) for line in block.splitlines()) <= 11
     with CaptureWriter(tmp_path / "my-capture") as writer:
         shot = ROOM.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48)
