@@ -2,7 +2,7 @@
 
     python docs/scripts/hero.py            needs Mitsuba, which is in the dev extra; a few minutes
 
-The spheres stand on a sideboard and are lit by RoomLight's panorama at their place, after all 31 frames. Their
+The spheres stand on a sideboard and are lit by RoomLight's panorama at their place (model single), after all 31 frames. Their
 shadows are differential: the frame is multiplied by (plane with spheres) / (plane without them).
 """
 
@@ -15,7 +15,7 @@ from PIL import Image, ImageDraw, ImageFont
 from roomlight.camera import Intrinsics
 from roomlight.captures import open_capture
 from roomlight.conventions import linear_to_srgb8
-from roomlight.engine.session import Session
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.frame import Frame
 from roomlight.placement import point_at_pixel
 from roomlight.sample import sample_capture
@@ -31,7 +31,7 @@ def main() -> None:
     """Write the picture."""
     mi.set_variant("scalar_rgb")
     frames = list(open_capture(sample_capture()))
-    session = Session()
+    session = Session(SessionOptions(model="single"))
     for each in frames:
         session.push(each)
     frame = frames[FRAME]
