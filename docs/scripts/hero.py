@@ -2,8 +2,8 @@
 
     python docs/scripts/hero.py            needs Mitsuba, which is in the dev extra; a few minutes
 
-The spheres stand on a sideboard and are lit by RoomLight's panorama at their place (model single), after all 31 frames. Their
-shadows are differential: the frame is multiplied by (plane with spheres) / (plane without them).
+The spheres stand on a sideboard and are lit by RoomLight's panorama at their place (model single), after all 31
+frames. Their shadows are differential: the frame is multiplied by (plane with spheres) / (plane without them).
 """
 
 from pathlib import Path
