@@ -247,7 +247,7 @@ class Session:
         self._client.run(self._calls.track(name, position))
 
     def untrack(self, name: str) -> None:
-        """Stop tracking a point. An unknown name is no error.
+        """Stop tracking a point. An unknown name is not an error.
 
         Raises:
             OptionError: If the name is invalid.
@@ -259,5 +259,5 @@ class Session:
         return self._client.run(self._calls.state())
 
     def close(self) -> None:
-        """Delete the session with its frames and its light on the server. A missing session is no error."""
+        """Delete the session with its frames and its light on the server. A missing session is not an error."""
         self._client.run(self._calls.close())

@@ -97,7 +97,7 @@ _BY_STATUS: Final[Mapping[int, type[RefusedError]]] = {
 
 
 def refusal(status: int, body: bytes, *, retry_after_s: float | None = None) -> RemoteError:
-    """Return the error for a response that is no success.
+    """Return the error for an unsuccessful response.
 
     A body without problem details (a proxy's page) is quoted in the error by its first 200 bytes.
     """
