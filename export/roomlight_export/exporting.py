@@ -10,7 +10,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import cast
 
 from onnx import ModelProto
 
@@ -31,7 +30,6 @@ from roomlight_export.parity import (
     torch_runner,
 )
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint
-from roomlight_model.networks import SingleModel, VideoModel
 
 ProgressCallback = Callable[[str], object]
 
@@ -83,7 +81,7 @@ def export_checkpoint(
     report_step: ProgressCallback = progress or _ignore
     loaded = load_checkpoint(checkpoint)
     check_target(out)
-    rounded = cast("SingleModel | VideoModel", half_rounded(loaded.model, str(checkpoint)))
+    rounded = half_rounded(loaded.model, str(checkpoint))
     originals = {graph.name: graph for graph in graphs_of(loaded.model)}
     graphs = {graph.name: graph for graph in graphs_of(rounded)}
     with new_folder(out) as folder:

@@ -137,7 +137,7 @@ def _methods_at(request: Request) -> set[str]:
 
 
 async def on_disconnect(request: Request, error: Exception) -> Response:
-    """Handle a client that disconnects while it sends its body. The answer reaches nobody; metrics show its status."""
+    """Handle a client that disconnects while it sends its body. The client does not receive the answer; metrics count its status."""
     del error
     _log.info("client disconnected during its request", extra={"path": request.url.path[:200]})
     return Response(status_code=CLIENT_CLOSED)
