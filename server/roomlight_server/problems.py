@@ -137,7 +137,7 @@ def _methods_at(request: Request) -> set[str]:
 
 
 async def on_disconnect(request: Request, error: Exception) -> Response:
-    """Handle a client that disconnects while it sends its body. The client does not receive the answer; metrics count its status."""
+    """Handle a client that disconnects while it sends its body; metrics count the answer that it does not get."""
     del error
     _log.info("client disconnected during its request", extra={"path": request.url.path[:200]})
     return Response(status_code=CLIENT_CLOSED)
