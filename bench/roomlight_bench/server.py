@@ -18,8 +18,8 @@ import numpy as np
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
+from roomlight.engine.session import WORKING_SIZE, SessionOptions
 from roomlight.engine.session import Session as Engine
-from roomlight.engine.session import SessionOptions
 from roomlight.frame import Frame
 from roomlight.placement import point_in_view
 from roomlight.sample import sample_capture
@@ -33,7 +33,8 @@ from roomlight_bench.server_report import Latencies, LoadRow, OverheadRow, Probe
 from roomlight_bench.timing import ProgressCallback
 from roomlight_client import Client, FrameEncoding, Session
 from roomlight_client.frames import pack_frame
-from roomlight_server.intake import decode_to_size, parse_frame
+from roomlight_server.decode_worker import decode_to_box
+from roomlight_server.intake import parse_frame
 
 MAX_LATE_PROBES: Final = 16
 """Most late probes in one request: each takes about 0.1 s."""
@@ -181,7 +182,7 @@ def _direct_and_http(
 
     def direct(index: int, body: bytes) -> tuple[float, float]:
         start_s = time.perf_counter()
-        frame = decode_to_size(parse_frame(body, limits)[0], index, 1.0, 1)
+        frame = decode_to_box(parse_frame(body, limits)[0], index, 1.0, 1, WORKING_SIZE)
         engine_ms = _timed(lambda: engine.push(frame))
         return engine_ms, 1e3 * (time.perf_counter() - start_s)
 
