@@ -60,9 +60,10 @@ export interface components {
         /**
          * @description The light of one probe in one form.
          *
-         *     values: the numbers of sh and main_light.
-         *     data:   the bytes of the other formats in base64, in plain JSON.
-         *     bytes:  the number of bytes of the other formats, in a binary light message.
+         *     Attributes:
+         *         values: the numbers of sh and main_light.
+         *         data: the bytes of the other formats in base64, in plain JSON.
+         *         bytes: the number of bytes of the other formats, in a binary light message.
          */
         readonly EncodedLight: {
             /** @enum {string} */
@@ -77,7 +78,8 @@ export interface components {
         /**
          * @description Counts of a session's frames. accepted = processed + superseded + skipped + queued.
          *
-         *     gaps: indices that are missing between the first and the last accepted frame.
+         *     Attributes:
+         *         gaps: indices that are missing between the first and the last accepted frame.
          */
         readonly FrameCounts: {
             readonly accepted: number;
@@ -114,11 +116,12 @@ export interface components {
         /**
          * @description Everything about a frame except its pixels.
          *
-         *     index:            required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
-         *     camera_to_world:  16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
-         *     exposure:         exposure of the image in the unit of the session's reference exposure (for example shutter
-         *                       seconds x ISO); linear radiance is divided by exposure / reference exposure.
-         *     tracking_state:   ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
+         *     Attributes:
+         *         index: required on a WebSocket. Over HTTP the path has it; an index given here must equal it.
+         *         camera_to_world: 16 numbers, column by column, as `simd_float4x4` is stored: x axis, y axis, z axis, position.
+         *         exposure: exposure of the image in the unit of the session's reference exposure (for example shutter seconds x
+         *             ISO); linear radiance is divided by exposure / reference exposure.
+         *         tracking_state: ARKit's tracking state. Only `normal` frames are used, unless the session allows `limited` ones.
          */
         readonly FrameHeader: {
             /**
@@ -153,12 +156,13 @@ export interface components {
         /**
          * @description Outcome of a frame.
          *
-         *     status:   processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted and
-         *               waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
-         *     replay:   the same index and bytes were sent before; the frame was not processed again.
-         *     keyframe: whether the frame was kept for probes that are requested later.
-         *     stage_ms: processing time of each stage.
-         *     coverage: coverage of each named probe after the last processed frame.
+         *     Attributes:
+         *         status: processed: the light includes it. superseded: a newer frame replaced it in the queue. queued: accepted
+         *             and waiting (only with `Prefer: respond-async`). skipped: not used because of its tracking state.
+         *         replay: the same index and bytes were sent before; the frame was not processed again.
+         *         keyframe: whether the frame was kept for probes that are requested later.
+         *         stage_ms: processing time of each stage.
+         *         coverage: coverage of each named probe after the last processed frame.
          */
         readonly FrameResult: {
             readonly index: number;
@@ -199,12 +203,13 @@ export interface components {
         /**
          * @description An output encoding of light: a format and its parameters.
          *
-         *     size:         panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of
-         *                   cube, ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
-         *     kind:         for sh: total, or ambient (without the main light).
-         *     basis:        for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
-         *                   phase), threejs (27 interleaved, all signs positive).
-         *     exposure_ev:  for png: radiance 2^-exposure_ev is white.
+         *     Attributes:
+         *         size: panorama height of exr, hdr, png, npy and confidence, 8 to 512 (default: as computed); face width of cube,
+         *             ktx2 and specular, 16, 32, 64, 128 or 256 (default 32).
+         *         kind: for sh: total, or ambient (without the main light).
+         *         basis: for sh: arcore (27 interleaved, Condon-Shortley phase; also WebXR), arkit (27 planar, Condon-Shortley
+         *             phase), threejs (27 interleaved, all signs positive).
+         *         exposure_ev: for png: radiance 2^-exposure_ev is white.
          */
         readonly LightForm: {
             /** @enum {string} */
@@ -237,8 +242,9 @@ export interface components {
         /**
          * @description Light at several points, in the order of the request.
          *
-         *     frame: index of the last processed frame; -1 before the first frame: the light is then the default light, grey,
-         *            brighter from above, with zero coverage.
+         *     Attributes:
+         *         frame: index of the last processed frame; -1 before the first frame: the light is then the default light, grey,
+         *             brighter from above, with zero coverage.
          */
         readonly LightResponse: {
             readonly frame: number;
@@ -272,8 +278,9 @@ export interface components {
         /**
          * @description The light at one point.
          *
-         *     coverage: fraction of the sphere that was observed, by solid angle, 0 to 1.
-         *     etag:     identifies the light: equal etags mean equal light.
+         *     Attributes:
+         *         coverage: fraction of the sphere that was observed, by solid angle, 0 to 1.
+         *         etag: identifies the light: equal etags mean equal light.
          */
         readonly ProbeLight: {
             readonly position: components["schemas"]["Position"];
@@ -316,8 +323,9 @@ export interface components {
         /**
          * @description WebSocket, to the client: a message was rejected or failed; the connection stays open.
          *
-         *     index:   index of the frame concerned, if its header could be read.
-         *     request: `request` of the `light` message concerned.
+         *     Attributes:
+         *         index: index of the frame concerned, if its header could be read.
+         *         request: `request` of the `light` message concerned.
          */
         readonly ProblemEvent: {
             /**
@@ -335,15 +343,16 @@ export interface components {
         /**
          * @description Options of a session.
          *
-         *     mode:                which model estimates the light; `auto` is the server's default.
-         *     height:              height of the panoramas in pixels; the width is twice the height.
-         *     reference_exposure:  the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
-         *                          exposure of the first frame.
-         *     use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can be
-         *                          wrong and errors in the room's light persist.
-         *     min_confidence:      depth pixels below this confidence (0, 1 or 2) are unknown.
-         *     unknown_depth:       pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
-         *                          far boundary of the volume (`far`), or are not used (`drop`).
+         *     Attributes:
+         *         mode: which model estimates the light; `auto` is the server's default.
+         *         height: height of the panoramas in pixels; the width is twice the height.
+         *         reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
+         *             exposure of the first frame.
+         *         use_limited_tracking: also use frames whose tracking state is `limited`. Off by default, because their poses can
+         *             be wrong and errors in the room's light persist.
+         *         min_confidence: depth pixels below this confidence (0, 1 or 2) are unknown.
+         *         unknown_depth: pixels of unknown depth take depth interpolated from the rim of their hole (`rim`), lie on the
+         *             far boundary of the volume (`far`), or are not used (`drop`).
          */
         readonly SessionRequest: {
             /**
