@@ -55,8 +55,8 @@ def pack_frame(frame: Frame) -> bytes:
         "depth": frame.depth_m.shape,
         "intrinsics": [k.fx, k.fy, k.cx, k.cy, k.width, k.height],
     }
-    parts = (frame.image.astype("<f4"), frame.depth_m.astype("<f4"), frame.clipped.astype(np.uint8))
-    return _pack(text, b"".join(part.tobytes() for part in parts))
+    image, depth_m = (values.astype("<f4", copy=False) for values in (frame.image, frame.depth_m))
+    return _pack(text, b"".join(part.tobytes() for part in (image, depth_m, frame.clipped.view(np.uint8))))
 
 
 def unpack_frame(text: dict[str, Any], data: bytearray, message: FrameMessage, index: int) -> Frame:
