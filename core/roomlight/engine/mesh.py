@@ -14,7 +14,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
-from roomlight.camera import transform_points
+from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import panorama_rays
 from roomlight.frame import Frame
 from roomlight.threads import parallel_for
@@ -53,8 +53,17 @@ class PartialPanorama:
 class FrameMesh:
     """A frame's depth as a textured triangle mesh, ready to be ray traced from any point."""
 
-    def __init__(self, frame: Frame, *, max_vertices: int = MAX_VERTICES) -> None:
-        """Triangulate. A frame without depth has no triangle, and is seen from nowhere."""
+    def __init__(
+        self,
+        frame: Frame,
+        *,
+        sensor_depth_m: Float[np.ndarray, "dh dw"] | None = None,
+        max_vertices: int = MAX_VERTICES,
+    ) -> None:
+        """Triangulate. A frame without depth has no triangle, and is seen from nowhere.
+
+        sensor_depth_m:  depth before it was completed, of the same size; default: the frame's depth.
+        """
         self.levels = _pyramid(frame.image)
         depth, uv = _vertex_grid(frame.depth_m, max_vertices)
         k = frame.intrinsics
@@ -66,9 +75,24 @@ class FrameMesh:
         points[..., 2] = -depth
         self.vertices = transform_points(frame.camera_to_world, points.reshape(-1, 3))
         self.known = depth.reshape(-1) > 0
+        sensor, _ = _vertex_grid(frame.depth_m if sensor_depth_m is None else sensor_depth_m, max_vertices)
+        self.camera_to_world = frame.camera_to_world
+        self._image_camera, self._depth_shape = k, (frame.depth_m.shape[0], frame.depth_m.shape[1])
+        self.grid_depth_m = depth
+        self.measured = sensor > 0  # [gh, gw]; elsewhere depth is completed
         self.faces = grid_faces(depth)
         self._pixel = (uv.reshape(-1, 2) * [k.width, k.height] - 0.5).astype(np.float32)
         self._scene: EmbreeScene | None = None
+
+    @property
+    def grid_camera(self) -> Intrinsics:
+        """The camera whose pixel centres are the vertices: `grid_depth_m` is its depth image."""
+        height, width = self.grid_depth_m.shape
+        stride = _stride(*self._depth_shape, height * width)
+        k = self._image_camera.resized(self._depth_shape[1], self._depth_shape[0])
+        first = 0.5 + stride // 2  # `_vertex_grid` takes every n-th sample from n // 2 on
+        cx, cy = (k.cx - first) / stride + 0.5, (k.cy - first) / stride + 0.5
+        return Intrinsics(k.fx / stride, k.fy / stride, cx, cy, width, height)
 
     def build(self) -> None:
         """Build Embree's tree now (17 ms) rather than at the first panorama.
@@ -173,14 +197,20 @@ def _one_surface(
     return (quad + quad // low.shape[1]).astype(np.int32)  # a row has one vertex more than quads
 
 
+def _stride(height: int, width: int, max_vertices: int) -> int:
+    """Return the smallest step between samples at which the grid has at most `max_vertices` vertices."""
+    stride = 1
+    while len(range(stride // 2, height, stride)) * len(range(stride // 2, width, stride)) > max_vertices:
+        stride += 1
+    return stride
+
+
 def _vertex_grid(
     depth_m: Float[np.ndarray, "h w"], max_vertices: int
 ) -> tuple[Float[np.ndarray, "gh gw"], Float[np.ndarray, "gh gw 2"]]:
     """Take every n-th depth sample (a mean would lie between two surfaces), with its (u, v) in the image."""
     height, width = depth_m.shape
-    stride = 1
-    while len(range(stride // 2, height, stride)) * len(range(stride // 2, width, stride)) > max_vertices:
-        stride += 1
+    stride = _stride(height, width, max_vertices)
     rows, columns = np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride)
     u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
     return np.ascontiguousarray(depth_m[np.ix_(rows, columns)]), np.stack([u, v], axis=-1).astype(np.float32)

@@ -193,6 +193,14 @@ class Session:
         """Number of keyframes held."""
         return len(self._keyframes) if self._keyframes else 0
 
+    @property
+    def meshes(self) -> list[tuple[int, FrameMesh]]:
+        """Frame index and mesh of every keyframe in order of time, then of the last frame if it is no keyframe."""
+        kept = [(key.index, key.mesh) for key in self._keyframes or ()]
+        if self._latest is not None and not self._latest_is_keyframe:
+            kept.append((self._last_index, self._latest))
+        return kept
+
     def track(self, position: Position) -> int:
         """Track a position: every later frame is blended into its panorama. Return its handle: 0, 1, 2, ...
 
@@ -228,6 +236,7 @@ class Session:
         clock = _Clock()
         with clock.stage("prepare"):
             frame = frame.resized(*WORKING_SIZE)
+            sensor_depth_m = frame.depth_m
             rim = self.options.unknown_depth == "rim"
             frame = restore_clipped(frame, complete_depth(frame.depth_m) if rim else frame.depth_m)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
@@ -242,7 +251,7 @@ class Session:
         with clock.stage("sglv"):
             self._sglv = self._backend.update()
         with clock.stage("mesh"):
-            self._latest = FrameMesh(frame)
+            self._latest = FrameMesh(frame, sensor_depth_m=sensor_depth_m)
             self._latest.build()
         with clock.stage("keyframes"):
             self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)
