@@ -63,7 +63,7 @@ def conservative(
     depth: Float[Tensor, "b 1 h w"],
     accumulated_depth: Float[Tensor, "b 1 h w"],
     *,
-    margin: float = 0.25,
+    margin: float | Float[Tensor, "b 1 1 1"] = 0.25,
 ) -> Float[Tensor, "b 1 h w"]:
     """Apply L_M = max(L_M - 1(D_hat - D < margin), 0): detail is kept unless the new surface is clearly closer.
 

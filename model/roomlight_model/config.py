@@ -17,6 +17,11 @@ NetworkForm = Literal["single", "video"]
 Norm = Literal["group", "none"]
 GateKernel = Literal[1, 3]
 
+Units = Literal["own", "first", "rescaled"]
+"""Units of the recurrent 3D networks under `SGConfig.own_colour`. `own`: every frame in units of its own mean colour,
+and hidden states mix units. `first`: the first frame's units throughout. `rescaled`: as `own`, but before each frame
+the hidden states are shifted by a learned multiple of the logarithm of the units' ratio."""
+
 FORMS: tuple[str, ...] = get_args(NetworkForm)
 _STRICT = ConfigDict(extra="forbid")
 
@@ -48,6 +53,13 @@ class SGConfig:
     brightness without learning it."""
     filled: bool = True
     """Where nothing was seen, `direct` heads start from the surroundings; False: from the mean colour."""
+    units: Units = "first"
+    """Units of the recurrent networks; the single-view networks do not depend on it."""
+
+    @property
+    def carries_unit(self) -> bool:
+        """Whether the recurrent networks keep a unit between frames."""
+        return self.own_colour and self.units != "own"
 
     def __post_init__(self) -> None:
         if min(self.volume_shape) < 8:

@@ -11,6 +11,11 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+_START_NOISE = 0.1
+"""Share of the random initial weights that `ConvGRU.pass_features` leaves."""
+_START_GAIN = 1.2
+"""tanh(1.2 f) differs from f by at most 0.17 in [-1, 1]."""
+
 LEAK = 0.1
 """Slope of the leaky ReLU below 0. With 8 to 16 channels, one dead plain ReLU would be a tenth of the layer."""
 
@@ -78,6 +83,20 @@ class ConvGRU(nn.Module):
         self.gates = gates
         self.candidate = candidate
 
+    def pass_features(self) -> None:
+        """Set weights with which a new state is nearly the mean of the old state and the feature.
+
+        The start of recurrent training from single-view weights: their decoders know such states, and would get noise
+        from initial random weights. What is left of those lets all weights receive different gradients.
+        """
+        with torch.no_grad():
+            for weight in (*self.gates.parameters(), *self.candidate.parameters()):
+                weight.mul_(_START_NOISE)
+            weight = _convolution(self.candidate).weight  # [C, 2C, *kernel]
+            channels, centre = weight.shape[0], tuple(size // 2 for size in weight.shape[2:])
+            for channel in range(channels):
+                weight[(channel, channels + channel, *centre)] += _START_GAIN
+
     def forward(
         self, hidden: Float[Tensor, "b c *space"], feature: Float[Tensor, "b c *space"]
     ) -> Float[Tensor, "b c *space"]:
@@ -85,6 +104,10 @@ class ConvGRU(nn.Module):
         keep, reset = torch.sigmoid(self.gates(torch.cat([hidden, feature], dim=1))).chunk(2, dim=1)
         candidate = torch.tanh(self.candidate(torch.cat([reset * hidden, feature], dim=1)))
         return keep * hidden + (1 - keep) * candidate
+
+
+def _convolution(module: nn.Module) -> nn.Conv2d | nn.Conv3d:
+    return next(part for part in module.modules() if isinstance(part, nn.Conv2d | nn.Conv3d))
 
 
 def _initialise(conv: nn.Conv2d | nn.Conv3d) -> None:

@@ -22,7 +22,7 @@ from roomlight_model.panorama_networks import (
     single_panels,
     video_panels,
 )
-from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, merge
+from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, UnitShift, mean_colour, merge
 
 
 class SGState(NamedTuple):
@@ -31,6 +31,8 @@ class SGState(NamedTuple):
     h0: Float[Tensor, "b c0 z0 y0 x0"]
     h1: Float[Tensor, "b c1 z1 y1 x1"]
     volume: SGVolume
+    unit: Float[Tensor, "b 3 1 1 1"]
+    """Mean colour in whose units the hidden states are (`roomlight_model.config.Units`)."""
 
 
 class Observation(NamedTuple):
@@ -108,6 +110,9 @@ class VideoModel(nn.Module):
         self.sg_encoder = SGEncoder(config.sg)
         self.sg_gru0 = SGGRU(config.sg.channels, gate_kernel=config.sg.fine_gate_kernel)
         self.sg_gru1 = SGGRU(4 * config.sg.channels)
+        rescaled = config.sg.carries_unit and config.sg.units == "rescaled"
+        self.sg_shift0 = UnitShift(config.sg.channels) if rescaled else None
+        self.sg_shift1 = UnitShift(4 * config.sg.channels) if rescaled else None
         self.sg_decoder = SGDecoder(config.sg, recurrent=True)
         self.blend_encoder = BlendEncoder(config.blend, panels=VIDEO_PANELS)
         self.blend_gru0 = BlendGRU(config.blend.channels)
@@ -117,9 +122,11 @@ class VideoModel(nn.Module):
     def warm_start(self) -> None:
         """Copy the single-view weights into the recurrent networks: the start of the paper's video training.
 
-        Weights without a single-view counterpart: V_u and the GRUs keep their initial values, the input panels of
-        the previous panorama and of depth get 0.
+        Weights without a single-view counterpart: V_u keeps its initial values, the GRUs nearly pass the mean of state
+        and feature on, the input panels of the previous panorama and of depth get 0.
         """
+        for gru in (self.sg_gru0, self.sg_gru1, self.blend_gru0, self.blend_gru1):
+            gru.pass_features()
         self.sg_encoder.load_state_dict(self.single.sg_encoder.state_dict())
         self.blend_decoder.load_state_dict(self.single.blend_decoder.state_dict())
         _copy_rows(self.sg_decoder, self.single.sg_decoder)
@@ -137,26 +144,33 @@ class VideoModel(nn.Module):
     def start(self, volume: Float[Tensor, "b 5 z y x"]) -> SGState:
         """Run frame 0 through the single-view networks; their features become the hidden states."""
         f0, f1 = self.single.sg_encoder(volume)
-        return SGState(f0, f1, self.single.sg_decoder(f0, f1, volume))
+        return SGState(f0, f1, self.single.sg_decoder(f0, f1, volume), mean_colour(volume))
 
     def step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
         """Run frame i > 0."""
-        f0, f1 = self.sg_encoder(volume)  # eq. 3dRNN
-        h0 = self.sg_gru0(state.h0, f0)
-        h1 = self.sg_gru1(state.h1, f1)
-        current = self.sg_decoder(h0, h1, volume)  # eq. 3dMerge
-        return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes))
+        unit = state.unit if self.config.sg.units == "first" else mean_colour(volume)
+        f0, f1 = self.sg_encoder(volume, unit)  # eq. 3dRNN
+        before0, before1 = state.h0, state.h1
+        if self.sg_shift0 is not None and self.sg_shift1 is not None:
+            before0 = self.sg_shift0(before0, state.unit, unit)
+            before1 = self.sg_shift1(before1, state.unit, unit)
+        h0 = self.sg_gru0(before0, f0)
+        h1 = self.sg_gru1(before1, f1)
+        current = self.sg_decoder(h0, h1, volume, unit)  # eq. 3dMerge
+        return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes), unit)
 
     def blend_start(self, seen: Observation) -> BlendState:
         """Run frame 0 at a probe by single-view blending; its features become the hidden states."""
         f0, f1 = self.single.blend_encoder(single_panels(seen.hdr, seen.ldr, seen.mask))
-        weight = self.single.blend_decoder(f0, f1, seen.mask)
+        weight = self.single.blend_decoder(f0, f1, seen.mask).to(seen.mask.dtype)
         hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
         panorama = first_panorama(hdr, seen.ldr, seen.depth, weight=weight * seen.mask, unseen_depth=UNSEEN_DEPTH)
         return BlendState(f0, f1, panorama)
 
-    def blend_step(self, seen: Observation, state: BlendState, *, margin: float) -> BlendState:
-        """Run frame i > 0 at a probe; `margin` is the conservative rule's, in units of depth_max_m."""
+    def blend_step(
+        self, seen: Observation, state: BlendState, *, margin: float | Float[Tensor, "b 1 1 1"]
+    ) -> BlendState:
+        """Run frame i > 0 at a probe; `margin` is the conservative rule's, in units of each volume's depth_max_m."""
         panels = video_panels(
             state.panorama.radiance,
             seen.hdr,
@@ -168,7 +182,7 @@ class VideoModel(nn.Module):
         f0, f1 = self.blend_encoder(panels)
         h0 = self.blend_gru0(state.h0, f0)
         h1 = self.blend_gru1(state.h1, f1)
-        weight = self.blend_decoder(h0, h1, seen.mask)
+        weight = self.blend_decoder(h0, h1, seen.mask).to(seen.mask.dtype)
         hdr = self.single.with_fill(seen.hdr, seen.ldr, seen.mask, weight=weight)
         weight = conservative(weight * seen.mask, seen.depth, state.panorama.depth, margin=margin)
         panorama = accumulate(state.panorama, hdr, seen.ldr, depth=seen.depth, weight=weight)

@@ -5,7 +5,7 @@ The serving engine's own code computes them, so that the networks are trained on
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 import torch
@@ -22,12 +22,14 @@ from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama
 from roomlight_model.training.examples import Example
 
+Self = TypeVar("Self", bound="Probes")
+"""`typing.Self`, which the tests' type checker accepts only in decorated classes."""
+
 
 @dataclass(frozen=True, eq=False)
-class Batch:
-    """Examples as tensors. `world_to_volume_rotation` takes world directions to each volume's axes."""
+class Probes:
+    """Volumes' frames and probes of some examples. Subclasses add the examples' other tensors."""
 
-    volume: Float[Tensor, "b 5 z y x"]
     lower_m: Float[Tensor, "b 3"]
     voxel_m: Float[Tensor, "b 3"]
     world_to_volume_rotation: Float[Tensor, "b 3 3"]
@@ -35,7 +37,27 @@ class Batch:
     origins: Float[Tensor, "b p 3"]
     """Probes in the volume's frame, metres."""
     to_viewer: Float[Tensor, "b p 3"]
-    """Unit world vectors from the probes toward the camera."""
+    """Unit world vectors from the probes toward the first camera."""
+
+    def to(self: Self, device: torch.device) -> Self:
+        """Copy the batch to another device."""
+        moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
+        return replace(self, **moved)
+
+    def pieces(self: Self, size: int) -> list[Self]:
+        """Split the batch into batches of `size`; the last one has the remainder."""
+        parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
+        return [
+            replace(self, **{name: part[number] for name, part in parts.items()})
+            for number in range(len(parts["origins"]))
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class Batch(Probes):
+    """Examples as tensors."""
+
+    volume: Float[Tensor, "b 5 z y x"]
     truth: Float[Tensor, "b p 3 h w"]
     partial: Float[Tensor, "b p 3 h w"] | None = None
     """The last frame's mesh rendered at each probe, and a fill outside it; for the blending stages."""
@@ -45,19 +67,6 @@ class Batch:
     """Detail accumulated from the earlier frames."""
     kept: Float[Tensor, "b p 1 h w"] | None = None
     """1 where the probe keeps `before`: the last frame shows no closer surface."""
-
-    def to(self, device: torch.device) -> "Batch":
-        """Copy the batch to another device."""
-        moved = {name: value.to(device) for name, value in vars(self).items() if isinstance(value, Tensor)}
-        return replace(self, **moved)
-
-    def pieces(self, size: int) -> list["Batch"]:
-        """Split the batch into batches of `size`; the last one has the remainder."""
-        parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
-        return [
-            replace(self, **{name: part[number] for name, part in parts.items()})
-            for number in range(len(parts["volume"]))
-        ]
 
 
 def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], panorama_height: int | None) -> Batch:
@@ -71,26 +80,38 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
         columns.setdefault(name, []).append(np.asarray(value, np.float32))
 
     for example in examples:
-        frames = [restore_clipped(example.frame, example.depth_m)]
-        frames += [restore_clipped(frame, complete_depth(frame.depth_m)) for frame in example.later]
+        frames = restored_frames(example)
         grid = VolumeGrid.from_frame(frames[0], shape=volume_shape)
-        flip = np.diag([-1.0 if example.mirrored else 1.0, 1.0, 1.0])
         volume = _mean_volume(grid, frames)
         add("volume", volume[..., ::-1] if example.mirrored else volume)
-        add("lower_m", grid.lower_m)
-        add("voxel_m", grid.voxel_m)
-        rotation = flip @ grid.world_to_volume[:3, :3]
-        add("world_to_volume_rotation", rotation)
-        away = example.positions - frames[0].camera_to_world[:3, 3]
-        add("origins", away @ rotation.T)
-        add("to_viewer", -away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6))
-        add("truth", np.moveaxis(_at_height(example.truth, panorama_height), -1, 1))
+        for name, value in probe_columns(example, grid).items():
+            add(name, value)
+        add("truth", np.moveaxis(at_height(example.truth, panorama_height), -1, 1))
         if panorama_height is not None:
             meshes = [FrameMesh(frame) for frame in frames]
             details = [_probe_detail(meshes, position, grid, panorama_height) for position in example.positions]
             for name, planes in zip(_ProbeDetail._fields, zip(*details, strict=True), strict=True):
                 add(name, np.stack([np.moveaxis(plane, -1, 0) for plane in planes]))
     return Batch(**{name: torch.from_numpy(np.stack(values)) for name, values in columns.items()})
+
+
+def restored_frames(example: Example) -> list[Frame]:
+    """Return the frames of an example with completed depth and restored clipped light, as in the serving engine."""
+    frames = [restore_clipped(example.frame, example.depth_m)]
+    return frames + [restore_clipped(frame, complete_depth(frame.depth_m)) for frame in example.later]
+
+
+def probe_columns(example: Example, grid: VolumeGrid) -> dict[str, np.ndarray]:
+    """Return the fields of `Probes` for one example."""
+    rotation = np.diag([-1.0 if example.mirrored else 1.0, 1.0, 1.0]) @ grid.world_to_volume[:3, :3]
+    away = example.positions - example.frame.camera_to_world[:3, 3]
+    return {
+        "lower_m": grid.lower_m,
+        "voxel_m": grid.voxel_m,
+        "world_to_volume_rotation": rotation,
+        "origins": away @ rotation.T,
+        "to_viewer": -away / np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-6),
+    }
 
 
 def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray, "5 z y x"]:
@@ -128,7 +149,8 @@ def _probe_detail(
     return _ProbeDetail(filled, last.mask[..., None], state.radiance, kept[..., None])
 
 
-def _at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Float[np.ndarray, "p h2 w2 3"]:
+def at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Float[np.ndarray, "p h2 w2 3"]:
+    """Resample panoramas to a height; None keeps them."""
     if height is None or panoramas.shape[1] == height:
         return panoramas
     return np.stack([resize_panorama(panorama, height) for panorama in panoramas])

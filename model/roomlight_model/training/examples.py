@@ -92,10 +92,10 @@ def read_example(
     first = int(rng.integers(count)) if other else 0
     numbers = _spread(first, count, frames, rng if augment else None)
     example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
-    if first and not _near(example):
+    if first and not near(example):
         numbers = _spread(0, count, frames, rng)
         example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
-    return _augmented(example, rng) if augment else example
+    return augmented(example, rng) if augment else example
 
 
 def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKind) -> Example:
@@ -135,13 +135,13 @@ def _spread(first: int, count: int, most: int, rng: np.random.Generator | None) 
     return sorted({first + round(float(step)) for step in np.linspace(0, reach - 1, min(most, reach))})
 
 
-def _near(example: Example) -> bool:
+def near(example: Example) -> bool:
     """Return whether every probe is inside the frame's volume; elsewhere the volume has no light of its own."""
     grid = VolumeGrid.from_frame(example.completed)
     return all(grid.contains((float(x), float(y), float(z))) for x, y, z in example.positions)
 
 
-def _augmented(example: Example, rng: np.random.Generator) -> Example:
+def augmented(example: Example, rng: np.random.Generator) -> Example:
     """Mirror (half of the examples), change contrast (a quarter), permute channels (a fifth), weight them (a quarter).
 
     Gains are at least 1 and the image is clipped again after them: white stays the camera's limit.

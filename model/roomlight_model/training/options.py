@@ -9,13 +9,18 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 from roomlight.errors import ModelError, OptionError
 from roomlight_model.config import ModelConfig
 
-TrainingStage = Literal["single-sglv", "single-blend", "single-joint"]
+TrainingStage = Literal["single-sglv", "single-blend", "single-joint", "video-sglv", "video-blend", "video-joint"]
 STAGES: Final[tuple[str, ...]] = get_args(TrainingStage)
 DepthKind = Literal["exact", "arkit", "both"]
 OPTIONS: Final = "options.json"
 """File with the options, in a run's folder."""
 HELD_OUT: Final = 48
 """Default number of held-out sequences, at most a quarter of the first folder: 12 rooms of four walks, 24 of two."""
+
+
+def is_video(stage: str) -> bool:
+    """Return whether a stage trains the recurrent networks."""
+    return stage.startswith("video-")
 
 
 @dataclass(frozen=True)
@@ -38,8 +43,11 @@ class TrainOptions:
             graphs. Opacity is per voxel, so that weights need training at the resolution they are used at.
         panorama_height: Rows of the panoramas in the blending stages and of the exported blending graphs.
         depth: Exact depth, simulated phone depth, or both.
-        frames: Largest number of frames of a walk in an example: the volume is their mean (`engine.fusion`),
-            panoramas accumulate.
+        frames: Largest number of frames of a walk in an example. Single-view stages: the volume is their mean
+            (`engine.fusion`), panoramas accumulate. Video stages: the sequence's length, 2 or more.
+        window: Video stages: frames over which gradients go back in time (truncated back-propagation). It bounds the
+            memory of a step (`training.unroll.window_mb`).
+        smoothness_weight: Video stages: weight of the difference between the panoramas of consecutive frames.
         augment: Whether to draw frames at random and augment them.
         surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
             first frame (`training.subsets.surround`); 0 trains on all.
@@ -69,6 +77,8 @@ class TrainOptions:
     panorama_height: int = 60
     depth: DepthKind = "both"
     frames: int = 1
+    window: int = 31
+    smoothness_weight: float = 0.01
     augment: bool = True
     surround_max: float = 0.0
     held_out: int = HELD_OUT
@@ -83,17 +93,19 @@ class TrainOptions:
             ("steps", 1),
             ("batch", 1),
             ("rays", 8),
-            ("frames", 1),
+            ("frames", 2 if is_video(self.stage) else 1),
+            ("window", 1),
             ("held_out", 0),
             ("sphere_pixels", 0),
             ("sphere_samples", 2),
         ):
             if getattr(self, name) < least:
-                raise OptionError(f"{name} is {getattr(self, name)}; it must be {least} or more")
+                raise OptionError(f"{name} is {getattr(self, name)}; it must be {least} or more in {self.stage}")
         for name, low, high in (
             ("learning_rate", 0, 1),
             ("ema", 0, 1),
             ("rendering_weight", 0, 100),
+            ("smoothness_weight", 0, 100),
             ("surround_max", 0, 100),
         ):
             value = getattr(self, name)

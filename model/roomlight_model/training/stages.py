@@ -5,6 +5,12 @@
 | single-sglv  | SGEncoder, decoder | random pixels of the probes' panoramas + sphere rays |
 | single-blend | Blend*             | whole panoramas + the sphere's directions in them    |
 | single-joint | all four           | as single-blend                                      |
+| video-sglv   | SG*, SGGRU*        | as single-sglv, in every frame after the first       |
+| video-blend  | Blend*, BlendGRU*  | as single-blend, in every frame after the first      |
+| video-joint  | all recurrent ones | as single-joint, in every frame after the first      |
+
+The video stages (`training.unroll`) train the recurrent networks; the single-view ones, which run the first frame,
+stay as they are. They add the smoothness loss.
 """
 
 from functools import cache
@@ -17,27 +23,33 @@ from torch.nn import functional
 
 from roomlight.conventions import panorama_rays
 from roomlight_model.accumulate import blend
-from roomlight_model.networks import SingleModel
+from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.ray_marching import march
 from roomlight_model.sphere_rendering import SphereSamples, disc, look_up, sample_sphere, shade, sphere_normals
-from roomlight_model.training.batches import Batch
+from roomlight_model.training.batches import Batch, Probes
 from roomlight_model.training.options import TrainingStage, TrainOptions
 from roomlight_model.volume_networks import SGVolume
 
 
 class Losses(NamedTuple):
-    """The loss and its two parts: means, so that the learning rate does not depend on the resolution."""
+    """The loss and its parts: means, so that the learning rate does not depend on the resolution."""
 
     total: Float[Tensor, ""]
     log_l2: Float[Tensor, ""]
     rendering: Float[Tensor, ""]
+    smoothness: Float[Tensor, ""]
+    """0 in the single-view stages."""
 
 
-def trained_modules(model: SingleModel, stage: TrainingStage) -> list[nn.Module]:
+def trained_modules(model: SingleModel | VideoModel, stage: TrainingStage) -> list[nn.Module]:
     """Return the networks that a stage trains."""
     sg: list[nn.Module] = [model.sg_encoder, model.sg_decoder]
     blend: list[nn.Module] = [model.blend_encoder, model.blend_decoder]
-    return {"single-sglv": sg, "single-blend": blend, "single-joint": sg + blend}[stage]
+    if isinstance(model, VideoModel):
+        shifts = [shift for shift in (model.sg_shift0, model.sg_shift1) if shift is not None]
+        sg += [model.sg_gru0, model.sg_gru1, *shifts]
+        blend += [model.blend_gru0, model.blend_gru1]
+    return {"sglv": sg, "blend": blend, "joint": sg + blend}[stage.split("-")[1]]
 
 
 def predict(model: SingleModel, batch: Batch, options: TrainOptions, *, device: torch.device) -> SGVolume:
@@ -62,7 +74,7 @@ def stage_losses(
     return _blend_losses(model, sglv, batch, options, generator=generator, device=device)
 
 
-def rendered(sglv: SGVolume, batch: Batch, directions: Float[Tensor, "b p n 3"]) -> Float[Tensor, "b p n 3"]:
+def rendered(sglv: SGVolume, batch: Probes, directions: Float[Tensor, "b p n 3"]) -> Float[Tensor, "b p n 3"]:
     """Render the volume at the probes along world directions."""
     b, p, n, _ = directions.shape
     origins = batch.origins[:, :, None].expand(b, p, n, 3).reshape(b, p * n, 3)
@@ -78,11 +90,13 @@ def rendered(sglv: SGVolume, batch: Batch, directions: Float[Tensor, "b p n 3"])
     return radiance.reshape(b, p, n, 3)
 
 
-def rendered_panoramas(sglv: SGVolume, batch: Batch, *, device: torch.device) -> Float[Tensor, "b p 3 h w"]:
-    """Render the volume's panoramas at the probes, at the height of the truth."""
-    b, p, _, h, w = batch.truth.shape
-    rays = _rays(h, device).expand(b, p, -1, 3)
-    return rendered(sglv, batch, rays).reshape(b, p, h, w, 3).permute(0, 1, 4, 2, 3)
+def rendered_panoramas(
+    sglv: SGVolume, batch: Probes, *, height: int, device: torch.device
+) -> Float[Tensor, "b p 3 h w"]:
+    """Render the volume's panoramas at the probes."""
+    b, p = batch.origins.shape[:2]
+    rays = panorama_directions(height, device).expand(b, p, -1, 3)
+    return rendered(sglv, batch, rays).reshape(b, p, height, 2 * height, 3).permute(0, 1, 4, 2, 3)
 
 
 def predicted_panoramas(
@@ -104,7 +118,7 @@ def predicted_panoramas(
     """
     if batch.partial is None or batch.mask is None:
         raise ValueError("a batch for blending needs partial panoramas: collate it with a panorama_height")
-    hdr = rendered_panoramas(sglv, batch, device=device)
+    hdr = rendered_panoramas(sglv, batch, height=batch.truth.shape[-2], device=device)
     panels = hdr.flatten(0, 1), batch.partial.flatten(0, 1), batch.mask.flatten(0, 1)
     with torch.autocast(device.type, dtype=torch.bfloat16, enabled=bf16):
         if weight_height is None or weight_height == hdr.shape[-2]:
@@ -136,19 +150,20 @@ def _sglv_losses(sglv: SGVolume, batch: Batch, options: TrainOptions, *, generat
     b, p, _, h, w = batch.truth.shape
     device = batch.truth.device
     pixels = torch.randint(h * w, (b, p, options.rays), generator=generator).to(device)
-    directions = _rays(h, device)[pixels]
+    directions = panorama_directions(h, device)[pixels]
     truth = batch.truth.flatten(3).transpose(2, 3)  # [b, p, h w, 3]
     wanted = truth.gather(2, pixels[..., None].expand(-1, -1, -1, 3))
     if options.sphere_pixels == 0:
-        log_l2 = _log_l2(rendered(sglv, batch, directions), wanted)
-        return Losses(log_l2, log_l2, torch.zeros_like(log_l2))
-    samples, light = _sphere(batch, options, generator=generator)
+        log_l2 = log_l2_loss(rendered(sglv, batch, directions), wanted)
+        return summed(log_l2, torch.zeros_like(log_l2), options)
+    samples = draw_sphere(batch, options, generator=generator)
+    light = light_along(samples, batch.truth)
     along = samples.directions.flatten(2, 3)
     radiance = rendered(sglv, batch, torch.cat([directions, along], dim=2))
     seen, lit = radiance.split([options.rays, along.shape[2]], dim=2)
-    log_l2 = _log_l2(seen, wanted)
+    log_l2 = log_l2_loss(seen, wanted)
     sphere = shade(samples, lit.unflatten(2, samples.weights.shape[2:]))
-    return _sum(log_l2, _rendering(sphere, shade(samples, light)), options)
+    return summed(log_l2, rendering_loss(sphere, shade(samples, light)), options)
 
 
 def _blend_losses(
@@ -161,41 +176,51 @@ def _blend_losses(
     device: torch.device,
 ) -> Losses:
     hdr, blended = predicted_panoramas(model, sglv, batch, bf16=options.bf16, device=device)
-    log_l2 = _log_l2(blended, batch.truth)
+    log_l2 = log_l2_loss(blended, batch.truth)
     if options.stage == "single-joint":  # keeps the volume accurate where nothing is blended in
-        log_l2 = (log_l2 + _log_l2(hdr, batch.truth)) / 2
-    samples, light = _sphere(batch, options, generator=generator)
-    read = look_up(blended.flatten(0, 1), samples.directions.flatten(2, 3).flatten(0, 1))
-    sphere = shade(samples, read.reshape(light.shape))
-    return _sum(log_l2, _rendering(sphere, shade(samples, light)), options)
+        log_l2 = (log_l2 + log_l2_loss(hdr, batch.truth)) / 2
+    samples = draw_sphere(batch, options, generator=generator)
+    sphere, wanted = (shade(samples, light_along(samples, light)) for light in (blended, batch.truth))
+    return summed(log_l2, rendering_loss(sphere, wanted), options)
 
 
-def _sphere(
-    batch: Batch, options: TrainOptions, *, generator: torch.Generator
-) -> tuple[SphereSamples, Float[Tensor, "b p k s 3"]]:
-    """Draw directions for a glossy sphere's pixels at every probe, with the true light along them."""
-    b, p = batch.origins.shape[:2]
-    device = batch.truth.device
-    points = disc(options.sphere_pixels, batch=(b, p), generator=generator).to(device)
+def draw_sphere(batch: Probes, options: TrainOptions, *, generator: torch.Generator) -> SphereSamples:
+    """Draw directions for a glossy sphere's pixels at every probe, seen from the first camera."""
+    points = disc(options.sphere_pixels, batch=batch.origins.shape[:2], generator=generator).to(batch.origins.device)
     normals = sphere_normals(batch.to_viewer, points)
-    samples = sample_sphere(normals, batch.to_viewer, samples=options.sphere_samples, generator=generator)
+    return sample_sphere(normals, batch.to_viewer, samples=options.sphere_samples, generator=generator)
+
+
+def light_along(samples: SphereSamples, panoramas: Float[Tensor, "b p 3 h w"]) -> Float[Tensor, "b p k s 3"]:
+    """Read panoramas along the sphere's directions."""
     flat = samples.directions.flatten(2, 3).flatten(0, 1)
-    light = look_up(batch.truth.flatten(0, 1), flat)
-    return samples, light.reshape(samples.directions.shape)
+    return look_up(panoramas.flatten(0, 1), flat).reshape(samples.directions.shape)
 
 
 @cache
-def _rays(height: int, device: torch.device) -> Float[Tensor, "n 3"]:
+def panorama_directions(height: int, device: torch.device) -> Float[Tensor, "n 3"]:
+    """Return the unit directions of a panorama's pixels, row by row."""
     return torch.from_numpy(panorama_rays(height).copy()).to(device)
 
 
-def _log_l2(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+def log_l2_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+    """Return the mean squared difference of log(1 + light) (eq. logl2)."""
     return (torch.log1p(prediction.clamp(min=0)) - torch.log1p(truth.clamp(min=0))).square().mean()
 
 
-def _rendering(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+def rendering_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
+    """Return the mean squared difference of shaded pixels, clamped at white (eq. renderinLoss)."""
     return (prediction.clamp(max=1) - truth.clamp(max=1)).square().mean()
 
 
-def _sum(log_l2: Float[Tensor, ""], rendering: Float[Tensor, ""], options: TrainOptions) -> Losses:
-    return Losses(log_l2 + options.rendering_weight * rendering, log_l2, rendering)
+def summed(
+    log_l2: Float[Tensor, ""],
+    rendering: Float[Tensor, ""],
+    options: TrainOptions,
+    *,
+    smoothness: Float[Tensor, ""] | None = None,
+) -> Losses:
+    """Return the losses with their weighted sum."""
+    smooth = torch.zeros_like(log_l2) if smoothness is None else smoothness
+    total = log_l2 + options.rendering_weight * rendering + options.smoothness_weight * smooth
+    return Losses(total, log_l2, rendering, smooth)

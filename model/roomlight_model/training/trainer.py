@@ -31,17 +31,31 @@ import torch
 from roomlight.errors import ModelError, OutputError
 from roomlight.files import write_atomic
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from roomlight_model.networks import SingleModel
+from roomlight_model.networks import SingleModel, VideoModel, build
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
-from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions
+from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions, is_video
+from roomlight_model.training.sequences import (
+    LightChange,
+    PreparedWalk,
+    WalkBatch,
+    collate_walks,
+    draw_length,
+    read_walk,
+    with_views,
+)
 from roomlight_model.training.stages import Losses, trained_modules
+from roomlight_model.training.starting import starting_model, starting_options
 from roomlight_model.training.step_clock import StepClock
 
 _AHEAD: Final = 3
 """Batches prepared in advance."""
 _REPORT_STEPS: Final = 20
+_CURVES: Final = ("loss", "log_l2", "rendering", "smoothness")
+"""Names of the fields of `Losses` in a run's curves."""
+LAST: Final = "last.pt"
+"""File with the state to resume from, in a run's folder."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +67,7 @@ class TrainingProgress:
     loss: float
     log_l2: float
     rendering: float
+    smoothness: float
     learning_rate: float
     seconds_a_step: float
     waited_for_data: float
@@ -74,6 +89,7 @@ class Trainer:
         device: torch.device,
         start_from: Checkpoint | None = None,
         data: Callable[[], list[dict[str, Any]]] = list,
+        change_light: LightChange | None = None,
     ) -> None:
         """Start a run in an empty folder, or resume the folder's run.
 
@@ -86,26 +102,20 @@ class Trainer:
             device: The device of the networks.
             start_from: Weights of an earlier stage.
             data: Returns the description of the sequences for the card.
+            change_light: Video stages: changes the light of sequences at a frame; see `sequences.LightChange`.
 
         Raises:
-            ModelError: The folder's run has other options, `start_from` is a video model, or there are fewer
+            ModelError: The folder's run has other options, `start_from` does not fit the stage, or there are fewer
                 sequences than a batch needs.
             OutputError: The folder holds other files, or cannot be written.
         """
         if len(recordings) < options.batch:
             raise ModelError(f"{len(recordings)} sequences are fewer than a batch of {options.batch}")
-        if start_from is not None:
-            if not isinstance(start_from.model, SingleModel):
-                raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
-            options = replace(options, model=start_from.config)
+        options = starting_options(options, start_from)
         self.options, self.out, self.device = options, out, device
-        self._recordings, self._data = recordings, data
+        self._recordings, self._data, self._change_light = recordings, data, change_light
         self._before = None if start_from is None else start_from.card
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(options.seed)
-            self.model = SingleModel(options.model)
-        if start_from is not None:
-            self.model.load_state_dict(start_from.model.state_dict())
+        self.model = starting_model(options, start_from, resumes=(out / LAST).exists())
         _channels_last(self.model.to(device))
         for parameter in self.model.parameters():
             parameter.requires_grad_(False)
@@ -124,7 +134,7 @@ class Trainer:
         self.step = 0
         self.seconds = 0.0
         self.clock: StepClock | None = None
-        self._window = {"loss": 0.0, "log_l2": 0.0, "rendering": 0.0}
+        self._window = dict.fromkeys(_CURVES, 0.0)
         self._open()
 
     def train(
@@ -155,7 +165,7 @@ class Trainer:
             waited += time.monotonic() - requested_at
             losses = self._one_step(batch)
             self.step += 1
-            for name, value in (("loss", losses.total), ("log_l2", losses.log_l2), ("rendering", losses.rendering)):
+            for name, value in zip(_CURVES, losses, strict=True):
                 total[name] += float(value)
             counted += 1
             now = time.monotonic()
@@ -165,9 +175,7 @@ class Trainer:
                 progress = TrainingProgress(
                     step=self.step,
                     steps=self.options.steps,
-                    loss=total["loss"] / count,
-                    log_l2=total["log_l2"] / count,
-                    rendering=total["rendering"] / count,
+                    **{name: value / count for name, value in total.items()},
                     learning_rate=self._rate(),
                     seconds_a_step=(now - since) / max(counted, 1),
                     waited_for_data=waited / max(now - since, 1e-9),
@@ -186,9 +194,9 @@ class Trainer:
                 saved = time.monotonic()
         self.save()
 
-    def averaged(self) -> SingleModel:
+    def averaged(self) -> SingleModel | VideoModel:
         """Build a model with the EMA weights, for evaluation."""
-        model = SingleModel(self.options.trained_model).to(self.device)
+        model = build(self.model.form, self.options.trained_model).to(self.device)
         model.load_state_dict(self.average)
         return _channels_last(model).eval()
 
@@ -221,7 +229,7 @@ class Trainer:
             },
             buffer,
         )
-        write_atomic(self.out / "last.pt", buffer.getvalue())
+        write_atomic(self.out / LAST, buffer.getvalue())
         save_checkpoint(self.out / "model.pt", self.averaged(), card=self.card())
 
     def card(self) -> dict[str, Any]:
@@ -239,7 +247,7 @@ class Trainer:
             **before,
         }
 
-    def _one_step(self, batch: Batch) -> Losses:
+    def _one_step(self, batch: Batch | WalkBatch) -> Losses:
         for group in self._optimizer.param_groups:
             group["lr"] = self._rate()
         self._gradients.clock = self.clock
@@ -267,15 +275,16 @@ class Trainer:
         done = (self.step - options.warm_up) / max(1, options.steps - options.warm_up)
         return options.learning_rate * (0.01 + 0.99 * 0.5 * (1 + float(np.cos(np.pi * min(done, 1.0)))))
 
-    def _batches(self) -> Iterator[Batch]:
+    def _batches(self) -> Iterator[Batch | WalkBatch]:
         """Yield batches from the current step on, prepared in advance by two threads."""
         with ThreadPoolExecutor(2, thread_name_prefix="examples") as pool:
-            waiting: list[Future[Batch]] = []
+            waiting: list[Future[Batch | WalkBatch]] = []
             step = self.step
+            make = self._walk_batch if is_video(self.options.stage) else self._batch
             try:
                 while True:
                     while len(waiting) < _AHEAD:
-                        waiting.append(pool.submit(self._batch, step))
+                        waiting.append(pool.submit(make, step))
                         step += 1
                     yield waiting.pop(0).result()
             finally:
@@ -283,18 +292,9 @@ class Trainer:
                     future.cancel()
 
     def _batch(self, step: int) -> Batch:
+        options = self.options
         with self._part("data"):
-            return self._make_batch(step)
-
-    def _make_batch(self, step: int) -> Batch:
-        options, count = self.options, len(self._recordings)
-        examples = []
-        for slot in range(options.batch):
-            number = step * options.batch + slot
-            order = np.random.default_rng([options.seed, number // count]).permutation(count)
-            rng = np.random.default_rng([options.seed, STAGES.index(options.stage), step, slot])
-            index = int(order[number % count])
-            examples.append(
+            examples = [
                 read_example(
                     self._recordings,
                     index,
@@ -303,9 +303,50 @@ class Trainer:
                     augment=options.augment,
                     frames=options.frames,
                 )
+                for index, rng in self._drawn(step)
+            ]
+            height = None if options.stage == "single-sglv" else options.panorama_height
+            return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
+
+    def _walk_batch(self, step: int) -> WalkBatch:
+        options, drawn = self.options, list(self._drawn(step))
+        # the lengths of a batch are equal: its sequences run side by side
+        rng = np.random.default_rng([options.seed, STAGES.index(options.stage), step])
+        most = min(options.frames, *(self._recordings.frames_of(index) for index, _ in drawn))
+        length = draw_length(most, rng) if options.augment else most
+        with self._part("data"):
+            walks = [
+                PreparedWalk.of(
+                    read_walk(
+                        self._recordings,
+                        index,
+                        rng,
+                        depth=options.depth,
+                        length=length,
+                        augment=options.augment,
+                        change_light=self._change_light,
+                    ),
+                    options.volume_shape,
+                )
+                for index, rng in drawn
+            ]
+            height = None if options.stage == "video-sglv" else options.panorama_height
+            batch = collate_walks(walks, panorama_height=height)
+        if height is None:
+            return batch
+        with self._part("mesh"):
+            return with_views(batch, walks, panorama_height=height)
+
+    def _drawn(self, step: int) -> Iterator[tuple[int, np.random.Generator]]:
+        """Yield the sequences of a step's batch, each with its generator."""
+        options, count = self.options, len(self._recordings)
+        for slot in range(options.batch):
+            number = step * options.batch + slot
+            order = np.random.default_rng([options.seed, number // count]).permutation(count)
+            yield (
+                int(order[number % count]),
+                np.random.default_rng([options.seed, STAGES.index(options.stage), step, slot]),
             )
-        height = None if options.stage == "single-sglv" else options.panorama_height
-        return collate(examples, volume_shape=options.volume_shape, panorama_height=height)
 
     def _open(self) -> None:
         options_path = self.out / OPTIONS
@@ -322,14 +363,14 @@ class Trainer:
             )
         elif before != self.options:
             write_atomic(options_path, (json.dumps(self.options.to_dict(), indent=1) + "\n").encode())
-        last = self.out / "last.pt"
+        last = self.out / LAST
         if last.exists():
             try:
                 state = torch.load(last, map_location=self.device, weights_only=True)
                 self.model.load_state_dict(state["model"])
                 self._optimizer.load_state_dict(state["optimizer"])
                 self.average = {name: value.to(self.device) for name, value in state["average"].items()}
-                self._window = dict(state["window"])
+                self._window |= state["window"]
                 self.step, self.seconds = int(state["step"]), float(state["seconds"])
             except (OSError, RuntimeError, KeyError, ValueError, IndexError, EOFError, UnpicklingError) as error:
                 raise ModelError(f"{last}: cannot be resumed from ({error}); delete it to start again") from error
@@ -354,10 +395,13 @@ class Trainer:
             log.write(json.dumps(values) + "\n")
 
 
-def _channels_last(model: SingleModel) -> SingleModel:
+def _channels_last(model: SingleModel | VideoModel) -> SingleModel | VideoModel:
     """Set channels-last memory: a step of the 3D networks takes 157 ms of CPU time in bf16 and 349 in fp32; without
     it 206 and 1,570.
     """
-    for network in (model.sg_encoder, model.sg_decoder):
+    networks: list[torch.nn.Module] = [model.sg_encoder, model.sg_decoder]
+    if isinstance(model, VideoModel):
+        networks += [model.single.sg_encoder, model.single.sg_decoder, model.sg_gru0, model.sg_gru1]
+    for network in networks:
         network.to(memory_format=torch.channels_last_3d)
     return model

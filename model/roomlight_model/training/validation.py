@@ -111,7 +111,7 @@ class Validation:
         with torch.no_grad():
             sglv = model(here.volume)
             if not self.blends:
-                return {"sglv": rendered_panoramas(sglv, here, device=device)[0].cpu()}
+                return {"sglv": rendered_panoramas(sglv, here, height=HEIGHT, device=device)[0].cpu()}
             hdr, blended = predicted_panoramas(
                 model, sglv, here, weight_height=self._options.panorama_height, bf16=False, device=device
             )

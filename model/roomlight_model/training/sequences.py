@@ -1,0 +1,175 @@
+"""Turn walks into training sequences: cut, sub-sample, augment, and convert to batches of tensors.
+
+Frames keep their order. All are in units of the first one, whose camera defines the volume. Initial volumes, meshes and
+what a probe sees of them come from the serving engine's code.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int
+from torch import Tensor
+
+from roomlight.engine.blend import farthest_depth_m
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.frame import Frame
+from roomlight_model.training.batches import Probes, at_height, probe_columns, restored_frames
+from roomlight_model.training.examples import Example, Recordings, augmented, example_of, near
+from roomlight_model.training.options import DepthKind
+
+_WHOLE = 0.25
+"""Share of steps with the largest number of frames; the others draw the logarithm of the number uniformly."""
+_FROM_THE_START = 0.5
+"""Share of sequences that begin with the walk's first frame, near which the probes are."""
+_MAX_STRIDE = 4
+
+
+@dataclass(frozen=True, eq=False)
+class WalkExample:
+    """Consecutive frames of a walk, with the true light of every frame at some points.
+
+    Attributes:
+        example: The frames, points and mirroring. Its `truth` is the first light.
+        lights: Every light that the sequence has: the points' panoramas, in units of the first frame.
+        light_of: For each frame, the number of its light. Generated rooms have one light.
+    """
+
+    example: Example
+    lights: Float[np.ndarray, "s p h w 3"]
+    light_of: Int[np.ndarray, " t"]
+
+    @property
+    def frames(self) -> tuple[Frame, ...]:
+        """The frames in order, as the sensor measured them."""
+        return (self.example.frame, *self.example.later)
+
+
+LightChange = Callable[[WalkExample, np.random.Generator], WalkExample]
+"""An augmentation that changes the light from some frame on: it returns the sequence with other images for those
+frames, another entry of `lights`, and its number in `light_of`. All sequences of a batch need as many lights."""
+
+
+def draw_length(most: int, rng: np.random.Generator) -> int:
+    """Draw a number of frames from 2 to `most`, so that the networks learn short and long pasts."""
+    if rng.random() < _WHOLE:
+        return most
+    return min(most, int(np.exp(rng.uniform(np.log(2), np.log(most + 1)))))
+
+
+def draw_frames(count: int, length: int, rng: np.random.Generator) -> list[int]:
+    """Draw `length` equally spaced frames of a walk of `count`.
+
+    Raises:
+        ValueError: The walk has fewer frames.
+    """
+    if length > count:
+        raise ValueError(f"a walk of {count} frames has no {length}")
+    strides = min(_MAX_STRIDE, (count - 1) // max(length - 1, 1)) if length > 1 else 1
+    stride = int(rng.integers(1, strides + 1))
+    last_start = count - 1 - stride * (length - 1)
+    start = 0 if rng.random() < _FROM_THE_START else int(rng.integers(last_start + 1))
+    return list(range(start, start + stride * (length - 1) + 1, stride))
+
+
+def read_walk(
+    recordings: Recordings,
+    index: int,
+    rng: np.random.Generator,
+    *,
+    depth: DepthKind,
+    length: int,
+    augment: bool,
+    change_light: LightChange | None = None,
+) -> WalkExample:
+    """Read a sequence of `length` frames of a walk; without `augment` the first ones, as they are.
+
+    A sequence whose first frame's volume does not contain every point begins with the walk's first frame instead.
+    """
+    count = recordings.frames_of(index)
+    numbers = draw_frames(count, length, rng) if augment else list(range(length))
+    example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
+    if numbers[0] and not near(example):
+        numbers = [number - numbers[0] for number in numbers]
+        example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
+    if augment:
+        example = augmented(example, rng)
+    walk = WalkExample(example, example.truth[None], np.zeros(length, np.int64))
+    return walk if change_light is None or not augment else change_light(walk, rng)
+
+
+@dataclass(frozen=True, eq=False)
+class WalkBatch(Probes):
+    """Sequences of as many frames as tensors; t is the frame, s the light."""
+
+    volume: Float[Tensor, "b t 5 z y x"]
+    """Initial volumes of the frames, in the first frame's grid."""
+    depth_max_m: Float[Tensor, " b"]
+    lights: Float[Tensor, "b s p 3 h w"]
+    light_of: Int[Tensor, "b t"]
+    detail: Float[Tensor, "b t p 3 h w"] | None = None
+    """Each frame's mesh rendered at each probe, 0 outside it; for the blending stages."""
+    mask: Float[Tensor, "b t p 1 h w"] | None = None
+    distance_m: Float[Tensor, "b t p 1 h w"] | None = None
+    """Distance of the mesh, at most `roomlight.engine.blend.farthest_depth_m`; 0 outside it."""
+
+    @property
+    def frames(self) -> int:
+        """Number of frames of each sequence."""
+        return self.volume.shape[1]
+
+    def truth(self, frame: int) -> Float[Tensor, "b p 3 h w"]:
+        """Return the true light at the probes in a frame."""
+        return self.lights[torch.arange(len(self.lights), device=self.lights.device), self.light_of[:, frame]]
+
+
+@dataclass(frozen=True, eq=False)
+class PreparedWalk:
+    """A sequence as the serving engine sees it: restored frames and the volume's grid."""
+
+    walk: WalkExample
+    frames: list[Frame]
+    grid: VolumeGrid
+
+    @classmethod
+    def of(cls, walk: WalkExample, volume_shape: tuple[int, int, int]) -> "PreparedWalk":
+        """Complete depth, restore clipped light, and make the grid of the first frame."""
+        frames = restored_frames(walk.example)
+        return cls(walk, frames, VolumeGrid.from_frame(frames[0], shape=volume_shape))
+
+
+def collate_walks(walks: Sequence[PreparedWalk], *, panorama_height: int | None) -> WalkBatch:
+    """Build a batch without the probes' views; a `panorama_height` resamples the truth."""
+    columns: dict[str, list[np.ndarray]] = {}
+    for one in walks:
+        volumes = np.stack([initial_volume(one.grid, frame) for frame in one.frames])
+        mirrored = one.walk.example.mirrored
+        lights = np.stack([at_height(light, panorama_height) for light in one.walk.lights])
+        row = {
+            **probe_columns(one.walk.example, one.grid),
+            "volume": volumes[..., ::-1] if mirrored else volumes,
+            "depth_max_m": np.asarray(one.grid.depth_max_m),
+            "lights": np.moveaxis(lights, -1, 2),
+        }
+        for name, value in row.items():
+            columns.setdefault(name, []).append(np.asarray(value, np.float32))
+    tensors = {name: torch.from_numpy(np.stack(values)) for name, values in columns.items()}
+    return WalkBatch(**tensors, light_of=torch.from_numpy(np.stack([one.walk.light_of for one in walks])))
+
+
+def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
+    """Add what the probes see of each frame's mesh."""
+    planes: dict[str, list[np.ndarray]] = {"detail": [], "mask": [], "distance_m": []}
+    for one in walks:
+        farthest_m = farthest_depth_m(one.grid.depth_max_m)
+        meshes = [FrameMesh(frame) for frame in one.frames]
+        views = [
+            [mesh.render_panorama(at, height=panorama_height).within(farthest_m) for at in one.walk.example.positions]
+            for mesh in meshes
+        ]
+        planes["detail"].append(np.array([[np.moveaxis(view.radiance, -1, 0) for view in row] for row in views]))
+        planes["mask"].append(np.array([[view.mask[None] for view in row] for row in views], np.float32))
+        planes["distance_m"].append(np.array([[view.depth_m[None] for view in row] for row in views]))
+    return replace(batch, **{name: torch.from_numpy(np.stack(values)) for name, values in planes.items()})
