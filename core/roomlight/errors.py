@@ -9,6 +9,8 @@ RoomLightError
 ├── ProbeError            a probe position is not usable
 ├── ModelError            weights are missing, of another version or do not fit
 ├── FurnitureError        a furniture library or its cache is unusable (names file and model)
+├── ObjectError           a virtual object or its file cannot be used (names the file and the rule)
+├── SceneError            a scene, a place or a motion of virtual objects is refused (names the field)
 ├── DatasetError          a dataset or one of its sequences cannot be read, continued or made
 ├── WireError             a message from the network is refused (names field, value and rule)
 ├── ServerError           a server cannot start with these settings (names the setting)
@@ -56,6 +58,14 @@ class ModelError(RoomLightError):
 
 class FurnitureError(RoomLightError):
     """A furniture library, one of its models, or the cache made from it cannot be used."""
+
+
+class ObjectError(RoomLightError):
+    """A virtual object, its file or its material cannot be used; nothing of it was kept."""
+
+
+class SceneError(RoomLightError):
+    """A scene of virtual objects, a place in it or a motion is refused; session and compositor are unchanged."""
 
 
 class DatasetError(RoomLightError):

@@ -1,0 +1,129 @@
+# pyright: reportMissingParameterType=false
+"""Panoramas around several positions as a light: radiance, density and samples. World axes, y up."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+from roomlight.compositing.kernels.common import JIT
+
+
+@njit(**JIT)
+def probe_weights(positions, x, y, z, weights):
+    """Fill the share of each probe at a point: inverse squared distance, all of it where the point is a probe's."""
+    count = positions.shape[0]
+    if count == 1:
+        weights[0] = 1.0
+        return
+    total = 0.0
+    for k in range(count):
+        dx, dy, dz = x - positions[k, 0], y - positions[k, 1], z - positions[k, 2]
+        weights[k] = 1 / (dx * dx + dy * dy + dz * dz + 1e-8)
+        total += weights[k]
+    for k in range(count):
+        weights[k] /= total
+
+
+@njit(**JIT)
+def bilinear(image, x, y, z):
+    """Read an equirectangular image [H, 2H, 3] in a unit direction; wraps around, ends at the poles."""
+    height, width = image.shape[0], image.shape[1]
+    column = (0.5 + math.atan2(z, x) * (0.5 / math.pi)) * width - 0.5
+    row = math.acos(min(max(y, -1.0), 1.0)) * (height / math.pi) - 0.5
+    row = min(max(row, 0.0), height - 1.0)
+    left, top = math.floor(column), int(row)
+    u, v = column - left, row - top
+    bottom = min(top + 1, height - 1)
+    right = (left + 1) % width
+    left = left % width
+    a, b, c, d = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
+    return (
+        a * image[top, left, 0] + b * image[top, right, 0] + c * image[bottom, left, 0] + d * image[bottom, right, 0],
+        a * image[top, left, 1] + b * image[top, right, 1] + c * image[bottom, left, 1] + d * image[bottom, right, 1],
+        a * image[top, left, 2] + b * image[top, right, 2] + c * image[bottom, left, 2] + d * image[bottom, right, 2],
+    )
+
+
+@njit(**JIT)
+def radiance(light, weights, x, y, z):
+    """Return the probes' radiance in a direction, mixed by their weights."""
+    red, green, blue = 0.0, 0.0, 0.0
+    for k in range(light.radiance.shape[0]):
+        r, g, b = bilinear(light.radiance[k], x, y, z)
+        red += weights[k] * r
+        green += weights[k] * g
+        blue += weights[k] * b
+    return red, green, blue
+
+
+@njit(**JIT)
+def density(light, weights, x, y, z):
+    """Return the density per steradian with which `sample` draws a direction."""
+    height, width = light.density.shape[1], light.density.shape[2]
+    column = int((0.5 + math.atan2(z, x) * (0.5 / math.pi)) * width) % width
+    row = min(int(math.acos(min(max(y, -1.0), 1.0)) * (height / math.pi)), height - 1)
+    total = 0.0
+    for k in range(light.density.shape[0]):
+        total += weights[k] * light.density[k, row, column]
+    return total
+
+
+@njit(**JIT)
+def _find(cumulative, value):
+    """Return the cell whose cumulative interval holds value, and the place within it in [0, 1)."""
+    low, high = 0, cumulative.shape[0] - 1
+    while high - low > 1:
+        middle = (low + high) // 2
+        if cumulative[middle] <= value:
+            low = middle
+        else:
+            high = middle
+    width = cumulative[low + 1] - cumulative[low]
+    return low, min(max((value - cumulative[low]) / width, 0.0), 0.9999999) if width > 0 else 0.5
+
+
+@njit(**JIT)
+def sample(light, weights, u, v):
+    """Draw a direction from (u, v) in [0, 1)^2: a probe by weight, a row, a column, then evenly in solid angle."""
+    count = light.radiance.shape[0]
+    probe = 0
+    while probe < count - 1 and u >= weights[probe]:
+        u -= weights[probe]
+        probe += 1
+    u = min(max(u / max(weights[probe], 1e-12), 0.0), 0.9999999)
+    height, width = light.density.shape[1], light.density.shape[2]
+    row, down = _find(light.rows[probe], v)
+    column, across = _find(light.columns[probe, row], u)
+    upper, lower = math.cos(row * (math.pi / height)), math.cos((row + 1) * (math.pi / height))
+    y = upper + (lower - upper) * down
+    ring = math.sqrt(max(1 - y * y, 0.0))
+    azimuth = ((column + across) / width - 0.5) * (2 * math.pi)
+    return ring * math.cos(azimuth), y, ring * math.sin(azimuth)
+
+
+@njit(**JIT)
+def fill_radiance(light, positions, directions, out, begin, end):
+    """Fill the radiance seen from each position in each direction, for rows begin .. end."""
+    weights = np.empty(light.radiance.shape[0])
+    for i in range(begin, end):
+        probe_weights(light.position, positions[i, 0], positions[i, 1], positions[i, 2], weights)
+        r, g, b = radiance(light, weights, directions[i, 0], directions[i, 1], directions[i, 2])
+        out[i, 0], out[i, 1], out[i, 2] = r, g, b
+
+
+@njit(**JIT)
+def fill_density(light, directions, out):
+    """Fill the density of each direction; of the first probe alone."""
+    weights = np.ones(1)
+    for i in range(len(directions)):
+        out[i] = density(light, weights, directions[i, 0], directions[i, 1], directions[i, 2])
+
+
+@njit(**JIT)
+def fill_samples(light, points, out):
+    """Fill the direction that each point of [0, 1)^2 draws; of the first probe alone."""
+    weights = np.ones(1)
+    for i in range(len(points)):
+        x, y, z = sample(light, weights, points[i, 0], points[i, 1])
+        out[i, 0], out[i, 1], out[i, 2] = x, y, z

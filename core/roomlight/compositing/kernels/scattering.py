@@ -1,0 +1,102 @@
+# pyright: reportMissingParameterType=false
+"""Scattering at an opaque surface: the lobe over the base of `roomlight.compositing.materials`.
+
+A surface is a tuple (F0, F90, base, roughness, share): F0, F90 and base are RGB; base is already reduced by what the
+lobe reflects; share is the probability of drawing from the lobe.
+"""
+
+import math
+
+from numba import njit
+
+from roomlight.compositing.kernels.common import JIT, normalised
+from roomlight.compositing.kernels.microfacets import (
+    MIRROR_ROUGHNESS,
+    distribution,
+    lobe_share,
+    masking,
+    schlick,
+    visible_normal,
+)
+
+
+@njit(**JIT)
+def _grey(colour):
+    return 0.2126 * colour[0] + 0.7152 * colour[1] + 0.0722 * colour[2]
+
+
+@njit(**JIT)
+def surface(world, material, base, metallic, roughness, n_v):
+    """Make the surface of a material's values, as seen from the cosine n_v."""
+    ior, specular = world.materials.ior[material], world.materials.specular[material]
+    normal = (ior - 1) / (ior + 1)
+    normal = normal * normal * specular * (1 - metallic)
+    f0 = (normal + metallic * base[0], normal + metallic * base[1], normal + metallic * base[2])
+    f90 = specular * (1 - metallic) + metallic
+    low, high = lobe_share(world.lobe, n_v, roughness)
+    lobe = (f0[0] * low + f90 * high, f0[1] * low + f90 * high, f0[2] * low + f90 * high)
+    left = 1 - metallic
+    under = (
+        base[0] * left * max(1 - lobe[0], 0.0),
+        base[1] * left * max(1 - lobe[1], 0.0),
+        base[2] * left * max(1 - lobe[2], 0.0),
+    )
+    shiny, matte = _grey(lobe), _grey(under)
+    share = shiny / max(shiny + matte, 1e-12)
+    if matte > 0 and shiny > 0:
+        share = min(max(share, 0.1), 0.9)
+    return f0, f90, under, roughness, share, lobe
+
+
+@njit(**JIT)
+def evaluate(found, view, light):
+    """Return f x (n.l), RGB, and the density of drawing `light`; both vectors local. A mirror's lobe counts as 0."""
+    f0, f90, base, roughness, share, _ = found
+    n_l, n_v = light[2], view[2]
+    if n_l <= 0 or n_v <= 0:
+        return (0.0, 0.0, 0.0), 0.0
+    matte = n_l / math.pi
+    density = (1 - share) * matte
+    r, g, b = base[0] * matte, base[1] * matte, base[2] * matte
+    if roughness >= MIRROR_ROUGHNESS and share > 0:
+        alpha = roughness * roughness
+        hx, hy, hz = normalised(view[0] + light[0], view[1] + light[1], view[2] + light[2])
+        v_h = max(view[0] * hx + view[1] * hy + view[2] * hz, 0.0)
+        seen = masking(n_v, alpha)
+        common = distribution(hz, alpha) * seen / (4 * n_v)
+        density += share * common
+        weight = schlick(v_h)
+        value = common * masking(n_l, alpha)
+        r += value * (f0[0] + (f90 - f0[0]) * weight)
+        g += value * (f0[1] + (f90 - f0[1]) * weight)
+        b += value * (f0[2] + (f90 - f0[2]) * weight)
+    return (r, g, b), density
+
+
+@njit(**JIT)
+def draw(found, view, choice, u, v):
+    """Draw a local direction; returns it, the weight f (n.l) / density, and the density (-1 for a mirror)."""
+    f0, f90, _, roughness, share, _ = found
+    if choice < share:
+        if roughness < MIRROR_ROUGHNESS:
+            weight = schlick(view[2])
+            scale = 1 / share
+            return (
+                (-view[0], -view[1], view[2]),
+                (
+                    (f0[0] + (f90 - f0[0]) * weight) * scale,
+                    (f0[1] + (f90 - f0[1]) * weight) * scale,
+                    (f0[2] + (f90 - f0[2]) * weight) * scale,
+                ),
+                -1.0,
+            )
+        hx, hy, hz = visible_normal(view[0], view[1], view[2], roughness * roughness, u, v)
+        v_h = 2 * (view[0] * hx + view[1] * hy + view[2] * hz)
+        light = (v_h * hx - view[0], v_h * hy - view[1], v_h * hz - view[2])
+    else:
+        radius, angle = math.sqrt(u), 2 * math.pi * v
+        light = (radius * math.cos(angle), radius * math.sin(angle), math.sqrt(max(1 - u, 1e-9)))
+    value, density = evaluate(found, view, light)
+    if density <= 0:
+        return light, (0.0, 0.0, 0.0), 1.0
+    return light, (value[0] / density, value[1] / density, value[2] / density), density

@@ -1,0 +1,156 @@
+"""Panoramas as the light of virtual objects: importance sampling, several probes, prefiltered levels for previews.
+
+Directions are unit vectors of the world, y up; panoramas as in `roomlight.conventions`. A panorama is light from
+infinitely far away: near lamps and walls have no parallax within one probe, so objects wider than about a tenth of the
+distance to the nearest surface want several probes.
+"""
+
+from collections.abc import Sequence
+from functools import cached_property
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from roomlight.compositing.kernels import environment
+from roomlight.conventions import LUMINANCE, Position, panorama_solid_angles
+from roomlight.errors import OptionError, ProbeError
+from roomlight.light.checks import check_panorama
+from roomlight.light.cube import CubeMap
+from roomlight.light.prefilter import prefilter
+from roomlight.spheres import resize_panorama
+from roomlight.threads import parallel_for
+
+MAX_PROBES: Final = 64
+PREFILTERED_SIZE: Final = 32
+"""Cube map pixels of the prefiltered levels: 2.8 degrees, under lobes of 20 degrees and more; 10 ms a probe."""
+PREFILTERED_ROWS: Final = 64
+
+
+class Environment(NamedTuple):
+    """Probes as the kernels read them: cumulative rows and columns, and the density per steradian, of each."""
+
+    position: Float32[np.ndarray, "k 3"]
+    radiance: Float32[np.ndarray, "k h w 3"]
+    density: Float32[np.ndarray, "k h w"]
+    rows: Float32[np.ndarray, "k h1"]
+    columns: Float32[np.ndarray, "k h w1"]
+
+
+class LightSampler:
+    """One panorama at one position: radiance, and directions drawn in proportion to luminance and solid angle."""
+
+    position: Position
+    panorama: Float32[np.ndarray, "h w 3"]
+
+    def __init__(self, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> None:
+        """Prepare the tables; `panorama` is linear RGB [H, 2H, 3], `position` world metres. 2 ms for 120 rows.
+
+        Raises:
+            ValueError: The panorama is not [H, 2H, 3] of finite numbers.
+            ProbeError: The position is not finite.
+        """
+        if not np.isfinite(position).all():
+            raise ProbeError(f"a probe's position must be finite, got {position}")
+        self.position = position
+        self.panorama = np.maximum(np.ascontiguousarray(check_panorama(panorama), np.float32), 0)
+        self._tables = _sampling_tables(self.panorama)
+
+    def environment(self) -> Environment:
+        """Return the tables as the kernels read them."""
+        place = np.array([self.position], np.float32)
+        return Environment(place, self.panorama[None], *(table[None] for table in self._tables))
+
+    def sample(self, points: Float[np.ndarray, "n 2"]) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
+        """Draw a direction for each point of [0, 1)^2; returns directions and their density per steradian."""
+        directions = np.empty((len(points), 3), np.float32)
+        environment.fill_samples(self.environment(), np.ascontiguousarray(points, np.float64), directions)
+        return directions, self.pdf(directions)
+
+    def pdf(self, directions: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, " n"]:
+        """Return the density per steradian with which `sample` draws each direction."""
+        out = np.empty(len(directions), np.float32)
+        environment.fill_density(self.environment(), np.ascontiguousarray(directions, np.float32), out)
+        return out
+
+    def radiance(self, directions: Float[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+        """Read the panorama bilinearly in each direction."""
+        rays = np.ascontiguousarray(directions, np.float32)
+        out = np.empty((len(rays), 3), np.float32)
+        environment.fill_radiance(self.environment(), np.zeros_like(rays), rays, out, 0, len(rays))
+        return out
+
+    @cached_property
+    def prefiltered(self) -> Float32[np.ndarray, "levels rows columns 3"]:
+        """Panoramas blurred by the GGX lobe: roughness evenly from 0 to 1, where 1 is irradiance / pi."""
+        mips = prefilter(CubeMap.from_panorama(self.panorama, size=PREFILTERED_SIZE))
+        return np.stack([level.to_panorama(PREFILTERED_ROWS) for level in mips.levels]).astype(np.float32)
+
+
+class ProbeSet:
+    """Probes around an object; the light at a point is their mean by inverse squared distance."""
+
+    def __init__(self, samplers: Sequence[LightSampler]) -> None:
+        """Join the probes; panoramas of fewer rows are resampled to the finest one's.
+
+        Raises:
+            OptionError: There is none, or more than `MAX_PROBES`.
+        """
+        if not 1 <= len(samplers) <= MAX_PROBES:
+            raise OptionError(f"a probe set takes 1 to {MAX_PROBES} probes, got {len(samplers)}")
+        height = max(len(one.panorama) for one in samplers)
+        self.samplers = tuple(
+            one if len(one.panorama) == height else LightSampler(resize_panorama(one.panorama, height), one.position)
+            for one in samplers
+        )
+        parts = [one.environment() for one in self.samplers]
+        self.environment = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    @classmethod
+    def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
+        """Make a set of one probe. Raises as `LightSampler`."""
+        return cls([LightSampler(panorama, position)])
+
+    def radiance(
+        self, positions: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Return the radiance that arrives at each position from each direction."""
+        at, along = (np.ascontiguousarray(rays, np.float32) for rays in (positions, directions))
+        out = np.empty((len(along), 3), np.float32)
+        parallel_for(
+            lambda begin, end: environment.fill_radiance(self.environment, at, along, out, begin, end), len(along)
+        )
+        return out
+
+    def weights(self, position: Position) -> Float[np.ndarray, " k"]:
+        """Return each probe's share of the light at a position; the shares sum to 1."""
+        out = np.empty(len(self.samplers))
+        environment.probe_weights(self.environment.position, *position, out)
+        return out
+
+    @cached_property
+    def prefiltered(self) -> Float32[np.ndarray, "k levels rows columns 3"]:
+        """Each probe's `LightSampler.prefiltered`."""
+        return np.stack([one.prefiltered for one in self.samplers])
+
+
+def _sampling_tables(
+    panorama: Float32[np.ndarray, "h w 3"],
+) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, " h1"], Float32[np.ndarray, "h w1"]]:
+    """Return density per steradian, cumulative rows and cumulative columns of each row."""
+    luminance = (panorama @ LUMINANCE).astype(np.float64)
+    # Radiance is read bilinearly: a pixel's mean reaches over its neighbours, by 1/8 on each side.
+    padded = np.pad(luminance, ((1, 1), (0, 0)), mode="edge")
+    luminance = (padded[:-2] + 6 * padded[1:-1] + padded[2:]) / 8
+    luminance = (np.roll(luminance, 1, 1) + 6 * luminance + np.roll(luminance, -1, 1)) / 8
+    if luminance.max() <= 0:
+        luminance = np.ones_like(luminance)
+    solid_angle = panorama_solid_angles(len(panorama)).astype(np.float64)
+    weight = luminance * solid_angle
+    per_row = weight.sum(axis=1)
+    total = per_row.sum()
+    rows = np.concatenate([[0.0], np.cumsum(per_row)]) / total
+    columns = np.concatenate([np.zeros((len(weight), 1)), np.cumsum(weight, axis=1)], axis=1)
+    columns /= np.maximum(columns[:, -1:], 1e-300)
+    rows[-1] = columns[:, -1] = 1.0
+    return (luminance / total).astype(np.float32), rows.astype(np.float32), columns.astype(np.float32)

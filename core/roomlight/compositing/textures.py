@@ -1,0 +1,81 @@
+"""Textures of virtual objects: 16-bit linear RGBA texels, repeated outside [0, 1]; row 0 is v = 0, as in glTF."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Int32, Int64, UInt8, UInt16
+
+from roomlight.conventions import srgb8_to_linear
+from roomlight.errors import ObjectError
+
+MAX_TEXTURE_SIZE: Final = 2048
+"""Wider or higher textures are reduced to this by area: an object rarely covers more pixels of a frame."""
+
+
+@dataclass(frozen=True, eq=False)
+class Texture:
+    """An image on a surface: linear RGBA times 65535 in 16 bits.
+
+    Raises:
+        ObjectError: The texture has no texel.
+    """
+
+    texels: UInt16[np.ndarray, "h w 4"]
+
+    def __post_init__(self) -> None:
+        if self.texels.size == 0:
+            raise ObjectError(f"a texture needs one texel at least, got shape {self.texels.shape}")
+
+    @classmethod
+    def from_srgb8(cls, image: UInt8[np.ndarray, "h w c"]) -> "Texture":
+        """Make a texture from 8-bit sRGB (c = 3) or sRGB with linear alpha (c = 4): base colour, emission."""
+        linear = srgb8_to_linear(image[..., :3])
+        return cls.from_linear(np.concatenate([linear, _alpha(image)], axis=-1))
+
+    @classmethod
+    def from_linear8(cls, image: UInt8[np.ndarray, "h w c"]) -> "Texture":
+        """Make a texture from 8-bit linear values (c = 3 or 4): metallic-roughness and normal maps."""
+        linear = image[..., :3].astype(np.float32) / np.float32(255)
+        return cls.from_linear(np.concatenate([linear, _alpha(image)], axis=-1))
+
+    @classmethod
+    def from_linear(cls, image: Float[np.ndarray, "h w c"]) -> "Texture":
+        """Make a texture from linear values in [0, 1] (c = 3 or 4; values outside are clipped)."""
+        if image.shape[2] == 3:
+            image = np.concatenate([image, np.ones((*image.shape[:2], 1), image.dtype)], axis=-1)
+        height, width = image.shape[:2]
+        if max(height, width) > MAX_TEXTURE_SIZE:
+            scale = MAX_TEXTURE_SIZE / max(height, width)
+            size = max(1, round(width * scale)), max(1, round(height * scale))
+            image = cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA)
+        return cls(np.rint(np.clip(image, 0, 1) * 65535).astype(np.uint16))
+
+
+class TextureArrays(NamedTuple):
+    """All textures of a scene in one array, as the kernels read them."""
+
+    texels: UInt16[np.ndarray, "n 4"]
+    first: Int64[np.ndarray, " t"]
+    width: Int32[np.ndarray, " t"]
+    height: Int32[np.ndarray, " t"]
+
+
+def texture_arrays(textures: Sequence[Texture]) -> TextureArrays:
+    """Concatenate textures; without any, one white texel stands in, because kernels take no empty array."""
+    images = [texture.texels for texture in textures] or [np.full((1, 1, 4), 65535, np.uint16)]
+    sizes = np.array([image.shape[0] * image.shape[1] for image in images], np.int64)
+    return TextureArrays(
+        np.concatenate([image.reshape(-1, 4) for image in images]),
+        np.cumsum(sizes) - sizes,
+        np.array([image.shape[1] for image in images], np.int32),
+        np.array([image.shape[0] for image in images], np.int32),
+    )
+
+
+def _alpha(image: UInt8[np.ndarray, "h w c"]) -> Float[np.ndarray, "h w 1"]:
+    if image.shape[2] == 4:
+        return image[..., 3:].astype(np.float32) / np.float32(255)
+    return np.ones((*image.shape[:2], 1), np.float32)

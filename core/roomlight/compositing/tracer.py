@@ -1,0 +1,209 @@
+"""Virtual objects in the world as one Embree tree, and the rays traced through it. World metres, y up."""
+
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+
+import numpy as np
+from embreex.mesh_construction import TriangleMesh as EmbreeMesh
+from embreex.rtcore_scene import EmbreeScene
+from jaxtyping import Bool, Float, Float32, Int32
+
+from roomlight.compositing.materials import Material, MaterialArrays, material_arrays
+from roomlight.compositing.objects import VirtualObject
+from roomlight.compositing.textures import TextureArrays
+from roomlight.errors import ObjectError
+from roomlight.threads import parallel_for
+
+MAX_TRIANGLES: Final = 2_000_000
+"""Most triangles of a scene: about 500 MB for the tree and the tables."""
+_BLOCK: Final = 1 << 15
+"""Rays a call from one thread."""
+
+
+class Surfaces(NamedTuple):
+    """All triangles of the scene, object by object, as the kernels read them.
+
+    tangents has a single row when no material has a normal texture.
+    """
+
+    corners: Float32[np.ndarray, "f 3 3"]
+    normals: Float32[np.ndarray, "f 3 3"]
+    uvs: Float32[np.ndarray, "f 3 2"]
+    tangents: Float32[np.ndarray, "t 3 4"]
+    material: Int32[np.ndarray, " f"]
+    object_id: Int32[np.ndarray, " f"]
+    part: Int32[np.ndarray, " f"]
+
+
+class Hits(NamedTuple):
+    """Where rays met objects; rows of rays that met none have distance inf and indices -1.
+
+    Attributes:
+        distance_m: along the ray.
+        object_id: index of the object in the scene.
+        part: index of the part in its object.
+        face: triangle in the scene's order.
+        barycentrics: weights of the triangle's second and third corner.
+        normal: unit geometric normal, counter-clockwise side.
+    """
+
+    distance_m: Float32[np.ndarray, " n"]
+    object_id: Int32[np.ndarray, " n"]
+    part: Int32[np.ndarray, " n"]
+    face: Int32[np.ndarray, " n"]
+    barycentrics: Float32[np.ndarray, "n 2"]
+    normal: Float32[np.ndarray, "n 3"]
+
+
+class ObjectScene:
+    """Objects with their tree; safe to use from several threads, and worth keeping while the objects rest."""
+
+    objects: tuple[VirtualObject, ...]
+    surfaces: Surfaces
+    materials: MaterialArrays
+    textures: TextureArrays
+
+    def __init__(self, objects_in_world: Sequence[VirtualObject]) -> None:
+        """Build the tree: 10 ms for 7,000 triangles, linear in their number.
+
+        Raises:
+            ObjectError: There is no object, or more than `MAX_TRIANGLES` triangles.
+        """
+        self.objects = tuple(objects_in_world)
+        if not self.objects:
+            raise ObjectError("a scene needs one object at least, got none")
+        triangles = sum(one.triangles for one in self.objects)
+        if triangles > MAX_TRIANGLES:
+            raise ObjectError(
+                f"the objects have {triangles} triangles together, at most {MAX_TRIANGLES}: simplify them"
+            )
+        self.surfaces, materials = _flatten(self.objects)
+        self.materials, self.textures = material_arrays(materials)
+        self._tree = EmbreeScene(robust=True)
+        vertices, faces = _indexed(self.objects)
+        EmbreeMesh(self._tree, vertices, faces)
+        # The tree is built in the first query, unlocked: ask once before threads do.
+        self._tree.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32), query="OCCLUDED")
+
+    def bounds(self) -> Float[np.ndarray, "n 2 3"]:
+        """Return each object's box: least and greatest corner in world metres."""
+        return np.stack([one.bounds() for one in self.objects])
+
+    def offset_m(self) -> float:
+        """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""
+        boxes = self.bounds()
+        extent = float((boxes[:, 1] - boxes[:, 0]).max())
+        return max(2e-5 * extent, 2e-6 * float(np.abs(boxes).max()), 1e-7)
+
+    def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
+        """Find the nearest surface along each ray (unit directions)."""
+        begin, along = (np.ascontiguousarray(rays, np.float32) for rays in (origins, directions))
+        count = len(begin)
+        face, distance = np.full(count, -1, np.int32), np.full(count, np.inf, np.float32)
+        barycentrics = np.zeros((count, 2), np.float32)
+
+        def work(start: int, stop: int) -> None:
+            found = self.trace(begin[start:stop], along[start:stop])
+            face[start:stop], distance[start:stop] = found[0], found[1]
+            barycentrics[start:stop, 0], barycentrics[start:stop, 1] = found[2], found[3]
+
+        _in_blocks(work, count)
+        missed = face < 0
+        distance[missed] = np.inf
+        barycentrics[missed] = 0
+        a, b, c = (self.surfaces.corners[face, corner] for corner in range(3))
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-30))
+        normal[missed] = 0
+        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[face])
+        part = np.where(missed, np.int32(-1), self.surfaces.part[face])
+        return Hits(distance, object_id, part, face, barycentrics, normal)
+
+    def occluded(
+        self,
+        origins: Float[np.ndarray, "n 3"],
+        directions: Float[np.ndarray, "n 3"],
+        reach_m: Float[np.ndarray, " n"] | float = np.inf,
+    ) -> Bool[np.ndarray, " n"]:
+        """Return whether each ray meets a surface within its reach in metres; panes and cut-outs block as well."""
+        begin, along = (np.ascontiguousarray(rays, np.float32) for rays in (origins, directions))
+        count = len(begin)
+        reach = np.minimum(np.broadcast_to(np.asarray(reach_m, np.float32), (count,)), np.float32(1e30))
+        out = np.zeros(count, bool)
+
+        def work(start: int, stop: int) -> None:
+            out[start:stop] = self.blocked(begin[start:stop], along[start:stop], reach[start:stop].copy())
+
+        _in_blocks(work, count)
+        return out
+
+    def trace(
+        self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]
+    ) -> tuple[
+        Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]
+    ]:
+        """Trace a block of rays in this thread; returns face (-1: none), distance, and two barycentrics."""
+        if len(origins) == 0:
+            nothing = np.zeros(0, np.float32)
+            return np.zeros(0, np.int32), nothing, nothing, nothing
+        found = self._tree.run(origins, directions, output=1)
+        return found["primID"], found["tfar"], found["u"], found["v"]
+
+    def blocked(
+        self,
+        origins: Float32[np.ndarray, "n 3"],
+        directions: Float32[np.ndarray, "n 3"],
+        reach_m: Float32[np.ndarray, " n"] | None = None,
+    ) -> Bool[np.ndarray, " n"]:
+        """Trace a block of shadow rays in this thread; `reach_m` is overwritten."""
+        if len(origins) == 0:
+            return np.zeros(0, bool)
+        if reach_m is None:
+            return self._tree.run(origins, directions, query="OCCLUDED") >= 0
+        return self._tree.run(origins, directions, dists=reach_m, query="OCCLUDED") >= 0
+
+
+def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:
+    meshes = [mesh for one in objects for mesh, _ in one.parts]
+    firsts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes])[:-1]
+    faces = np.concatenate([mesh.faces + np.int32(first) for mesh, first in zip(meshes, firsts, strict=True)])
+    return np.concatenate([mesh.vertices for mesh in meshes]), faces.astype(np.int32)
+
+
+def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]]:
+    materials: list[Material] = []
+    rows: dict[int, int] = {}
+    bent = any(material.normal_texture is not None for one in objects for _, material in one.parts)
+    pieces: list[Surfaces] = []
+    for index, one in enumerate(objects):
+        for number, (mesh, material) in enumerate(one.parts):
+            if id(material) not in rows:
+                rows[id(material)] = len(materials)
+                materials.append(material)
+            count = len(mesh.faces)
+            tangents = mesh.with_tangents().tangents if bent else None
+            pieces.append(
+                Surfaces(
+                    corners=mesh.vertices[mesh.faces],
+                    normals=mesh.normals[mesh.faces],
+                    uvs=mesh.uvs[mesh.faces],
+                    tangents=np.zeros((0, 3, 4), np.float32) if tangents is None else tangents[mesh.faces],
+                    material=np.full(count, rows[id(material)], np.int32),
+                    object_id=np.full(count, index, np.int32),
+                    part=np.full(count, number, np.int32),
+                )
+            )
+    joined = Surfaces(*(np.concatenate(column) for column in zip(*pieces, strict=True)))
+    if not bent:
+        joined = joined._replace(tangents=np.zeros((1, 3, 4), np.float32))
+    return joined, materials
+
+
+def _in_blocks(work: Callable[[int, int], object], count: int) -> None:
+    blocks = -(-count // _BLOCK)
+
+    def run(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            work(block * _BLOCK, min((block + 1) * _BLOCK, count))
+
+    parallel_for(run, blocks)
