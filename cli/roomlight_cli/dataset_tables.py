@@ -7,6 +7,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from roomlight_generator.light_stats import TOLERANCE, LightComparison
 from roomlight_generator.stats import DatasetStats, Spread
 
 _LISTED: Final = 14
@@ -38,6 +39,26 @@ def print_stats(console: Console, stats: DatasetStats) -> None:
         console.print(f"{stats.probes_at_half_limit} probe pixels are dimmed to the largest half float (65504)")
 
 
+def print_light(console: Console, light: LightComparison) -> None:
+    """Print the quartiles of each measure of light, generated beside real, and mark those that are alike."""
+    table = Table(
+        title=f"first frames of {light.sequences} sequences with their probes, views of {light.panoramas} panoramas\n"
+        "quartiles (25, 50, 75 %); the first frame's white is 1",
+        title_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1),
+    )
+    table.add_column("", no_wrap=True)
+    for heading in ("generated", "real", "alike"):
+        table.add_column(heading, justify="right", no_wrap=True)
+    for row in light.rows:
+        generated, real = (" ".join(_two_digits(value) for value in values) for values in (row.generated, row.real))
+        table.add_row(row.name, generated, real, "yes" if row.alike else "no")
+    console.print(table)
+    alike = sum(row.alike for row in light.rows)
+    console.print(f"{alike} of {len(light.rows)} measures are alike: each quartile within {TOLERANCE:.0%} of the real")
+
+
 def _values(spread: Spread) -> tuple[float, ...]:
     return (spread.mean, spread.deviation, spread.low, spread.median, spread.high)
 
@@ -45,3 +66,8 @@ def _values(spread: Spread) -> tuple[float, ...]:
 def _short(value: float) -> str:
     """Format with three significant digits."""
     return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}"
+
+
+def _two_digits(value: float) -> str:
+    """Format with two significant digits, three or more above 99."""
+    return f"{value:.0f}" if abs(value) >= 9.95 else f"{value:.2g}"

@@ -8,6 +8,7 @@ import subprocess
 import sys
 from functools import partial
 
+import numpy as np
 import pytest
 from command_runner import Finished
 from rich.console import Console
@@ -15,6 +16,7 @@ from rich.console import Console
 import stub_rooms
 from roomlight.captures import open_capture
 from roomlight.dataset.shards import read_index
+from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
 from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
 from roomlight_generator.generate import GenerateOptions, GenerationProgress
@@ -86,6 +88,13 @@ def test_preview_stats_verify_and_extract(made, tmp_path, run):
     for word in ("8 sequences, 4 rooms", "step, m", "coverage, all frames", "table_lamp 4", "kB per sequence"):
         assert word in stats.out
     assert json.loads((tmp_path / "stats.json").read_text())["counts"]["room types"]["kitchen"] == 2
+    (tmp_path / "real").mkdir()
+    (tmp_path / "real" / "lamp.exr").write_bytes(encode_exr(np.linspace(0, 4, 16 * 32 * 3).reshape(16, 32, 3)))
+    light = run("stats", "set [x]", "--against", str(tmp_path / "real"), "--json", str(tmp_path / "l.json"), cwd=cwd)
+    assert light.code == 0, light.err
+    for word in ("8 sequences", "1 panoramas", "ceiling / floor", "each quartile within 25%"):
+        assert word in light.out
+    assert json.loads((tmp_path / "l.json").read_text())["panoramas"] == 1
     verify = run("verify", "set [x]", cwd=cwd)
     assert verify.code == 0
     assert "set [x]: 8 sequences" in verify.out

@@ -20,10 +20,12 @@ from roomlight_cli.console import run, say
 from roomlight_cli.dataset_check import check
 from roomlight_cli.dataset_preview import write_previews
 from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
-from roomlight_cli.dataset_tables import print_stats
+from roomlight_cli.dataset_tables import print_light, print_stats
 from roomlight_cli.lazy import APP_OPTIONS
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
+from roomlight_generator.light_stats import LightComparison, compare_light
+from roomlight_generator.panoramas.library import panorama_files, split_of
 from roomlight_generator.rooms.furniture import build_cache
 from roomlight_generator.rooms.furniture.catalogue import installed_libraries, library_files
 from roomlight_generator.sample import SEED, generate_sample
@@ -57,6 +59,10 @@ def generate(
     frames: Annotated[
         int, typer.Option(min=1, help="Frames per walk; 1 makes single views and is four times as fast.")
     ] = 31,
+    panoramas: Annotated[
+        Path | None,
+        typer.Option(help="Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light."),
+    ] = None,
 ) -> None:
     """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command continues."""
     options = GenerateOptions(
@@ -67,7 +73,10 @@ def generate(
         sequences_per_room=sequences_per_room,
         frames=frames,
         furniture=furniture,
+        panoramas=panoramas,
     )
+    if panoramas is not None:
+        _say_split(panoramas, split)
     with ProgressDisplay(console.err) as display:
         try:
             report = run_generator(out, options, workers=workers, progress=display)
@@ -83,6 +92,15 @@ def generate(
         f"{cost_text(report.core_s)}"
     )
     say(f"View them: roomlight dataset preview {out} --out preview")
+
+
+def _say_split(panoramas: Path, split: Split) -> None:
+    """Print which panoramas light the rooms of this split, and which are kept for the other."""
+    files = panorama_files(panoramas)
+    used = [path.stem for path in files if split_of(path) == split]
+    kept = [path.stem for path in files if split_of(path) != split]
+    say(f"{panoramas}: {len(used)} of {len(files)} panoramas light the {split} rooms: {', '.join(used) or 'none'}")
+    say(f"kept for the other split, whole buildings each: {', '.join(kept) or 'none'}")
 
 
 @app.command()
@@ -109,17 +127,29 @@ def stats(
         int | None, typer.Option(min=1, help="Measure this many, evenly spread; default: all.")
     ] = None,
     split: OnlySplit = None,
+    against: Annotated[
+        Path | None,
+        typer.Option(
+            help="Compare the light of first frames and probes with the real HDR panoramas (.exr, .hdr) of this folder."
+        ),
+    ] = None,
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
 ) -> None:
-    """Print figures of motion, range, exposure, coverage, sizes and room contents."""
+    """Print figures of motion, range, exposure, coverage, sizes and room contents; or of light, beside real rooms'."""
     dataset = Dataset(folder, split)
     with console.err.status("measuring") as status:
-        figures = collect(
-            dataset,
-            limit=sequences,
-            progress=lambda done, total: status.update(f"measuring sequence {done} of {total}"),
-        )
-    print_stats(console.out, figures)
+
+        def progress(done: int, total: int) -> None:
+            status.update(f"measuring {done} of {total}")
+
+        if against is None:
+            figures = collect(dataset, limit=sequences, progress=progress)
+        else:
+            figures = compare_light(dataset, against, limit=sequences, progress=progress)
+    if isinstance(figures, LightComparison):
+        print_light(console.out, figures)
+    else:
+        print_stats(console.out, figures)
     if json_out:
         write_json(json_out, figures.to_json())
 

@@ -1,0 +1,269 @@
+"""Statistics of light: what a first frame shows, and the light around it; generated rooms beside real panoramas.
+
+Values are luminance (Rec. 709) in units of the first frame's white: 1.0 is what the frame shows as white; of clipped
+pixels it is the brightest channel, the one that clips first. Shares of the sphere and means over it are weighted by
+solid angle. Panoramas are compared at the same height, `HEIGHT` rows.
+World frame: y up.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.camera import Intrinsics, transform_points
+from roomlight.conventions import direction_to_uv, panorama_solid_angles, srgb8_to_linear
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Recording
+from roomlight.errors import DatasetError
+from roomlight.frame import CLIPPED_SRGB8
+from roomlight.images import read_panorama
+from roomlight_generator.sequences.walk import FIELD_OF_VIEW_DEGREES
+
+HEIGHT: Final = 120
+"""Rows of the panoramas that are measured, as those of a dataset's probes; higher ones are averaged down."""
+VIEWS: Final = 8
+"""Views cropped from each real panorama."""
+WHITE_PERCENTILE: Final = 80
+WHITE_SHARE: Final = 0.43
+"""Exposure of a real panorama's views: their 80th percentile is 0.43 of white.
+
+Frames of five phone recordings have 0.41 to 0.45, with a mean of 0.26 to 0.34, a median of 0.21 to 0.35 and 0 to 2 % of
+clipped pixels.
+"""
+PITCH_DEGREES: Final = (-14.0, 6.0)
+"""Range of the views' elevation: phones look slightly down."""
+TOLERANCE: Final = 0.25
+"""Relative difference up to which quartiles count as alike."""
+
+_LUMA: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
+_CLIPPED: Final = float(srgb8_to_linear(np.array([CLIPPED_SRGB8], np.uint8))[0])
+_VIEW_SIZE: Final = (160, 120)
+_BRIGHT: Final = 3.0
+"""Factor over the frame's mean above which a direction is a bright area."""
+_TINY: Final = 1e-9
+
+Measures = dict[str, float]
+"""Measures of one frame and one panorama by name; NaN where a measure has no value."""
+
+
+@dataclass(frozen=True)
+class LightRow:
+    """Quartiles (25, 50 and 75 %) of one measure, generated and real."""
+
+    name: str
+    generated: tuple[float, float, float]
+    real: tuple[float, float, float]
+
+    @property
+    def alike(self) -> bool:
+        """Whether each quartile is within `TOLERANCE` of the real one."""
+        pairs = zip(self.generated, self.real, strict=True)
+        return all(abs(one - other) <= TOLERANCE * abs(other) for one, other in pairs)
+
+
+@dataclass(frozen=True)
+class LightComparison:
+    """Generated first frames with their probes, and views of real panoramas with their panorama."""
+
+    sequences: int
+    panoramas: int
+    rows: tuple[LightRow, ...]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain values for JSON."""
+        rows = {row.name: {"generated": row.generated, "real": row.real, "alike": row.alike} for row in self.rows}
+        return {"sequences": self.sequences, "panoramas": self.panoramas, "rows": rows}
+
+
+def measure_light(
+    frame: Float[np.ndarray, "h w 3"],
+    clipped: Float[np.ndarray, "n 3"],
+    panorama: Float[np.ndarray, "ph pw 3"],
+) -> Measures:
+    """Measure one frame and one panorama near it.
+
+    Args:
+        frame: Linear RGB as the phone shows it, at most 1.
+        clipped: True radiance at the frame's clipped pixels; empty if none is clipped.
+        panorama: Radiance from all sides.
+    """
+    shown = frame @ _LUMA
+    mean = max(float(shown.mean()), _TINY)
+    light = np.asarray(_at_height(panorama) @ _LUMA, np.float64)
+    share = np.broadcast_to(panorama_solid_angles(len(light)) / (4 * np.pi), light.shape)
+    total = max(float((light * share).sum()), _TINY)
+    white, bright = light > 1, light > _BRIGHT * mean
+    high = float(np.percentile(light, 99.9))
+    ceiling, walls, floor = _bands(light, share)
+    return {
+        "frame's mean": mean,
+        "frame's median": float(np.median(shown)),
+        f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(shown, WHITE_PERCENTILE)),
+        "clipped share of the frame": float((frame.max(axis=-1) >= _CLIPPED).mean()),
+        "radiance at clipped pixels": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
+        "sphere above white": float(share[white].sum()),
+        "energy above white": float((light * share)[white].sum()) / total,
+        "panorama's mean": total,
+        "panorama's median": float(np.median(light)),
+        "99.9th percentile": high,
+        "panorama's mean / frame's mean": total / mean,
+        "99.9th percentile / frame's mean": high / mean,
+        "sphere above 3 x frame's mean": float(share[bright].sum()),
+        "energy above 3 x frame's mean": float((light * share)[bright].sum()) / total,
+        "ceiling / floor": ceiling / floor,
+        "ceiling / walls": ceiling / walls,
+        "floor / walls": floor / walls,
+    }
+
+
+def recording_light(recording: Recording) -> list[Measures]:
+    """Measure a recording's first frame with each of its probes."""
+    frame = srgb8_to_linear(recording.colour[0])
+    saturated = recording.colour[0].max(axis=-1) >= CLIPPED_SRGB8
+    stored = getattr(recording, "clipped_radiance", None)
+    if stored is not None:
+        clipped = np.asarray(stored[0], np.float32)[saturated]
+    else:
+        clipped = _clipped_from_probes(recording, saturated)
+    clipped = np.maximum(clipped, frame[saturated])
+    return [measure_light(frame, clipped, panorama) for panorama in recording.probe_panoramas]
+
+
+def panorama_light(
+    panorama: Float[np.ndarray, "h w 3"], rng: np.random.Generator, *, views: int = VIEWS
+) -> list[Measures]:
+    """Measure views of a real panorama, each with the whole panorama exposed as the view.
+
+    A view looks in a random direction from the panorama's centre: any azimuth, an elevation in `PITCH_DEGREES`, a
+    phone's field of view (55 to 72 degrees across the long side of 4:3). Its exposure takes its 80th percentile to 0.43
+    of white. A view that is black above its 80th percentile has no exposure and is left out.
+    """
+    found: list[Measures] = []
+    for _ in range(views):
+        view = _crop(panorama, rng)
+        level = float(np.percentile(view @ _LUMA, WHITE_PERCENTILE))
+        if level <= 0:
+            continue
+        scale = np.float32(WHITE_SHARE / level)
+        clipped = (scale * view)[(scale * view).max(axis=-1) >= _CLIPPED]
+        found.append(measure_light(np.minimum(scale * view, 1), clipped, scale * panorama))
+    return found
+
+
+def panorama_files(folder: Path) -> list[Path]:
+    """Return the .exr and .hdr files of a folder, sorted by name.
+
+    Raises:
+        DatasetError: The folder has none.
+    """
+    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".exr", ".hdr"))
+    if not files:
+        raise DatasetError(f"{folder}: has no .exr or .hdr panorama; name a folder of real HDR panoramas")
+    return files
+
+
+def compare_light(
+    dataset: Dataset,
+    panoramas: Path,
+    *,
+    limit: int | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> LightComparison:
+    """Compare a dataset, or `limit` sequences spread evenly over it, with the real panoramas of a folder.
+
+    Views of panoramas are drawn with a fixed seed: the same folder gives the same figures.
+
+    Raises:
+        DatasetError: if a sequence is damaged or a folder has nothing to compare.
+        ImageError: if a panorama cannot be read.
+    """
+    files = panorama_files(panoramas)
+    count = len(dataset) if limit is None else min(limit, len(dataset))
+    if not count:
+        raise DatasetError(f"{dataset.folder}: has no sequence to compare; `roomlight dataset generate` makes them")
+    numbers = sorted({round(k) for k in np.linspace(0, len(dataset) - 1, count).tolist()})
+    done = 0
+
+    def counted(measured: Iterable[list[Measures]]) -> Iterator[Measures]:
+        nonlocal done
+        for one in measured:
+            done += 1
+            if progress:
+                progress(done, len(numbers) + len(files))
+            yield from one
+
+    generated = list(counted(recording_light(dataset.read(number, frames=(0,))) for number in numbers))
+    rng = np.random.default_rng(0)
+    real = list(counted(panorama_light(read_panorama(path), rng) for path in files))
+    return LightComparison(len(numbers), len(files), compare_measures(generated, real))
+
+
+def compare_measures(generated: Sequence[Measures], real: Sequence[Measures]) -> tuple[LightRow, ...]:
+    """Return the quartiles of each measure."""
+    return tuple(LightRow(name, _quartiles(generated, name), _quartiles(real, name)) for name in real[0])
+
+
+def _quartiles(measured: Sequence[Measures], name: str) -> tuple[float, float, float]:
+    values = np.array([one[name] for one in measured])
+    values = values[np.isfinite(values)]
+    if not len(values):
+        return np.nan, np.nan, np.nan
+    low, middle, high = np.percentile(values, [25, 50, 75]).tolist()
+    return low, middle, high
+
+
+def _bands(light: Float[np.ndarray, "h w"], share: Float[np.ndarray, "h w"]) -> tuple[float, float, float]:
+    """Return the mean over the directions above 30 degrees of elevation, those between, and those below -30 degrees."""
+    third = round(len(light) / 3)
+    bands = (slice(0, third), slice(third, len(light) - third), slice(len(light) - third, None))
+    first, second, last = (max(float((light * share)[band].sum() / share[band].sum()), _TINY) for band in bands)
+    return first, second, last
+
+
+def _at_height(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "ph pw 3"]:
+    """Return the panorama averaged down to `HEIGHT` rows, or as it is if it has no more."""
+    if len(panorama) <= HEIGHT:
+        return panorama
+    return cv2.resize(np.asarray(panorama, np.float32), (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
+
+
+def _crop(panorama: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "vh vw 3"]:
+    """Return what a phone shows of a panorama in a random direction, not exposed."""
+    width, height = _VIEW_SIZE
+    focal = width / 2 / np.tan(np.radians(rng.uniform(*FIELD_OF_VIEW_DEGREES)) / 2)
+    yaw, pitch = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(*PITCH_DEGREES))
+    forward = np.array([np.cos(pitch) * np.cos(yaw), np.sin(pitch), np.cos(pitch) * np.sin(yaw)])
+    right = np.array([-np.sin(yaw), 0.0, np.cos(yaw)])
+    rotation = np.stack([right, np.cross(right, forward), -forward], axis=1)
+    rays = Intrinsics(focal, focal, width / 2, height / 2, width, height).rays() @ rotation.T
+    uv = direction_to_uv(rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    size = np.array([panorama.shape[1], panorama.shape[0]])
+    x, y = np.moveaxis((uv * size - 0.5).astype(np.float32), -1, 0)
+    # One more column on either side: azimuth wraps around.
+    wrapped = np.concatenate([panorama[:, -1:], panorama, panorama[:, :1]], axis=1).astype(np.float32)
+    return cv2.remap(wrapped, x + 1, np.clip(y, 0, len(panorama) - 1), cv2.INTER_LINEAR)
+
+
+def _clipped_from_probes(recording: Recording, saturated: Bool[np.ndarray, "h w"]) -> Float[np.ndarray, "n 3"]:
+    """Return the brightest radiance that a probe receives from where each clipped pixel of the first frame points.
+
+    The brightest, because another surface may hide the place from some probes. Pixels without depth point to infinity.
+    """
+    depth_m = recording.depth_mm[0][saturated].astype(np.float32)[:, None] / 1000
+    rays = recording.intrinsics.rays()[saturated] * np.where(depth_m > 0, depth_m, 1000)
+    points = transform_points(recording.camera_to_world[0], rays)
+    best = np.zeros((len(points), 3), np.float32)
+    for position, panorama in zip(recording.probe_positions, recording.probe_panoramas, strict=True):
+        away = points - position
+        uv = direction_to_uv(away / np.maximum(np.linalg.norm(away, axis=-1, keepdims=True), 1e-6))
+        height, width = panorama.shape[:2]
+        row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
+        column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
+        seen = panorama[row, column]
+        best = np.where((seen @ _LUMA > best @ _LUMA)[:, None], seen, best)
+    return best

@@ -1,0 +1,172 @@
+"""Light measures of frames and panoramas made by hand have the expected values."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import stub_rooms
+from roomlight.conventions import linear_to_srgb8, panorama_directions
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Recording
+from roomlight.errors import DatasetError
+from roomlight.images import encode_exr
+from roomlight_generator import light_stats
+from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_generator.light_stats import (
+    LightRow,
+    compare_light,
+    compare_measures,
+    measure_light,
+    panorama_files,
+    panorama_light,
+    recording_light,
+)
+from rooms import camera_at, pinhole
+
+NOTHING = np.zeros((0, 3), np.float32)
+
+
+def even(value, height=60):
+    return np.full((height, 2 * height, 3), value, np.float32)
+
+
+def test_an_even_room_has_no_contrast():
+    measured = measure_light(even(0.25), NOTHING, even(0.5))
+    assert measured["frame's mean"] == pytest.approx(0.25)
+    assert measured["panorama's mean / frame's mean"] == pytest.approx(2)
+    assert measured["ceiling / floor"] == pytest.approx(1)
+    assert measured["floor / walls"] == pytest.approx(1)
+    assert measured["sphere above white"] == 0
+    assert np.isnan(measured["radiance at clipped pixels"])
+
+
+def test_a_bright_hemisphere_is_half_of_the_sphere():
+    panorama = even(0.1)
+    panorama[:30] = 1.9
+    measured = measure_light(even(0.5), NOTHING, panorama)
+    assert measured["sphere above white"] == pytest.approx(0.5, abs=1e-3)
+    assert measured["energy above white"] == pytest.approx(0.95, abs=1e-3)
+    assert measured["panorama's mean"] == pytest.approx(1, abs=1e-3)
+    assert measured["sphere above 3 x frame's mean"] == pytest.approx(0.5, abs=1e-3)
+    assert measured["ceiling / floor"] == pytest.approx(19, rel=1e-3)
+    assert measured["ceiling / walls"] == pytest.approx(1.9, rel=1e-3)
+
+
+def test_clipped_pixels_have_their_true_radiance():
+    frame = even(0.2)
+    frame[:6] = 1
+    clipped = np.concatenate([np.full((60, 3), 4.0), np.tile([9.0, 2.0, 1.0], (61, 1))]).astype(np.float32)
+    measured = measure_light(frame, clipped, even(0.2))
+    assert measured["radiance at clipped pixels"] == pytest.approx(9)
+    assert measured["clipped share of the frame"] == pytest.approx(0.1)
+
+
+def test_panoramas_of_any_size_have_the_same_measures():
+    rng = np.random.default_rng(0)
+    small = rng.random((120, 240, 3)).astype(np.float32) ** 6 * 9
+    large = small.repeat(3, axis=0).repeat(3, axis=1)
+    one, other = (measure_light(even(0.3), NOTHING, panorama) for panorama in (small, large))
+    for name in one.keys() - {"radiance at clipped pixels"}:
+        assert one[name] == pytest.approx(other[name], rel=1e-5)
+
+
+def test_views_are_exposed_by_their_80th_percentile():
+    rng = np.random.default_rng(1)
+    panorama = 7 * rng.random((120, 240, 3)).astype(np.float32)
+    views = panorama_light(panorama, rng, views=5)
+    assert len(views) == 5
+    for measured in views:
+        assert measured["frame's 80th percentile"] == pytest.approx(0.43, rel=1e-3)
+        assert measured["panorama's mean"] < 0.43
+
+
+def test_views_look_about_the_horizon():
+    """Light from above 60 degrees is outside of every view: half of 55 degrees, plus 6, is less."""
+    panorama = even(1.0, 120)
+    panorama[panorama_directions(120)[..., 1] > np.sin(np.radians(60))] = 100
+    for measured in panorama_light(panorama, np.random.default_rng(2)):
+        assert measured["frame's mean"] == pytest.approx(0.43, rel=1e-3)
+        assert measured["panorama's mean"] > 2
+
+
+def test_a_black_panorama_has_no_view():
+    assert panorama_light(even(0.0), np.random.default_rng(0)) == []
+
+
+def lit_recording(**changes):
+    """A frame whose right half is clipped, and a probe at the camera with 5 x white in that direction."""
+    pose = camera_at((0.0, 1.5, 0.0), 0.0)
+    colour = linear_to_srgb8(np.full((1, 60, 80, 3), 0.2, np.float32))
+    colour[:, :, 40:] = 255
+    right = pose[:3, 0]
+    panorama = np.where(panorama_directions(60) @ right > 0, 5, 0.2).astype(np.float32)
+    recording = Recording(
+        name="lit",
+        colour=colour,
+        depth_mm=np.full((1, 60, 80), 2000, np.uint16),
+        surface=np.zeros((1, 60, 80), np.uint8),
+        intrinsics=pinhole(80, 60, 60.0),
+        camera_to_world=pose[None],
+        exposure=np.ones(1),
+        timestamp_s=np.zeros(1),
+        probe_positions=np.array([[0.0, 1.5, 0.0]]),
+        probe_panoramas=panorama.reshape(1, 60, 120, 1).repeat(3, axis=3),
+        facts={},
+    )
+    return replace(recording, **changes)
+
+
+def test_probes_say_what_clipped_pixels_are_worth():
+    (measured,) = recording_light(lit_recording())
+    assert measured["clipped share of the frame"] == pytest.approx(0.5)
+    assert measured["radiance at clipped pixels"] == pytest.approx(5)
+    (sky,) = recording_light(lit_recording(depth_mm=np.zeros((1, 60, 80), np.uint16)))
+    assert sky["radiance at clipped pixels"] == pytest.approx(5)
+
+
+def test_hidden_clipped_pixels_are_at_least_white():
+    (measured,) = recording_light(lit_recording(probe_panoramas=np.full((1, 60, 120, 3), 0.1, np.float32)))
+    assert measured["radiance at clipped pixels"] == pytest.approx(1)
+
+
+def test_rows_are_alike_within_a_quarter():
+    assert LightRow("m", (1.2, 2.0, 3.0), (1.0, 2.0, 3.9)).alike
+    assert not LightRow("m", (1.3, 2.0, 3.0), (1.0, 2.0, 3.0)).alike
+    assert not LightRow("m", (np.nan,) * 3, (1.0, 2.0, 3.0)).alike
+    assert LightRow("m", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)).alike
+
+
+def test_quartiles_leave_out_missing_values():
+    (row,) = compare_measures([{"m": 1.0}, {"m": np.nan}, {"m": 3.0}], [{"m": 2.0}])
+    assert (row.generated, row.real) == ((1.5, 2.0, 2.5), (2.0, 2.0, 2.0))
+
+
+def write_panoramas(folder: Path, count: int) -> Path:
+    folder.mkdir()
+    rng = np.random.default_rng(3)
+    for k in range(count):
+        (folder / f"{k}.exr").write_bytes(encode_exr(rng.random((64, 128, 3)).astype(np.float32)))
+    return folder
+
+
+def test_a_dataset_is_compared_with_a_folder(tmp_path):
+    options = GenerateOptions(4, seed=1, shard_size=2, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME)
+    generate(tmp_path / "data", options, workers=1)
+    calls = []
+    folder = write_panoramas(tmp_path / "real", 3)
+    light = compare_light(Dataset(tmp_path / "data"), folder, limit=3, progress=lambda *done: calls.append(done))
+    assert calls == [(k, 6) for k in range(1, 7)]
+    assert (light.sequences, light.panoramas) == (3, 3)
+    written = json.loads(json.dumps(light.to_json()))
+    assert written["rows"]["frame's 80th percentile"]["real"][1] == pytest.approx(light_stats.WHITE_SHARE, rel=1e-3)
+    again = compare_light(Dataset(tmp_path / "data"), folder, limit=3)
+    assert again.rows == light.rows
+
+
+def test_a_folder_without_panoramas_is_named(tmp_path):
+    (tmp_path / "notes.txt").write_text("none")
+    with pytest.raises(DatasetError, match=r"has no \.exr or \.hdr panorama"):
+        panorama_files(tmp_path)
