@@ -9,7 +9,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, get_args
 
 import numpy as np
 from jaxtyping import Float32
@@ -39,6 +39,8 @@ VIDEO_GRAPHS: Final = (
     "video_blend_gru",
     "video_blend_decoder",
 )
+FORMS: Final = (*get_args(NetworkForm), "clipping", "completion")
+"""Forms of a model directory; the last two hold one network, which serves every model."""
 SHIPPED: Final = Path(__file__).parent / "weights"
 """Trained weights inside the package: a directory for each network form."""
 
@@ -132,6 +134,8 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
     """
     index = read_description(path)
     form, card, entries = index["form"], index["card"], index["graphs"]
+    if form not in get_args(NetworkForm):
+        raise ModelError(f"{path}: holds networks of the form {form}, which no model runs by itself")
     if not card.get("steps") and not allow_untrained:
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
@@ -140,16 +144,34 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
     resolved = resolve_provider(provider)
     graphs: dict[str, Graph] = {}
     for name in SINGLE_GRAPHS + (VIDEO_GRAPHS if form == "video" else ()):
-        file = path / f"{name}.onnx"
-        entry = entries.get(name)
-        if not isinstance(entry, dict) or not file.is_file():
-            raise ModelError(f"{file}: missing; export the checkpoint again")
-        if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
-            raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
-        graphs[name] = Graph(open_graph(file, resolved), name)
+        graphs[name] = _checked_graph(path, name, entries, resolved)
     return LightingGraphs(
         path, form, card, resolved, graphs, bool(index["config"].get("blend", {}).get("filled", True))
     )
+
+
+def load_part(path: Path, form: Literal["clipping", "completion"], *, provider: Provider = "auto") -> Graph:
+    """Load the directory of a network that serves every model: one graph, which has the name of its form.
+
+    Raises:
+        ModelError: it is not such a directory, the graph is missing or differs from its digest, the provider is not
+            available, or the weights were never trained.
+    """
+    index = read_description(path)
+    if index["form"] != form:
+        raise ModelError(f"{path}: holds networks of the form {index['form']}, not {form}")
+    if not index["card"].get("steps"):
+        raise ModelError(f"{path}: these weights were never trained; train them with `roomlight train --stage {form}`")
+    return _checked_graph(path, form, index["graphs"], resolve_provider(provider))
+
+
+def _checked_graph(path: Path, name: str, entries: dict[str, Any], provider: Literal["cpu", "openvino"]) -> Graph:
+    file, entry = path / f"{name}.onnx", entries.get(name)
+    if not isinstance(entry, dict) or not file.is_file():
+        raise ModelError(f"{file}: missing; export the checkpoint again")
+    if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
+        raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
+    return Graph(open_graph(file, provider), name)
 
 
 def read_description(path: Path) -> dict[str, Any]:
@@ -167,8 +189,10 @@ def read_description(path: Path) -> dict[str, Any]:
         ) from error
     except ValueError as error:
         raise ModelError(f"{index_path}: is not JSON ({error})") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in ("single", "video"):
-        raise ModelError(f"{index_path}: is not a RoomLight model of format {FORMAT} whose form is single or video")
+    if not isinstance(index, dict) or index.get("format") != FORMAT or index.get("form") not in FORMS:
+        raise ModelError(
+            f"{index_path}: is not a RoomLight model of format {FORMAT} whose form is one of {', '.join(FORMS)}"
+        )
     parts = {name: {} if index.get(name) is None else index[name] for name in ("config", "card", "graphs")}
     blend = parts["config"].get("blend", {}) if isinstance(parts["config"], dict) else None
     if not all(isinstance(part, dict) for part in (*parts.values(), blend)):
