@@ -39,6 +39,8 @@ class Frame:
         index: number of the frame in its stream.
         timestamp_s: seconds, from any origin.
         source: name of the frame in messages, e.g. its file.
+        guessed: float32 [h, w]: luminance of the image that is an estimate for clipped pixels
+            (`roomlight.engine.clipping`); image less this is the least that it can be. None: nothing is estimated.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
@@ -52,6 +54,7 @@ class Frame:
     camera_to_world: Float[np.ndarray, "4 4"]
     timestamp_s: float | None = None
     source: str = ""
+    guessed: Float[np.ndarray, "h w"] | None = None
 
     def __post_init__(self) -> None:
         name = self.source or f"frame {self.index}"
@@ -73,6 +76,8 @@ class Frame:
             )
         if self.clipped.shape != (height, width):
             raise FrameError(f"{name}: the clipping mask {self.clipped.shape} does not fit the image")
+        if self.guessed is not None and self.guessed.shape != (height, width):
+            raise FrameError(f"{name}: the estimated luminance {self.guessed.shape} does not fit the image")
         depth_height, depth_width = self.depth_m.shape
         if min(depth_height, depth_width) < 2:
             raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is too small; 2 x 2 is the least")
@@ -107,11 +112,13 @@ class Frame:
             max_width, max_height = max_height, max_width
         scale = min(1.0, max_width / width, max_height / height)
         new_width, new_height = max(2, round(width * scale)), max(2, round(height * scale))
-        image, clipped = self.image, self.clipped
+        image, clipped, guessed = self.image, self.clipped, self.guessed
         if (new_width, new_height) != (width, height):
             image = cv2.resize(image, (new_width, new_height), interpolation=cv2.INTER_AREA)
             share = cv2.resize(clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA)
             clipped = share >= 0.5
+            if guessed is not None:
+                guessed = cv2.resize(guessed, (new_width, new_height), interpolation=cv2.INTER_AREA)
         depth = self.depth_m
         if depth.shape[0] > new_height or depth.shape[1] > new_width:
             depth = cv2.resize(depth, (new_width, new_height), interpolation=cv2.INTER_NEAREST_EXACT)
@@ -119,6 +126,7 @@ class Frame:
             self,
             image=image,
             clipped=clipped,
+            guessed=guessed,
             depth_m=depth,
             intrinsics=self.intrinsics.resized(new_width, new_height),
         )

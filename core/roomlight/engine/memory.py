@@ -14,8 +14,8 @@ KEYFRAME_BYTES: Final = 5_400_000
 """Resident memory of one frame of 320 x 240 with its mesh (measured, see `roomlight.engine.keyframes`)."""
 _CLASSICAL_CHANNELS: Final = 21
 """Float32 a voxel: the volume's 5, the sums' 5, the SGLV's 11."""
-_STATE_CHANNELS: Final = 5
-"""Float32 a pixel of a probe's panorama: radiance, depth, seen."""
+_STATE_CHANNELS: Final = 7
+"""Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed."""
 
 
 @dataclass(frozen=True)

@@ -1,14 +1,11 @@
 """The partial mesh of one frame, and what a probe sees of it: LDR panorama, mask, depth (paper, 4.1, 4.2).
 
 Vertices are depth pixels in world metres; no triangle crosses a depth edge. The mesh is ray traced with Embree and
-textured from a pyramid of the image, at the level whose pixels are as large as the panorama's pixel: one image pixel of
-the 60 that it covers would be noise. Classical model over three path-traced rooms, every third frame: log-L2 0.0718
-with point samples, 0.0688 with the pyramid.
+textured with the frame's image (`roomlight.engine.texture`).
 """
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
@@ -16,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import panorama_rays
+from roomlight.engine.texture import Texture
 from roomlight.frame import Frame
 from roomlight.threads import parallel_for
 
@@ -27,9 +25,6 @@ MAX_VERTICES = 160 * 120
 whatever its types), over 153k 126 ms. Against those 153k the mask of a 120 x 240 panorama is wrong in 2.4 % of its
 pixels; a mesh of 107 x 80 would cost 8 ms and be wrong in 4.7 %."""
 
-TEXTURE_LEVELS = 4
-"""Levels of the texture pyramid, each half of the one before: a panorama's pixel seldom spans over 8 image pixels."""
-
 
 @dataclass(frozen=True)
 class PartialPanorama:
@@ -39,11 +34,15 @@ class PartialPanorama:
         radiance: [H, 2H, 3] linear RGB, 0 where the mask is False.
         mask: [H, 2H] directions in which the mesh is seen.
         depth_m: [H, 2H] distance along the ray in metres, 0 where the mask is False.
+        clipped: [H, 2H] share of the surface whose pixels were clipped, 0 to 1; None: nothing was clipped.
+        guessed: [H, 2H] luminance of the radiance that was estimated for these pixels; None: nothing was clipped.
     """
 
     radiance: Float[np.ndarray, "h w 3"]
     mask: Bool[np.ndarray, "h w"]
     depth_m: Float[np.ndarray, "h w"]
+    clipped: Float[np.ndarray, "h w"] | None = None
+    guessed: Float[np.ndarray, "h w"] | None = None
 
     def within(self, farthest_m: float) -> "PartialPanorama":
         """Clamp the depth to `farthest_m`."""
@@ -64,7 +63,7 @@ class FrameMesh:
 
         sensor_depth_m:  depth before it was completed, of the same size; default: the frame's depth.
         """
-        self.levels = _pyramid(frame.image)
+        self.texture = Texture.of(frame)
         depth, uv = _vertex_grid(frame.depth_m, max_vertices)
         k = frame.intrinsics
         self._focal_px = (k.fx + k.fy) / 2
@@ -140,36 +139,13 @@ class FrameMesh:
         # image pixels that a panorama's pixel spans on the surface
         span = np.zeros(rays, np.float32)
         span[seen] = self._focal_px * np.pi / height * distance[seen] / self._depth_m[faces[:, 0]]
-        radiance = self._texture(maps, span.reshape(shape))
+        radiance = self.texture.sample(maps, span.reshape(shape))
         radiance[~mask] = 0
         depth = np.where(seen, distance, np.float32(0)).reshape(shape)
-        return PartialPanorama(radiance, mask, depth)
-
-    def _texture(
-        self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
-    ) -> Float[np.ndarray, "h w 3"]:
-        """Sample the image bilinearly at (column, row), on the pyramid level that averages over about `span` pixels."""
-        radiance = np.empty((*span.shape, 3), np.float32)
-        # level k is a box filter of 2^k pixels, sampled by a tent twice as wide: the variance of a box of sqrt(3) 2^k
-        level = np.clip(np.rint(np.log2(np.maximum(span, 1) / np.sqrt(3))), 0, len(self.levels) - 1)
-        for number, image in enumerate(self.levels):
-            here = level == number
-            if not here.any():
-                continue
-            scale = [new / old for new, old in zip(image.shape[1::-1], self.levels[0].shape[1::-1], strict=True)]
-            column, row = ((at + 0.5) * factor - 0.5 for at, factor in zip(maps, scale, strict=True))
-            read = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-            np.copyto(radiance, read, where=here[..., None])
-        return radiance
-
-
-def _pyramid(image: Float[np.ndarray, "h w 3"]) -> list[Float[np.ndarray, "lh lw 3"]]:
-    """Halve the image by area, up to `TEXTURE_LEVELS` levels of at least 8 pixels a side; the image itself is first."""
-    levels = [image]
-    while len(levels) < TEXTURE_LEVELS and min(levels[-1].shape[:2]) >= 16:
-        height, width = levels[-1].shape[:2]
-        levels.append(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
-    return levels
+        clipped, guessed = self.texture.sample_clipping(maps, span.reshape(shape)) or (None, None)
+        if clipped is not None and guessed is not None:
+            clipped[~mask] = guessed[~mask] = 0
+        return PartialPanorama(radiance, mask, depth, clipped, guessed)
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:

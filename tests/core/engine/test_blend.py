@@ -30,6 +30,8 @@ def _state(seed):
         rng.uniform(0, 9, (*SHAPE, 3)).astype(np.float32),
         rng.uniform(0.5, 8, SHAPE).astype(np.float32),
         (rng.random(SHAPE) * (rng.random(SHAPE) < 0.7)).astype(np.float32),
+        (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5)).astype(np.float32),
+        rng.uniform(0, 0.2, SHAPE).astype(np.float32),
     )
 
 
@@ -42,15 +44,19 @@ def _views(seed, *, binary=False):
         "detail": (rng.uniform(0, 1, (*SHAPE, 3)) * mask[..., None]).astype(np.float32),
         "detail_depth_m": (rng.uniform(0.3, 8, SHAPE) * mask).astype(np.float32),
         "weight": weight,
+        "detail_clipped": (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5) * mask).astype(np.float32),
+        "detail_guessed": (rng.uniform(0, 0.2, SHAPE) * mask).astype(np.float32),
     }
 
 
 def _copy(state):
-    return PanoramaState(state.radiance.copy(), state.depth_m.copy(), state.seen.copy())
+    return PanoramaState(*(getattr(state, field.name).copy() for field in dataclasses.fields(state)))
 
 
-def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0):
+def _constant(*, hdr=2.0, detail=1.0, depth_m=1.0, weight=1.0, clipped=0.0, guessed=0.0):
     return {
+        "detail_clipped": np.full(SHAPE, clipped, np.float32),
+        "detail_guessed": np.full(SHAPE, guessed, np.float32),
         "hdr": np.full((*SHAPE, 3), hdr, np.float32),
         "detail": np.full((*SHAPE, 3), detail, np.float32),
         "detail_depth_m": np.full(SHAPE, depth_m, np.float32),
@@ -186,3 +192,74 @@ def test_a_black_fill_leaves_light_grey_and_finite():
         weight=np.full(SHAPE, 0.5, np.float32),
     )  # fmt: skip
     np.testing.assert_allclose(light, 1.5, rtol=1e-5)
+
+
+def _after(*views):
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for view in views:
+        accumulate(state, **_constant(**view))
+    return state
+
+
+CLIPPED = {"detail": 2.0, "clipped": 1.0, "guessed": 1.0, "depth_m": 2.0}
+"""White, estimated at twice that."""
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "wanted"),
+    [
+        (CLIPPED, {"detail": 20.0, "depth_m": 2.1}, 20.0),
+        ({"detail": 20.0, "depth_m": 2.1}, CLIPPED, 20.0),
+        (CLIPPED, {"detail": 1.05, "depth_m": 2.0}, 1.05),
+        # still clipped: at four times the white the estimate is eight
+        (CLIPPED, {"detail": 8.0, "clipped": 1.0, "guessed": 4.0, "depth_m": 2.0}, 8.0),
+        ({"detail": 8.0, "clipped": 1.0, "guessed": 4.0, "depth_m": 2.0}, CLIPPED, 8.0),
+        # another estimate at the same white
+        (CLIPPED, {"detail": 4.0, "clipped": 1.0, "guessed": 3.0, "depth_m": 2.0}, 2.0),
+        # darker than the bound: not the same surface
+        (CLIPPED, {"detail": 0.5, "depth_m": 2.0}, 2.0),
+        # behind the clipped surface, or before it by less than the conservative rule asks for
+        (CLIPPED, {"detail": 20.0, "depth_m": 2.3}, 2.0),
+        (CLIPPED, {"detail": 20.0, "depth_m": 1.8}, 20.0),
+        # half of the footprint clipped, then none of it; a pixel nearer to the lamp's rim at the same white does not
+        ({"detail": 1.25, "clipped": 0.5, "guessed": 0.5}, {"detail": 10.25}, 10.25),
+        ({"detail": 1.25, "clipped": 0.5, "guessed": 0.5}, {"detail": 1.6, "clipped": 0.8, "guessed": 0.7}, 1.25),
+        ({"detail": 1.25, "clipped": 0.5, "guessed": 0.5}, {"detail": 0.6}, 1.25),
+    ],
+)
+def test_clipped_yields_only_to_what_knows_more(first, second, wanted):
+    state = _after(first, second)
+    np.testing.assert_allclose(state.radiance, wanted, rtol=1e-5)
+    assert (state.seen == 1).all()
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**31))
+def test_the_clipped_share_only_falls_on_a_surface(seed):
+    rng = np.random.default_rng(seed)
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    bound = None
+    for white in 2.0 ** rng.integers(0, 6, 8):
+        true = rng.uniform(0.2, 1.2) * 8 * np.ones(SHAPE)
+        clipped = (true >= white).astype(np.float32)
+        shown = np.where(clipped > 0, 2 * white, true)
+        view = _constant(depth_m=2.0) | {
+            "detail": np.repeat(shown[..., None], 3, axis=2).astype(np.float32),
+            "detail_clipped": clipped,
+            "detail_guessed": (clipped * white).astype(np.float32),
+        }
+        accumulate(state, **view)
+        before, bound = bound, state.radiance @ LUMINANCE - state.guessed
+        if before is not None:
+            assert (bound >= 0.89 * before).all()
+
+
+def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
+    """Random frames with different estimates but no clipped pixel: the same as without the planes."""
+    with_planes, without = (PanoramaState.fresh(HEIGHT, 3.0) for _ in range(2))
+    for step in range(6):
+        view = _views(step) | {"detail_clipped": np.zeros(SHAPE, np.float32)}
+        accumulate(with_planes, **view)
+        accumulate(without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight")})
+    for name in ("radiance", "depth_m", "seen"):
+        np.testing.assert_array_equal(getattr(with_planes, name), getattr(without, name))

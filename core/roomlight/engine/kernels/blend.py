@@ -1,22 +1,83 @@
 # pyright: reportMissingParameterType=false
 """Accumulation of one probe's panorama, in place; readable reference: `roomlight.engine.blend.accumulate_reference`."""
 
+from typing import Final, NamedTuple
+
 import numpy as np
+from jaxtyping import Float32
 from numba import njit
+
+HIGHER: Final = np.float32(1.2)
+"""A lower bound of the radiance counts as higher from this ratio on: a quarter of a stop."""
+NOISE: Final = np.float32(0.1)
+"""Relative noise of a radiance at which it still agrees with a lower bound."""
+
+
+class StateArrays(NamedTuple):
+    """The arrays of `roomlight.engine.blend.PanoramaState`."""
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    seen: Float32[np.ndarray, "h w"]
+    clipped: Float32[np.ndarray, "h w"]
+    guessed: Float32[np.ndarray, "h w"]
+
+
+class DetailArrays(NamedTuple):
+    """What one frame shows (see `roomlight.engine.mesh.PartialPanorama`), and the weight of it."""
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    depth: Float32[np.ndarray, "h w"]
+    clipped: Float32[np.ndarray, "h w"]
+    guessed: Float32[np.ndarray, "h w"]
+    weight: Float32[np.ndarray, "h w"]
+
+
+@njit(nogil=True, cache=True)
+def better_share(clipped, bound, new_clipped, new_bound):
+    """Return how much of an observation a new one of the same surface replaces; see `roomlight.engine.bracket`."""
+    zero, one = np.float32(0), np.float32(1)
+    if clipped <= zero:
+        return zero
+    # bound / clipped is at least the white of the exposure that clipped
+    if new_bound * clipped > HIGHER * bound:
+        return one
+    if new_clipped < clipped and new_bound >= bound * (one - NOISE * clipped):
+        return (clipped - new_clipped) / clipped
+    return zero
+
+
+@njit(nogil=True, cache=True)
+def luminance(red, green, blue):
+    """Return the luminance of a linear RGB radiance (`roomlight.conventions.LUMINANCE`)."""
+    return np.float32(0.2126) * red + np.float32(0.7152) * green + np.float32(0.0722) * blue
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def accumulate_rows(radiance, depth, seen, hdr, detail, detail_depth, weight, closer_m, start, stop):
-    """Update rows start..stop of the state (radiance [h, w, 3], depth [h, w], seen [h, w])."""
+def accumulate_rows(state, hdr, detail, closer_m, start, stop):
+    """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3]."""
     one, zero = np.float32(1), np.float32(0)
+    radiance, new = state.radiance, detail.radiance
     for row in range(start, stop):
-        for column in range(depth.shape[1]):
-            blend = weight[row, column]
-            if depth[row, column] - detail_depth[row, column] < closer_m:
-                blend = max(blend - one, zero)
-            before = seen[row, column]
+        for column in range(state.depth.shape[1]):
+            blend = detail.weight[row, column]
+            before = state.seen[row, column]
+            clipped = state.clipped[row, column]
+            nearer = state.depth[row, column] - detail.depth[row, column]
+            if nearer < closer_m:
+                weight, blend = blend, max(blend - one, zero)
+                if clipped > zero and nearer > -closer_m and weight > zero:
+                    bound = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
+                    new_bound = luminance(new[row, column, 0], new[row, column, 1], new[row, column, 2])
+                    bound -= state.guessed[row, column]
+                    new_bound -= detail.guessed[row, column]
+                    better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
+                    blend = max(blend, better * min(weight, one))
             for c in range(3):
                 held = (one - before) * hdr[row, column, c] + before * radiance[row, column, c]
-                radiance[row, column, c] = blend * detail[row, column, c] + (one - blend) * held
-            depth[row, column] = blend * detail_depth[row, column] + (one - blend) * depth[row, column]
-            seen[row, column] = min(before + blend, one)
+                radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * held
+            state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
+            state.seen[row, column] = min(before + blend, one)
+            state.clipped[row, column] = blend * detail.clipped[row, column] + (one - blend) * clipped
+            guessed = blend * detail.guessed[row, column] + (one - blend) * state.guessed[row, column]
+            state.guessed[row, column] = guessed

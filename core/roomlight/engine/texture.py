@@ -1,0 +1,106 @@
+"""The texture of a frame's mesh: its image with what is known of its clipped pixels, as a pyramid.
+
+It is sampled at the level whose pixels are as large as the panorama's pixel: one image pixel of the 60 that it covers
+would be noise. Classical model over three path-traced rooms, every third frame: log-L2 0.0718 with point samples,
+0.0688 with the pyramid.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.conventions import LUMINANCE
+from roomlight.frame import Frame
+
+TEXTURE_LEVELS: Final = 4
+"""Levels of the pyramid, each half of the one before: a panorama's pixel seldom spans over 8 image pixels."""
+
+
+@dataclass(frozen=True)
+class Texture:
+    """An image [h, w, 3], which of its pixels were clipped [h, w], and the luminance estimated for these [h, w].
+
+    `clipped` and `guessed` are None if no pixel was clipped (`roomlight.frame.Frame`).
+    """
+
+    image: Float[np.ndarray, "h w 3"]
+    clipped: Bool[np.ndarray, "h w"] | None = None
+    guessed: Float[np.ndarray, "h w"] | None = None
+
+    @classmethod
+    def of(cls, frame: Frame) -> "Texture":
+        """Take the frame's image."""
+        if not frame.clipped.any():
+            return cls(frame.image)
+        guessed = np.zeros(frame.clipped.shape, np.float32) if frame.guessed is None else frame.guessed
+        return cls(frame.image, frame.clipped, guessed)
+
+    @cached_property
+    def levels(self) -> list[Float[np.ndarray, "lh lw 3"]]:
+        """The image and its halves."""
+        return _pyramid(self.image)
+
+    @cached_property
+    def _clipping_levels(self) -> list[Float[np.ndarray, "lh lw 2"]]:
+        """Share of clipped pixels, and estimated luminance."""
+        if self.clipped is None or self.guessed is None:
+            return []
+        return _pyramid(np.stack([self.clipped.astype(np.float32), self.guessed], axis=-1))
+
+    @cached_property
+    def bound(self) -> Float[np.ndarray, "h w"]:
+        """The least luminance that each pixel can have: the image's, less what was estimated."""
+        luminance = np.einsum("hwc,c->hw", self.image, LUMINANCE)
+        return luminance if self.guessed is None else luminance - self.guessed
+
+    @cached_property
+    def peak(self) -> float:
+        """The largest of `bound`."""
+        return float(self.bound.max())
+
+    def sample(
+        self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Sample the image bilinearly at (column, row), on the pyramid level that averages over about `span` pixels."""
+        return _sample(self.levels, maps, span)
+
+    def sample_clipping(
+        self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
+    ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
+        """Sample the share of clipped pixels and the estimated luminance in the same way; None: nothing was clipped."""
+        if self.clipped is None:
+            return None
+        read = _sample(self._clipping_levels, maps, span)
+        return np.ascontiguousarray(read[..., 0]), np.ascontiguousarray(read[..., 1])
+
+
+def _sample(
+    levels: list[Float[np.ndarray, "lh lw c"]],
+    maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]],
+    span: Float[np.ndarray, "h w"],
+) -> Float[np.ndarray, "h w c"]:
+    result = np.empty((*span.shape, levels[0].shape[2]), np.float32)
+    # level k is a box filter of 2^k pixels, sampled by a tent twice as wide: the variance of a box of sqrt(3) 2^k
+    level = np.clip(np.rint(np.log2(np.maximum(span, 1) / np.sqrt(3))), 0, len(levels) - 1)
+    for number, image in enumerate(levels):
+        here = level == number
+        if not here.any():
+            continue
+        scale = [new / old for new, old in zip(image.shape[1::-1], levels[0].shape[1::-1], strict=True)]
+        column, row = ((at + 0.5) * factor - 0.5 for at, factor in zip(maps, scale, strict=True))
+        read = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
+        np.copyto(result, read, where=here[..., None])
+    return result
+
+
+def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "lh lw c"]]:
+    """Halve the image by area, up to `TEXTURE_LEVELS` levels of at least 8 pixels a side; the image itself is first."""
+    levels = [image]
+    while len(levels) < TEXTURE_LEVELS and min(levels[-1].shape[:2]) >= 16:
+        height, width = levels[-1].shape[:2]
+        levels.append(cv2.resize(levels[-1], (width // 2, height // 2), interpolation=cv2.INTER_AREA))
+    return levels
