@@ -25,10 +25,13 @@ from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
 from roomlight_generator.furniture_digest import digest
+from roomlight_generator.panoramas.library import digest as panoramas_digest
+from roomlight_generator.panoramas.library import split_files
 from roomlight_generator.worker import ShardTask
 from roomlight_generator.worker_pool import Message, WorkerPool
 
 RENDERER: Final = "roomlight_generator.sequences.render:render_room"
+PANORAMA_RENDERER: Final = "roomlight_generator.panoramas.render:render_room"
 
 
 @dataclass(frozen=True)
@@ -45,7 +48,9 @@ class GenerateOptions:
         sequences_per_room: walks through one room, which share its light's solution.
         frames: in each sequence; 1 makes single views, of which an hour gives four times as many.
         furniture: a furniture library or cache to use instead of the installed one.
-        renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`).
+        renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`); None for RoomLight's own.
+        panoramas: a folder of HDR panoramas that light the rooms, instead of generated light.
+        furniture_share: share of the rooms lit by panoramas that have furniture.
 
     Raises:
         DatasetError: if an option is out of range, or a shard does not hold whole rooms.
@@ -58,7 +63,9 @@ class GenerateOptions:
     sequences_per_room: int = 4
     frames: int = FRAMES
     furniture: Path | None = None
-    renderer: str = RENDERER
+    renderer: str | None = None
+    panoramas: Path | None = None
+    furniture_share: float = 0.0
 
     def __post_init__(self) -> None:
         """Check the ranges."""
@@ -72,6 +79,18 @@ class GenerateOptions:
                 f"a shard of {self.shard_size} sequences does not hold whole rooms of {self.sequences_per_room}; "
                 "make the first a multiple of the second"
             )
+        if not 0 <= self.furniture_share <= 1:
+            raise DatasetError(f"furniture_share is {self.furniture_share}; give a share from 0 to 1")
+
+    @property
+    def furnished(self) -> bool:
+        """Whether any room has furniture."""
+        return self.panoramas is None or self.furniture_share > 0
+
+    @property
+    def renderer_name(self) -> str:
+        """The renderer's `module:function`."""
+        return self.renderer or (RENDERER if self.panoramas is None else PANORAMA_RENDERER)
 
 
 @dataclass(frozen=True)
@@ -130,17 +149,21 @@ def generate(
 
     Raises:
         OutputError: if the folder holds other files, is locked by another process or cannot be written.
-        DatasetError: if the dataset was made with other settings, a shard to continue is damaged, or a room cannot be
-            made.
+        DatasetError: if the dataset was made with other settings, a shard to continue is damaged, a room cannot be
+            made, or the folder of panoramas has none for the split.
     """
+    if options.panoramas is not None:
+        split_files(options.panoramas, options.split)  # says now, not from a worker, that there are none
     create_folder(out)
     settings = DatasetSettings(
         seed=options.seed,
         shard_size=options.shard_size,
         sequences_per_room=options.sequences_per_room,
         frames=options.frames,
-        furniture=digest(options.furniture),
-        renderer=options.renderer,
+        furniture=digest(options.furniture) if options.furnished else None,
+        renderer=options.renderer_name,
+        panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
+        furniture_share=None if options.panoramas is None else options.furniture_share,
     )
     with locked(out):
         update_manifest(out, settings, split=options.split, sequences=options.sequences)
@@ -185,7 +208,9 @@ def _task(tar: Path, numbers: range, options: GenerateOptions) -> ShardTask:
         sequences_per_room=options.sequences_per_room,
         frames=options.frames,
         furniture=None if options.furniture is None else str(options.furniture.resolve()),
-        renderer=options.renderer,
+        renderer=options.renderer_name,
+        panoramas=None if options.panoramas is None else str(options.panoramas.resolve()),
+        furniture_share=None if options.panoramas is None else options.furniture_share,
     )
 
 

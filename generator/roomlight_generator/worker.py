@@ -13,6 +13,7 @@ import time
 import traceback
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from functools import partial
 from importlib import import_module
 from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
@@ -44,7 +45,10 @@ class RenderRoom(Protocol):
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make or to continue: sequences `first` to `last` - 1 of a split, written to `tar`."""
+    """A shard to make or to continue: sequences `first` to `last` - 1 of a split, written to `tar`.
+
+    panoramas and furniture_share are given for rooms lit by panoramas only.
+    """
 
     tar: str
     split: Split
@@ -55,6 +59,8 @@ class ShardTask:
     frames: int
     furniture: str | None
     renderer: str
+    panoramas: str | None = None
+    furniture_share: float | None = None
 
 
 Emit = Callable[[dict[str, Any]], None]
@@ -135,10 +141,13 @@ def _attempt_seed(seed: int, attempt: int) -> int:
     return int(np.random.SeedSequence([seed, attempt]).generate_state(1, np.uint64)[0])
 
 
-def find_renderer(name: str) -> RenderRoom:
-    """Import the function named `module:function`."""
-    module, _, function = name.partition(":")
-    return getattr(import_module(module), function)
+def find_renderer(task: ShardTask) -> RenderRoom:
+    """Import the task's renderer; one of rooms lit by panoramas also gets their folder and the share with furniture."""
+    module, _, function = task.renderer.partition(":")
+    render = getattr(import_module(module), function)
+    if task.panoramas is None:
+        return render
+    return partial(render, panoramas=Path(task.panoramas), furniture_share=task.furniture_share)
 
 
 def _one_thread() -> None:
@@ -167,7 +176,7 @@ def main() -> None:
     while True:
         task = ShardTask(**json.loads(tasks.get()))
         try:
-            make_shard(task, find_renderer(task.renderer), emit)
+            make_shard(task, find_renderer(task), emit)
             emit({"what": "shard", "tar": task.tar})
         except RoomLightError as error:
             emit({"what": "failed", "error": type(error).__name__, "text": str(error)})

@@ -34,6 +34,10 @@ _RENAMED: Final = {
 """Renderers that moved; datasets made under the old name can be continued."""
 
 
+_OPTIONAL: Final = ("panoramas", "furniture_share")
+"""Settings that are written only where they apply: earlier versions read manifests without them."""
+
+
 @dataclass(frozen=True)
 class DatasetSettings:
     """The settings that determine the bytes of a dataset.
@@ -46,6 +50,8 @@ class DatasetSettings:
         furniture: SHA-256 of the furniture library (`digest`); None if all furniture is procedural.
         renderer: `module:function` that renders the recordings of a room.
         generator: RoomLight's version.
+        panoramas: SHA-256 of the folder of panoramas that light the rooms; None for generated light.
+        furniture_share: Share of the rooms lit by panoramas that have furniture; None for generated light.
     """
 
     seed: int
@@ -55,6 +61,8 @@ class DatasetSettings:
     furniture: str | None
     renderer: str
     generator: str = __version__
+    panoramas: str | None = None
+    furniture_share: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +79,10 @@ class Manifest:
 
     def to_bytes(self) -> bytes:
         """Return the content of `dataset.json`."""
-        values = {"format": FORMAT, "version": VERSION, **vars(self.settings), "sequences": self.sequences}
+        settings = {
+            key: value for key, value in vars(self.settings).items() if key not in _OPTIONAL or value is not None
+        }
+        values = {"format": FORMAT, "version": VERSION, **settings, "sequences": self.sequences}
         return (json.dumps(values, indent=1) + "\n").encode()
 
 
@@ -105,6 +116,8 @@ def read_manifest(folder: Path) -> Manifest:
             furniture=values["furniture"],
             renderer=_RENAMED.get(values["renderer"], str(values["renderer"])),
             generator=str(values["generator"]),
+            panoramas=None if values.get("panoramas") is None else str(values["panoramas"]),
+            furniture_share=None if values.get("furniture_share") is None else float(values["furniture_share"]),
         )
         return Manifest(settings, {str(split): int(count) for split, count in values["sequences"].items()})
     except (ValueError, TypeError, KeyError, AttributeError) as error:
@@ -198,13 +211,15 @@ def shard_files(folder: Path, split: str | None = None) -> list[Path]:
     return sorted(path.with_suffix(".tar") for path in folder.glob("*.jsonl") if named.fullmatch(path.stem))
 
 
-def _shown(value: object) -> object:
-    return "none (procedural)" if value is None else value
+def _shown(name: str, value: object) -> object:
+    if value is not None:
+        return value
+    return "none (procedural)" if name == "furniture" else "none"
 
 
 def _check_equal(folder: Path, old: DatasetSettings, new: DatasetSettings) -> None:
     differences = [
-        f"{name.replace('_', ' ')} {_shown(vars(old)[name])}, not {_shown(value)}"
+        f"{name.replace('_', ' ')} {_shown(name, vars(old)[name])}, not {_shown(name, value)}"
         for name, value in vars(new).items()
         if vars(old)[name] != value
     ]

@@ -52,6 +52,7 @@ class StreamOptions:
         shuffle: Whether to shuffle shards and sequences.
         buffer: Length of the shuffling window in sequences. Neighbours in a shard are walks through one room, so that
             the window should span several shards.
+        clipped: Whether to decode the radiance of clipped pixels (`Recording.clipped_radiance`).
         workers: Threads that decode ahead; the order does not depend on them.
         damaged: "raise" the DatasetError of a damaged sequence, or "skip" the sequence.
     """
@@ -63,6 +64,7 @@ class StreamOptions:
     part: tuple[int, int] = (0, 1)
     shuffle: bool = True
     buffer: int = 128
+    clipped: bool = False
     workers: int = 2
     damaged: Literal["raise", "skip"] = "raise"
 
@@ -137,14 +139,18 @@ class Dataset:
         except ValueError as error:
             raise self._foreign(place, error) from error
 
-    def read(self, number: int, *, frames: Sequence[int] | None = None, probes: bool = True) -> Recording:
+    def read(
+        self, number: int, *, frames: Sequence[int] | None = None, probes: bool = True, clipped: bool = False
+    ) -> Recording:
         """Read a sequence with the requested frames (None: all), with or without its probes.
+
+        `clipped` decodes the radiance of clipped pixels too; sequences made before it was stored have None.
 
         Raises:
             DatasetError: The sequence is damaged.
             IndexError: There is no such sequence or frame.
         """
-        return self._decoded(number, self.files(number), frames=frames, probes=probes)
+        return self._decoded(number, self.files(number), frames=frames, probes=probes, clipped=clipped)
 
     def stream(self, options: StreamOptions | None = None) -> Iterator[StreamedSequence]:
         """Yield every sequence once: shards in random order, sequences shuffled within a sliding window.
@@ -188,7 +194,7 @@ class Dataset:
 
     def _example(self, number: int, options: StreamOptions) -> StreamedSequence | None:
         try:
-            recording = self.read(number, frames=options.frames)
+            recording = self.read(number, frames=options.frames, clipped=options.clipped)
         except DatasetError:
             if options.damaged == "skip":
                 return None
@@ -202,11 +208,12 @@ class Dataset:
         return StreamedSequence(recording, *arkit_like(recording.depth_mm, recording.surface, recording.colour, rng))
 
     def _decoded(
-        self, number: int, files: dict[str, memoryview], *, frames: Sequence[int] | None, probes: bool
+        self, number: int, files: dict[str, memoryview], *, frames: Sequence[int] | None, probes: bool, clipped: bool
     ) -> Recording:
         place = self._places[number]
+        label = f"{place.tar}: {place.entry.name}"
         try:
-            return sequence_files.decode(files, f"{place.tar}: {place.entry.name}", frames=frames, probes=probes)
+            return sequence_files.decode(files, label, frames=frames, probes=probes, clipped=clipped)
         except (ValueError, KeyError, TypeError, ImageError) as error:
             raise self._foreign(place, error) from error
 

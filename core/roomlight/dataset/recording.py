@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-from jaxtyping import Float, UInt8, UInt16
+from jaxtyping import Float, Float16, UInt8, UInt16
 
 from roomlight.camera import Intrinsics
 
@@ -37,6 +37,9 @@ class Recording:
         probe_panoramas: Linear RGB panoramas, H x 2H, in units of the first frame: 1.0 is shown as white there.
         facts: Statistics that training does not need: room type, seeds, light sources, kilocandela per square metre
             for 1.0, attributions.
+        clipped_radiance: True radiance of the clipped pixels: linear RGB, the mean over the pixel's area before the
+            sensor, in units of that frame's own white. 0 where the image is not clipped (no channel at
+            `roomlight.frame.CLIPPED_SRGB8` or above, before JPEG). None if it was not stored or not requested.
     """
 
     name: str
@@ -50,3 +53,4 @@ class Recording:
     probe_positions: Float[np.ndarray, "p 3"]
     probe_panoramas: Float[np.ndarray, "p ph pw 3"]
     facts: dict[str, Any]
+    clipped_radiance: Float16[np.ndarray, "f h w 3"] | None = None

@@ -1,7 +1,8 @@
-"""Encode a sequence to files and decode it: RoomLight's own capture format with two additions.
+"""Encode a sequence to files and decode it: RoomLight's own capture format with three additions.
 
     capture.json, colour/*.jpg, depth/*.png, probes/*.exr    as in `roomlight.captures.native`
     surface/000000.png    uint8: kind of surface of each pixel (`recording.ORDINARY`, ...)
+    clipped/000000.exr    half float: `Recording.clipped_radiance`; optional, datasets of earlier versions have none
     facts.json            `Recording.facts`
 
 A sequence extracted from its shard is therefore a capture that `roomlight replay` and `roomlight eval` read. The module
@@ -10,19 +11,18 @@ lack; a test compares the two.
 """
 
 import json
-import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Shaped
+from jaxtyping import Float, Float16, Shaped
 
 from roomlight.camera import Intrinsics, check_rigid
 from roomlight.dataset.recording import Recording
 from roomlight.errors import ImageError
-from roomlight.images import decode_colour, write_exr
+from roomlight.images import decode_colour, encode_exr
 
 CAPTURE: Final = "capture.json"
 FACTS: Final = "facts.json"
@@ -47,12 +47,14 @@ def encode(recording: Recording) -> dict[str, bytes]:
     """
     _check(recording)
     count = len(recording.colour)
+    clipped = recording.clipped_radiance
     lens = {key: getattr(recording.intrinsics, key) for key in _INTRINSICS}
     frames = [
         {
             "colour": _frame_name("colour", k),
             "depth": _frame_name("depth", k),
             "surface": _frame_name("surface", k),
+            **({} if clipped is None else {"clipped": _frame_name("clipped", k)}),
             "intrinsics": lens,
             "camera_to_world": recording.camera_to_world[k].astype(np.float64).tolist(),
             "timestamp_s": float(recording.timestamp_s[k]),
@@ -72,11 +74,18 @@ def encode(recording: Recording) -> dict[str, bytes]:
         files[_frame_name("colour", k)] = _jpeg(recording.colour[k])
         files[_frame_name("depth", k)] = _png(recording.depth_mm[k])
         files[_frame_name("surface", k)] = _png(recording.surface[k])
+        if clipped is not None:
+            files[_frame_name("clipped", k)] = encode_exr(clipped[k])
     return files
 
 
 def decode(
-    files: Mapping[str, bytes | memoryview], label: str, *, frames: Iterable[int] | None = None, probes: bool = True
+    files: Mapping[str, bytes | memoryview],
+    label: str,
+    *,
+    frames: Iterable[int] | None = None,
+    probes: bool = True,
+    clipped: bool = False,
 ) -> Recording:
     """Decode the requested frames (None: all) of a sequence's files, in the requested order.
 
@@ -85,6 +94,7 @@ def decode(
         label: Prefix of error messages.
         frames: Numbers of the frames to decode.
         probes: Whether to decode the probes; without them the recording has none.
+        clipped: Whether to decode the radiance of clipped pixels, where the sequence has it.
 
     Raises:
         IndexError: A frame does not exist.
@@ -114,6 +124,7 @@ def decode(
         probe_positions=np.array([one["position"] for one in truths], np.float64).reshape(-1, 3),
         probe_panoramas=np.stack(panoramas) if panoramas else np.zeros((0, 1, 2, 3), np.float32),
         facts=read_facts(files),
+        clipped_radiance=_clipped(files, entries, shape, label) if clipped else None,
     )
 
 
@@ -123,7 +134,7 @@ def read_facts(files: Mapping[str, bytes | memoryview]) -> dict[str, Any]:
 
 
 def part_sizes(files: Mapping[str, bytes | memoryview]) -> dict[str, int]:
-    """Return bytes by kind of file: colour, depth, surface, probes, and `text` for the two JSON files."""
+    """Return bytes by kind of file: colour, depth, surface, clipped, probes, and `text` for the two JSON files."""
     sizes: dict[str, int] = {}
     for name, data in files.items():
         part = name.split("/")[0] if "/" in name else "text"
@@ -150,6 +161,7 @@ def _check(recording: Recording) -> None:
             f"{recording.name}: colour is {width} x {height}, depth {recording.depth_mm.shape[:0:-1]}, intrinsics are "
             f"for {lens.width} x {lens.height}"
         )
+    _check_clipped(recording)
     for pose in recording.camera_to_world:
         check_rigid(pose)
     if not (recording.exposure > 0).all() or not np.isfinite(recording.exposure).all():
@@ -162,8 +174,21 @@ def _check(recording: Recording) -> None:
         raise ValueError(f"{recording.name}: probes must be finite and not below 0")
 
 
+def _check_clipped(recording: Recording) -> None:
+    clipped = recording.clipped_radiance
+    if clipped is None:
+        return
+    if clipped.shape != recording.colour.shape:
+        raise ValueError(f"{recording.name}: clipped_radiance is {clipped.shape}, colour {recording.colour.shape}")
+    if not np.isfinite(clipped).all() or (clipped < 0).any():
+        raise ValueError(f"{recording.name}: clipped_radiance must be finite and not below 0")
+
+
+_SUFFIXES: Final = {"colour": "jpg", "clipped": "exr"}
+
+
 def _frame_name(part: str, number: int) -> str:
-    return f"{part}/{number:06d}.{'jpg' if part == 'colour' else 'png'}"
+    return f"{part}/{number:06d}.{_SUFFIXES.get(part, 'png')}"
 
 
 def _probe_name(number: int) -> str:
@@ -199,16 +224,10 @@ def _png(image: Shaped[np.ndarray, "h w"]) -> bytes:
 
 
 def _exr(panorama: Float[np.ndarray, "h w 3"]) -> bytes:
-    """Encode a panorama; pixels brighter than a half float are dimmed without changing their hue.
-
-    Through a file: the oldest supported OpenEXR does not write to memory.
-    """
+    """Encode a panorama; pixels brighter than a half float are dimmed without changing their hue."""
     brightest = panorama.max(axis=-1, keepdims=True)
     panorama = panorama * np.minimum(1, HALF_MAX / np.maximum(brightest, 1)).astype(panorama.dtype)
-    with tempfile.TemporaryDirectory(prefix="roomlight-") as folder:
-        path = Path(folder) / "probe.exr"
-        write_exr(path, panorama)
-        return path.read_bytes()
+    return encode_exr(panorama)
 
 
 def _file(files: Mapping[str, bytes | memoryview], name: str) -> bytes | memoryview:
@@ -225,6 +244,17 @@ def _colour(files: Mapping[str, bytes | memoryview], name: str, label: str) -> S
 def _grey(files: Mapping[str, bytes | memoryview], name: str, label: str) -> Shaped[np.ndarray, "h w"]:
     image = cv2.imdecode(np.frombuffer(_file(files, name), np.uint8), cv2.IMREAD_UNCHANGED)
     return _decoded(image, f"{label}/{name}")
+
+
+def _clipped(
+    files: Mapping[str, bytes | memoryview], entries: Sequence[dict[str, Any]], shape: tuple[int, int], label: str
+) -> Float16[np.ndarray, "f h w 3"] | None:
+    """Decode the radiance of clipped pixels; None if a frame has none stored."""
+    if not entries or any("clipped" not in one for one in entries):
+        return None
+    names: list[str] = [one["clipped"] for one in entries]
+    images = [decode_colour(bytes(_file(files, name)), f"{label}/{name}")[0].astype(np.float16) for name in names]
+    return _stack(images, (*shape, 3), np.float16)
 
 
 def _decoded(image: Shaped[np.ndarray, "..."] | None, name: str) -> Shaped[np.ndarray, "..."]:

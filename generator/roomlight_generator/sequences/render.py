@@ -3,15 +3,15 @@
 World frame: y up, metres; poses camera-to-world, OpenGL axes; radiance in kcd/m2.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Protocol, runtime_checkable
 from warnings import warn
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_solid_angles
@@ -23,9 +23,9 @@ from roomlight_generator.rooms.planner import free_floor
 from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.probes import place_probes
-from roomlight_generator.sequences.sensor import Sensor, develop
+from roomlight_generator.sequences.sensor import Sensor, clipped_radiance, develop
 from roomlight_generator.sequences.walk import FreeSpace, camera_walk, phone_intrinsics, timestamps_s
-from roomlight_generator.transport import RoomLight, Tracer
+from roomlight_generator.transport import FrameView, RoomLight, Tracer
 
 PROBES: Final = 3
 """Probes of a sequence."""
@@ -48,6 +48,25 @@ _PANORAMA_HEIGHT: Final = 8
 """Width and height of the views that are compared, and rows of the panoramas."""
 _HALF_MAX: Final = 60_000.0
 """Panoramas are stored as half floats, whose largest is 65,504."""
+
+
+@runtime_checkable  # so that annotations can be checked in the test run
+class Views(Protocol):
+    """What cameras and probes see of a room; `transport.RoomLight` is one. Radiance in kcd/m2."""
+
+    def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
+        """Render what a pinhole camera sees."""
+        ...
+
+    def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
+        """Compute the depth of `frame` alone."""
+        ...
+
+    def panorama(
+        self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
+    ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
+        """Render the radiance that arrives at a point from all sides, the mean over each pixel."""
+        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,21 +131,27 @@ def plan_camera_path(
     tries = wanted + _EXTRA_TRIES
     found: list[CameraPath] = []
     for _ in range(tries):
-        intrinsics = phone_intrinsics(rng)
-        poses = camera_walk(lit_room.free, rng, intrinsics=intrinsics, frames=frames)
-        if poses is None:
-            continue
-        depth_m = lit_room.light.depth(intrinsics.resized(80, 60), poses[0])
-        positions = place_probes(
-            lit_room.free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=probes
-        )
-        if positions is not None:
-            found.append(CameraPath(intrinsics, poses, positions))
+        path = draw_camera_path(lit_room.free, lit_room.light, rng, frames=frames, probes=probes)
+        if path is not None:
+            found.append(path)
         if len(found) == wanted:
             break
     if not found:
         raise ValueError(f"room {lit_room.room.name}: {tries} walks through it found no place for {probes} probes")
     return found[0] if len(found) == 1 else max(found, key=lambda path: _relative_brightness(lit_room, path))
+
+
+def draw_camera_path(
+    free: FreeSpace, views: Views, rng: np.random.Generator, *, frames: int, probes: int
+) -> CameraPath | None:
+    """Draw a phone, one walk and its probes; None if there is no place for the walk or the probes."""
+    intrinsics = phone_intrinsics(rng)
+    poses = camera_walk(free, rng, intrinsics=intrinsics, frames=frames)
+    if poses is None:
+        return None
+    depth_m = views.depth(intrinsics.resized(80, 60), poses[0])
+    positions = place_probes(free, rng, intrinsics=intrinsics, camera_to_world=poses[0], depth_m=depth_m, count=probes)
+    return None if positions is None else CameraPath(intrinsics, poses, positions)
 
 
 def _relative_brightness(lit_room: LitRoom, path: CameraPath) -> float:
@@ -142,41 +167,59 @@ def _relative_brightness(lit_room: LitRoom, path: CameraPath) -> float:
 
 
 def render_sequence(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, name: str) -> Recording:
+    """Render a recording of a walk through a generated room, exposed as a phone would."""
+    return record(lit_room.light, path, rng, name=name, facts=lit_room.room.facts, expose=expose)
+
+
+def record(
+    views: Views,
+    path: CameraPath,
+    rng: np.random.Generator,
+    *,
+    name: str,
+    facts: dict[str, Any],
+    expose: Callable[[Float[np.ndarray, "f h w 3"], np.random.Generator], Exposure],
+) -> Recording:
     """Render a recording: frames as a phone would give them, exact depth, the light at the probes.
 
-    Its world is rotated about the vertical by whole columns of the panoramas, so that walls are not aligned with the
+    `expose` chooses exposure and white balance from the radiance of the frames (kcd/m2).
+
+    The world is rotated about the vertical by whole columns of the panoramas, so that walls are not aligned with the
     axes: a phone's session begins in any direction.
     """
     seeds = [int(value) for value in rng.integers(2**31, size=len(path.poses) + len(path.probes))]
-    views = [
-        lit_room.light.frame(path.intrinsics, pose, seed=seed) for pose, seed in zip(path.poses, seeds, strict=False)
-    ]
-    radiance = np.stack([view.radiance for view in views])
+    seen = [views.frame(path.intrinsics, pose, seed=seed) for pose, seed in zip(path.poses, seeds, strict=False)]
+    radiance = np.stack([view.radiance for view in seen])
     exposure = expose(radiance, rng)
     sensor = Sensor.draw(rng)
     colour = np.stack([
         develop(frame, sensor, rng, multiplier=float(multiplier), gains=exposure.gains)
         for frame, multiplier in zip(radiance, exposure.multiplier, strict=True)
     ])  # fmt: skip
+    clipped = np.stack([
+        clipped_radiance(frame, picture, multiplier=float(multiplier), gains=exposure.gains)
+        for frame, picture, multiplier in zip(radiance, colour, exposure.multiplier, strict=True)
+    ])  # fmt: skip
     panoramas = np.stack([
-        lit_room.light.panorama(position, height=PROBE_HEIGHT, seed=seed)
+        views.panorama(position, height=PROBE_HEIGHT, seed=seed)
         for position, seed in zip(path.probes, seeds[len(path.poses) :], strict=True)
     ])  # fmt: skip
-    depth_m = np.stack([view.depth_m for view in views])
+    depth_m = np.stack([view.depth_m for view in seen])
     columns = int(rng.integers(2 * PROBE_HEIGHT))
     rotation = _rotation_about_y(2 * np.pi * columns / (2 * PROBE_HEIGHT))
     return Recording(
         name=name,
         colour=colour,
         depth_mm=np.rint(np.clip(depth_m * 1000, 0, 65535)).astype(np.uint16),
-        surface=np.stack([view.surface for view in views]),
+        surface=np.stack([view.surface for view in seen]),
         intrinsics=path.intrinsics,
         camera_to_world=rotation @ path.poses,
         exposure=exposure.relative,
         timestamp_s=timestamps_s(len(path.poses)),
         probe_positions=path.probes @ rotation[:3, :3].T,
         probe_panoramas=np.roll(np.minimum(exposure.panorama(panoramas), _HALF_MAX), columns, 2).astype(np.float32),
-        facts={**lit_room.room.facts, **_facts(exposure, sensor, panoramas)},
+        facts={**facts, **_facts(exposure, sensor, panoramas)},
+        clipped_radiance=clipped,
     )
 
 

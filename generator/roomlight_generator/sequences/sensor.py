@@ -9,9 +9,11 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Float16, UInt8
 
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8
+from roomlight.dataset.sequence_files import HALF_MAX
+from roomlight.frame import CLIPPED_SRGB8
 
 BASE_MULTIPLIER: Final = 4.2
 """Multiplier per kcd/m2 up to which a phone needs no gain: f/1.8, 1/30 s and ISO 32 clip at 237 cd/m2.
@@ -100,6 +102,23 @@ def develop(
         np.float32(contrast) * encoded * (1 - encoded) * (2 * encoded - 1) * 2
     )  # an S curve that keeps 0, 1/2 and 1
     return np.rint(np.clip(encoded, 0, 1) * 255).astype(np.uint8)
+
+
+def clipped_radiance(
+    radiance: Float[np.ndarray, "h w 3"],
+    picture: UInt8[np.ndarray, "h w 3"],
+    *,
+    multiplier: float,
+    gains: Float[np.ndarray, "3"],
+) -> Float16[np.ndarray, "h w 3"]:
+    """Return the radiance of the picture's clipped pixels in units of its own white, 0 elsewhere.
+
+    radiance (kcd/m2) is what `develop` made the picture of: without lens, vignetting and noise. Pixels that exceed a
+    half float are dimmed without changing their hue.
+    """
+    scaled = np.asarray(radiance, np.float32) * (gains * multiplier).astype(np.float32)
+    scaled *= np.minimum(1, np.float32(HALF_MAX) / np.maximum(scaled.max(axis=2, keepdims=True), 1))
+    return np.where((picture >= CLIPPED_SRGB8).any(axis=2, keepdims=True), scaled, 0).astype(np.float16)
 
 
 def _vignette(height: int, width: int, loss: float) -> Float[np.ndarray, "{height} {width}"]:

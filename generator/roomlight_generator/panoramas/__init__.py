@@ -1,0 +1,4 @@
+"""Rooms lit by real HDR panoramas: a panorama is projected from its centre onto a room's shell.
+
+Start at `render.render_room`; `library` finds and splits a folder's panoramas, `shell` draws shells, `room` renders.
+"""

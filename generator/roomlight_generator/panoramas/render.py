@@ -1,0 +1,111 @@
+"""From a room's index to its sequences: choose a panorama, project it onto a shell, film several walks.
+
+World frame: y up, metres; poses camera-to-world, OpenGL axes; radiance in kcd/m2.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import Float, Float32
+
+from roomlight.conventions import LUMINANCE
+from roomlight.dataset.recording import Recording, Split
+from roomlight_generator.panoramas.library import building, load_panorama, split_files
+from roomlight_generator.panoramas.room import PanoramaRoom, describe, percentile, surface_kinds
+from roomlight_generator.panoramas.shell import draw_shell
+from roomlight_generator.rooms.build import room_generator
+from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
+from roomlight_generator.sequences.render import PROBES, draw_camera_path, record
+from roomlight_generator.sequences.walk import FreeSpace
+
+_MEDIAN_KCD_M2: Final = (0.01, 0.2)
+"""Range of a room's median luminance: a home in the evening, an office by day. It decides the sensor's noise."""
+_AIM: Final = (0.3, 0.6)
+"""Range of the first frame's 80th percentile, of white: 0.41 to 0.45 in the mean of real recordings."""
+_TINT: Final = 0.06
+"""Deviation of the logarithm of the white balance's gains, in half of the sequences: panoramas are neutral already."""
+_WALKS: Final = 6
+"""Walks drawn in each shell."""
+
+
+def render_room(
+    room_index: int,
+    *,
+    seed: int,
+    split: Split,
+    furniture: Path | None,
+    count: int,
+    frames: int,
+    panoramas: Path,
+    furniture_share: float,
+) -> Iterator[Recording]:
+    """Yield `count` sequences of `frames` frames in one room; the same arguments give the same recordings.
+
+    Raises:
+        DatasetError: if the folder `panoramas` cannot be read or has none for this split.
+        ValueError: if no walk through the room is found; the generator then takes another room.
+    """
+    path = _choose(split_files(panoramas, split), room_index, seed)
+    rng = room_generator(room_index, seed=seed, split=split)
+    image, facts = _varied(load_panorama(path), rng)
+    kinds = surface_kinds(image, rng)
+    facts |= {"panorama": path.name, "building": building(path), **describe(kinds)}
+    shell = draw_shell(rng)
+    room = PanoramaRoom(shell, image, kinds)
+    facts |= shell.facts
+    room_facts = {
+        "room_type": "panorama",
+        "light": {"scenario": "panorama", "sources": [], **facts},
+        "panorama": path.name,
+        "furniture": {},
+    }
+    free = shell.free_space()
+    for walk in range(count):
+        rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
+        yield _filmed(room, free, rng, frames, f"panorama-{room_index}-{walk}", room_facts)
+
+
+def _filmed(
+    room: PanoramaRoom, free: FreeSpace, rng: np.random.Generator, frames: int, name: str, facts: dict[str, Any]
+) -> Recording:
+    for _ in range(_WALKS):
+        path = draw_camera_path(free, room, rng, frames=frames, probes=PROBES)
+        if path is not None:
+            return record(room, path, rng, name=name, facts=facts, expose=expose)
+    raise ValueError(f"{name}: {_WALKS} walks through it found no place for {PROBES} probes")
+
+
+def _choose(files: list[Path], room_index: int, seed: int) -> Path:
+    """Return a room's panorama: each is used once before any is used again, in an order of the seed."""
+    turn, place = divmod(room_index, len(files))
+    return files[int(np.random.default_rng([seed, turn]).permutation(len(files))[place])]
+
+
+def _varied(
+    image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator
+) -> tuple[Float32[np.ndarray, "h w 3"], dict[str, Any]]:
+    """Mirror and rotate a panorama at random, and give it a luminance (kcd/m2)."""
+    mirrored = bool(rng.random() < 0.5)
+    columns = int(rng.integers(image.shape[1]))
+    median = float(np.exp(rng.uniform(*np.log(_MEDIAN_KCD_M2))))
+    scale = median / max(percentile(image @ LUMINANCE, 50), 1e-3 * float(image.mean()))
+    turned = np.roll(image[:, ::-1] if mirrored else image, columns, axis=1) * np.float32(scale)
+    facts = {
+        "mirrored": mirrored,
+        "rotation_degrees": round(360 * columns / image.shape[1], 2),
+        "median_kcd_m2": round(median, 5),
+    }
+    return np.ascontiguousarray(turned), facts
+
+
+def expose(radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator) -> Exposure:
+    """Draw a phone's exposure of a sequence: the first frame's 80th percentile is 0.3 to 0.6 of white."""
+    settings = replace(MeterSettings.draw(rng), first_error=0.0)
+    aim = rng.uniform(*_AIM)
+    gains = np.exp(rng.normal(0, _TINT, 3)) if rng.random() < 0.5 else np.ones(3)
+    gains /= gains @ LUMINANCE
+    bright = np.percentile(radiance @ (gains * LUMINANCE), 80, axis=(1, 2))
+    return Exposure(2.0 ** settle(np.log2(aim / np.maximum(bright, 1e-6)), settings), gains)

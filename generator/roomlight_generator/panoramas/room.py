@@ -1,0 +1,121 @@
+"""A room whose surfaces and lights are a panorama projected onto its shell: what cameras and probes in it see.
+
+World frame: y up, metres; radiance in kcd/m2; panoramas world-aligned (`roomlight.conventions`).
+"""
+
+from typing import Any, Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import LUMINANCE, panorama_solid_angles
+from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
+from roomlight_generator.panoramas.kernels import shell_views
+from roomlight_generator.panoramas.kernels.shell_views import CameraArrays, PanoramaArrays
+from roomlight_generator.panoramas.shell import Shell
+from roomlight_generator.transport import FrameView
+
+FINER: Final = 2
+"""Frames are rendered at this many times their height and averaged."""
+_BRIGHT: Final = 3.0
+"""Sources of light are this many times as bright as the panorama's 80th percentile, which a phone shows as 0.3 to 0.6
+of white."""
+_WINDOW_SR: Final = 0.03
+"""Larger sources may be windows: 17 x 6 degrees."""
+_WINDOW_ELEVATION: Final = (-0.35, 0.75)
+"""Range of the sine of a window's elevation: sources above are ceiling lights, bright areas below are sunny floors."""
+_GLASS_SHARE: Final = 0.75
+"""Share of the possible windows that are glass to a depth sensor."""
+
+
+class PanoramaRoom:
+    """A shell with a panorama on it."""
+
+    def __init__(self, shell: Shell, image: Float32[np.ndarray, "h w 3"], kinds: UInt8[np.ndarray, "h w"]) -> None:
+        """Take a shell, the panorama's radiance (kcd/m2), and the kind of surface of its pixels."""
+        self.shell = shell
+        padded = np.ascontiguousarray(np.concatenate([image[:, -1:], image, image[:, :1]], axis=1))
+        self._panorama = PanoramaArrays(padded, np.zeros_like(padded), kinds, shell.centre)
+        self._shade = np.empty((0, 3), np.float32)
+
+    def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
+        """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
+        del seed  # the picture has no noise
+        larger = intrinsics.resized(FINER * intrinsics.width, FINER * intrinsics.height)
+        fine = self._picture(_pinhole(larger, camera_to_world))
+        radiance = fine.reshape(intrinsics.height, FINER, intrinsics.width, FINER, 3).mean((1, 3), dtype=np.float32)
+        camera = _pinhole(intrinsics, camera_to_world)
+        distance = np.empty((camera.height, camera.width))
+        kinds = np.empty((camera.height, camera.width), np.uint8)
+        shell_views.centres(self.shell.arrays, self._panorama, camera, distance, kinds)
+        return FrameView(radiance, (distance / _slant(intrinsics)).astype(np.float32), kinds)
+
+    def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
+        """Compute the depth of `frame` alone."""
+        slant = _slant(intrinsics)
+        rays = (intrinsics.rays() / slant[..., None]).reshape(-1, 3) @ camera_to_world[:3, :3].T
+        origins = np.broadcast_to(camera_to_world[:3, 3], rays.shape)
+        return (self.shell.distances(origins, rays).reshape(slant.shape) / slant).astype(np.float32)
+
+    def panorama(
+        self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
+    ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
+        """Render the radiance that arrives at a point from all sides, the mean over each pixel."""
+        del seed
+        camera = CameraArrays(np.asarray(position, np.float64), np.eye(3), np.zeros(4), height, 2 * height)
+        return self._picture(camera)
+
+    def _picture(self, camera: CameraArrays) -> Float32[np.ndarray, "h w 3"]:
+        image = np.empty((camera.height, camera.width, 3), np.float32)
+        shell_views.picture(self.shell.arrays, self._shade, self._panorama, camera, image)
+        return image
+
+
+def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w"]:
+    """Return the kinds of surface in a panorama: bright areas are lights, and large ones at windows' height glass.
+
+    Sunny floors are ordinary surfaces.
+
+    Three of four large ones are glass: phones see through some panes, and measure others.
+    """
+    luminance = image @ LUMINANCE
+    bright = luminance > _BRIGHT * max(percentile(luminance, 80), 1e-9)
+    count, labels, _, middles = cv2.connectedComponentsWithStats(bright.astype(np.uint8))
+    area = np.broadcast_to(panorama_solid_angles(len(image)), luminance.shape)
+    solid = np.bincount(labels.ravel(), weights=area.ravel(), minlength=count)
+    elevation = np.cos((middles[:, 1] + 0.5) / len(image) * np.pi)
+    low, high = _WINDOW_ELEVATION
+    glass = (solid > _WINDOW_SR) & (elevation > low) & (elevation < high) & (rng.random(count) < _GLASS_SHARE)
+    kind = np.where(glass, GLASS, np.where(elevation > low, LIGHT, ORDINARY)).astype(np.uint8)
+    kind[0] = ORDINARY  # the background
+    return kind[labels]
+
+
+def percentile(luminance: Float32[np.ndarray, "h w"], percent: float) -> float:
+    """Return a percentile of a panorama over the sphere: each pixel, of 64 rows, counts by its solid angle."""
+    luminance = cv2.resize(luminance, (128, 64), interpolation=cv2.INTER_AREA)
+    order = np.argsort(luminance, axis=None)
+    weight = np.broadcast_to(panorama_solid_angles(len(luminance)), luminance.shape).ravel()[order].cumsum()
+    return float(luminance.ravel()[order[np.searchsorted(weight, percent / 100 * weight[-1])]])
+
+
+def _pinhole(intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> CameraArrays:
+    lens = np.array([intrinsics.fx, intrinsics.fy, intrinsics.cx, intrinsics.cy], np.float64)
+    pose = np.asarray(camera_to_world, np.float64)
+    rotation = np.ascontiguousarray(pose[:3, :3])
+    return CameraArrays(pose[:3, 3].copy(), rotation, lens, intrinsics.height, intrinsics.width)
+
+
+def _slant(intrinsics: Intrinsics) -> Float[np.ndarray, "h w"]:
+    return np.linalg.norm(intrinsics.rays(), axis=2)
+
+
+def describe(kinds: UInt8[np.ndarray, "h w"]) -> dict[str, Any]:
+    """Return the shares of the sphere that are glass and lights."""
+    weight = np.broadcast_to(panorama_solid_angles(len(kinds)), kinds.shape) / (4 * np.pi)
+    return {
+        "glass": round(float(weight[kinds == GLASS].sum()), 4),
+        "lights": round(float(weight[kinds == LIGHT].sum()), 4),
+    }
