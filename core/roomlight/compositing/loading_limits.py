@@ -1,0 +1,42 @@
+"""Limits on the files of virtual objects, checked before memory is spent on what a file declares."""
+
+from dataclasses import dataclass
+
+from roomlight.errors import ObjectError
+
+
+@dataclass(frozen=True)
+class ObjectLimits:
+    """The most that a file may hold.
+
+    Attributes:
+        file_bytes: The file itself.
+        json_bytes: JSON of a glTF file, without its binary part.
+        triangles: Triangles, each instance of a mesh counted.
+        vertices: Vertices, each instance of a mesh counted.
+        nodes: Nodes of a glTF file.
+        node_depth: Nodes above each other.
+        parts: Pairs of a mesh and its material, each instance counted.
+        materials: Materials.
+        images: Images.
+        image_pixels: Pixels of one image.
+        total_pixels: Pixels of all images together: 16 bytes each while they are converted.
+    """
+
+    file_bytes: int = 64_000_000
+    json_bytes: int = 4_000_000
+    triangles: int = 1_000_000
+    vertices: int = 1_500_000
+    nodes: int = 10_000
+    node_depth: int = 64
+    parts: int = 2_000
+    materials: int = 256
+    images: int = 64
+    image_pixels: int = 4096 * 4096
+    total_pixels: int = 4 * 4096 * 4096
+
+    def check(self, field: str, value: int, name: str) -> None:
+        """Raise ObjectError if `value` passes the limit `field`; the message begins with `name`."""
+        limit = getattr(self, field)
+        if value > limit:
+            raise ObjectError(f"{name}: {field.replace('_', ' ')} are limited to {limit}, the file has {value}")
