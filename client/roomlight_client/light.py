@@ -65,8 +65,15 @@ class ReceivedForms:
         """Read `main_light`."""
         for form, _ in self._of("main_light"):
             with _reading(form):
+                return _main_light(form.values or {})
+        return None
+
+    def lights(self) -> tuple[MainLight, ...] | None:
+        """Read the lights beside the main light in `main_light`; the main light alone if the server sends no others."""
+        for form, _ in self._of("main_light"):
+            with _reading(form):
                 values = form.values or {}
-                return MainLight(_numbers(values["direction"], 3), _numbers(values["intensity"], 3))
+                return tuple(_main_light(one) for one in values.get("lights", [values]))
         return None
 
     def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
@@ -153,6 +160,15 @@ def _numbers(values: Any, count: int) -> Float[np.ndarray, " n"]:
     if numbers.shape != (count,) or not np.isfinite(numbers).all():
         raise ValueError(f"expected {count} finite numbers, got {str(values)[:80]}")
     return numbers
+
+
+def _main_light(values: dict[str, Any]) -> MainLight:
+    """Read a light; servers of earlier versions send direction and intensity alone."""
+    radius_deg, shadow_strength, emitted, number = _numbers(
+        [values.get(name, 0) for name in ("radius_deg", "shadow_strength", "emitted", "number")], 4
+    ).tolist()
+    direction, intensity = _numbers(values["direction"], 3), _numbers(values["intensity"], 3)
+    return MainLight(direction, intensity, radius_deg, shadow_strength, emitted, int(number))
 
 
 def _position(values: Sequence[float]) -> Position:

@@ -66,7 +66,7 @@ def http_etag(light: Light, form: LightForm) -> str:
 def max_bytes(form: LightForm, height: int) -> int:
     """Return an upper bound of the form's size in bytes, for a session whose panoramas have this height in pixels."""
     if form.format in ("sh", "main_light"):
-        return 1024
+        return 2048
     if form.format in CUBE_FORMATS:
         face_size = form.size or DEFAULT_SIZE
         return 6 * face_size**2 * 8 * (2 if form.format == "specular" else 1) + 1024
@@ -82,7 +82,8 @@ def encode(light: Light, form: LightForm) -> LightPayload:
         harmonics = light.harmonics if form.kind == "total" else light.ambient
         return LightPayload(form, values=harmonics.with_phase(phase).to_json(layout))
     if form.format == "main_light":
-        return LightPayload(form, values=light.main_light.to_json())
+        lights = [one.to_json() for one in light.lights]
+        return LightPayload(form, values={**light.main_light.to_json(), "lights": lights})
     return LightPayload(form, data=light.file(form.format, size=form.size, exposure_ev=form.exposure_ev))
 
 

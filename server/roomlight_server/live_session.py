@@ -7,6 +7,7 @@ request is answered with this error, and its memory is released.
 
 import asyncio
 import hashlib
+import json
 import logging
 from collections import OrderedDict
 from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
@@ -24,6 +25,7 @@ from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import FrameError, ProbeError, WireError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
+from roomlight.light.main_light import TrackedLights
 from roomlight.light.prior import prior_panorama
 from roomlight.wire.frame_message import FrameLimits, FrameMessage
 from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
@@ -312,10 +314,13 @@ class LiveSession:
         else:
             async with self._workers.engine_slot():
                 found = await _convert_errors(self._workers.run_in_engine_pool(engine.light_at, position))
-        etag = await self._workers.run_in_decode_pool(_digest, found.panorama, found.observed)
+        tracked = found.tracked_lights
+        etag = await self._workers.run_in_decode_pool(_digest, found.panorama, found.observed, tracked)
         light = Light(
             position, found.panorama, found.observed, found.coverage, frame=self._light_frame, name=name, etag=etag
         )
+        if tracked is not None:
+            light = light.with_lights(tracked)
         self._lights[name, position] = light
         while len(self._lights) > MAX_CACHED_LIGHTS:
             self._lights.popitem(last=False)
@@ -447,6 +452,10 @@ def _default_panorama(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np
     return panorama, observed, _digest(panorama, observed)
 
 
-def _digest(panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"]) -> str:
+def _digest(
+    panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"], tracked: TrackedLights | None = None
+) -> str:
     """Return the identity of a light: equal values have equal digests. 0.3 ms at a height of 120."""
-    return hashlib.sha256(panorama.tobytes() + observed.tobytes()).hexdigest()[:24]
+    lights = () if tracked is None else (tracked.main, *tracked.sources)
+    numbers = json.dumps([light.to_json() for light in lights]).encode()
+    return hashlib.sha256(panorama.tobytes() + observed.tobytes() + numbers).hexdigest()[:24]

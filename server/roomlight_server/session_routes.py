@@ -50,7 +50,16 @@ _PROCESSED: Final[dict[str, Any]] = {
     "status": "processed",
     "replay": False,
     "keyframe": True,
-    "stage_ms": {"prepare": 2.1, "volume": 9.3, "sglv": 6.0, "mesh": 18.2, "render": 4.4, "partial": 6.1, "blend": 2.0},
+    "stage_ms": {
+        "prepare": 2.1,
+        "volume": 9.3,
+        "sglv": 6.0,
+        "mesh": 18.2,
+        "render": 4.4,
+        "partial": 6.1,
+        "blend": 2.0,
+        "lights": 2.0,
+    },
     "coverage": {"table": 0.42},
 }
 

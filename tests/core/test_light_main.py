@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from light_rooms import cap_solid_angle, lit, mean_light, room, rotate_directions_90, rotate_panorama_90, unit
 
 from roomlight.conventions import LUMINANCE, panorama_directions
-from roomlight.light.main_light import main_light
+from roomlight.light.main_light import MAX_LIGHTS, find_lights, main_light
 
 
 def angle_deg(a, b):
@@ -129,3 +129,72 @@ def test_refuses_an_invalid_panorama() -> None:
         main_light(np.zeros((16, 30, 3), np.float32))
     with pytest.raises(ValueError, match="finite numbers only"):
         main_light(np.full((16, 32, 3), np.nan, np.float32))
+
+
+def test_three_lamps_are_found_in_order_of_their_light() -> None:
+    lamps = [((1, 0.3, 0), 4, 30.0), ((-0.4, 0.5, 0.7), 6, 40.0), ((0, 0.6, -1), 8, 6.0)]
+    lights = find_lights(lit(120, lamps, level=0.1))
+    assert [light.number for light in lights] == [0, 1, 2]
+    for light, (direction, radius_deg, radiance) in zip(lights, [lamps[1], lamps[0], lamps[2]], strict=True):
+        assert angle_deg(light.direction, unit(*direction)) < 1.5
+        # Drawn by whole pixels of 1.5 degrees: the smallest has 22 of them.
+        assert light.radius_deg == pytest.approx(radius_deg, abs=0.5)
+        np.testing.assert_allclose(light.intensity, radiance * cap_solid_angle(radius_deg), rtol=0.1)
+        assert light.emitted == pytest.approx(1)
+
+
+def test_no_more_than_three_lights_the_strongest() -> None:
+    lamps = [(unit(np.cos(a), 0.4, np.sin(a)), 5, 20.0 + 5 * n) for n, a in enumerate(np.arange(5) * 2 * np.pi / 5)]
+    lights = find_lights(lit(60, lamps, level=0.1))
+    assert len(lights) == MAX_LIGHTS
+    for light, (direction, _, _) in zip(lights, lamps[:1:-1], strict=True):
+        assert angle_deg(light.direction, direction) < 3
+
+
+def test_shadow_strength_is_the_share_of_irradiance() -> None:
+    """Level 0.5 gives pi x 0.5 to a facing surface; the lamp its radiance x solid angle."""
+    lights = find_lights(lit(120, [((0.2, 1, 0.3), 5, 40.0)], level=0.5))
+    lamp = 40 * cap_solid_angle(5)
+    assert lights[0].shadow_strength == pytest.approx(lamp / (lamp + np.pi * 0.5), rel=0.03)
+    alone = find_lights(lit(120, [((0.2, 1, 0.3), 5, 40.0)]))
+    assert alone[0].shadow_strength == pytest.approx(1, abs=0.01)
+
+
+def window_and_table(glare: float, *, window: float = 8.0):
+    """A room of level 0.2 with a window and a large bright patch 45 degrees below the horizon."""
+    return lit(120, [((1, 0.3, 0), 10, window), ((-0.7, -0.7, 0), 22, glare)], level=0.2)
+
+
+@pytest.mark.parametrize("glare", [0.5, 1.0, 2.0])
+def test_a_bright_table_is_not_the_main_light(glare: float) -> None:
+    panorama = window_and_table(glare, window=4.0)
+    light = main_light(panorama)
+    assert angle_deg(light.direction, unit(1, 0.3, 0)) < 1.5
+    if glare == 2.0:  # the table sends more light than the window
+        assert glare * cap_solid_angle(22) > 4.0 * cap_solid_angle(10)
+
+
+def test_a_bright_table_alone_is_no_light() -> None:
+    assert find_lights(lit(120, [((-0.7, -0.7, 0), 22, 1.0)], level=0.2)) == ()
+
+
+def test_a_lamp_below_is_the_main_light() -> None:
+    """Far brighter than a surface in this room can be: a floor lamp under the position."""
+    panorama = window_and_table(0.0, window=1.0) + lit(120, [((-0.7, -0.7, 0), 5, 60.0)])
+    light = main_light(panorama)
+    assert angle_deg(light.direction, unit(-0.7, -0.7, 0)) < 1.5
+    assert light.emitted > 0.9
+
+
+def test_a_lamp_outranks_a_bright_wall_of_more_light() -> None:
+    wall, lamp = ((-1, 0, 0), 40, 0.5), ((0.7, 0.6, 0), 4, 40.0)
+    light, *_ = find_lights(lit(120, [wall, lamp], level=0.2))
+    assert angle_deg(light.direction, unit(0.7, 0.6, 0)) < 1.5
+    assert 0.5 * cap_solid_angle(40) > 40 * 0.4 * cap_solid_angle(4)
+
+
+def test_a_light_is_saved_with_all_its_values() -> None:
+    values = main_light(room(40)).to_json()
+    assert set(values) == {"direction", "intensity", "radius_deg", "shadow_strength", "emitted", "number"}
+    assert values["number"] == 0
+    assert 0 < values["shadow_strength"] < 1

@@ -28,6 +28,7 @@ from roomlight.engine.classical_backend import ClassicalBackend
 from roomlight.engine.clipping import restore_clipped
 from roomlight.engine.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
+from roomlight.engine.light_tracking import LightTracker
 from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.providers import Provider
@@ -36,6 +37,7 @@ from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
 from roomlight.errors import ModelError, OptionError, ProbeError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
+from roomlight.light.main_light import find_lights
 
 ModelName = Literal["auto", "classical", "single", "video"]
 """`SessionOptions.model`."""
@@ -88,7 +90,8 @@ class FrameReport:
 
     Attributes:
         index: of the frame.
-        stage_ms: milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend.
+        stage_ms: milliseconds by processing stage: prepare, volume, sglv, mesh, keyframes, render, partial, blend,
+            lights (main light of each tracked probe).
         keyframe: whether it was kept as a keyframe.
         coverage: of each tracked probe, in the order of `Session.handles`.
     """
@@ -104,6 +107,10 @@ class _Probe:
     position: Position
     state: PanoramaState
     memory: ProbeMemory
+    tracker: LightTracker
+
+    def update_lights(self) -> None:
+        self.tracker.update(find_lights(self.state.radiance))
 
 
 @dataclass
@@ -215,6 +222,7 @@ class Session:
             self._pending[handle] = (x, y, z)
         else:
             self._probes[handle] = self._new_probe((x, y, z))
+            self._probes[handle].update_lights()
         self._next_handle += 1
         return handle
 
@@ -262,6 +270,8 @@ class Session:
             with clock.stage("render"):
                 rendered = self._render(probe)
             self._observe(probe, self._latest, rendered, clock)
+            with clock.stage("lights"):
+                probe.update_lights()
         self.frames += 1
         self._last_index = frame.index
         coverage = tuple(probe.state.coverage() for probe in self._probes.values())
@@ -302,7 +312,7 @@ class Session:
     def _fresh_probe(self, position: Position) -> _Probe:
         assert self._grid is not None
         state = PanoramaState.fresh(self.options.height, self._grid.depth_max_m)
-        return _Probe(position, state, self._backend.new_probe())
+        return _Probe(position, state, self._backend.new_probe(), LightTracker())
 
     def _new_probe(self, position: Position) -> _Probe:
         """Make a probe into which the keyframes and the last frame are blended, in order of time.
@@ -352,12 +362,15 @@ class Session:
                 detail=partial.radiance,
                 detail_depth_m=partial.depth_m,
                 weight=estimate.weight,
+                detail_clipped=partial.clipped,
+                detail_guessed=partial.guessed,
             )
 
     def _light_of(self, probe: _Probe) -> Light:
         state = probe.state
         radiance, observed = state.radiance.copy(), state.seen.copy()
-        return Light(probe.position, radiance, observed, state.coverage(), frame=self._last_index)
+        light = Light(probe.position, radiance, observed, state.coverage(), frame=self._last_index)
+        return light.with_lights(probe.tracker.lights) if probe.tracker.frames else light
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:

@@ -2,7 +2,7 @@
 
     light = session.light_at((0.2, -0.1, -1.5))   # from the engine, or from a server through `roomlight_client`
     light.panorama, light.observed, light.coverage
-    light.main_light, light.harmonics, light.ambient
+    light.main_light, light.lights, light.harmonics, light.ambient
     light.cube(size=64), light.specular(size=64)
     light.save("light.exr")                       # or .hdr, .png, .ktx2, .json
 
@@ -11,6 +11,7 @@ requested; what it did not send is computed from the panorama if that was sent. 
 """
 
 import io
+from copy import copy
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final, Literal, Protocol, get_args, runtime_checkable
@@ -26,7 +27,7 @@ from roomlight.light.coverage import confidence_png
 from roomlight.light.coverage import coverage as coverage_of
 from roomlight.light.cube import DEFAULT_SIZE, CubeMap, observed_cube
 from roomlight.light.encode import to_exr, to_hdr, to_png
-from roomlight.light.main_light import MainLight, main_light
+from roomlight.light.main_light import MainLight, TrackedLights, find_lights, no_light
 from roomlight.light.prefilter import SpecularMips, prefilter
 from roomlight.light.spherical_harmonics import HarmonicsKind, SphericalHarmonics, project
 from roomlight.spheres import resize_panorama
@@ -50,6 +51,10 @@ _CONVENTIONS: Final = {
     "radiance": "linear RGB (Rec. 709 primaries), relative: 1.0 is white at the session's reference exposure",
     "main_light.direction": "unit vector in the world, from the position toward the light",
     "main_light.intensity": "RGB irradiance on a surface that faces the light, in radiance x steradian",
+    "main_light.radius_deg": "angular radius of a round light of the same spread, in degrees",
+    "main_light.shadow_strength": "share of the irradiance on a surface that faces the light, 0 to 1",
+    "main_light.emitted": "1: brighter than any surface that the room's light explains; toward 0: a bright surface",
+    "lights": "up to three lights with the values of main_light, the strongest first",
     "harmonics.coefficients": "27 numbers: r, g, b of C00, C1-1, C10, C11, C2-2, C2-1, C20, C21, C22, world axes",
     "ambient": "harmonics minus those of the main light: ambient and main light together shade as harmonics does",
 }
@@ -69,6 +74,10 @@ class FormReader(Protocol):
 
     def main_light(self) -> MainLight | None:
         """Return the main directional light."""
+        ...
+
+    def lights(self) -> tuple[MainLight, ...] | None:
+        """Return the lights, the strongest first."""
         ...
 
     def harmonics(self, kind: HarmonicsKind) -> SphericalHarmonics | None:
@@ -132,6 +141,20 @@ class Light:
         self._forms = forms
         self._panorama = panorama
         self._observed = observed
+        self._tracked: TrackedLights | None = None
+
+    def with_lights(self, tracked: TrackedLights) -> "Light":
+        """Return this light with the main light and lights that a session followed from frame to frame."""
+        result = copy(self)
+        for name in ("main_light", "lights", "ambient"):  # computed from the panorama before
+            result.__dict__.pop(name, None)
+        result._tracked = tracked
+        return result
+
+    @property
+    def tracked_lights(self) -> TrackedLights | None:
+        """What `with_lights` set; None for a point that is not tracked."""
+        return self._tracked
 
     @property
     def is_prior(self) -> bool:
@@ -168,11 +191,36 @@ class Light:
     def main_light(self) -> MainLight:
         """The main directional light: what casts the shadows.
 
+        At a tracked probe it turns by at most 10 degrees a frame (`roomlight.engine.light_tracking`); elsewhere it is
+        found in this panorama alone.
+
         Raises:
             RoomLightError: neither it nor the panorama was requested from the server.
         """
         received = None if self._forms is None else self._forms.main_light()
-        return received or main_light(self._panorama_for("main_light", "'main_light'"))
+        if received is not None:
+            return received
+        if self._tracked is not None:
+            return self._tracked.main
+        self._panorama_for("main_light", "'main_light'")
+        return self.lights[0] if self.lights else no_light()
+
+    @cached_property
+    def lights(self) -> tuple[MainLight, ...]:
+        """Up to three lights, the strongest first: lamps and windows, with size, colour and shadow strength.
+
+        At a tracked probe a light keeps its `number` from frame to frame. None where the light comes evenly from
+        everywhere.
+
+        Raises:
+            RoomLightError: neither the main light nor the panorama was requested from the server.
+        """
+        received = None if self._forms is None else self._forms.lights()
+        if received is not None:
+            return received
+        if self._tracked is not None:
+            return self._tracked.sources
+        return find_lights(self._panorama_for("lights", "'main_light'"))
 
     @cached_property
     def harmonics(self) -> SphericalHarmonics:
@@ -269,6 +317,7 @@ class Light:
             "name": self.name,
             "coverage": self.coverage,
             "main_light": self.main_light.to_json(),
+            "lights": [light.to_json() for light in self.lights],
             "harmonics": self.harmonics.to_json(),
             "ambient": self.ambient.to_json(),
             "conventions": _CONVENTIONS,
