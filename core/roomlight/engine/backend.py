@@ -49,8 +49,11 @@ class Backend(Protocol):
         """Return the buffer for the frame's initial volume (bound to the graphs, no copy)."""
         ...
 
-    def update(self) -> Sglv:
-        """Process the volume in the buffer as the next frame; return the SGLV after it."""
+    def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> Sglv:
+        """Process the volume in the buffer as the next frame; return the SGLV after it.
+
+        clipping:  what of the volume was clipped (see `roomlight.engine.volume.initial_volume`); None: nothing.
+        """
         ...
 
     def new_probe(self) -> ProbeMemory:

@@ -53,10 +53,10 @@ class ClassicalBackend:
         """Return the buffer for the frame's initial volume."""
         return self._volume
 
-    def update(self) -> Sglv:
+    def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> Sglv:
         """Add the volume to the average: alpha over the frames that observed a voxel, colour weighted by alpha."""
         fused = self._fused
-        fused.add(self._volume)
+        fused.add(self._volume, clipping)
         np.divide(fused.opacity, fused.count, out=self._sglv.alpha, where=fused.count > 0)
         touched = self._volume[3] > 0
         self._sglv.lobes[touched, :3] = fused.colour[touched] / fused.opacity[touched, None]

@@ -12,8 +12,10 @@ from roomlight.engine.volume import VOLUME_SHAPE
 
 KEYFRAME_BYTES: Final = 5_400_000
 """Resident memory of one frame of 320 x 240 with its mesh (measured, see `roomlight.engine.keyframes`)."""
-_CLASSICAL_CHANNELS: Final = 21
-"""Float32 a voxel: the volume's 5, the sums' 5, the SGLV's 11."""
+_SUM_CHANNELS: Final = 7
+"""Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
+_CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11
+"""Float32 a voxel: the volume, the sums, the SGLV."""
 _STATE_CHANNELS: Final = 7
 """Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed."""
 
@@ -41,7 +43,8 @@ class Footprint:
             volume += 2 * _outputs(loaded["video_sg_encoder"])
             blend += _floats(loaded["video_blend_encoder"].inputs) + 2 * _outputs(loaded["video_blend_encoder"])
         else:  # the frame's own volume, and the sums over frames
-            volume += 2 * _floats(loaded["single_sg_encoder"].inputs)
+            volume += _floats(loaded["single_sg_encoder"].inputs)
+            volume += _SUM_CHANNELS * int(np.prod(graphs.volume_shape))
         return cls(4 * volume, panorama + 4 * blend)
 
     def total(self, *, keyframes: int, probes: int, started: bool) -> int:

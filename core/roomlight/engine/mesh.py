@@ -76,7 +76,7 @@ class FrameMesh:
         self.known = depth.reshape(-1) > 0
         sensor, _ = _vertex_grid(frame.depth_m if sensor_depth_m is None else sensor_depth_m, max_vertices)
         self.camera_to_world = frame.camera_to_world
-        self._image_camera, self._depth_shape = k, (frame.depth_m.shape[0], frame.depth_m.shape[1])
+        self.image_camera, self._depth_shape = k, (frame.depth_m.shape[0], frame.depth_m.shape[1])
         self.grid_depth_m = depth
         self.measured = sensor > 0  # [gh, gw]; elsewhere depth is completed
         self.faces = grid_faces(depth)
@@ -88,7 +88,7 @@ class FrameMesh:
         """The camera whose pixel centres are the vertices: `grid_depth_m` is its depth image."""
         height, width = self.grid_depth_m.shape
         stride = _stride(*self._depth_shape, height * width)
-        k = self._image_camera.resized(self._depth_shape[1], self._depth_shape[0])
+        k = self.image_camera.resized(self._depth_shape[1], self._depth_shape[0])
         first = 0.5 + stride // 2  # `_vertex_grid` takes every n-th sample from n // 2 on
         cx, cy = (k.cx - first) / stride + 0.5, (k.cy - first) / stride + 0.5
         return Intrinsics(k.fx / stride, k.fy / stride, cx, cy, width, height)

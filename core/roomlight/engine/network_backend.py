@@ -80,10 +80,10 @@ class NetworkBackend:
         """Return the buffer for the frame's initial volume: in the video form the encoder's bound input."""
         return self._frame_volume
 
-    def update(self) -> Sglv:
+    def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> Sglv:
         """Run this frame's graphs on the volume in the buffer."""
         if self._fused is not None:
-            self._fused.add(self._frame_volume)
+            self._fused.add(self._frame_volume, clipping)
             self._fused.write(self._volume)
         if self._frames == 0 or self._fused is not None:
             steps, result = self._first, self._sglv[0]

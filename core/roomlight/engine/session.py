@@ -24,8 +24,8 @@ from roomlight.conventions import NO_FRAME, Position
 from roomlight.depth import UnknownDepth, complete_depth
 from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m
+from roomlight.engine.bracket import restored, update_keyframes
 from roomlight.engine.classical_backend import ClassicalBackend
-from roomlight.engine.clipping import restore_clipped
 from roomlight.engine.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
 from roomlight.engine.light_tracking import LightTracker
@@ -33,7 +33,7 @@ from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.providers import Provider
 from roomlight.engine.sglv import Sglv, check_position, render_panorama
-from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, initial_volume
+from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, clipping_buffer, initial_volume
 from roomlight.errors import ModelError, OptionError, ProbeError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
@@ -246,7 +246,8 @@ class Session:
             frame = frame.resized(*WORKING_SIZE)
             sensor_depth_m = frame.depth_m
             rim = self.options.unknown_depth == "rim"
-            frame = restore_clipped(frame, complete_depth(frame.depth_m) if rim else frame.depth_m)
+            depth_m = complete_depth(frame.depth_m) if rim else frame.depth_m
+            frame = restored(frame, depth_m, [mesh for _, mesh in self.meshes])
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
         if self._grid is None:
             self._backend.start(grid)
@@ -255,13 +256,15 @@ class Session:
         assert self._keyframes is not None
         with clock.stage("volume"):
             far = self.options.unknown_depth != "drop"
-            initial_volume(grid, frame, far_unknown=far, out=self._backend.volume_buffer())
+            clipping = clipping_buffer(grid, frame)
+            initial_volume(grid, frame, far_unknown=far, out=self._backend.volume_buffer(), clipping=clipping)
         with clock.stage("sglv"):
-            self._sglv = self._backend.update()
+            self._sglv = self._backend.update(clipping)
         with clock.stage("mesh"):
             self._latest = FrameMesh(frame, sensor_depth_m=sensor_depth_m)
             self._latest.build()
         with clock.stage("keyframes"):
+            update_keyframes(self._latest, [key.mesh for key in self._keyframes])
             self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)
         for handle, position in self._pending.items():
             self._probes[handle] = self._fresh_probe(position)

@@ -40,12 +40,12 @@ class Texture:
         return cls(frame.image, frame.clipped, guessed)
 
     @cached_property
-    def levels(self) -> list[Float[np.ndarray, "lh lw 3"]]:
+    def levels(self) -> list[Float[np.ndarray, "_ _ 3"]]:
         """The image and its halves."""
         return _pyramid(self.image)
 
     @cached_property
-    def _clipping_levels(self) -> list[Float[np.ndarray, "lh lw 2"]]:
+    def _clipping_levels(self) -> list[Float[np.ndarray, "_ _ 2"]]:
         """Share of clipped pixels, and estimated luminance."""
         if self.clipped is None or self.guessed is None:
             return []
@@ -79,7 +79,7 @@ class Texture:
 
 
 def _sample(
-    levels: list[Float[np.ndarray, "lh lw c"]],
+    levels: list[Float[np.ndarray, "_ _ c"]],
     maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]],
     span: Float[np.ndarray, "h w"],
 ) -> Float[np.ndarray, "h w c"]:
@@ -97,7 +97,7 @@ def _sample(
     return result
 
 
-def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "lh lw c"]]:
+def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "_ _ c"]]:
     """Halve the image by area, up to `TEXTURE_LEVELS` levels of at least 8 pixels a side; the image itself is first."""
     levels = [image]
     while len(levels) < TEXTURE_LEVELS and min(levels[-1].shape[:2]) >= 16:

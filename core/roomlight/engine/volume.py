@@ -98,6 +98,7 @@ def initial_volume(
     *,
     far_unknown: bool = True,
     out: Float[np.ndarray, "5 z y x"] | None = None,
+    clipping: Float[np.ndarray, "2 z y x"] | None = None,
 ) -> Float[np.ndarray, "5 z y x"]:
     """Compute the initial volume of one frame: colour c (3), opacity alpha, emptiness e (paper, section 4.1), float32.
 
@@ -108,16 +109,36 @@ def initial_volume(
     Pixels without depth (windows, far walls) get D = where their ray leaves the volume, less one voxel, and mark no
     voxel as empty (e = 0): they are mostly the brightest light of the room. `far_unknown=False` drops them, for
     comparison. `out` is written in place if given (the session's bound buffer).
+
+    `clipping` (from `clipping_buffer`), if given, is written too: alpha times the share of clipped pixels, and alpha
+    times the luminance that was estimated for them.
     """
     volume = np.empty((5, *grid.shape), np.float32) if out is None else out
     camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
     k = frame.intrinsics
     lens = np.array([k.fx / k.width, k.fy / k.height, k.cx / k.width, k.cy / k.height], np.float32)
     camera_in_volume = rigid_inverse(camera_from_volume)[:3, 3].astype(np.float32)
-    view = ViewArrays(frame.image, frame.depth_m, lens, camera_from_volume.astype(np.float32), camera_in_volume)
+    from_volume = camera_from_volume.astype(np.float32)
+    planes = np.zeros((0, 0, 2), np.float32) if clipping is None else _clipping_planes(frame)
+    view = ViewArrays(frame.image, frame.depth_m, lens, from_volume, camera_in_volume, planes)
+    clipped = np.zeros((2, 0, 0, 0), np.float32) if clipping is None else clipping
     arrays = GridArrays(grid.lower_m.astype(np.float32), grid.voxel_m.astype(np.float32), np.float32(grid.edge_m))
-    parallel_for(lambda start, stop: initialise_slices(view, arrays, far_unknown, volume, start, stop), grid.shape[0])
+
+    def slices(start: int, stop: int) -> None:
+        initialise_slices(view, arrays, far_unknown, volume, clipped, start, stop)
+
+    parallel_for(slices, grid.shape[0])
     return volume
+
+
+def clipping_buffer(grid: VolumeGrid, frame: Frame) -> Float[np.ndarray, "2 z y x"] | None:
+    """Return the array for `initial_volume`'s `clipping`; None if the frame has no clipped pixel."""
+    return np.empty((2, *grid.shape), np.float32) if frame.clipped.any() else None
+
+
+def _clipping_planes(frame: Frame) -> Float[np.ndarray, "h w 2"]:
+    guessed = np.zeros(frame.clipped.shape, np.float32) if frame.guessed is None else frame.guessed
+    return np.stack([frame.clipped, guessed], axis=-1).astype(np.float32)
 
 
 def initial_volume_reference(

@@ -20,7 +20,7 @@ def arrays_in(thing):
     if isinstance(thing, Sglv):
         return [thing.alpha, thing.lobes]
     if isinstance(thing, FusedVolume):
-        return [thing.colour, thing.opacity, thing.count]
+        return [thing.colour, thing.opacity, thing.count, thing.clipping]
     if isinstance(thing, list | tuple):
         return [array for item in thing for array in arrays_in(item)]
     return arrays_in(thing.arrays) if hasattr(thing, "arrays") else []

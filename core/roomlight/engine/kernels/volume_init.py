@@ -10,13 +10,17 @@ from numba import njit
 
 
 class ViewArrays(NamedTuple):
-    """A frame and its camera: `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` the camera's centre in the volume frame."""
+    """A frame and its camera: `lens` is (fx/w, fy/h, cx/w, cy/h), `camera` the camera's centre in the volume frame.
+
+    `clipping` is 1 where the image is clipped, and the estimated luminance; of no size if nothing is clipped.
+    """
 
     image: Float32[np.ndarray, "h w 3"]
     depth_m: Float32[np.ndarray, "dh dw"]
     lens: Float32[np.ndarray, "4"]
     camera_from_volume: Float32[np.ndarray, "4 4"]
     camera: Float32[np.ndarray, "3"]
+    clipping: Float32[np.ndarray, "ch cw 2"]
 
 
 class GridArrays(NamedTuple):
@@ -28,8 +32,12 @@ class GridArrays(NamedTuple):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def initialise_slices(view, grid, far_unknown, volume, start, stop):
-    """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.initial_volume`."""
+def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
+    """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.initial_volume`.
+
+    `clipping` [2, z, y, x] gets alpha times `view.clipping`; neither is used if `view.clipping` has no size.
+    """
+    any_clipped = view.clipping.shape[0] > 0
     image, depth_m, lens, camera = view.image, view.depth_m, view.lens, view.camera
     camera_from_volume = view.camera_from_volume
     lower, voxel, edge = grid.lower, grid.voxel, grid.edge
@@ -44,6 +52,8 @@ def initialise_slices(view, grid, far_unknown, volume, start, stop):
     inverse_edge = one / edge
     for k in range(start, stop):
         volume[:, k] = zero
+        if any_clipped:
+            clipping[:, k] = zero
         pz = lower[2] + (np.float32(k) + half) * voxel[2]
         for j in range(rows):
             py = lower[1] + (np.float32(j) + half) * voxel[1]
@@ -109,3 +119,8 @@ def initialise_slices(view, grid, far_unknown, volume, start, stop):
                     colour += w10 * image[j1, i0, c] + w11 * image[j1, i1, c]
                     volume[c, k, j, i] = alpha * colour
                 volume[3, k, j, i] = alpha
+                if any_clipped:
+                    for c in range(2):
+                        value = w00 * view.clipping[j0, i0, c] + w01 * view.clipping[j0, i1, c]
+                        value += w10 * view.clipping[j1, i0, c] + w11 * view.clipping[j1, i1, c]
+                        clipping[c, k, j, i] = alpha * value

@@ -1,0 +1,200 @@
+"""Frames of other exposure: a lamp of 20 x white that one frame clips and another one shows."""
+
+import dataclasses
+import itertools
+
+import numpy as np
+import pytest
+
+from roomlight.conventions import LUMINANCE, panorama_directions
+from roomlight.engine import bracket
+from roomlight.engine.bracket import restored, update_keyframes
+from roomlight.engine.clipping import BRIGHT_GAIN
+from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.texture import Texture
+from roomlight.engine.volume import VolumeGrid, clipping_buffer, initial_volume
+from rooms import BoxRoom, camera_at
+
+LAMP = ((0.3, 1.6, -2.5), 0.45)
+TRUE = 20.0
+ROOM = BoxRoom(lamp=LAMP, lamp_radiance=TRUE)
+PROBE = (0.3, 1.4, 0.2)
+DARK = 1 / 32
+CLASSICAL = SessionOptions(model="classical", height=48)
+
+
+def shown(exposure, *, position=(0.3, 1.4, 0.2), yaw=0.0, index=0, room=ROOM, width=160):
+    """A camera's frame at this exposure: what is above its white is clipped there."""
+    frame = room.frame(camera_at(position, yaw), index=index, width=width, height=width * 3 // 4)
+    white = np.float32(1 / exposure)
+    clipped = (frame.image >= white).any(axis=-1)
+    return dataclasses.replace(frame, image=np.minimum(frame.image, white), clipped=clipped)
+
+
+def in_lamp(height=48, radius_deg=5.0):
+    to_lamp = np.array(LAMP[0]) - PROBE
+    return panorama_directions(height) @ (to_lamp / np.linalg.norm(to_lamp)) > np.cos(np.radians(radius_deg))
+
+
+def lamp_voxels(grid):
+    """Voxels in whose middle the lamp's disc lies, and which are within the surface's band."""
+    centres = grid.centres_m() @ grid.volume_to_world[:3, :3].T + grid.volume_to_world[:3, 3]
+    away = np.linalg.norm(centres[..., :2] - np.array(LAMP[0][:2]), axis=-1)
+    return (away < LAMP[1] / 2) & (abs(centres[..., 2] - LAMP[0][2]) < grid.edge_m)
+
+
+def streamed(*frames):
+    session = Session(CLASSICAL)
+    session.track(PROBE)
+    for index, frame in enumerate(frames):
+        session.push(dataclasses.replace(frame, index=index))
+    return session
+
+
+MOVED = {"position": (-0.2, 1.3, 0.6), "yaw": -8.0}
+
+
+@pytest.mark.parametrize("exposures", [(1, DARK), (DARK, 1), (1, DARK, 1), (1, 1, 1 / 4, DARK, 1)])
+@pytest.mark.parametrize("moved", [{}, MOVED], ids=["in place", "moving"])
+def test_a_short_exposure_shows_the_lamp_in_any_order(exposures, moved):
+    poses = itertools.cycle([{}, moved])
+    session = streamed(*(shown(exposure, **pose) for exposure, pose in zip(exposures, poses, strict=False)))
+    lamp = in_lamp()
+    assert lamp.sum() > 3
+    np.testing.assert_allclose(session.light(0).panorama[lamp], TRUE, rtol=0.05)
+    np.testing.assert_allclose(session.light_at(PROBE).panorama[lamp], TRUE, rtol=0.05)
+    assert session.sglv is not None
+    assert session.grid is not None
+    voxels = lamp_voxels(session.grid) & (session.sglv.alpha > 0.5)
+    assert voxels.sum() > 3
+    np.testing.assert_allclose(session.sglv.lobes[voxels][:, :3], TRUE, rtol=0.05)
+
+
+def test_without_a_short_exposure_the_lamp_is_a_guess():
+    session = streamed(shown(1), shown(1, **MOVED))
+    np.testing.assert_allclose(session.light(0).panorama[in_lamp()], BRIGHT_GAIN, rtol=0.05)
+
+
+def test_still_clipped_is_at_least_the_shortest_exposures_white():
+    """At a quarter of the exposure the lamp is clipped at 4: every estimate starts from there."""
+    session = streamed(shown(1), shown(1 / 4, **MOVED), shown(1))
+    for light in (session.light(0), session.light_at(PROBE)):
+        np.testing.assert_allclose(light.panorama[in_lamp()], 4 * BRIGHT_GAIN, rtol=0.05)
+
+
+def test_a_keyframe_keeps_its_bracket():
+    bright, dark = shown(1), shown(DARK, **MOVED)
+    key = FrameMesh(restored(bright, bright.depth_m))
+    clipped = bright.clipped.sum()
+    taken = update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key])
+    assert taken > 0.95 * clipped
+    true = ROOM.frame(bright.camera_to_world, width=160, height=120).image
+    wrong = abs(key.texture.image / true - 1).max(axis=-1) > 0.05
+    # pixels at the lamp's rim, where the other camera's pixel is half wall
+    assert wrong.sum() < 0.05 * clipped
+    np.testing.assert_array_equal(key.texture.image[~bright.clipped], bright.image[~bright.clipped])
+
+
+def test_a_frame_takes_clipped_pixels_from_earlier_ones():
+    bright, dark = shown(1, **MOVED), shown(DARK)
+    frame = restored(bright, bright.depth_m, [FrameMesh(restored(dark, dark.depth_m))])
+    assert frame.clipped.sum() < 0.05 * bright.clipped.sum()
+    assert frame.guessed is not None
+    now_known = bright.clipped & ~frame.clipped
+    np.testing.assert_allclose(frame.image[now_known], TRUE, rtol=0.05)
+    assert (frame.guessed[~frame.clipped] == 0).all()
+    np.testing.assert_array_equal(frame.image[~bright.clipped], bright.image[~bright.clipped])
+
+
+def test_another_surface_does_not_give_its_radiance():
+    """A lamp on a block half a metre before the wall's lamp hides it from the second camera."""
+    block = BoxRoom(block=((-0.6, 0.8, -2.0), (1.2, 2.4, -1.9)), lamp=((0.3, 1.6, -1.9), 0.8), lamp_radiance=30.0)
+    bright, dark = shown(1), shown(DARK, room=block)
+    key = FrameMesh(restored(bright, bright.depth_m))
+    assert update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key]) == 0
+
+
+def test_a_lamp_switched_off_gives_no_radiance():
+    off = BoxRoom()
+    bright, dark = shown(1), shown(DARK, room=off)
+    key = FrameMesh(restored(bright, bright.depth_m))
+    assert update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key]) == 0
+
+
+def test_equal_exposures_search_nothing(monkeypatch):
+    def refuse(*_):
+        raise AssertionError
+
+    monkeypatch.setattr(bracket, "take_radiance", refuse)
+    bright, second = shown(1), shown(1, **MOVED)
+    key = FrameMesh(restored(bright, bright.depth_m))
+    frame = restored(second, second.depth_m, [key])
+    assert update_keyframes(FrameMesh(frame), [key]) == 0
+    np.testing.assert_array_equal(frame.clipped, second.clipped)
+
+
+def test_the_number_of_projections_is_bounded(monkeypatch):
+    counted = []
+    take = bracket.take_radiance
+    monkeypatch.setattr(bracket, "MAX_PROJECTIONS", 1000)
+    monkeypatch.setattr(bracket, "take_radiance", lambda p, *rest: counted.append(len(p.world)) or take(p, *rest))
+    bright, dark = shown(1), shown(DARK)
+    keys = [FrameMesh(restored(bright, bright.depth_m)) for _ in range(4)]
+    update_keyframes(FrameMesh(restored(dark, dark.depth_m)), keys)
+    assert 0 < sum(counted) <= 1000
+
+
+def test_nothing_clipped_gives_the_same_bits_at_any_exposure():
+    """Without a clipped pixel neither frames nor textures nor volumes are touched."""
+    dark, bright = shown(DARK), shown(DARK, **MOVED)
+    frame = restored(bright, bright.depth_m, [FrameMesh(dark)])
+    assert frame.image is bright.image
+    assert frame.guessed is None
+    assert clipping_buffer(VolumeGrid.from_frame(frame), frame) is None
+    seen = FrameMesh(frame).render_panorama(np.array(PROBE), height=16)
+    assert seen.clipped is None
+    assert seen.guessed is None
+
+
+def test_the_mean_volume_gives_clipped_colour_no_weight():
+    frames = [restored(shown(e), shown(e).depth_m) for e in (1, DARK)]
+    grid = VolumeGrid.from_frame(frames[0], shape=(32, 30, 42))
+    means = []
+    for order in (frames, frames[::-1], [*frames, frames[0], frames[0]]):
+        fused, mean = FusedVolume.fresh(grid.shape), np.empty((5, *grid.shape), np.float32)
+        for frame in order:
+            planes = clipping_buffer(grid, frame)
+            volume = initial_volume(grid, frame, clipping=planes)
+            fused.add(volume, planes)
+        fused.write(mean)
+        means.append(mean)
+    true = initial_volume(grid, frames[1])
+    surface = true[3] > 0.5
+    lamp = surface & (true[:3].mean(axis=0) > 19.9 * true[3])
+    assert lamp.sum() > 10
+    for mean in means:
+        np.testing.assert_allclose(mean[:3, lamp] / mean[3, lamp], TRUE, rtol=0.01)
+
+
+def test_the_volumes_clipped_share_is_the_images():
+    frame = restored(shown(1), shown(1).depth_m)
+    grid = VolumeGrid.from_frame(frame, shape=(32, 30, 42))
+    planes = clipping_buffer(grid, frame)
+    assert planes is not None
+    volume = initial_volume(grid, frame, clipping=planes)
+    assert frame.guessed is not None
+    for plane, image in zip(planes, (frame.clipped, frame.guessed), strict=True):
+        grey = np.repeat(image.astype(np.float32)[..., None], 3, axis=2)
+        wanted = initial_volume(grid, dataclasses.replace(frame, image=grey, guessed=None))
+        np.testing.assert_allclose(plane, wanted[0], atol=1e-5)
+    assert (planes[:, volume[3] == 0] == 0).all()
+
+
+def test_a_texture_knows_its_lower_bound():
+    frame = restored(shown(1 / 4), shown(1 / 4).depth_m)
+    texture = Texture.of(frame)
+    np.testing.assert_allclose(texture.bound[frame.clipped], 4.0, rtol=1e-5)
+    np.testing.assert_allclose(texture.bound[~frame.clipped], frame.image[~frame.clipped] @ LUMINANCE, rtol=1e-5)
+    assert texture.peak == pytest.approx(4.0)
