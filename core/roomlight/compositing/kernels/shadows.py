@@ -185,9 +185,12 @@ def filter_ratio(ratio, noise, grid, radius, plane_m, out, start, stop):
             total = np.float32(0)
             red, green, blue = np.float32(0), np.float32(0), np.float32(0)
             for y in range(max(0, i - radius), min(height, i + radius + 1)):
+                rim_y = np.float32(0.5) if abs(y - i) == radius else np.float32(1)
                 for x in range(max(0, j - radius), min(width, j + radius + 1)):
                     if not grid.known[y, x]:
                         continue
+                    # half the weight on the rim: over 2 radius pixels every subset of samples counts the same
+                    rim = rim_y * np.float32(0.5) if abs(x - j) == radius else rim_y
                     off, facing = np.float32(0), np.float32(0)
                     for axis in range(3):
                         off += (grid.points[y, x, axis] - grid.points[i, j, axis]) * grid.normals[i, j, axis]
@@ -198,7 +201,7 @@ def filter_ratio(ratio, noise, grid, radius, plane_m, out, start, stop):
                     there = (ratio[y, x, 0] + ratio[y, x, 1] + ratio[y, x, 2]) / np.float32(3)
                     spread = noise[i, j] * noise[i, j] + noise[y, x] * noise[y, x]
                     change = (there - here) * (there - here) / (np.float32(8) * spread + np.float32(1e-8))
-                    weight = math.exp(-off * off - change) * facing
+                    weight = rim * math.exp(-off * off - change) * facing
                     total += weight
                     red += weight * ratio[y, x, 0]
                     green += weight * ratio[y, x, 1]

@@ -1,0 +1,131 @@
+"""A composited frame with its layers, and how it is encoded."""
+
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32, Int32, UInt8
+
+from roomlight.compositing.crop import Crop
+from roomlight.compositing.kernels.encode import encode_values
+from roomlight.conventions import linear_to_srgb8
+from roomlight.frame import Frame
+from roomlight.threads import parallel_for
+
+
+@dataclass(frozen=True, eq=False)
+class Composite:
+    """A frame with objects, and its layers: image = frame x shadow x (1 - alpha) + objects.
+
+    Layers hold the pixels of `crop` in memory; the properties are of the frame's size.
+
+    Attributes:
+        image: [h, w, 3] 8-bit sRGB, with the camera's noise on the objects.
+        frame: what objects were put into.
+        crop: rectangle outside which the frame is unchanged.
+        stage_ms: milliseconds by stage: place, light, depth, render, occlusion, shadow, combine.
+        waiting: names of objects whose pixel belongs to a frame that was not composited yet.
+    """
+
+    image: UInt8[np.ndarray, "h w 3"]
+    frame: Frame
+    crop: Crop
+    stage_ms: dict[str, float]
+    waiting: tuple[str, ...]
+    crop_objects: Float32[np.ndarray, "ch cw 3"]
+    crop_alpha: Float32[np.ndarray, "ch cw"]
+    crop_shadow: Float32[np.ndarray, "ch cw 3"]
+    crop_depth_m: Float32[np.ndarray, "ch cw"]
+    crop_object_id: Int32[np.ndarray, "ch cw"]
+
+    @cached_property
+    def objects(self) -> Float32[np.ndarray, "h w 3"]:
+        """Linear radiance of the objects times alpha, without noise."""
+        return self._whole(self.crop_objects, 0)
+
+    @cached_property
+    def alpha(self) -> Float32[np.ndarray, "h w"]:
+        """Share of a pixel that objects cover, 0 to 1; real things in front taken off."""
+        return self._whole(self.crop_alpha, 0)
+
+    @cached_property
+    def shadow(self) -> Float32[np.ndarray, "h w 3"]:
+        """Light on the real surfaces with objects / without them, by channel: 1 is unchanged."""
+        return self._whole(self.crop_shadow, 1)
+
+    @cached_property
+    def depth_m(self) -> Float32[np.ndarray, "h w"]:
+        """Depth of the objects (z-depth, metres), 0 where there is none."""
+        return self._whole(self.crop_depth_m, 0)
+
+    @cached_property
+    def object_id(self) -> Int32[np.ndarray, "h w"]:
+        """Index of the object in the scene, -1 where there is none."""
+        return self._whole(self.crop_object_id, -1)
+
+    @cached_property
+    def radiance(self) -> Float32[np.ndarray, "h w 3"]:
+        """The composite in linear radiance, unclipped, without added noise."""
+        return self.frame.image * self.shadow * (1 - self.alpha[..., None]) + self.objects
+
+    def _whole(self, part: np.ndarray, outside: float) -> np.ndarray:
+        whole = np.full((*self.frame.image.shape[:2], *part.shape[2:]), outside, part.dtype)
+        whole[self.crop.slices] = part
+        return whole
+
+
+def unchanged(
+    frame: Frame, image: UInt8[np.ndarray, "h w 3"], stage_ms: dict[str, float], waiting: tuple[str, ...]
+) -> Composite:
+    """Return a frame that no object changes."""
+    nothing = np.zeros((0, 0), np.float32)
+    colour = np.zeros((0, 0, 3), np.float32)
+    return Composite(
+        image,
+        frame,
+        Crop(0, 0, 0, 0),
+        stage_ms,
+        waiting,
+        colour,
+        nothing,
+        colour,
+        nothing,
+        nothing.astype(np.int32),
+    )
+
+
+def encode_srgb8(linear: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w 3"]:
+    """Encode as `roomlight.conventions.linear_to_srgb8`, by table: 1 ms for 640 x 480 pixels on two cores."""
+    values = np.ascontiguousarray(linear, np.float32).reshape(-1)
+    out = np.empty(len(values), np.uint8)
+    parallel_for(lambda start, stop: encode_values(values, _srgb_table(), out, start, stop), len(values))
+    return out.reshape(linear.shape)
+
+
+@lru_cache(maxsize=1)
+def _srgb_table() -> UInt8[np.ndarray, "65536"]:
+    return linear_to_srgb8(np.arange(65536, dtype=np.float64) / 65535)
+
+
+class BehindGlass:
+    """The frame as seen through glass: as if everything behind were far away; NaN outside the picture."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._image, self._camera = frame.image, frame.intrinsics
+        self._rotation = frame.camera_to_world[:3, :3].astype(np.float32)
+
+    def __call__(self, directions: Float32[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
+        """Return the radiance of the frame in unit world directions."""
+        xy, _ = self._camera.project(directions @ self._rotation)
+        maps = np.nan_to_num(xy, nan=-10.0, posinf=-10, neginf=-10).astype(np.float32)[None] - np.float32(0.5)
+        size = np.array([self._camera.width, self._camera.height])
+        inside = ((maps[0] > -0.5) & (maps[0] < size - 0.5)).all(axis=-1)
+        seen = np.full(directions.shape, np.nan, np.float32)
+        for start in range(0, len(directions), 30_000):  # OpenCV's remap takes at most 32,767 columns
+            part = slice(start, start + 30_000)
+            values = cv2.remap(
+                self._image, maps[:, part, 0], maps[:, part, 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
+            )[0]
+            seen[part] = np.where(inside[part, None], values, np.float32(np.nan))
+        return seen

@@ -1,0 +1,376 @@
+"""The compositor: a frame in, the frame with virtual objects out, and its layers apart.
+
+    compositor = Compositor(session, load_scene("scene.json"), quality="good")
+    for frame in capture:
+        session.push(frame)
+        picture = compositor.composite(frame)
+        picture.image                                          # 8-bit sRGB with the objects
+        picture.objects, picture.alpha, picture.shadow         # for those who composite elsewhere
+
+Everything is computed in the frame's own linear radiance: its exposure is the light's. World metres, y up.
+"""
+
+import time
+from collections.abc import Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Final, Literal, get_args
+
+import numpy as np
+from jaxtyping import Float, Float32, UInt8
+
+from roomlight.camera import transform_points
+from roomlight.compositing import shadows
+from roomlight.compositing.camera_match import CameraModel, add_noise, blur_layer, measure_camera
+from roomlight.compositing.composite import BehindGlass, Composite, encode_srgb8, unchanged
+from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
+from roomlight.compositing.placing import Placement, Plane
+from roomlight.compositing.probes import SceneProbes
+from roomlight.compositing.rendering import RenderedObjects, render_objects
+from roomlight.compositing.scene import AtPixel, Scene, SceneObject
+from roomlight.compositing.scene_geometry import SceneGeometry
+from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand
+from roomlight.compositing.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
+from roomlight.compositing.tracer import ObjectScene
+from roomlight.engine.session import Session
+from roomlight.errors import OptionError, SceneError
+from roomlight.frame import Frame
+
+Quality = Literal["preview", "good", "final"]
+
+CAMERA_EVERY: Final = 30
+"""Noise and blur of the camera are measured again after this many frames."""
+LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "final": 0.0}
+"""Light is moved toward the session's at most this often; each move costs 12 ms a probe."""
+DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
+
+
+@dataclass
+class _Clock:
+    stage_ms: dict[str, float] = field(default_factory=dict[str, float])
+
+    @contextmanager
+    def stage(self, name: str):
+        began = time.perf_counter()
+        yield
+        self.stage_ms[name] = self.stage_ms.get(name, 0.0) + (time.perf_counter() - began) * 1e3
+
+
+class Compositor:
+    """Puts the objects of a scene into the frames of a session. Not thread-safe, as the session."""
+
+    def __init__(
+        self,
+        session: Session,
+        scene: Scene | Sequence[SceneObject],
+        *,
+        quality: Quality = "good",
+        seed: int = 0,
+        match_camera: bool = True,
+        background_glass: bool = True,
+    ) -> None:
+        """Begin; objects are placed at the first frame, or at the frame that their pixel belongs to.
+
+        Args:
+            session: gives light and geometry; the caller pushes its frames.
+            scene: the objects.
+            quality: preview (30 ms for a sphere in 640 x 480 pixels on two cores), good or final.
+            seed: of the sampling points; the same seed gives the same picture.
+            match_camera: give objects the frame's noise and blur.
+            background_glass: show the frame through glass; else the probes' light.
+
+        Raises:
+            OptionError: the quality is unknown.
+            SceneError: the scene has no object, too many, or two of one name; a position or pose is refused.
+        """
+        if quality not in get_args(Quality):
+            raise OptionError(f"quality must be one of {', '.join(get_args(Quality))}; got {quality!r}")
+        self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
+        self.quality: Quality = quality
+        self.geometry = SceneGeometry()
+        self._session, self._seed, self._match = session, seed, match_camera
+        self._background_glass = background_glass
+        self._standing: list[StandingObject] = []
+        self._probes = SceneProbes(session)
+        self._depth, self._shadow = DepthFilter(), ShadowHistory()
+        self._objects: ObjectScene | None = None
+        self._matrices: list[bytes] = []
+        self._camera, self._camera_age = CameraModel.perfect(), 0
+        self._first: Frame | None = None
+        self._before: Frame | None = None
+        for held in self.scene.objects:  # refuse bad places now, not at the first frame
+            if not isinstance(held.place, AtPixel):
+                placed(held)
+
+    @property
+    def waiting(self) -> tuple[str, ...]:
+        """Names of the objects that have no place yet."""
+        done = {one.number for one in self._standing}
+        return tuple(held.name for number, held in enumerate(self.scene.objects) if number not in done)
+
+    def placement(self, name: str) -> Placement:
+        """Return where an object was placed, before its motion.
+
+        Raises:
+            SceneError: the scene has no such object, or it has no place yet.
+        """
+        for one in self._standing:
+            if one.held.name == name:
+                return one.placement
+        raise SceneError(f"{name!r} has no place yet; the scene has {', '.join(o.name for o in self.scene.objects)}")
+
+    def composite(self, frame: Frame) -> Composite:
+        """Return the frame with the objects in it.
+
+        The frame need not be the session's last one, but its pose must be in the session's world.
+
+        Raises:
+            SceneError: the session has no frame yet, or a pixel of this frame shows no known surface; nothing changed.
+        """
+        if self._session.frames == 0:
+            raise SceneError("the session has no light and no geometry yet: push a frame first")
+        clock = _Clock()
+        with clock.stage("place"):
+            self._place_waiting(frame)
+            self.geometry.update(self._session, latest=False)
+            first = self._first or frame
+            seconds = elapsed_since(first, frame)
+            matrices = [one.matrix_at(seconds, frame.index) for one in self._standing]
+            spheres = [one.sphere(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
+            crop, object_crop = self._crops(frame, spheres)
+        step_s = 0.0 if self._before is None else elapsed_s(self._before, frame)
+        if self._standing:
+            with clock.stage("light"):
+                self._probes.advance(step_s, every_s=LIGHT_EVERY_S[self.quality])
+        with clock.stage("depth"):
+            depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
+        with clock.stage("combine"):
+            image = encode_srgb8(frame.image)
+        self._first, self._before = first, frame
+        if crop.empty:
+            return unchanged(frame, image, clock.stage_ms, self.waiting)
+        with clock.stage("camera"):
+            self._follow_camera(image)
+        with clock.stage("render"):
+            rendered = self._render(frame, matrices)
+        with clock.stage("depth"):
+            depth_m = self._filled(depth_m, frame, crop)
+            real = real_depth(depth_m, frame.intrinsics.width, frame.intrinsics.height, crop)
+        supports = [one.support_at(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
+        with clock.stage("shadow"):
+            shadow = self._shadows(frame, crop, real.depth_m, spheres, supports, share_of(step_s, SHADOW_S))
+        with clock.stage("occlusion"):
+            layer = self._layer(frame, image, depth_m, rendered, object_crop, supports)
+        with clock.stage("combine"):
+            return self._combined(frame, image, (crop, shadow), (object_crop, layer), rendered, clock)
+
+    def close(self) -> None:
+        """Stop tracking the objects' positions in the session."""
+        self._probes.close()
+
+    def _place_waiting(self, frame: Frame) -> None:
+        done = {one.number for one in self._standing}
+        found: list[StandingObject] = []
+        for number, held in enumerate(self.scene.objects):
+            place = held.place
+            if number in done or (isinstance(place, AtPixel) and place.frame not in (None, frame.index)):
+                continue
+            self.geometry.update(self._session)
+            try:
+                found.append(stand(number, held, self.geometry, frame))
+            except SceneError as error:
+                raise SceneError(f"objects[{number}] ({held.name}): {error}") from error
+        for one in found:
+            self._probes.add(probe_positions(one))
+        self._standing = sorted([*self._standing, *found], key=lambda one: one.number)
+
+    def _crops(self, frame: Frame, spheres: list[Float[np.ndarray, "4"]]) -> tuple[Crop, Crop]:
+        """Return the rectangles around objects and shadows, and around objects alone."""
+        k, pose = frame.intrinsics, frame.camera_to_world
+        crop, object_crop = Crop(0, 0, 0, 0), Crop(0, 0, 0, 0)
+        for sphere in spheres:
+            own = crop_of_sphere(k, pose, sphere[:3], float(sphere[3]))
+            object_crop = object_crop.union(own)
+            crop = crop.union(crop_of_sphere(k, pose, sphere[:3], shadows.REACH * float(sphere[3])))
+        if not object_crop.empty:
+            object_crop = object_crop.grown(8, k.width, k.height)
+        return crop.union(object_crop), object_crop
+
+    def _follow_camera(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
+        if not self._match:
+            return
+        if self._camera_age % CAMERA_EVERY == 0:
+            found = measure_camera(image.astype(np.float32) / np.float32(255))
+            self._camera = found if self._camera_age == 0 else self._camera.eased(found, 0.3)
+        self._camera_age += 1
+
+    def _render(self, frame: Frame, matrices: list[Float[np.ndarray, "4 4"]]) -> RenderedObjects:
+        keys = [matrix.tobytes() for matrix in matrices]
+        if self._objects is None or keys != self._matrices:
+            pairs = zip(self._standing, matrices, strict=True)
+            self._objects = ObjectScene([one.held.geometry.transformed(matrix) for one, matrix in pairs])
+            self._matrices = keys
+        glass = self._background_glass and bool((self._objects.materials.transmission > 0).any())
+        return render_objects(
+            self._objects,
+            frame.intrinsics,
+            frame.camera_to_world,
+            self._probes.lights(),
+            quality=self.quality,
+            seed=self._seed,
+            background=BehindGlass(frame) if glass else None,
+        )
+
+    def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
+        """Fill holes near the objects with what other frames saw there."""
+        rows, columns = depth_m.shape
+        scale_y, scale_x = rows / frame.intrinsics.height, columns / frame.intrinsics.width
+        near = np.zeros(depth_m.shape, bool)
+        near[
+            int(crop.top * scale_y) : int(crop.bottom * scale_y) + 1,
+            int(crop.left * scale_x) : int(crop.right * scale_x) + 1,
+        ] = True
+        holes = near & (depth_m <= 0)
+        if not holes.any():
+            return depth_m
+        camera = frame.intrinsics.resized(columns, rows)
+        return np.where(holes, self.geometry.depth_image(camera, frame.camera_to_world, holes), depth_m)
+
+    def _shadows(
+        self,
+        frame: Frame,
+        crop: Crop,
+        depth_m: Float32[np.ndarray, "ch cw"],
+        spheres: list[Float[np.ndarray, "4"]],
+        supports: list[Plane | None],
+        share: float,
+    ) -> Float32[np.ndarray, "ch cw 3"]:
+        assert self._objects is not None
+        quality = shadows.QUALITIES[self.quality]
+        step = quality.step
+        camera = CropCamera.of(frame.intrinsics, crop)
+        coarse = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step])
+        coarse_camera, pose = camera.every(step), frame.camera_to_world
+        planes = [plane for plane in supports if plane is not None]
+        grid = shadows.surface_grid(coarse, coarse_camera, pose, planes)
+        ratio = np.ones((*coarse.shape, 3), np.float32)
+        for members in clusters(spheres):
+            centre = spheres[members[0]][:3].tolist()
+            caster = shadows.Caster(
+                self._objects,
+                np.stack([spheres[member] for member in members]).astype(np.float32),
+                np.array(members, np.int32),
+                self._probes.at((centre[0], centre[1], centre[2])),
+                next((supports[member] for member in members if supports[member] is not None), None),
+            )
+            ratio *= shadows.coarse_ratio(caster, grid, quality)
+        if self._before is not None:
+            ratio = self._shadow.blend(ratio, grid, coarse, coarse_camera, pose, share=share if share > 0 else 1.0)
+        return shadows.spread_ratio(ratio, grid.known, coarse, depth_m, step)
+
+    def _layer(
+        self,
+        frame: Frame,
+        image: UInt8[np.ndarray, "h w 3"],
+        depth_m: Float32[np.ndarray, "dh dw"],
+        rendered: RenderedObjects,
+        crop: Crop,
+        supports: list[Plane | None],
+    ) -> Float32[np.ndarray, "ch cw 4"]:
+        """Return premultiplied radiance and alpha of the visible part of the objects, blurred as the frame is."""
+        real = real_depth(depth_m, frame.intrinsics.width, frame.intrinsics.height, crop)
+        camera = CropCamera.of(frame.intrinsics, crop)
+        planes = [plane for plane in supports if plane is not None]
+        carrier = on_carrier(real, camera, frame.camera_to_world, planes)
+        guide = image[crop.slices].astype(np.float32) / np.float32(255)
+        seen = visibility(rendered.depth_m[crop.slices], real, guide, carrier)
+        layer = np.empty((*crop.shape, 4), np.float32)
+        layer[..., :3] = rendered.radiance[crop.slices] * seen[..., None]
+        layer[..., 3] = rendered.alpha[crop.slices] * seen
+        return blur_layer(layer, self._camera.blur_px) if self._match else layer
+
+    def _combined(
+        self,
+        frame: Frame,
+        image: UInt8[np.ndarray, "h w 3"],
+        shadow: tuple[Crop, Float32[np.ndarray, "ch cw 3"]],
+        layer: tuple[Crop, Float32[np.ndarray, "oh ow 4"]],
+        rendered: RenderedObjects,
+        clock: _Clock,
+    ) -> Composite:
+        (crop, ratio), (inner, pixels) = shadow, layer
+        whole = np.zeros((*crop.shape, 4), np.float32)
+        whole[inner.top - crop.top : inner.bottom - crop.top, inner.left - crop.left : inner.right - crop.left] = pixels
+        objects, alpha = np.ascontiguousarray(whole[..., :3]), np.ascontiguousarray(whole[..., 3])
+        linear = frame.image[crop.slices] * ratio * (1 - alpha[..., None]) + objects
+        encoded = encode_srgb8(linear)
+        if self._match and self._camera.noise.any():
+            rows = slice(inner.top - crop.top, inner.bottom - crop.top)
+            part = rows, slice(inner.left - crop.left, inner.right - crop.left)
+            noisy = add_noise(
+                encoded[part].astype(np.float32) / np.float32(255),
+                alpha[part],
+                self._camera,
+                frame_index=frame.index,
+                at=(inner.top, inner.left),
+            )
+            encoded[part] = np.rint(noisy * 255).astype(np.uint8)
+        image[crop.slices] = encoded
+        ids = rendered.object_id[crop.slices]
+        numbers = np.array([*(one.number for one in self._standing), -1], np.int32)
+        return Composite(
+            image,
+            frame,
+            crop,
+            clock.stage_ms,
+            self.waiting,
+            objects,
+            alpha,
+            ratio,
+            rendered.depth_m[crop.slices],
+            numbers[ids],  # -1 reads the last entry
+        )
+
+
+def composite(
+    session: Session, frame: Frame, scene: Scene | Sequence[SceneObject], *, quality: Quality = "good", seed: int = 0
+) -> Composite:
+    """Return one frame with objects in it; for a stream of frames, keep a `Compositor`.
+
+    Raises:
+        OptionError: the quality is unknown.
+        SceneError: the session has no frame, the scene or a place is refused, or an object is not in view.
+    """
+    compositor = Compositor(session, scene, quality=quality, seed=seed)
+    try:
+        result = compositor.composite(frame)
+        if result.waiting:
+            raise SceneError(
+                f"{', '.join(result.waiting)}: the pixel belongs to another frame than {frame.index}; give that frame"
+            )
+        _check_in_view(compositor, frame)
+        return result
+    finally:
+        compositor.close()
+
+
+def elapsed_since(first: Frame, frame: Frame) -> float:
+    """Return the seconds between two frames: by timestamps, else 1/30 s an index."""
+    if first.timestamp_s is not None and frame.timestamp_s is not None:
+        return frame.timestamp_s - first.timestamp_s
+    return (frame.index - first.index) * FRAME_S
+
+
+def _check_in_view(compositor: Compositor, frame: Frame) -> None:
+    """Raise SceneError for an object that a single picture cannot show."""
+    for held in compositor.scene.objects:
+        placement, box = compositor.placement(held.name), held.box
+        centre = transform_points(placement.object_to_world, (box.low + box.high) / 2)
+        radius = float(np.linalg.norm(box.high - box.low)) / 2
+        crop = crop_of_sphere(frame.intrinsics, frame.camera_to_world, centre, radius)
+        offset = (centre - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
+        if -offset[2] < -radius:
+            raise SceneError(f"{held.name}: lies behind the camera, {offset[2]:.2f} m; place it in front")
+        if crop.empty:
+            raise SceneError(f"{held.name}: lies outside the picture; move it or the camera")

@@ -1,0 +1,279 @@
+"""The compositor on a room whose geometry and light are known: layers, stability, easing and refusals."""
+
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from roomlight.compositing.camera_match import CameraModel, add_noise, measure_camera
+from roomlight.compositing.composite import encode_srgb8
+from roomlight.compositing.compositor import Compositor, composite
+from roomlight.compositing.lighting import LightSampler
+from roomlight.compositing.materials import diffuse, mirror
+from roomlight.compositing.primitives import cube, sphere
+from roomlight.compositing.scene import AtPixel, AtPosition, Motion, SceneObject
+from roomlight.compositing.temporal import (
+    LIGHT_S,
+    DepthFilter,
+    EasedLight,
+    rest_variance,
+    share_of,
+    warped_variance,
+)
+from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import OptionError, SceneError
+from rooms import BoxRoom, camera_at
+
+LAMP = ((0.3, 3.0, 0.0), 0.5)
+ROOM = BoxRoom(block=((-0.9, 0.0, -1.2), (-0.3, 0.6, -0.6)), lamp=LAMP, lamp_radiance=20.0)
+EYE = (0.2, 1.4, 1.4)
+SIZE = {"width": 320, "height": 240, "depth_size": (256, 192)}
+BALL = SceneObject("ball", sphere(0.2, diffuse((0.8, 0.2, 0.2))), AtPosition((0.3, 0.0, -0.8)))
+
+
+def view(yaw=0.0, index=0, position=EYE):
+    return ROOM.frame(camera_at(position, yaw, -30), index=index, **SIZE)
+
+
+@pytest.fixture(scope="module")
+def session():
+    held = Session(SessionOptions(model="classical", height=32))
+    for index in range(12):
+        held.push(ROOM.frame(camera_at(EYE, 30 * index, (index % 3) * 40 - 40), index=index))
+    held.push(view(index=12))
+    return held
+
+
+def test_layers_make_the_image(session):
+    frame = view()
+    made = composite(session, frame, [BALL], quality="preview")
+    linear = frame.image * made.shadow * (1 - made.alpha[..., None]) + made.objects
+    assert np.abs(made.radiance - linear).max() < 1e-6
+    assert np.abs(made.image.astype(int) - linear_to_srgb8(linear)).max() <= 1  # this room has no noise to match
+    outside = np.ones(frame.image.shape[:2], bool)
+    outside[made.crop.slices] = False
+    assert (made.image[outside] == linear_to_srgb8(frame.image)[outside]).all()
+    assert (made.alpha[outside] == 0).all()
+    assert (made.shadow[outside] == 1).all()
+
+
+def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):
+    frame = view()
+    made = composite(session, frame, [BALL], quality="preview")
+    covered = made.alpha > 0.99
+    radius_px = 0.2 / np.linalg.norm(np.array([0.3, 0.2, -0.8]) - EYE) * frame.intrinsics.fx
+    assert covered.sum() == pytest.approx(np.pi * radius_px**2, rel=0.1)
+    assert (made.object_id[covered] == 0).all()
+    centre = (np.array([0.3, 0.2, -0.8]) - EYE) @ frame.camera_to_world[:3, :3]
+    assert made.depth_m[covered].min() == pytest.approx(-centre[2] - 0.2, abs=0.02)
+    assert made.shadow.min() < 0.6  # under the ball
+    assert (made.shadow[made.alpha > 0] > 0).all()
+    red, green, _ = made.radiance[covered].mean(axis=0)
+    assert red > 2 * green
+
+
+def test_a_real_block_hides_the_ball_behind_it(session):
+    hidden = replace(BALL, place=AtPosition((-0.6, 0.0, -1.6)))
+    frame = view()
+    made = composite(session, frame, [hidden], quality="preview")
+    rays = frame.intrinsics.rays() @ frame.camera_to_world[:3, :3].T.astype(np.float32)
+    _, distance = ROOM.cast(frame.camera_to_world[:3, 3], rays / np.linalg.norm(rays, axis=-1, keepdims=True))
+    real = distance / np.linalg.norm(frame.intrinsics.rays(), axis=-1)
+    covered = made.depth_m > 0
+    in_front = covered & (real < made.depth_m - 0.1)
+    assert in_front.sum() > 300
+    wrong = (made.alpha[in_front] > 0.5).mean() + (made.alpha[covered & (real > made.depth_m + 0.1)] < 0.5).mean()
+    assert wrong < 0.06  # the rim, where alpha is soft
+
+
+def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
+    held = replace(BALL, place=AtPixel(200, 180, frame=5))
+    compositor = Compositor(session, [held], quality="preview")
+    first = compositor.composite(view(index=4))
+    assert first.waiting == ("ball",)
+    assert (first.image == linear_to_srgb8(view().image)).all()
+    second = compositor.composite(view(index=5))
+    assert second.waiting == ()
+    bottom = compositor.placement("ball").object_to_world[1, 3] - 0.2
+    assert abs(bottom) < 0.005
+    compositor.close()
+    assert session.handles == ()
+
+
+def test_still_objects_do_not_shimmer(session):
+    compositor = Compositor(session, [BALL], quality="preview")
+    frames = [compositor.composite(view(index=index)).image for index in range(6)]
+    assert rest_variance(frames[1:]) == 0.0
+
+
+def test_noise_of_depth_hardly_reaches_the_picture(session):
+    rng = np.random.default_rng(4)
+    compositor = Compositor(session, [BALL], quality="preview", match_camera=False)
+    images = []
+    for index in range(10):
+        frame = view(index=index)
+        noise = rng.normal(0, 0.006, frame.depth_m.shape).astype(np.float32)
+        made = compositor.composite(replace(frame, depth_m=frame.depth_m + noise))
+        images.append(made.image)
+    near = np.zeros(made.alpha.shape, bool)
+    near[made.crop.slices] = True
+    assert rest_variance(images[4:], near) < (1.0 / 255) ** 2  # under one step of 8 bits
+
+
+def test_shadows_keep_still_under_a_moving_camera(session):
+    compositor = Compositor(session, [BALL], quality="preview")
+    frames = [view(1.0 * index, index, (0.2 + 0.01 * index, 1.4, 1.4)) for index in range(8)]
+    made = [compositor.composite(frame) for frame in frames]
+    exact = [ROOM.frame(f.camera_to_world, width=320, height=240) for f in frames]
+    depths = [np.where(m.alpha > 0, 0, f.depth_m).astype(np.float32) for m, f in zip(made, exact, strict=True)]
+    moving = warped_variance(
+        [m.shadow for m in made[2:]],
+        depths[2:],
+        [f.intrinsics for f in frames[2:]],
+        [f.camera_to_world for f in frames[2:]],
+    )
+    assert moving < 0.01**2  # a standard deviation of 1 % of the light
+
+
+def test_a_moving_object_changes_without_steps(session):
+    motion = Motion.model_validate({"unit": "frames", "keys": [{"at": 0}, {"at": 30, "offset_m": [-0.9, 0, 0.6]}]})
+    compositor = Compositor(session, [replace(BALL, motion=motion)], quality="preview")
+    means = []
+    for index in range(0, 30, 2):
+        made = compositor.composite(view(index=index))
+        covered = made.alpha > 0.99
+        means.append(made.radiance[covered].mean())
+    steps = np.abs(np.diff(means)) / np.mean(means)
+    assert steps.max() < 0.08
+    assert np.ptp(means) > 0.01 * np.mean(means)  # but it does change
+
+
+def test_light_is_eased_in_with_its_time_constant():
+    dark, bright = np.full((16, 32, 3), 0.2, np.float32), np.full((16, 32, 3), 1.2, np.float32)
+    light = EasedLight((0, 0, 0), dark)
+    light.aim(bright)
+    for _ in range(12):
+        light.advance(LIGHT_S / 12)
+    assert light.sampler.panorama.mean() == pytest.approx(0.2 + (1 - np.exp(-1)), abs=1e-3)
+    assert isinstance(light.sampler, LightSampler)
+    assert share_of(0.0, LIGHT_S) == 0
+
+
+def test_depth_is_averaged_where_it_agrees_and_replaced_where_not():
+    rng = np.random.default_rng(6)
+    clean = view()
+    depth_filter = DepthFilter()
+    for index in range(12):
+        noise = rng.normal(0, 0.01, clean.depth_m.shape).astype(np.float32)
+        result = depth_filter.push(replace(clean, index=index, depth_m=clean.depth_m + noise))
+    assert (result - clean.depth_m).std() < 0.5 * 0.01
+    nearer = replace(clean, index=12, depth_m=clean.depth_m * 0.7)
+    assert depth_filter.push(nearer) == pytest.approx(nearer.depth_m)
+    hole = replace(clean, index=13, depth_m=np.zeros_like(clean.depth_m))
+    assert depth_filter.push(hole) == pytest.approx(nearer.depth_m)  # held for some frames
+
+
+def test_depth_follows_a_moving_camera():
+    depth_filter = DepthFilter()
+    for index in range(6):
+        frame = view(0.7 * index, index)
+        result = depth_filter.push(frame)
+        assert np.percentile(np.abs(result - frame.depth_m) / frame.depth_m, 95) < 0.01
+
+
+def test_noise_and_blur_of_the_frame_are_measured_and_matched():
+    rng = np.random.default_rng(8)
+    smooth = np.clip(linear_to_srgb(view().image), 0, 1)
+    noisy = np.clip(smooth + rng.normal(0, 0.02, smooth.shape), 0, 1).astype(np.float32)
+    camera = measure_camera(noisy)
+    assert camera.noise[2:6].mean() == pytest.approx(0.02, rel=0.1)
+    grey = np.full((64, 64, 3), 0.5, np.float32)
+    added = add_noise(grey, np.ones((64, 64), np.float32), camera, frame_index=3)
+    assert added.std() == pytest.approx(0.02, rel=0.15)
+    again = add_noise(grey, np.ones((64, 64), np.float32), camera, frame_index=3)
+    other = add_noise(grey, np.ones((64, 64), np.float32), camera, frame_index=4)
+    assert (added == again).all()
+    assert not (added == other).all()
+    part = add_noise(grey[8:24, 16:40], np.ones((16, 24), np.float32), camera, frame_index=3, at=(8, 16))
+    assert (part == added[8:24, 16:40]).all()
+    assert not measure_camera(smooth.astype(np.float32)).noise.any()
+    assert (add_noise(grey, np.zeros((64, 64), np.float32), camera, frame_index=3) == grey).all()
+    assert CameraModel.perfect().blur_px == 0
+
+
+@pytest.mark.parametrize("blur_px", [0.6, 1.0, 1.5])
+def test_blur_is_measured_at_the_sharpest_edges(blur_px):
+    fine = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((192, 192))).astype(np.float32) * 0.6 + 0.2
+    fine = cv2.warpAffine(
+        fine, np.float32([[1, 0.05, 0], [-0.04, 1, 30]]), fine.shape[::-1], borderMode=cv2.BORDER_REFLECT
+    )
+    image = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 4 * blur_px), (384, 288), interpolation=cv2.INTER_AREA)
+    assert measure_camera(np.repeat(image[..., None], 3, axis=-1)).blur_px == pytest.approx(blur_px, abs=0.25)
+
+
+def test_noise_of_the_frame_is_given_to_objects(session):
+    rng = np.random.default_rng(9)
+    clean = view()
+    noisy = linear_to_srgb(clean.image) + rng.normal(0, 0.02, clean.image.shape)
+    frame = replace(clean, image=srgb8_to_linear(np.rint(np.clip(noisy, 0, 1) * 255).astype(np.uint8)))
+    matched = composite(session, frame, [BALL], quality="preview")
+    plain = Compositor(session, [BALL], quality="preview", match_camera=False).composite(frame)
+    covered = plain.alpha == 1
+    difference = (matched.image.astype(float) - plain.image)[covered] / 255
+    assert difference.std() == pytest.approx(0.02, rel=0.35)
+
+
+def test_clipped_light_on_objects_is_white(session):
+    bright = SceneObject("mirror", sphere(0.2, mirror()), AtPosition((0.3, 0.0, -0.8)))
+    made = composite(session, view(), [bright], quality="preview")
+    assert made.radiance[made.alpha > 0.99].max() > 1
+    assert (made.image[made.radiance.min(axis=-1) > 1] == 255).all()
+
+
+def test_encoding_agrees_with_the_reference():
+    linear = np.random.default_rng(1).uniform(-0.1, 1.2, (40, 30, 3)).astype(np.float32) ** 2
+    assert np.abs(encode_srgb8(linear).astype(int) - linear_to_srgb8(linear)).max() <= 1
+    codes = np.arange(256, dtype=np.uint8).reshape(1, 256, 1).repeat(3, axis=2)
+    assert (encode_srgb8(srgb8_to_linear(codes)) == codes).all()
+
+
+def test_a_session_without_frames_is_refused():
+    with pytest.raises(SceneError, match="push a frame first"):
+        Compositor(Session(SessionOptions(model="classical", height=16)), [BALL]).composite(view())
+
+
+def test_an_unknown_quality_is_refused(session):
+    with pytest.raises(OptionError, match="quality must be one of preview, good, final; got 'best'"):
+        Compositor(session, [BALL], quality="best")
+
+
+def test_objects_out_of_view_are_refused_in_a_single_picture(session):
+    with pytest.raises(SceneError, match="ball: lies behind the camera"):
+        composite(session, view(), [replace(BALL, place=AtPosition((0.2, 0.0, 2.2)))], quality="preview")
+    with pytest.raises(SceneError, match="ball: lies outside the picture"):
+        composite(session, view(), [replace(BALL, place=AtPosition((-2.8, 0.0, 0.4)))], quality="preview")
+    with pytest.raises(SceneError, match="ball: the pixel belongs to another frame"):
+        composite(session, view(), [replace(BALL, place=AtPixel(10, 10, frame=99))], quality="preview")
+
+
+def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
+    compositor = Compositor(session, [BALL, replace(BALL, name="lost", place=AtPixel(9999, 3))], quality="preview")
+    with pytest.raises(SceneError, match=r"objects\[1\] \(lost\): pixel"):
+        compositor.composite(view())
+    assert compositor.waiting == ("ball", "lost")
+    assert session.handles == ()
+
+
+def test_a_bad_position_is_refused_at_once(session):
+    with pytest.raises(SceneError, match="position"):
+        Compositor(session, [replace(BALL, place=AtPosition((float("nan"), 0, 0)))])
+
+
+def test_a_big_object_has_several_probes(session):
+    big = SceneObject("big", cube(1.0), AtPosition((0.6, 0.0, -1.2)))
+    compositor = Compositor(session, [big], quality="preview")
+    compositor.composite(view())
+    assert len(session.handles) == 8
+    compositor.close()

@@ -1,0 +1,102 @@
+"""Real things in front of objects: exact where depth decides, at the colour edge where it does not."""
+
+import numpy as np
+import pytest
+
+from roomlight.compositing.crop import Crop, CropCamera
+from roomlight.compositing.occlusion import RealDepth, depth_edges, on_carrier, real_depth, visibility
+from roomlight.compositing.placing import Plane
+from rooms import camera_at, pinhole
+
+WHOLE = Crop(0, 0, 160, 120)
+EDGE = 71
+"""Column where the near surface (left) ends."""
+
+
+def guide_with_edge(noise=0.0):
+    guide = np.full((120, 160, 3), 0.65, np.float32)
+    guide[:, :EDGE] = (0.3, 0.35, 0.3)
+    return guide + np.random.default_rng(2).normal(0, noise, guide.shape).astype(np.float32)
+
+
+def step_depth(width=160, height=120):
+    columns = (np.arange(width) + 0.5) * 160 / width
+    return np.broadcast_to(np.where(columns < EDGE, 1.0, 3.0), (height, width)).astype(np.float32)
+
+
+def test_full_depth_hides_exactly():
+    real = real_depth(step_depth(), 160, 120, WHOLE)
+    seen = visibility(np.full((120, 160), 2.0, np.float32), real, guide_with_edge())
+    assert seen[:, : EDGE - 1].max() == 0
+    assert seen[:, EDGE + 1 :].min() == 1
+    assert seen[:, EDGE - 1].max() < 0.01  # beside the edge colour decides
+    assert seen[:, EDGE].min() > 0.99
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.015])
+def test_coarse_depth_hides_along_the_colour_edge(noise):
+    coarse = step_depth(40, 30)
+    coarse[:, 17] = 3.0  # the sensor sees the edge a pixel, four of the image's, too far left
+    seen = visibility(np.full((120, 160), 2.0, np.float32), real_depth(coarse, 160, 120, WHOLE), guide_with_edge(noise))
+    inner = seen[10:-10]
+    assert inner[:, : EDGE - 1].max() < 0.1
+    assert inner[:, EDGE + 1 :].min() > 0.9
+
+
+def test_without_a_colour_edge_the_alpha_is_soft():
+    flat = np.full((120, 160, 3), 0.5, np.float32)
+    seen = visibility(np.full((120, 160), 2.0, np.float32), real_depth(step_depth(40, 30), 160, 120, WHOLE), flat)
+    steps = np.diff(seen[60])
+    assert steps.max() < 0.5
+    assert seen[60, 40] == 0
+    assert seen[60, 110] == 1
+
+
+def test_objects_are_visible_where_depth_is_unknown():
+    real = real_depth(np.zeros((30, 40), np.float32), 160, 120, WHOLE)
+    assert (visibility(np.full((120, 160), 2.0, np.float32), real, guide_with_edge()) == 1).all()
+
+
+def test_a_narrow_hole_is_decided_by_colour():
+    depth = step_depth()
+    depth[:, EDGE - 3 : EDGE + 3] = 0
+    seen = visibility(np.full((120, 160), 2.0, np.float32), real_depth(depth, 160, 120, WHOLE), guide_with_edge())
+    assert seen[:, : EDGE - 1].max() < 0.05
+    assert seen[:, EDGE + 1 :].min() > 0.95
+
+
+def test_pixels_without_object_count_as_visible():
+    object_depth = np.zeros((120, 160), np.float32)
+    object_depth[40:80, 40:100] = 2.0
+    seen = visibility(object_depth, real_depth(step_depth(), 160, 120, WHOLE), guide_with_edge())
+    assert (seen[object_depth == 0] == 1).all()
+    assert seen[60, 50] == 0
+
+
+def test_the_plane_under_an_object_never_hides_it():
+    pose = camera_at((0.0, 1.0, 1.0), pitch_degrees=-45)
+    camera = CropCamera.of(pinhole(160, 120))
+    down = (camera.rays() @ pose[:3, :3].T.astype(np.float32))[..., 1]
+    noise = np.random.default_rng(1).normal(0, 0.008, down.shape).astype(np.float32)
+    depth = np.where(down < -0.3, 1.0 / -np.minimum(down, -0.3), 0).astype(np.float32)
+    real = RealDepth(np.where(depth > 0, depth + noise, 0), np.ones(depth.shape, bool), 1.0)
+    floor = Plane(np.zeros(3), np.array([0.0, 1, 0]))
+    assert on_carrier(real, camera, pose, [floor])[depth > 0].mean() > 0.95
+    below = Plane(np.array([0.0, 2.0, 0]), np.array([0.0, 1, 0]))  # faces away from the camera
+    assert not on_carrier(real, camera, pose, [below]).any()
+
+
+def test_a_grazing_floor_has_no_depth_edges():
+    rows = np.arange(60, dtype=np.float32)[:, None] + 3
+    floor = np.broadcast_to(80 / rows, (60, 80)).astype(np.float32)
+    assert not depth_edges(floor).any()
+    floor = floor.copy()
+    floor[20:30, 20:30] *= 0.8
+    edges = depth_edges(floor)
+    assert edges[20:30, 19:21].all()
+    assert not edges[23:27, 23:27].any()
+
+
+def test_depth_is_not_averaged_across_edges():
+    resampled = real_depth(step_depth(40, 30), 160, 120, Crop(20, 10, 140, 100)).depth_m
+    assert set(np.unique(resampled)) == {1.0, 3.0}

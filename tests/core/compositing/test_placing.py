@@ -1,0 +1,127 @@
+"""Places on surfaces: resting on them, flush with walls, and refused where nothing is known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomlight.camera import transform_points
+from roomlight.compositing.placing import Box, fit_plane, place_at, place_at_pixel, place_by_pose, support_below
+from roomlight.compositing.scene_geometry import SceneGeometry
+from roomlight.engine.mesh import FrameMesh
+from roomlight.errors import SceneError
+from rooms import BoxRoom, camera_at
+
+ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 0.7, -1.0)))
+EYE = (0.2, 1.4, 1.2)
+BOX = Box(np.array([-0.1, -0.05, -0.2]), np.array([0.1, 0.25, 0.15]))
+CORNERS = np.array([[x, y, z] for x in (-0.1, 0.1) for y in (-0.05, 0.25) for z in (-0.2, 0.15)])
+
+
+def pixel_of(frame, point):
+    offset = (np.asarray(point) - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
+    ((column, row),), _ = frame.intrinsics.project(offset[None])
+    return float(column) - 0.5, float(row) - 0.5
+
+
+def view(pitch_degrees, noise_m=0.0):
+    frame = ROOM.frame(camera_at(EYE, pitch_degrees=pitch_degrees), width=320, height=240, depth_size=(256, 192))
+    if noise_m:
+        noise = np.random.default_rng(3).normal(0, noise_m, frame.depth_m.shape).astype(np.float32)
+        frame = replace(frame, depth_m=frame.depth_m + noise)
+    geometry = SceneGeometry()
+    geometry.add(0, FrameMesh(frame))
+    return frame, geometry
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.004])
+@pytest.mark.parametrize(
+    ("pitch", "target", "axis", "height"),
+    [(-35, (0.9, 0, -0.8), 1, 0.0), (-25, (0.0, 0.7, -1.3), 1, 0.7), (30, (0.6, 3.0, -1.2), 1, 3.0)],
+)
+def test_object_rests_on_the_plane_behind_the_pixel(pitch, target, axis, height, noise_m):
+    frame, geometry = view(pitch, noise_m)
+    placed = place_at_pixel(geometry, frame, *pixel_of(frame, target), BOX)
+    corners = transform_points(placed.object_to_world, CORNERS)
+    gap = corners[:, axis].min() - height if height < 3 else height - corners[:, axis].max()
+    assert abs(gap) < 0.005
+    assert placed.kind == ("ceiling" if height == 3 else "floor")
+    assert placed.support.normal == pytest.approx([0, -1 if height == 3 else 1, 0])
+    assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0])  # upright, also under a ceiling
+    assert placed.support.point[[0, 2]] == pytest.approx(np.array(target)[[0, 2]], abs=0.02)
+
+
+@pytest.mark.parametrize("noise_m", [0.0, 0.004])
+def test_object_hangs_flush_on_a_wall(noise_m):
+    frame, geometry = view(0, noise_m)
+    placed = place_at_pixel(geometry, frame, *pixel_of(frame, (1.0, 1.5, -2.5)), BOX)
+    corners = transform_points(placed.object_to_world, CORNERS)
+    assert placed.kind == "wall"
+    assert abs(corners[:, 2].min() + 2.5) < 0.008 if noise_m else 0.005
+    assert placed.object_to_world[:3, 2] == pytest.approx([0, 0, 1], abs=1e-6)  # the front looks into the room
+    assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0], abs=1e-6)
+
+
+def test_yaw_turns_about_the_normal():
+    frame, geometry = view(-35)
+    turned = place_at_pixel(geometry, frame, *pixel_of(frame, (0.9, 0, -0.8)), BOX, yaw_degrees=90.0)
+    assert turned.object_to_world[:3, 2] == pytest.approx([1, 0, 0], abs=1e-6)
+
+
+def test_near_an_edge_the_pixels_own_surface_is_fitted():
+    frame, geometry = view(-25)
+    placed = place_at_pixel(geometry, frame, *pixel_of(frame, (0.0, 0.7, -1.03)), BOX)
+    assert placed.kind == "floor"
+    assert placed.support.point[1] == pytest.approx(0.7, abs=0.005)
+
+
+def test_another_frame_fills_a_hole_behind_the_pixel():
+    frame, geometry = view(-35)
+    blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
+    placed = place_at_pixel(geometry, blind, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
+    assert placed.support.point == pytest.approx([0.9, 0, -0.8], abs=0.01)
+
+
+def test_a_pixel_without_surface_is_refused():
+    frame, _ = view(-35)
+    blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
+    with pytest.raises(SceneError, match=r"no surface is known behind 100,50.*choose another pixel or give a position"):
+        place_at_pixel(SceneGeometry(), blind, 100.0, 50.0, BOX)
+
+
+@pytest.mark.parametrize(("u", "v"), [(-1.0, 5.0), (320.0, 5.0), (5.0, 240.0), (float("nan"), 5.0)])
+def test_a_pixel_outside_the_image_is_refused(u, v):
+    frame, geometry = view(-35)
+    with pytest.raises(SceneError, match="320 x 240 pixels"):
+        place_at_pixel(geometry, frame, u, v, BOX)
+
+
+@pytest.mark.parametrize("position", [(np.nan, 0, 0), (0, 2e4, 0)])
+def test_a_position_beyond_the_limit_is_refused(position):
+    with pytest.raises(SceneError, match="within 10000 m"):
+        place_at(np.array(position), BOX)
+
+
+def test_a_pose_that_is_not_rigid_is_refused():
+    with pytest.raises(SceneError, match=r"pose: .*scales"):
+        place_by_pose(np.diag([2.0, 2, 2, 1]), BOX)
+
+
+@pytest.mark.parametrize(
+    ("anchor", "expected"), [("base", (0, -0.05, -0.025)), ("centre", (0, 0.1, -0.025)), ("origin", (0, 0, 0))]
+)
+def test_the_anchor_is_put_onto_the_place(anchor, expected):
+    placed = place_at(np.array([1.0, 2, 3]), BOX, yaw_degrees=30.0, anchor=anchor)
+    assert transform_points(placed.object_to_world, np.array(expected, float)) == pytest.approx([1, 2, 3])
+
+
+def test_support_is_found_under_an_object_placed_by_position():
+    _, geometry = view(-35)
+    standing = support_below(geometry, place_at(np.array([0.9, 0.0, -0.8]), BOX), BOX)
+    assert standing.normal == pytest.approx([0, 1, 0])
+    assert support_below(geometry, place_at(np.array([0.9, 0.3, -0.8]), BOX), BOX) is None
+
+
+def test_a_line_of_points_makes_no_plane():
+    line = np.linspace(0, 1, 50)[:, None] * np.array([[0.1, 0, 0]])
+    assert fit_plane(line.astype(np.float32), np.zeros(3), toward=np.array([0.0, 1, 0]), tolerance_m=0.01) is None

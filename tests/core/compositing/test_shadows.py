@@ -1,0 +1,132 @@
+"""Shadows and colour bleeding against closed forms: umbra and penumbra of a small light, a sphere under a white sky."""
+
+import numpy as np
+import pytest
+from light_rooms import lit, unit
+
+from roomlight.compositing.crop import CropCamera
+from roomlight.compositing.lighting import LightSampler
+from roomlight.compositing.materials import diffuse, glass
+from roomlight.compositing.placing import Plane
+from roomlight.compositing.primitives import cube, sphere
+from roomlight.compositing.shadows import Caster, ShadowQuality, coarse_ratio, light_samples, shadow_ratio, surface_grid
+from roomlight.compositing.tracer import ObjectScene
+from rooms import camera_at, pinhole
+
+POSE = camera_at((0.0, 1.6, 1.6), pitch_degrees=-45)
+CAMERA = CropCamera.of(pinhole(160, 120, 60.0))
+FLOOR = Plane(np.zeros(3), np.array([0.0, 1.0, 0.0]))
+FINE = ShadowQuality(step=1, samples=64, bounces=0)
+
+
+def floor_depth():
+    rays = CAMERA.rays().astype(np.float64)
+    down = (rays @ POSE[:3, :3].T)[..., 1]
+    return (POSE[1, 3] / -down).astype(np.float32)
+
+
+def caster(held, panorama, centre, radius, support=FLOOR):
+    spheres = np.array([[*centre, radius]], np.float32)
+    return Caster(ObjectScene([held]), spheres, np.array([0], np.int32), LightSampler(panorama), support)
+
+
+def ball(panorama, radius=0.2, height=0.5, material=None):
+    move = np.eye(4)
+    move[1, 3] = height
+    return caster(sphere(radius, material).transformed(move), panorama, (0, height, 0), radius)
+
+
+def ratio_of(shadow_caster, quality=FINE):
+    grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
+    return coarse_ratio(shadow_caster, grid, quality), grid
+
+
+def test_umbra_of_a_small_light_is_the_analytic_one():
+    toward, angle = unit(0.35, 1.0, 0.2), np.radians(3.0)
+    panorama = lit(240, [(toward, 3.0, 100.0)], level=0.0)
+    ratio, grid = ratio_of(ball(panorama))
+    offset = grid.points - np.array([0, 0.5, 0])
+    along = -(offset @ toward)
+    across = np.linalg.norm(offset + along[..., None] * toward, axis=-1)
+    spread, margin = along * np.tan(angle), 0.02  # a pixel of the floor is 1.5 cm
+    umbra = across < 0.2 - spread - margin
+    outside = across > 0.2 + spread + margin
+    assert umbra.sum() > 150
+    assert ratio[umbra].max() < 0.03
+    assert ratio[outside & grid.known].min() > 0.98
+    between = ratio[~umbra & ~outside & grid.known]
+    assert 0.3 < between.mean() < 0.7
+
+
+def test_sphere_under_a_white_sky_shades_the_floor_as_the_form_factor():
+    ratio, grid = ratio_of(ball(lit(60, [], level=1.0), height=0.2))
+    distance = np.linalg.norm(grid.points - np.array([0, 0.2, 0]), axis=-1)
+    expected = 1 - 0.2**2 * 0.2 / distance**3  # the sphere is above the horizon everywhere
+    checked = grid.known & (distance < 0.6) & (distance > 0.23)
+    assert checked.sum() > 500
+    assert np.abs(ratio[checked].mean(axis=-1) - expected[checked]).max() < 0.06
+    assert abs((ratio[checked].mean(axis=-1) - expected[checked]).mean()) < 0.01
+
+
+def test_far_from_objects_nothing_changes():
+    ratio, grid = ratio_of(ball(lit(60, [], level=1.0)))
+    distance = np.linalg.norm(grid.points - np.array([0, 0.5, 0]), axis=-1)
+    assert (ratio[distance > 0.81] == 1).all()
+
+
+def test_a_red_cube_bleeds_red_onto_a_white_floor():
+    move = np.eye(4)
+    move[1, 3] = 0.2
+    held = cube(0.4, diffuse((0.8, 0.05, 0.05))).transformed(move)
+    lit_cube = caster(held, lit(60, [], level=1.0), (0, 0.2, 0), 0.4 * np.sqrt(0.75))
+    ratio, grid = ratio_of(lit_cube, ShadowQuality(step=1, samples=64, bounces=8))
+    beside = grid.known & (np.abs(grid.points[..., 0]) < 0.2) & (np.abs(grid.points[..., 2] - 0.26) < 0.03)
+    red, green, _ = ratio[beside].mean(axis=0)
+    # at 6 cm from a wall of 0.4 m its cosine-weighted share of the hemisphere is about 0.35
+    assert 0.2 < red - green < 0.4
+    assert green < 0.75
+
+
+def test_reflected_light_conserves_a_white_furnace():
+    """A white object under a white sky reflects what it blocks: only its own underside is dark."""
+    white = ball(lit(60, [], level=1.0), height=0.6, material=diffuse((1.0, 1.0, 1.0)))
+    ratio, grid = ratio_of(white, ShadowQuality(step=1, samples=64, bounces=16))
+    assert ratio[grid.known].min() > 0.9
+    assert ratio[grid.known].max() < 1.03
+
+
+def test_glass_casts_a_lighter_shadow():
+    panorama = lit(240, [((0.35, 1.0, 0.2), 3.0, 100.0)], level=0.0)
+    clear, grid = ratio_of(ball(panorama, material=glass(tint=(0.9, 0.9, 0.9))))
+    dark, _ = ratio_of(ball(panorama))
+    umbra = grid.known & (dark[..., 1] < 0.03)
+    assert clear[umbra].mean() == pytest.approx(0.9, abs=0.03)
+
+
+def test_samples_estimate_the_irradiance():
+    panorama = lit(120, [((0.3, 1.0, 0.1), 8.0, 40.0)], level=0.4)
+    light = LightSampler(panorama)
+    for normal in (np.array([0.0, 1, 0]), unit(1, 1, 0), unit(0, 0.2, -1)):
+        samples = light_samples(light, 64, toward=np.array([0.0, 1, 0]))
+        cosine = np.maximum(samples.directions @ normal.astype(np.float32), 0)
+        estimates = (samples.weights * cosine[..., None]).sum(axis=1)
+        lamp = 40 * np.pi * np.sin(np.radians(8)) ** 2 * max(normal @ unit(0.3, 1.0, 0.1), 0)
+        assert estimates.mean() == pytest.approx(0.4 * np.pi + lamp, rel=0.03)
+        assert estimates.std(axis=0).max() < 0.25 * estimates.mean()
+
+
+def test_coarse_shadows_agree_with_fine_ones():
+    panorama = lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5)
+    fine = shadow_ratio([ball(panorama, height=0.25)], floor_depth(), CAMERA, POSE, FINE)
+    coarse = shadow_ratio([ball(panorama, height=0.25)], floor_depth(), CAMERA, POSE, ShadowQuality(2, 32, 0))
+    assert np.abs(fine - coarse).mean() < 0.01
+    assert np.percentile(np.abs(fine - coarse), 99) < 0.15
+
+
+def test_noise_of_depth_leaves_the_support_flat():
+    noise = np.random.default_rng(5).normal(0, 0.006, floor_depth().shape).astype(np.float32)
+    grid = surface_grid(floor_depth() + noise, CAMERA, POSE, [FLOOR])
+    near = grid.known[8:-8, 8:-8]
+    assert near.mean() > 0.95
+    assert np.abs(grid.points[8:-8, 8:-8, 1])[near].max() < 0.05
+    assert (np.abs(grid.points[8:-8, 8:-8, 1])[near] < 1e-5).mean() > 0.9
