@@ -3,8 +3,8 @@
 Its input is a square of `SIDE` x `SIDE` pixels that holds the whole frame, reduced, in its middle; the rest is empty.
 Channels, in order (`roomlight.engine.clipping` makes them; see `CHANNELS` there):
 
-    linear RGB (3), clipped, inside the frame, depth known, log(1 + depth in metres), surface normal (3) in a frame whose
-    y is the world's up and whose z points back from the camera's heading, y of the pixel's ray
+    linear RGB (3), clipped, inside the frame, depth known, log(1 + depth in metres), surface normal (3) in a frame
+    whose y is the world's up and whose z points back from the camera's heading, y of the pixel's ray
 
 The output is, at half the resolution, the logarithm of each channel's radiance in units of the frame's white.
 """

@@ -33,6 +33,25 @@ class _Memory:
     frames: int = 0
 
 
+@dataclass(frozen=True)
+class Observed:
+    """What the frames have shown a probe; [H, 2H].
+
+    Attributes:
+        detail: radiance, where observed.
+        known: share observed, 0 to 1.
+        clipped: share of it that was clipped.
+        depth_m: distance, where observed.
+        fill: radiance everywhere, spread from the observed.
+    """
+
+    detail: Float[np.ndarray, "h w 3"]
+    known: Float[np.ndarray, "h w"]
+    clipped: Float[np.ndarray, "h w"]
+    depth_m: Float[np.ndarray, "h w"]
+    fill: Float[np.ndarray, "h w 3"]
+
+
 class ClassicalBackend:
     """The classical model of one session; see the module docstring."""
 
@@ -78,16 +97,35 @@ class ClassicalBackend:
     ) -> Estimate:
         """Estimate the HDR panorama: observed radiance and, with little weight, the SGLV, spread by push-pull."""
         del depth_max_m
-        assert isinstance(memory, _Memory)
+        seen = self.observe(state, rendered=rendered, transmittance=transmittance, partial=partial)
+        hdr = seen.fill
+        if self.is_later_frame(memory):
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
+        return Estimate(hdr, partial.mask.astype(np.float32))
+
+    def observe(
+        self,
+        state: PanoramaState,
+        *,
+        rendered: Float[np.ndarray, "h w 3"],
+        transmittance: Float[np.ndarray, "h w"],
+        partial: PartialPanorama,
+    ) -> "Observed":
+        """Return what the stream has shown a probe up to this frame, and the fill of the rest."""
         detail, known = latest_detail(state, partial.radiance, partial.depth_m, mask=partial.mask)
+        fresh = partial.mask & state.is_closer(partial.depth_m)
+        clipped = state.clipped if partial.clipped is None else np.where(fresh, partial.clipped, state.clipped)
         opaque = 1 - transmittance
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
         volume_weight = (1 - known) * VOLUME_WEIGHT * opaque**4
         weight = known + volume_weight
         volume = at_most_white(rendered / np.maximum(opaque, 1e-3)[..., None])
         mixed = known[..., None] * at_most_white(detail) + volume_weight[..., None] * volume
-        hdr = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
-        if memory.frames > 0:
-            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
+        fill = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
+        return Observed(detail, known, clipped, np.where(fresh, partial.depth_m, state.depth_m), fill)
+
+    def is_later_frame(self, memory: ProbeMemory) -> bool:
+        """Count a frame of a probe; return whether it had one before."""
+        assert isinstance(memory, _Memory)
         memory.frames += 1
-        return Estimate(hdr, partial.mask.astype(np.float32))
+        return memory.frames > 1

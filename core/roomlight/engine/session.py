@@ -297,6 +297,16 @@ class Session:
             raise ProbeError(f"no light for tracked probe {handle}: {reason}")
         return self._light_of(self._probes[handle])
 
+    def panorama_state(self, handle: int) -> PanoramaState:
+        """Return what a tracked position has accumulated up to the last frame; the next frame overwrites it.
+
+        Raises:
+            ProbeError: no tracked probe has this handle, or no frame was pushed yet.
+        """
+        if handle not in self._probes:
+            raise ProbeError(f"no panorama for tracked probe {handle}: this session tracks {len(self._probes)}")
+        return self._probes[handle].state
+
     def light_at(self, position: Position) -> Light:
         """Return the light at any position, from the keyframes and the last frame.
 

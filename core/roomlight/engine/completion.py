@@ -1,0 +1,123 @@
+"""Completion of a probe's panorama by a network: the light of directions that no frame has shown.
+
+The classical model fills them from their surroundings. The network sees that fill with all that was observed, and
+predicts how much brighter or darker the unobserved light is: E[log(1 + L)] - log(1 + fill), per channel. It sees the
+panorama that the frames of the stream make together, never its own results, so that nothing that it inferred can grow
+by being looked at.
+"""
+
+from functools import cache
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Float, Float32
+
+from roomlight.engine.backend import FILL_UPDATE, Estimate, ProbeMemory
+from roomlight.engine.blend import PanoramaState
+from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.graphs import SHIPPED, Graph, load_part
+from roomlight.engine.mesh import PartialPanorama
+from roomlight.engine.providers import Provider
+
+HEIGHT: Final = 60
+"""Rows of the network's panoramas."""
+PANELS: Final = 9
+"""Input: observed radiance (3), share observed, share of it clipped, distance in metres, the classical fill (3)."""
+FARTHEST_M: Final = 50.0
+BRIGHTEST: Final = 60_000.0
+"""Limits of the input: distance, and radiance in units of white."""
+
+
+class CompletionModel:
+    """The network, loaded once and shared by all sessions; a call uses buffers of its own."""
+
+    def __init__(self, graph: Graph) -> None:
+        self._graph = graph
+
+    def complete(
+        self, panels: Float32[np.ndarray, "9 ph pw"], fill: Float[np.ndarray, "h w 3"], known: Float[np.ndarray, "h w"]
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """Return `fill` with the predicted change where `known` (the share observed) leaves room."""
+        outputs = self._graph.new_outputs()
+        self._graph.bind({"panels": panels[None]}, outputs).run()
+        change = np.ascontiguousarray(np.moveaxis(outputs["change"][0], 0, -1))
+        change = _resize(change, fill.shape[0], cv2.INTER_LINEAR) * (1 - known[..., None])
+        log = np.clip(np.log1p(np.maximum(fill, 0)) + change, 0, np.float32(np.log1p(BRIGHTEST)))
+        return np.where(known[..., None] >= 1, fill, np.expm1(log))
+
+
+@cache
+def shipped_completion(provider: Provider = "auto", folder: Path = SHIPPED / "completion") -> CompletionModel:
+    """Load the network inside the package, once.
+
+    Raises:
+        ModelError: the weights are missing or damaged.
+    """
+    return CompletionModel(load_part(folder, "completion", provider=provider))
+
+
+def completion_panels(
+    *,
+    detail: Float[np.ndarray, "h w 3"],
+    known: Float[np.ndarray, "h w"],
+    clipped: Float[np.ndarray, "h w"],
+    depth_m: Float[np.ndarray, "h w"],
+    fill: Float[np.ndarray, "h w 3"],
+) -> Float32[np.ndarray, "9 ph pw"]:
+    """Compute the network's input: means over its pixels, those of observed values weighted by the share observed."""
+    share = _resize(np.asarray(known, np.float32), HEIGHT)
+
+    def mean(plane: Float[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "ph pw *c"]:
+        weighted = known.reshape(known.shape + (1,) * (plane.ndim - 2)) * plane
+        total = _resize(np.asarray(weighted, np.float32), HEIGHT)
+        return total / np.maximum(share, 1e-3).reshape(share.shape + (1,) * (plane.ndim - 2))
+
+    panels = np.empty((PANELS, HEIGHT, 2 * HEIGHT), np.float32)
+    panels[0:3] = np.moveaxis(mean(np.minimum(detail, BRIGHTEST)), -1, 0)
+    panels[3], panels[4] = share, mean(clipped)
+    panels[5] = mean(np.minimum(depth_m, FARTHEST_M))
+    panels[6:9] = np.moveaxis(_resize(np.minimum(fill, BRIGHTEST).astype(np.float32), HEIGHT), -1, 0)
+    return panels
+
+
+class CompletionBackend(ClassicalBackend):
+    """The classical model with learned completion of what no frame has shown."""
+
+    name = "completion"
+
+    def __init__(self, model: CompletionModel) -> None:
+        super().__init__()
+        self._model = model
+
+    def estimate(
+        self,
+        memory: ProbeMemory,
+        state: PanoramaState,
+        *,
+        rendered: Float[np.ndarray, "h w 3"],
+        transmittance: Float[np.ndarray, "h w"],
+        partial: PartialPanorama,
+        depth_max_m: float,
+    ) -> Estimate:
+        """Estimate the HDR panorama: the classical fill, changed by the network where nothing was observed."""
+        del depth_max_m
+        seen = self.observe(state, rendered=rendered, transmittance=transmittance, partial=partial)
+        panels = completion_panels(
+            detail=seen.detail, known=seen.known, clipped=seen.clipped, depth_m=seen.depth_m, fill=seen.fill
+        )
+        hdr = self._model.complete(panels, seen.fill, seen.known)
+        if self.is_later_frame(memory):
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
+        return Estimate(hdr, partial.mask.astype(np.float32))
+
+
+def _resize(
+    image: Float[np.ndarray, "h w *c"], height: int, interpolation: int | None = None
+) -> Float32[np.ndarray, "{height} 2*{height} *c"]:
+    if image.shape[0] == height:
+        return np.asarray(image, np.float32)
+    smaller = image.shape[0] > height
+    chosen = interpolation if interpolation is not None else cv2.INTER_AREA if smaller else cv2.INTER_LINEAR
+    return cv2.resize(np.asarray(image, np.float32), (2 * height, height), interpolation=chosen)
