@@ -22,6 +22,7 @@ from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
 from roomlight.frame import CLIPPED_SRGB8
 from roomlight.images import read_panorama
+from roomlight_generator.panoramas.library import panorama_files
 from roomlight_generator.sequences.walk import FIELD_OF_VIEW_DEGREES
 
 HEIGHT: Final = 120
@@ -125,12 +126,11 @@ def recording_light(recording: Recording) -> list[Measures]:
     """Measure a recording's first frame with each of its probes."""
     frame = srgb8_to_linear(recording.colour[0])
     saturated = recording.colour[0].max(axis=-1) >= CLIPPED_SRGB8
-    stored = getattr(recording, "clipped_radiance", None)
-    if stored is not None:
-        clipped = np.asarray(stored[0], np.float32)[saturated]
-    else:
+    if recording.clipped_radiance is None:
         clipped = _clipped_from_probes(recording, saturated)
-    clipped = np.maximum(clipped, frame[saturated])
+    else:
+        clipped = recording.clipped_radiance[0][saturated].astype(np.float32)
+    clipped = np.maximum(clipped, frame[saturated])  # noise and JPEG clip pixels that were not
     return [measure_light(frame, clipped, panorama) for panorama in recording.probe_panoramas]
 
 
@@ -153,18 +153,6 @@ def panorama_light(
         clipped = (scale * view)[(scale * view).max(axis=-1) >= _CLIPPED]
         found.append(measure_light(np.minimum(scale * view, 1), clipped, scale * panorama))
     return found
-
-
-def panorama_files(folder: Path) -> list[Path]:
-    """Return the .exr and .hdr files of a folder, sorted by name.
-
-    Raises:
-        DatasetError: The folder has none.
-    """
-    files = sorted(path for path in folder.glob("*") if path.suffix.lower() in (".exr", ".hdr"))
-    if not files:
-        raise DatasetError(f"{folder}: has no .exr or .hdr panorama; name a folder of real HDR panoramas")
-    return files
 
 
 def compare_light(

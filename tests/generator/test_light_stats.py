@@ -20,7 +20,6 @@ from roomlight_generator.light_stats import (
     compare_light,
     compare_measures,
     measure_light,
-    panorama_files,
     panorama_light,
     recording_light,
 )
@@ -127,6 +126,13 @@ def test_probes_say_what_clipped_pixels_are_worth():
     assert sky["radiance at clipped pixels"] == pytest.approx(5)
 
 
+def test_stored_radiance_counts_before_the_probes():
+    clipped = np.zeros((1, 60, 80, 3), np.float16)
+    clipped[:, :, 40:] = 40
+    (measured,) = recording_light(lit_recording(clipped_radiance=clipped))
+    assert measured["radiance at clipped pixels"] == pytest.approx(40)
+
+
 def test_hidden_clipped_pixels_are_at_least_white():
     (measured,) = recording_light(lit_recording(probe_panoramas=np.full((1, 60, 120, 3), 0.1, np.float32)))
     assert measured["radiance at clipped pixels"] == pytest.approx(1)
@@ -166,7 +172,11 @@ def test_a_dataset_is_compared_with_a_folder(tmp_path):
     assert again.rows == light.rows
 
 
-def test_a_folder_without_panoramas_is_named(tmp_path):
-    (tmp_path / "notes.txt").write_text("none")
-    with pytest.raises(DatasetError, match=r"has no \.exr or \.hdr panorama"):
-        panorama_files(tmp_path)
+def test_an_empty_dataset_or_folder_is_named(tmp_path):
+    options = GenerateOptions(2, seed=1, shard_size=2, frames=2, renderer=stub_rooms.NAME)
+    generate(tmp_path / "data", options, workers=1)
+    dataset = Dataset(tmp_path / "data")
+    with pytest.raises(DatasetError, match="holds no panorama"):
+        compare_light(dataset, tmp_path)
+    with pytest.raises(DatasetError, match="has no sequence to compare"):
+        compare_light(Dataset(tmp_path / "data", "test"), write_panoramas(tmp_path / "real", 1))

@@ -32,14 +32,14 @@ _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
     "night": ("night",),
 }
 _SCENARIOS: Final[tuple[Scenario, ...]] = ("sunny", "bright", "overcast", "golden", "dusk", "night")
-_SCENARIO_PROBABILITIES: Final = (0.24, 0.16, 0.16, 0.09, 0.12, 0.23)
-"""Probability of each scenario in a room with windows: half of the rooms by day, a quarter by night."""
+_SCENARIO_PROBABILITIES: Final = (0.28, 0.2, 0.22, 0.1, 0.08, 0.12)
+"""Probability of each scenario in a room with windows: three quarters of the rooms by day, an eighth by night."""
 
 _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
-    "sunny": 0.2,
+    "sunny": 0.25,
     "bright": 0.35,
-    "overcast": 0.6,
-    "golden": 0.6,
+    "overcast": 0.5,
+    "golden": 0.5,
     "dusk": 0.95,
     "night": 1.0,
 }
@@ -47,6 +47,11 @@ _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
 
 _FLUX_WEIGHTS: Final[dict[str, float]] = {"ceiling_lamp": 3.0, "ceiling_fan": 1.5, "floor_lamp": 1.3, "table_lamp": 0.6}
 """A lamp's weight in the room's total flux (wall lamps and the rest: 0.5)."""
+
+_BRIGHT_SECOND_ROOM: Final = 0.4
+"""Probability that a lit second room is a bright one: 300 to 3,000 lux on about 8 m2, half of it lost."""
+_SECOND_ROOM_KLM: Final = ((0.1, 0.8), (5.0, 50.0))
+"""Flux of the lamp in a dim and in a bright second room."""
 
 _RAYS_PER_BULB: Final = 96
 """Rays cast from each bulb to find the parts that occlude it."""
@@ -100,9 +105,9 @@ def light_room(
     for panel in panels:
         out.append(_with_uniform_emission(panel, flux_klm / total, blackbody_rgb(kelvin)))
         sources.append({"kind": "panel", "flux_lm": round(1000 * flux_klm / total, 1), "kelvin": round(kelvin)})
-    for item, kind in _accessory_lamps(shell, placements, rng, night=scenario in ("dusk", "night")):
+    for item, kind, (least, most) in _accessory_lamps(shell, placements, rng, night=scenario in ("dusk", "night")):
         own = _choose_kelvin(rng)
-        flux = float(rng.uniform(0.1, 0.8))
+        flux = float(np.exp(rng.uniform(np.log(least), np.log(most))))
         out.append(_with_uniform_emission(item, flux, blackbody_rgb(own)))
         sources.append({"kind": kind, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
     out = [_with_screens_on(item, rng, split, sources) for item in out]
@@ -172,10 +177,10 @@ def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np
     """Choose the lamps that are on: those of one role share a switch; sometimes a single lamp is on."""
     if not lamps:
         return []
-    if rng.random() < 0.25:
+    if rng.random() < 0.12:
         return [int(rng.choice(lamps))]
     roles = sorted({placements[i].model.role for i in lamps})
-    on = {role for role in roles if rng.random() < (0.75 if role == "ceiling_lamp" else 0.55)}
+    on = {role for role in roles if rng.random() < (0.75 if role == "ceiling_lamp" else 0.7)}
     return [i for i in lamps if placements[i].model.role in on] or [int(rng.choice(lamps))]
 
 
@@ -256,9 +261,13 @@ def _ceiling_panel(shell: Shell, rng: np.random.Generator) -> Item:
 
 def _accessory_lamps(
     shell: Shell, placements: Sequence[Placement], rng: np.random.Generator, *, night: bool
-) -> list[tuple[Item, str]]:
-    """Add light strips below wall units, and a lamp in the second room."""
-    found: list[tuple[Item, str]] = []
+) -> list[tuple[Item, str, tuple[float, float]]]:
+    """Return light strips below wall units and a lamp in the second room, with the range of each one's flux in klm.
+
+    A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or
+    a conservatory.
+    """
+    found: list[tuple[Item, str, tuple[float, float]]] = []
     units = [placement for placement in placements if placement.model.role == "wall_unit"]
     if units and rng.random() < (0.5 if night else 0.2):
         for placement in units:
@@ -266,12 +275,15 @@ def _accessory_lamps(
                 box(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8, 0.8, 0.8))
             )
             placed = strip.placed(placement.x, placement.y - 0.016, placement.z, degrees=placement.degrees)
-            found.append((Item("light strip", "wall_lamp", placed), "strip"))
-    if shell.spots and rng.random() < (0.65 if night else 0.35):
+            found.append((Item("light strip", "wall_lamp", placed), "strip", (0.1, 0.8)))
+    if shell.spots and rng.random() < 0.65:
         x, z, _ = shell.spots[0]
-        globe = with_material(sphere(0.12, rings=8, segments=16), Material(name="globe", albedo=(0.8, 0.8, 0.8)))
-        height = min(2.0, shell.height_m - 0.3)
-        found.append((Item("globe", "ceiling_lamp", globe.placed(x, height, z)), "second room"))
+        bright = rng.random() < _BRIGHT_SECOND_ROOM
+        shape = box(0.6, 0.04, 0.6) if bright else sphere(0.12, rings=8, segments=16)
+        lamp = with_material(shape, Material(name="globe", albedo=(0.8, 0.8, 0.8)))
+        height = 2.2 if bright else min(2.0, shell.height_m - 0.3)
+        item = Item("globe", "ceiling_lamp", lamp.placed(x, height, z))
+        found.append((item, "bright second room" if bright else "second room", _SECOND_ROOM_KLM[int(bright)]))
     return found
 
 

@@ -72,7 +72,7 @@ def grey(rng: np.random.Generator) -> Rgb:
 def neutral_wall(rng: np.random.Generator) -> Rgb:
     """Choose a neutral wall colour, the most frequent kind."""
     kinds = (white, off_white, beige, grey)
-    return kinds[int(rng.choice(4, p=(0.45, 0.25, 0.15, 0.15)))](rng)
+    return kinds[int(rng.choice(4, p=(0.5, 0.27, 0.11, 0.12)))](rng)
 
 
 def wall_colour(rng: np.random.Generator) -> Rgb:

@@ -26,21 +26,21 @@ has no `Opening`, and (except for drawn_curtains) cloth with a material named "d
 LowerKind = Literal["none", "tiles", "wainscot", "backsplash"]
 
 _WINDOW_KINDS: Final[tuple[tuple[WindowKind, float], ...]] = (
-    ("casement", 0.4),
+    ("casement", 0.35),
     ("sash", 0.15),
-    ("picture", 0.2),
+    ("picture", 0.25),
     ("french", 0.25),
 )
 _COVERS: Final[tuple[tuple[CoverKind, float], ...]] = (
-    ("none", 0.3),
-    ("open_curtains", 0.26),
-    ("half_curtains", 0.08),
-    ("drawn_curtains", 0.04),
-    ("sheer", 0.06),
-    ("sheer_and_curtains", 0.06),
-    ("roller", 0.09),
-    ("roller_down", 0.03),
-    ("venetian", 0.08),
+    ("none", 0.4),
+    ("open_curtains", 0.28),
+    ("half_curtains", 0.05),
+    ("drawn_curtains", 0.02),
+    ("sheer", 0.05),
+    ("sheer_and_curtains", 0.04),
+    ("roller", 0.07),
+    ("roller_down", 0.02),
+    ("venetian", 0.07),
 )
 
 
@@ -139,6 +139,18 @@ STYLES: Final[dict[str, ShellStyle]] = {
     "studio": ShellStyle(
         area_m2=(20.0, 55.0), aspect=(1.0, 2.2), height_m=(2.5, 3.6), windows=(2, 5), l_shape=0.35, beams=0.15,
         passage=0.2, window_kinds=(("picture", 0.35), ("french", 0.25), ("office", 0.2), ("casement", 0.2)),
+    ),
+    "classroom": ShellStyle(
+        area_m2=(35.0, 85.0), aspect=(1.0, 1.8), height_m=(2.7, 4.0), windows=(3, 8), l_shape=0.0, alcove=0.03, bay=0.0,
+        chamfer=0.0, chimney_breast=0.0, slanted=0.0, beams=0.08, crown_moulding=0.0, lower_wall_chance=0.1,
+        passage=0.05, window_kinds=(("office", 0.7), ("casement", 0.15), ("sash", 0.15)),
+        covers=(("none", 0.65), ("venetian", 0.12), ("vertical", 0.05), ("roller", 0.15), ("roller_down", 0.03)),
+    ),
+    "hall": ShellStyle(
+        area_m2=(50.0, 130.0), aspect=(1.0, 2.4), height_m=(3.2, 6.0), windows=(2, 9), l_shape=0.1, alcove=0.08,
+        bay=0.03, chimney_breast=0.03, slanted=0.1, beams=0.25, crown_moulding=0.2, lower_wall_chance=0.2, passage=0.3,
+        window_kinds=(("picture", 0.35), ("office", 0.35), ("french", 0.2), ("sash", 0.1)),
+        covers=(("none", 0.85), ("open_curtains", 0.1), ("roller", 0.05)),
     ),
     "library": ShellStyle(
         area_m2=(18.0, 60.0), aspect=(1.0, 2.0), height_m=(2.7, 3.6), windows=(1, 5), beams=0.12, crown_moulding=0.35,

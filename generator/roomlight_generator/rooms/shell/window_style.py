@@ -20,13 +20,17 @@ class _Sizes:
 
 
 _SIZES: Final[dict[WindowKind, _Sizes]] = {
-    "casement": _Sizes((0.7, 2.0), (0.75, 1.0), (1.95, 2.45), (0.45, 0.75)),
-    "sash": _Sizes((0.65, 1.15), (0.5, 0.9), (2.0, 2.6), (2.0, 2.0)),
-    "picture": _Sizes((1.4, 3.2), (0.25, 0.8), (2.05, 2.6), (1.2, 3.5)),
-    "french": _Sizes((0.9, 3.0), (0.02, 0.06), (2.0, 2.5), (0.55, 0.95)),
-    "office": _Sizes((0.9, 1.7), (0.75, 1.0), (2.2, 2.8), (0.8, 1.8)),
-    "bathroom": _Sizes((0.4, 0.85), (1.15, 1.5), (1.75, 2.1), (0.9, 0.9)),
+    "casement": _Sizes((0.8, 2.4), (0.7, 1.0), (2.0, 2.55), (0.45, 0.8)),
+    "sash": _Sizes((0.75, 1.3), (0.45, 0.85), (2.05, 2.7), (2.0, 2.0)),
+    "picture": _Sizes((1.6, 4.5), (0.1, 0.7), (2.1, 3.0), (1.2, 3.5)),
+    "french": _Sizes((1.2, 4.0), (0.02, 0.06), (2.05, 2.7), (0.6, 1.05)),
+    "office": _Sizes((1.2, 2.4), (0.65, 1.0), (2.25, 3.4), (0.8, 1.8)),
+    "bathroom": _Sizes((0.45, 0.95), (1.1, 1.5), (1.8, 2.2), (0.9, 0.9)),
 }
+
+
+_ORDINARY_HEIGHT_M: Final = 3.2
+"""Height of a room up to which windows have the heights in `_SIZES`."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +111,8 @@ def choose_window_style(
     cover = _cover(covers, kind, height_m, rng)
     sizes = _SIZES[kind]
     least = 0.13 + (cover.lift_m if cover.curtains else 0.0)
-    top = min(uniform(rng, sizes.top), height_m - least)
+    # Windows of tall rooms are tall.
+    top = min(uniform(rng, sizes.top) * max(1.0, height_m / _ORDINARY_HEIGHT_M), height_m - least)
     bottom = min(uniform(rng, sizes.bottom), top - 0.4)
     bars = (1, 1)
     if kind in ("casement", "sash", "french") and rng.random() < 0.45:
