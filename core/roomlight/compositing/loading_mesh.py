@@ -18,7 +18,7 @@ Parts = tuple[tuple[TriangleMesh, Material], ...]
 _NUMBER: Final = rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d{1,3})?"
 _OBJ_LINE: Final = re.compile(
     rb"^(?:(v|vn)(?:[ \t]+" + _NUMBER + rb"){3,7}|(vt)(?:[ \t]+" + _NUMBER + rb"){1,3}"
-    rb"|(f)(?:[ \t]+\d{1,9}(?:/\d{0,9}){0,2}){3,255})[ \t]*$"
+    rb"|(f)(?:[ \t]+[1-9]\d{0,8}(?:/(?:[1-9]\d{0,8})?){0,2}){3,255})[ \t]*$"
 )
 _PLY_HEADER_BYTES: Final = 65_536
 _PLY_SIZES: Final = {

@@ -63,9 +63,9 @@ class Node(_Model):
     children: list[Index] = []
     mesh: Index | None = None
     matrix: Annotated[list[Number], Field(min_length=16, max_length=16)] | None = None
-    translation: tuple[Number, Number, Number] = (0, 0, 0)
-    rotation: tuple[Number, Number, Number, Number] = (0, 0, 0, 1)
-    scale: tuple[Number, Number, Number] = (1, 1, 1)
+    translation: tuple[Number, Number, Number] = (0.0, 0.0, 0.0)
+    rotation: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 1.0)
+    scale: tuple[Number, Number, Number] = (1.0, 1.0, 1.0)
 
 
 class Scene(_Model):
@@ -85,7 +85,7 @@ class TextureInfo(_Model):
 class MetallicRoughness(_Model):
     """The base of every material."""
 
-    baseColorFactor: tuple[Share, Share, Share, Share] = (1, 1, 1, 1)  # noqa: N815
+    baseColorFactor: tuple[Share, Share, Share, Share] = (1.0, 1.0, 1.0, 1.0)  # noqa: N815
     baseColorTexture: TextureInfo | None = None  # noqa: N815
     metallicFactor: Share = 1.0  # noqa: N815
     roughnessFactor: Share = 1.0  # noqa: N815
@@ -131,7 +131,7 @@ class GltfMaterial(_Model):
     pbrMetallicRoughness: MetallicRoughness = MetallicRoughness()  # noqa: N815
     normalTexture: TextureInfo | None = None  # noqa: N815
     emissiveTexture: TextureInfo | None = None  # noqa: N815
-    emissiveFactor: tuple[Share, Share, Share] = (0, 0, 0)  # noqa: N815
+    emissiveFactor: tuple[Share, Share, Share] = (0.0, 0.0, 0.0)  # noqa: N815
     alphaMode: Literal["OPAQUE", "MASK", "BLEND"] = "OPAQUE"  # noqa: N815
     alphaCutoff: Share = 0.5  # noqa: N815
     extensions: MaterialExtensions = MaterialExtensions()

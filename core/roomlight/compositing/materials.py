@@ -7,7 +7,7 @@ An opaque surface is a GGX microfacet lobe over a Lambertian base (Karis 2013; g
 with alpha = roughness^2, Smith's separable G, Schlick's F from F0 = mix(((ior - 1) / (ior + 1))^2 specular, base,
 metallic), and E the share of light that the lobe reflects toward the viewer (a table). The base gets what the lobe
 leaves, so that no surface reflects more light than it receives. The lobe is a single bounce between microfacets, which
-loses light where a surface is rough: a white metal reflects 0.99 of it at roughness 0.25, 0.93 at 0.5 and 0.45 at 1
+loses light where a surface is rough: a white metal reflects 0.99 of it at roughness 0.25, 0.87 at 0.5 and 0.38 at 1
 (mean over a sphere's normals; `tests/core/compositing/test_materials.py` measures it).
 
 A share `transmission` of a surface is smooth glass: exact Fresnel reflection and refraction at `ior`, whatever the

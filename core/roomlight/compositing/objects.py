@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32, Int, Int32
+from jaxtyping import Float, Float32, Int32, Integer
 
 from roomlight.compositing.materials import Material
 from roomlight.errors import ObjectError
@@ -53,7 +53,7 @@ class TriangleMesh:
     def build(
         cls,
         vertices: Float[np.ndarray, "n 3"],
-        faces: Int[np.ndarray, "f 3"],
+        faces: Integer[np.ndarray, "f 3"],
         *,
         normals: Float[np.ndarray, "n 3"] | None = None,
         uvs: Float[np.ndarray, "n 2"] | None = None,
@@ -64,7 +64,7 @@ class TriangleMesh:
             ObjectError: As the class.
         """
         points = np.ascontiguousarray(vertices, np.float32)
-        corners = np.ascontiguousarray(faces, np.int32)
+        corners = np.clip(faces.astype(np.int64), -1, 2**31 - 1).astype(np.int32)
         texture = np.zeros((len(points), 2), np.float32) if uvs is None else np.ascontiguousarray(uvs, np.float32)
         flat = np.zeros_like(points)
         mesh = cls(points, flat, texture, corners)  # checks the indices before they are used

@@ -43,7 +43,7 @@ class RenderSettings:
     denoised: bool
 
 
-PRESETS: Final[dict[Quality, RenderSettings]] = {
+PRESETS: Final[dict[str, RenderSettings]] = {
     "preview": RenderSettings(0, 1, denoised=False),
     "good": RenderSettings(64, 6, denoised=False),
     "final": RenderSettings(256, 12, denoised=True),
@@ -144,7 +144,7 @@ def render_objects(
     camera_to_world: Float[np.ndarray, "4 4"],
     lights: ProbeSet,
     *,
-    quality: Quality | RenderSettings = "good",
+    quality: str | RenderSettings = "good",
     seed: int = 0,
     background: Background | None = None,
 ) -> RenderedObjects:
@@ -155,7 +155,7 @@ def render_objects(
         camera: Size, focal length and principal point of the frame.
         camera_to_world: The camera's pose.
         lights: The light at the objects.
-        quality: A preset, or settings of one's own.
+        quality: `preview`, `good`, `final`, or settings of one's own.
         seed: Chooses the sampling points; keep it from frame to frame.
         background: What glass shows of the frame behind it; None: the probes' light. Previews do not use it.
 
@@ -184,11 +184,11 @@ def render_objects(
     return RenderedObjects(radiance, alpha, film.depth_m.reshape(shape), film.object_id.reshape(shape))
 
 
-def _checked_settings(quality: Quality | RenderSettings) -> RenderSettings:
+def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
     if isinstance(quality, str):
-        if quality not in PRESETS:
+        if (preset := PRESETS.get(quality)) is None:
             raise OptionError(f"quality must be {', '.join(PRESETS)} or RenderSettings, got {quality!r}")
-        return PRESETS[quality]
+        return preset
     samples = quality.samples
     if samples < 0 or samples > 65536 or samples & (samples - 1):
         raise OptionError(f"samples must be 0 or a power of two up to 65536, got {samples}")

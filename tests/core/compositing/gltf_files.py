@@ -1,0 +1,113 @@
+"""GLB files for tests: built by hand, so that any part can be wrong."""
+
+import json
+import struct
+from typing import Any
+
+import cv2
+import numpy as np
+
+
+def png(image: np.ndarray) -> bytes:
+    """Encode RGB or RGBA as PNG."""
+    order = [2, 1, 0, 3][: image.shape[2]]
+    return cv2.imencode(".png", image[..., order])[1].tobytes()
+
+
+class GltfFile:
+    """A glTF tree with one buffer; change `tree` and `content` at will before `glb()`."""
+
+    def __init__(self) -> None:
+        self.content = bytearray()
+        self.tree: dict[str, Any] = {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": []}],
+            **{key: [] for key in ("nodes", "meshes", "accessors", "bufferViews", "buffers")},
+        }
+
+    def view(self, data: bytes, **extra: int) -> int:
+        self.content += b"\0" * (-len(self.content) % 4)
+        self.tree["bufferViews"].append(
+            {"buffer": 0, "byteOffset": len(self.content), "byteLength": len(data), **extra}
+        )
+        self.content += data
+        return len(self.tree["bufferViews"]) - 1
+
+    def accessor(self, values: np.ndarray, kind: str, component: int) -> int:
+        self.tree["accessors"].append(
+            {"bufferView": self.view(values.tobytes()), "componentType": component, "count": len(values), "type": kind}
+        )
+        return len(self.tree["accessors"]) - 1
+
+    def image(self, pixels: np.ndarray) -> int:
+        """Add an image and its texture; returns the texture's index."""
+        images, textures = self.tree.setdefault("images", []), self.tree.setdefault("textures", [])
+        images.append({"bufferView": self.view(png(pixels)), "mimeType": "image/png"})
+        textures.append({"source": len(images) - 1})
+        return len(textures) - 1
+
+    def material(self, **values: Any) -> int:
+        self.tree.setdefault("materials", []).append(values)
+        return len(self.tree["materials"]) - 1
+
+    def mesh(self, vertices, faces, *, uvs=None, normals=None, material: int | None = None) -> int:
+        attributes = {"POSITION": self.accessor(np.asarray(vertices, np.float32), "VEC3", 5126)}
+        if uvs is not None:
+            attributes["TEXCOORD_0"] = self.accessor(np.asarray(uvs, np.float32), "VEC2", 5126)
+        if normals is not None:
+            attributes["NORMAL"] = self.accessor(np.asarray(normals, np.float32), "VEC3", 5126)
+        primitive: dict[str, Any] = {"attributes": attributes}
+        primitive["indices"] = self.accessor(np.asarray(faces, np.uint16).reshape(-1), "SCALAR", 5123)
+        if material is not None:
+            primitive["material"] = material
+        self.tree["meshes"].append({"primitives": [primitive]})
+        return len(self.tree["meshes"]) - 1
+
+    def node(self, *, root: bool = True, **values: Any) -> int:
+        self.tree["nodes"].append(values)
+        if root:
+            self.tree["scenes"][0]["nodes"].append(len(self.tree["nodes"]) - 1)
+        return len(self.tree["nodes"]) - 1
+
+    def glb(self) -> bytes:
+        if self.tree["buffers"] == []:
+            self.tree["buffers"] = [{"byteLength": len(self.content)}]
+        return packed(json.dumps(self.tree).encode(), bytes(self.content))
+
+
+def packed(text: bytes, content: bytes) -> bytes:
+    """Make a GLB of JSON and a binary chunk."""
+    text += b" " * (-len(text) % 4)
+    content += b"\0" * (-len(content) % 4)
+    head = struct.pack("<4sIII4s", b"glTF", 2, 28 + len(text) + len(content), len(text), b"JSON")
+    return head + text + struct.pack("<I4s", len(content), b"BIN\0") + content
+
+
+QUAD = [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]
+QUAD_UVS = [[0, 1], [1, 1], [1, 0], [0, 0]]
+QUAD_FACES = [[0, 1, 2], [0, 2, 3]]
+
+
+def textured_quad() -> GltfFile:
+    """A quad in z = 0 that faces +z, with every texture, under a node that moves it by (1, 2, 3)."""
+    file = GltfFile()
+    rng = np.random.default_rng(1)
+    colour, values, normal = (rng.integers(0, 256, (8, 8, 3)).astype(np.uint8) for _ in range(3))
+    normal[...] = (128, 128, 255)
+    material = file.material(
+        pbrMetallicRoughness={
+            "baseColorFactor": [1, 0.5, 0.25, 1],
+            "metallicFactor": 0.75,
+            "roughnessFactor": 0.5,
+            "baseColorTexture": {"index": file.image(colour)},
+            "metallicRoughnessTexture": {"index": file.image(values)},
+        },
+        normalTexture={"index": file.image(normal), "scale": 0.5},
+        emissiveTexture={"index": file.image(colour)},
+        emissiveFactor=[0.5, 0, 0],
+        extensions={"KHR_materials_emissive_strength": {"emissiveStrength": 4}, "KHR_materials_ior": {"ior": 1.4}},
+    )
+    mesh = file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, normals=[[0, 0, 1]] * 4, material=material)
+    file.node(mesh=mesh, translation=[1, 2, 3])
+    return file

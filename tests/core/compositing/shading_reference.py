@@ -1,0 +1,96 @@
+"""A readable twin of the shading: BRDFs in NumPy, integrated densely over a panorama; and views of a plane.
+
+World axes, y up; the plane lies in y = 0.
+"""
+
+import numpy as np
+
+from roomlight.camera import Intrinsics
+from roomlight.compositing.lighting import ProbeSet
+from roomlight.compositing.materials import Material
+from roomlight.compositing.primitives import plane
+from roomlight.compositing.rendering import RenderSettings, render_objects
+from roomlight.compositing.tracer import ObjectScene
+from roomlight.conventions import panorama_directions, panorama_solid_angles
+
+
+def look_at(position, target) -> np.ndarray:
+    """Return the camera-to-world pose of a camera at `position` that looks at `target`, +y up where it can be."""
+    back = np.asarray(position, float) - np.asarray(target, float)
+    back /= np.linalg.norm(back)
+    up = np.array([0.0, 1.0, 0.0]) if abs(back[1]) < 0.999 else np.array([0.0, 0.0, -1.0])
+    right = np.cross(up, back)
+    right /= np.linalg.norm(right)
+    pose = np.eye(4)
+    pose[:3, 0], pose[:3, 1], pose[:3, 2], pose[:3, 3] = right, np.cross(back, right), back, position
+    return pose
+
+
+def plane_radiance(material: Material, panorama, degrees: float, *, samples: int = 1024, seed: int = 0) -> np.ndarray:
+    """Render a plane from far away, `degrees` off its normal toward +x; returns each pixel's radiance [64, 3]."""
+    angle = np.radians(degrees)
+    pose = look_at(1000 * np.array([np.sin(angle), np.cos(angle), 0]), np.zeros(3))
+    camera = Intrinsics(800.0, 800.0, 4.0, 4.0, 8, 8)
+    scene = ObjectScene([plane(1000.0, 1000.0, material)])
+    quality = RenderSettings(samples, 4, denoised=False)
+    picture = render_objects(scene, camera, pose, ProbeSet.single(panorama), quality=quality, seed=seed)
+    assert picture.alpha.min() == 1
+    return picture.radiance.reshape(-1, 3)
+
+
+def exact_plane_radiance(material: Material, panorama, degrees: float, *, fine: int = 8) -> np.ndarray:
+    """Integrate BRDF x radiance x cosine over the upper hemisphere, bilinear radiance at `fine` x its rows; [3]."""
+    angle = np.radians(degrees)
+    view = np.array([np.sin(angle), np.cos(angle), 0])
+    rows = len(panorama) * fine
+    light = panorama_directions(rows).reshape(-1, 3).astype(float)
+    weight = np.repeat(panorama_solid_angles(rows)[:, 0].astype(float), 2 * rows)
+    radiance = bilinear(panorama, rows).reshape(-1, 3)
+    return (brdf(material, view, light) * radiance * (weight * np.maximum(light[:, 1], 0))[:, None]).sum(axis=0)
+
+
+def bilinear(panorama, rows: int) -> np.ndarray:
+    """Resample at the pixel centres of a finer panorama; wraps around, ends at the poles."""
+    height, width = panorama.shape[:2]
+    y = np.clip((np.arange(rows) + 0.5) / rows * height - 0.5, 0, height - 1)
+    x = (np.arange(2 * rows) + 0.5) / (2 * rows) * width - 0.5
+    top, left = np.minimum(y.astype(int), height - 2), np.floor(x).astype(int)
+    v, u = (y - top)[:, None, None], (x - left)[None, :, None]
+    upper = panorama[top][:, left % width] * (1 - u) + panorama[top][:, (left + 1) % width] * u
+    lower = panorama[top + 1][:, left % width] * (1 - u) + panorama[top + 1][:, (left + 1) % width] * u
+    return upper * (1 - v) + lower * v
+
+
+def brdf(material: Material, view, light) -> np.ndarray:
+    """Return f [n, 3] about the normal +y: the equations at the head of `roomlight.compositing.materials`."""
+    base, metal = np.array(material.base_colour), material.metallic
+    normal_incidence = ((material.ior - 1) / (material.ior + 1)) ** 2 * material.specular
+    f0 = normal_incidence * (1 - metal) + metal * base
+    f90 = material.specular * (1 - metal) + metal
+    lobe = _lobe(view, light, material.roughness**2)
+    half = light + view
+    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
+    edge = (1 - np.clip(half @ view, 0, 1)) ** 5
+    reflected = lobe[:, None] * (f0 + (f90 - f0) * edge[:, None])
+    share = lobe_share(view, material.roughness**2, f0, f90)
+    return reflected + (1 - metal) * base * (1 - share) / np.pi
+
+
+def lobe_share(view, alpha: float, f0, f90) -> np.ndarray:
+    """Integrate the lobe over all directions: the share of light that it reflects toward `view`, [3]."""
+    light = panorama_directions(512).reshape(-1, 3).astype(float)
+    weight = np.repeat(panorama_solid_angles(512)[:, 0].astype(float), 1024) * np.maximum(light[:, 1], 0)
+    half = light + view
+    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
+    edge = (1 - np.clip(half @ view, 0, 1)) ** 5
+    lobe = _lobe(view, light, alpha) * weight
+    return f0 * (lobe * (1 - edge)).sum() + f90 * (lobe * edge).sum()
+
+
+def _lobe(view, light, alpha: float) -> np.ndarray:
+    half = light + view
+    half /= np.maximum(np.linalg.norm(half, axis=-1, keepdims=True), 1e-9)
+    n_h, n_l, n_v = half[:, 1], np.maximum(light[:, 1], 1e-9), view[1]
+    distribution = alpha**2 / (np.pi * (n_h**2 * (alpha**2 - 1) + 1) ** 2)
+    masking = [2 * c / (c + np.sqrt(alpha**2 + (1 - alpha**2) * c**2)) for c in (n_l, n_v)]
+    return np.where(light[:, 1] > 0, distribution * masking[0] * masking[1] / (4 * n_l * n_v), 0)

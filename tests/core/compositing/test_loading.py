@@ -1,0 +1,323 @@
+"""Reading GLB, glTF, OBJ and PLY: geometry, transforms, materials, and every limit."""
+
+import base64
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, png, textured_quad
+
+from roomlight.compositing.loading import load_object
+from roomlight.compositing.loading_limits import ObjectLimits
+from roomlight.compositing.textures import Texture
+from roomlight.errors import ObjectError
+
+OBJ = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"
+OBJ_FACE = b"usemtl a\nf 1/1/1 2/2/1 3/3/1 4/4/1\n"
+PLY = b"""ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+
+
+def test_glb_keeps_geometry_and_applies_the_node() -> None:
+    ((mesh, _),) = load_object(textured_quad().glb()).parts
+    np.testing.assert_allclose(mesh.vertices - [1, 2, 3], QUAD, atol=1e-6)
+    np.testing.assert_allclose(mesh.uvs, QUAD_UVS)
+    np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * 4)
+    assert mesh.faces.tolist() == QUAD_FACES
+
+
+def test_glb_material_keeps_factors_and_textures() -> None:
+    ((_, material),) = load_object(textured_quad().glb()).parts
+    assert material.base_colour == (1, 0.5, 0.25)
+    assert (material.metallic, material.roughness, material.ior) == (0.75, 0.5, 1.4)
+    assert material.emissive == (2, 0, 0)
+    assert material.normal_scale == 0.5
+    colour = np.random.default_rng(1).integers(0, 256, (8, 8, 3)).astype(np.uint8)
+    assert material.base_colour_texture is not None
+    np.testing.assert_array_equal(material.base_colour_texture.texels, Texture.from_srgb8(colour).texels)
+    assert material.emissive_texture is not None
+    assert material.metallic_roughness_texture is not None
+    assert material.normal_texture is not None
+    np.testing.assert_array_equal(material.normal_texture.texels[0, 0, :3], [32896, 32896, 65535])
+
+
+def test_nested_nodes_multiply_their_transforms() -> None:
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES)
+    file.node(mesh=mesh, scale=[2, 2, 2], root=False)
+    half = float(np.sqrt(0.5))
+    file.node(children=[0], rotation=[0, half, 0, half], translation=[0, 5, 0])  # 90 degrees about y
+    ((placed, _),) = load_object(file.glb()).parts
+    np.testing.assert_allclose(placed.vertices[1], [0, 5, -2], atol=1e-6)
+    np.testing.assert_allclose(placed.normals[0], [1, 0, 0], atol=1e-6)
+
+
+def test_matrix_nodes_are_column_major() -> None:
+    file = GltfFile()
+    file.node(mesh=file.mesh(QUAD, QUAD_FACES), matrix=[1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 7, 8, 9, 1])
+    ((mesh, _),) = load_object(file.glb()).parts
+    np.testing.assert_allclose(mesh.vertices[0], [7, 8, 9])
+
+
+def test_mesh_of_two_nodes_is_placed_twice() -> None:
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES)
+    file.node(mesh=mesh)
+    file.node(mesh=mesh, translation=[3, 0, 0])
+    assert load_object(file.glb()).bounds().tolist() == [[0, 0, 0], [4, 1, 0]]
+
+
+def test_gltf_with_data_uris_reads_as_its_glb() -> None:
+    file = textured_quad()
+    glb = file.glb()
+    uri = "data:application/octet-stream;base64," + base64.b64encode(bytes(file.content)).decode()
+    file.tree["buffers"] = [{"byteLength": len(file.content), "uri": uri}]
+    one, other = load_object(json.dumps(file.tree).encode()), load_object(glb)
+    np.testing.assert_array_equal(one.parts[0][0].vertices, other.parts[0][0].vertices)
+
+
+def test_interleaved_vertices_are_read() -> None:
+    file = GltfFile()
+    rows = np.zeros((4, 8), np.float32)
+    rows[:, :3], rows[:, 3:6], rows[:, 6:] = QUAD, [0, 0, 1], QUAD_UVS
+    view = file.view(rows.tobytes(), byteStride=32)
+    for offset, kind in ((0, "VEC3"), (12, "VEC3"), (24, "VEC2")):
+        file.tree["accessors"].append(
+            {"bufferView": view, "byteOffset": offset, "componentType": 5126, "count": 4, "type": kind}
+        )
+    indices = file.accessor(np.array([0, 1, 2, 0, 2, 3], np.uint8), "SCALAR", 5121)
+    attributes = {"POSITION": 0, "NORMAL": 1, "TEXCOORD_0": 2}
+    file.tree["meshes"].append({"primitives": [{"attributes": attributes, "indices": indices}]})
+    file.node(mesh=0)
+    ((mesh, _),) = load_object(file.glb()).parts
+    np.testing.assert_allclose(mesh.vertices, QUAD)
+    np.testing.assert_allclose(mesh.uvs, QUAD_UVS)
+
+
+def test_alpha_modes_become_opacity_and_cutoff() -> None:
+    image = np.full((2, 2, 4), 255, np.uint8)
+    image[..., 3] = 51
+    for mode, alpha, cutoff in (("OPAQUE", 65535, None), ("BLEND", 13107, None), ("MASK", 13107, 0.5)):
+        file = GltfFile()
+        surface = {"baseColorTexture": {"index": file.image(image)}, "baseColorFactor": [1, 1, 1, 0.5]}
+        material = file.material(pbrMetallicRoughness=surface, alphaMode=mode)
+        file.node(mesh=file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, material=material))
+        ((_, found),) = load_object(file.glb()).parts
+        assert found.base_colour_texture is not None
+        assert found.base_colour_texture.texels[0, 0, 3] == alpha
+        assert found.alpha_cutoff == cutoff
+        assert found.opacity == (1 if mode == "OPAQUE" else 0.5)
+
+
+def test_transmission_and_specular_are_read() -> None:
+    file = GltfFile()
+    material = file.material(
+        extensions={
+            "KHR_materials_transmission": {"transmissionFactor": 0.9},
+            "KHR_materials_specular": {"specularFactor": 0.3},
+        }
+    )
+    file.node(mesh=file.mesh(QUAD, QUAD_FACES, material=material))
+    ((_, found),) = load_object(file.glb()).parts
+    assert (found.transmission, found.specular) == (0.9, 0.3)
+
+
+def test_obj_polygons_become_triangles_with_upright_uvs() -> None:
+    ((mesh, _),) = load_object(OBJ + OBJ_FACE, "obj").parts
+    assert len(mesh.faces) == 2
+    np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * 4)
+    corner = np.flatnonzero((mesh.vertices == [0, 1, 0]).all(axis=1))[0]
+    np.testing.assert_allclose(mesh.uvs[corner], [0, 0])  # OBJ's v = 1 is the image's top
+
+
+@pytest.mark.parametrize("order", ["<", ">"])
+def test_binary_ply_is_read(order: str) -> None:
+    name = "little" if order == "<" else "big"
+    head = PLY[: PLY.index(b"end_header\n") + 11].replace(b"ascii", f"binary_{name}_endian".encode())
+    vertices = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], order + "f4").tobytes()
+    data = head + vertices + b"\x03" + np.array([0, 1, 2], order + "i4").tobytes()
+    ((mesh, _),) = load_object(data).parts
+    np.testing.assert_allclose(mesh.vertices, [[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    np.testing.assert_allclose(mesh.normals, [[0, 0, 1]] * 3)
+
+
+def test_kind_and_name_come_from_the_file(tmp_path: Path) -> None:
+    for name, data in (("a.glb", textured_quad().glb()), ("b.obj", OBJ + OBJ_FACE), ("c.ply", PLY)):
+        (tmp_path / name).write_bytes(data)
+        assert load_object(tmp_path / name).name == name[0]
+
+
+def test_unreadable_paths_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ObjectError, match="cannot be read"):
+        load_object(tmp_path / "missing.glb")
+    with pytest.raises(ObjectError, match="neither GLB, glTF nor PLY"):
+        load_object(b"hello")
+
+
+@pytest.mark.parametrize(
+    ("limits", "field"),
+    [
+        (ObjectLimits(file_bytes=100), "file bytes"),
+        (ObjectLimits(json_bytes=100), "json bytes"),
+        (ObjectLimits(triangles=1), "triangles"),
+        (ObjectLimits(vertices=3), "vertices"),
+        (ObjectLimits(nodes=0), "nodes"),
+        (ObjectLimits(node_depth=0), "node depth"),
+        (ObjectLimits(parts=0), "parts"),
+        (ObjectLimits(materials=0), "materials"),
+        (ObjectLimits(images=3), "images"),
+        (ObjectLimits(image_pixels=63), "image pixels"),
+        (ObjectLimits(total_pixels=100), "total pixels"),
+    ],
+)
+def test_each_limit_is_kept(limits: ObjectLimits, field: str) -> None:
+    with pytest.raises(ObjectError, match=f"{field} are limited to"):
+        load_object(textured_quad().glb(), limits=limits)
+
+
+@pytest.mark.parametrize(
+    ("field", "data"), [("triangles", OBJ + OBJ_FACE), ("vertices", OBJ + OBJ_FACE), ("vertices", PLY)]
+)
+def test_text_formats_keep_the_limits(field: str, data: bytes) -> None:
+    with pytest.raises(ObjectError, match=f"{field} are limited to"):
+        load_object(data, "ply" if data is PLY else "obj", ObjectLimits(**{field: 1}))
+
+
+def _edit(change: Callable[[GltfFile], object]) -> bytes:
+    file = textured_quad()
+    change(file)
+    return file.glb()
+
+
+def _quad_positions(file: GltfFile, value: float) -> None:
+    offset = file.tree["bufferViews"][file.tree["accessors"][0]["bufferView"]]["byteOffset"]
+    file.content[offset : offset + 4] = np.float32(value).tobytes()
+
+
+HOSTILE: dict[str, tuple[Callable[[GltfFile], object], str]] = {
+    "external buffer": (
+        lambda f: f.tree.update(buffers=[{"byteLength": 10, "uri": "http://example.org/a.bin"}]),
+        "outside the file",
+    ),
+    "path as buffer": (
+        lambda f: f.tree.update(buffers=[{"byteLength": 10, "uri": "../../etc/passwd"}]),
+        "outside the file",
+    ),
+    "external image": (lambda f: f.tree.update(images=[{"uri": "file:///a.png"}] * 4), "outside the file"),
+    "huge count": (lambda f: f.tree["accessors"][0].update(count=2_000_000_000), "limited"),
+    "count past the view": (lambda f: f.tree["accessors"][0].update(count=5), "values|end at byte"),
+    "negative offset": (lambda f: f.tree["accessors"][0].update(byteOffset=-4), "greater than or equal"),
+    "view past the buffer": (lambda f: f.tree["bufferViews"][0].update(byteOffset=10**9), "ends at byte"),
+    "stride of nothing": (lambda f: f.tree["bufferViews"][4].update(byteStride=4), "byteStride"),
+    "count as text": (lambda f: f.tree["accessors"][0].update(count="4"), "integer"),
+    "sparse": (lambda f: f.tree["accessors"][0].update(sparse={"count": 1}), "sparse"),
+    "index past the vertices": (lambda f: f.content.__setitem__(slice(-12, -10), b"\xff\xff"), "points at"),
+    "vertex not a number": (lambda f: _quad_positions(f, float("nan")), "finite"),
+    "vertex at infinity": (lambda f: _quad_positions(f, float("inf")), "finite"),
+    "vertex far away": (lambda f: _quad_positions(f, 1e30), "at most"),
+    "own parent": (lambda f: f.tree["nodes"][0].update(children=[0]), "two parents"),
+    "flat node": (lambda f: f.tree["nodes"][0].update(scale=[0, 0, 0]), "flattens"),
+    "node without rotation": (lambda f: f.tree["nodes"][0].update(matrix=[0] * 16), "flattens|last row"),
+    "a million nodes": (lambda f: f.tree.update(nodes=[{}] * 1_000_000), "limited"),
+    "no such mesh": (lambda f: f.tree["nodes"][0].update(mesh=9), "mesh 9"),
+    "no such material": (lambda f: f.tree["meshes"][0]["primitives"][0].update(material=9), "material 9"),
+    "no such texture": (lambda f: f.tree.update(textures=[]), "texture 0"),
+    "no such scene": (lambda f: f.tree.update(scene=4), "scene 4"),
+    "second coordinates": (
+        lambda f: f.tree["materials"][0]["normalTexture"].update(texCoord=1),
+        "TEXCOORD_1",
+    ),
+    "required extension": (lambda f: f.tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "draco"),
+    "strip": (lambda f: f.tree["meshes"][0]["primitives"][0].update(mode=5), "mode 5"),
+    "points alone": (lambda f: f.tree["meshes"][0]["primitives"][0].update(mode=0), "no surface"),
+    "roughness of ten": (
+        lambda f: f.tree["materials"][0]["pbrMetallicRoughness"].update(roughnessFactor=10),
+        "less than or equal to 1",
+    ),
+    "version 1": (lambda f: f.tree.update(asset={"version": "1.0"}), "glTF 2"),
+}
+
+
+@pytest.mark.parametrize("case", HOSTILE)
+def test_hostile_gltf_is_refused(case: str) -> None:
+    change, message = HOSTILE[case]
+    with pytest.raises(ObjectError, match=message):
+        load_object(_edit(change))
+
+
+def test_instances_are_counted_before_they_are_made() -> None:
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES)
+    for _ in range(1_000):
+        file.node(mesh=mesh)
+    with pytest.raises(ObjectError, match="triangles are limited to 1500, the file has 2000"):
+        load_object(file.glb(), limits=ObjectLimits(triangles=1500))
+
+
+def test_image_bomb_is_refused_by_its_header() -> None:
+    bomb = bytearray(png(np.zeros((4, 4, 3), np.uint8)))
+    bomb[16:24] = (50_000).to_bytes(4, "big") * 2
+
+    def swap(file: GltfFile) -> None:
+        file.tree["images"][0] = {"bufferView": file.view(bytes(bomb))}
+
+    with pytest.raises(ObjectError, match="image pixels are limited"):
+        load_object(_edit(swap))
+
+
+@pytest.mark.parametrize(
+    "text", [b"{", b"{}", b"[" * 100_000, b'{"asset":{"version":"2.0"},"nodes":NaN}', b"{}" * 9, b'{"asset":' * 90_000]
+)
+def test_damaged_json_is_refused(text: bytes) -> None:
+    with pytest.raises(ObjectError):
+        load_object(packed(text, b""))
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (b"v 0 0 0\n", "has no face"),
+        (OBJ + b"f 1 2 9\n", "damaged|point at"),
+        (OBJ + b"f 1 2 999999999\n", "damaged|point at"),
+        (OBJ + b"f 0 1 2\n", "line 10"),
+        (OBJ + b"f -1 -2 -3\n", "line 10"),
+        (OBJ + b"f 1 2\n", "line 10"),
+        (b"v 0 nan 0\n" + OBJ_FACE, "line 1"),
+        (b"v 1e999 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),
+    ],
+)
+def test_hostile_obj_is_refused(data: bytes, message: str) -> None:
+    with pytest.raises(ObjectError, match=message):
+        load_object(data, "obj")
+
+
+@pytest.mark.parametrize(
+    ("data", "message"),
+    [
+        (PLY.replace(b"vertex 3", b"vertex 999999999"), "limited|declares"),
+        (PLY.replace(b"vertex 3", b"vertex 1400000"), "truncated"),
+        (PLY.replace(b"face 1", b"face 0"), "no face"),
+        (PLY.replace(b"3 0 1 2", b"3 0 1 7"), "point at"),
+        (PLY.replace(b"float x", b"list uchar float x"), "vertices"),
+        (PLY.replace(b"end_header", b"end"), "header"),
+        (PLY.replace(b"1 0 0\n", b"nan 0 0\n"), "finite"),
+        (PLY.replace(b"float y", b"quad y"), "not understood"),
+    ],
+)
+def test_hostile_ply_is_refused(data: bytes, message: str) -> None:
+    with pytest.raises(ObjectError, match=message):
+        load_object(data)

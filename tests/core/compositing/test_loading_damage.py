@@ -1,0 +1,87 @@
+"""300 damaged files: each is read or refused with ObjectError, without a crash or memory beyond the file's own."""
+
+import json
+import tracemalloc
+from typing import Any
+
+import numpy as np
+import pytest
+from gltf_files import packed, textured_quad
+from test_loading import OBJ, OBJ_FACE, PLY
+
+from roomlight.compositing.loading import load_object
+from roomlight.errors import ObjectError
+
+_VALUES = [0, -1, 1, 7, 2**31 - 1, 2**32, 2**63, 1e38, -0.5, "x", "", None, [], {}, True, [0] * 16, "data:;base64,AAAA"]
+
+
+def _damaged(data: bytes, rng: np.random.Generator) -> bytes:
+    """Flip, overwrite, cut or repeat bytes."""
+    out = bytearray(data)
+    for _ in range(int(rng.integers(1, 6))):
+        at = int(rng.integers(0, len(out)))
+        kind = rng.integers(0, 5)
+        if kind == 0:
+            out[at] ^= 1 << int(rng.integers(0, 8))
+        elif kind == 1:
+            out[at : at + 4] = rng.bytes(4)
+        elif kind == 2:
+            out[at : at + 4] = b"\xff\xff\xff\x7f"
+        elif kind == 3:
+            del out[at : at + int(rng.integers(1, 40))]
+        else:
+            out[at:at] = out[at : at + int(rng.integers(1, 40))]
+    return bytes(out)
+
+
+def _changed(tree: Any, rng: np.random.Generator) -> None:
+    """Replace a value somewhere in a JSON tree by another."""
+    while True:
+        keys = list(tree) if isinstance(tree, dict) else list(range(len(tree)))
+        key = keys[int(rng.integers(0, len(keys)))]
+        below = tree[key]
+        if not isinstance(below, dict | list) or not below or rng.random() < 0.1:
+            tree[key] = _VALUES[int(rng.integers(0, len(_VALUES)))]
+            return
+        tree = below
+
+
+def _is_refused(data: bytes, kind: Any) -> bool:
+    tracemalloc.start()
+    try:
+        load_object(data, kind)
+    except ObjectError:
+        return True
+    finally:
+        peak = tracemalloc.get_traced_memory()[1]
+        tracemalloc.stop()
+        assert peak < 20_000_000
+    return False
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_damaged_bytes_are_read_or_refused(seed: int) -> None:
+    load_object(OBJ + OBJ_FACE, "obj")  # imports of the loader are not its memory
+    rng = np.random.default_rng(seed)
+    glb = textured_quad().glb()
+    binary_ply = PLY.replace(b"ascii", b"binary_little_endian")
+    sources = [(glb, None), (OBJ + OBJ_FACE, "obj"), (PLY, "ply"), (binary_ply, "ply")]
+    refused = 0
+    for _ in range(40):
+        data, kind = sources[int(rng.integers(0, len(sources)))]
+        refused += _is_refused(_damaged(data, rng), kind)
+    assert refused > 5  # the damage does damage
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_changed_declarations_are_read_or_refused(seed: int) -> None:
+    load_object(textured_quad().glb())
+    rng = np.random.default_rng(100 + seed)
+    refused = 0
+    for _ in range(30):
+        file = textured_quad()
+        file.glb()
+        for _ in range(int(rng.integers(1, 4))):
+            _changed(file.tree, rng)
+        refused += _is_refused(packed(json.dumps(file.tree).encode(), bytes(file.content)), None)
+    assert refused > 5

@@ -1,0 +1,178 @@
+"""Materials: energy, the lobe's table, and what is refused. The BRDFs' twin is `shading_reference`."""
+
+import numpy as np
+import pytest
+from shading_reference import exact_plane_radiance, lobe_share, plane_radiance
+
+from roomlight.compositing.lighting import LightSampler, ProbeSet
+from roomlight.compositing.materials import Material, diffuse, glass, glossy, lobe_table, mirror, rough_metal
+from roomlight.compositing.rendering import RenderSettings, render_objects
+from roomlight.compositing.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.errors import ObjectError
+
+WHITE = np.ones((16, 32, 3), np.float32)
+"""The white furnace: the same light from everywhere."""
+
+
+@pytest.mark.parametrize("degrees", [0.0, 45.0, 80.0])
+@pytest.mark.parametrize("material", [mirror(), diffuse((1.0, 1.0, 1.0)), glossy((1.0, 1.0, 1.0)), glass()])
+def test_white_materials_keep_all_light(material: Material, degrees: float) -> None:
+    values = plane_radiance(material, WHITE, degrees, samples=256)
+    # 16,384 paths: the noise of a mean is below 0.002 where paths differ at all
+    assert values.mean() == pytest.approx(1, abs=0.004)
+
+
+@pytest.mark.parametrize("roughness", [0.1, 0.25, 0.5, 1.0])
+@pytest.mark.parametrize("degrees", [0.0, 60.0, 80.0])
+def test_rough_metal_loses_only_what_the_table_says(roughness: float, degrees: float) -> None:
+    view = np.array([np.sin(np.radians(degrees)), np.cos(np.radians(degrees)), 0])
+    exact = float(lobe_share(view, max(roughness, 0.15) ** 2, 1.0, 1.0)) if roughness >= 0.15 else None
+    value = plane_radiance(rough_metal(roughness), WHITE, degrees, samples=256).mean()
+    assert value <= 1.002
+    if exact is not None:
+        assert value == pytest.approx(exact, abs=0.005)
+
+
+def test_energy_loss_of_white_metal_is_as_documented() -> None:
+    cosines = np.linspace(0, 1, lobe_table().shape[0])
+    weights = cosines / cosines.sum()  # a distant sphere shows normals in proportion to their cosine
+    shares = (lobe_table().sum(axis=2) * weights[:, None]).sum(axis=0)
+    columns = [round(roughness * (lobe_table().shape[1] - 1)) for roughness in (0.25, 0.5, 1.0)]
+    np.testing.assert_allclose(shares[columns], [0.99, 0.87, 0.38], atol=0.01)
+
+
+def test_lobe_table_agrees_with_dense_integration() -> None:
+    table = lobe_table()
+    for row, column in ((20, 12), (40, 20), (63, 31)):
+        cosine, roughness = row / 63, column / 31
+        view = np.array([np.sqrt(1 - cosine**2), cosine, 0])
+        both = [float(lobe_share(view, roughness**2, *pair)) for pair in ((1.0, 0.0), (0.0, 1.0))]
+        np.testing.assert_allclose(table[row, column], both, atol=0.004)
+
+
+@pytest.mark.parametrize(
+    "material", [glossy(), rough_metal(0.3, (0.9, 0.6, 0.3)), Material(metallic=0.5, roughness=0.6)]
+)
+def test_shading_agrees_with_the_readable_brdf(material: Material) -> None:
+    panorama = np.random.default_rng(5).random((16, 32, 3)).astype(np.float32)
+    panorama[3, 5] = 20
+    values = plane_radiance(material, panorama, 40.0, samples=512)
+    exact = exact_plane_radiance(material, panorama, 40.0)
+    error = values.std(axis=0) / 8  # of the mean of 64 pixels
+    assert np.all(np.abs(values.mean(axis=0) - exact) < 4 * error + 0.004 * exact)
+
+
+def test_light_and_lobe_sampling_agree_under_a_small_lamp() -> None:
+    panorama = np.full((32, 64, 3), 0.1, np.float32)
+    panorama[8, 20] = 500.0  # 6 degrees wide: nearly all of the light
+    for material in (diffuse(), rough_metal(0.2), rough_metal(0.7)):
+        values = plane_radiance(material, panorama, 30.0, samples=256)
+        exact = exact_plane_radiance(material, panorama, 30.0)
+        error = values.std(axis=0) / 8
+        assert np.all(np.abs(values.mean(axis=0) - exact) < 4 * error + 0.006 * exact), material
+        # one kind of sampling alone would scatter by more than the mean itself
+        assert values.std() < 0.2 * values.mean()
+
+
+def test_samples_of_the_light_integrate_to_its_power() -> None:
+    rng = np.random.default_rng(2)
+    panorama = rng.random((24, 48, 3)).astype(np.float32) ** 4
+    panorama[5, 7] = 100
+    sampler = LightSampler(panorama)
+    directions, density = sampler.sample(rng.random((100_000, 2)))
+    np.testing.assert_allclose(np.linalg.norm(directions, axis=1), 1, atol=1e-5)
+    power = exact_power(panorama)
+    estimates = sampler.radiance(directions) / density[:, None]
+    error = estimates.std(axis=0) / np.sqrt(len(estimates))
+    assert np.all(np.abs(estimates.mean(axis=0) - power) < 4 * error + 0.002 * power)
+
+
+def exact_power(panorama: np.ndarray) -> np.ndarray:
+    from shading_reference import bilinear
+
+    from roomlight.conventions import panorama_solid_angles
+
+    rows = len(panorama) * 8
+    return (bilinear(panorama, rows) * panorama_solid_angles(rows)[..., None]).sum(axis=(0, 1))
+
+
+def test_densities_of_the_light_integrate_to_one() -> None:
+    from roomlight.conventions import panorama_rays, panorama_solid_angles
+
+    sampler = LightSampler(np.random.default_rng(3).random((12, 24, 3)).astype(np.float32))
+    total = (sampler.pdf(panorama_rays(96)).reshape(96, 192) * panorama_solid_angles(96)).sum()
+    assert total == pytest.approx(1, abs=1e-3)
+
+
+def test_black_panorama_is_sampled_evenly() -> None:
+    sampler = LightSampler(np.zeros((8, 16, 3), np.float32))
+    _, density = sampler.sample(np.random.default_rng(0).random((100, 2)))
+    np.testing.assert_allclose(density, 1 / (4 * np.pi), rtol=1e-5)
+
+
+def test_probe_weights_are_one_at_a_probe_and_sum_to_one() -> None:
+    first = LightSampler(WHITE, (0.0, 0.0, 0.0))
+    probes = ProbeSet([first, LightSampler(WHITE * 3, (2.0, 0.0, 0.0))])
+    np.testing.assert_allclose(probes.weights((0.0, 0.0, 0.0)), [1, 0], atol=1e-6)
+    np.testing.assert_allclose(probes.weights((1.0, 0.0, 0.0)), [0.5, 0.5], atol=1e-6)
+    middle = probes.radiance(np.array([[1.0, 0, 0]]), np.array([[0.0, 1, 0]]))
+    np.testing.assert_allclose(middle, [[2, 2, 2]], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"roughness": 1.5},
+        {"metallic": -0.1},
+        {"base_colour": (0.5, 2.0, 0.5)},
+        {"ior": 0.5},
+        {"opacity": float("nan")},
+        {"emissive": (float("inf"), 0.0, 0.0)},
+        {"alpha_cutoff": 2.0},
+    ],
+)
+def test_material_values_out_of_range_are_refused(values: dict) -> None:
+    with pytest.raises(ObjectError, match=next(iter(values)).split("[")[0]):
+        Material(**values)
+
+
+def test_large_textures_are_reduced() -> None:
+    texture = Texture.from_srgb8(np.full((4, 3000, 3), 255, np.uint8))
+    assert texture.texels.shape[1] == MAX_TEXTURE_SIZE
+    assert texture.texels.min() == 65535
+
+
+def test_empty_texture_is_refused() -> None:
+    with pytest.raises(ObjectError, match="texel"):
+        Texture(np.zeros((0, 4, 4), np.uint16))
+
+
+def test_emission_is_added_to_reflection() -> None:
+    lit = plane_radiance(
+        Material(base_colour=(0.0, 0.0, 0.0), specular=0.0, emissive=(2.0, 1.0, 0.5)), WHITE, 20.0, samples=1
+    )
+    np.testing.assert_allclose(lit[0], [2, 1, 0.5], rtol=1e-5)
+
+
+def test_textures_colour_the_surface_by_its_uvs() -> None:
+    from shading_reference import look_at
+
+    from roomlight.camera import Intrinsics
+    from roomlight.compositing.primitives import plane
+    from roomlight.compositing.tracer import ObjectScene
+
+    image = np.zeros((2, 2, 3), np.float32)
+    image[0, 0], image[0, 1], image[1, 0], image[1, 1] = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)
+    material = Material(base_colour=(1.0, 1.0, 1.0), specular=0.0, base_colour_texture=Texture.from_linear(image))
+    scene = ObjectScene([plane(2.0, 2.0, material)])
+    camera = Intrinsics(40.0, 40.0, 20.0, 20.0, 40, 40)
+    # from above, image right = +x (u), image down = +z (v)
+    picture = render_objects(
+        scene,
+        camera,
+        look_at((0, 2, 0), (0, 0, 0)),
+        ProbeSet.single(WHITE),
+        quality=RenderSettings(16, 2, denoised=False),
+    )
+    for row, column, colour in ((10, 10, (1, 0, 0)), (10, 29, (0, 1, 0)), (29, 10, (0, 0, 1)), (29, 29, (1, 1, 1))):
+        np.testing.assert_allclose(picture.radiance[row, column], colour, atol=0.06)

@@ -1,0 +1,133 @@
+"""Meshes, objects and the shapes made from formulas."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from roomlight.compositing.materials import mirror
+from roomlight.compositing.objects import TriangleMesh, VirtualObject
+from roomlight.compositing.primitives import chair, cube, plane, sphere, vase
+from roomlight.errors import ObjectError
+
+POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
+FACE = np.array([[0, 1, 2]])
+
+
+def _volume(one: VirtualObject) -> float:
+    corners = np.concatenate([mesh.vertices[mesh.faces] for mesh, _ in one.parts]).astype(float)
+    return float(np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
+
+
+@pytest.mark.parametrize("one", [sphere(0.5), cube(1.0), vase(), chair(), plane(1.0, 2.0)])
+def test_faces_and_normals_point_outward_together(one: VirtualObject) -> None:
+    for mesh, _ in one.parts:
+        a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+        flat = np.cross(b - a, c - a)
+        agree = np.einsum("fi,fi->f", flat, mesh.normals[mesh.faces].mean(axis=1)) > 0
+        assert agree.mean() > 0.99
+        np.testing.assert_allclose(np.linalg.norm(mesh.normals, axis=1), 1, atol=1e-5)
+
+
+def test_closed_shapes_have_their_volume() -> None:
+    assert _volume(sphere(1.0)) == pytest.approx(4 / 3 * np.pi, rel=0.003)
+    assert _volume(cube(2.0)) == pytest.approx(8, rel=1e-5)
+    assert 0 < _volume(vase(1.0)) < np.pi * 0.3**2
+
+
+def test_sphere_vertices_lie_on_it() -> None:
+    ((mesh, _),) = sphere(2.0).parts
+    np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 2, rtol=1e-6)
+    np.testing.assert_allclose(mesh.normals * 2, mesh.vertices, atol=1e-5)
+
+
+@pytest.mark.parametrize("one", [vase(0.4), chair(0.9)])
+def test_furnishings_stand_on_the_ground(one: VirtualObject) -> None:
+    low, high = one.bounds()
+    assert low[1] == pytest.approx(0, abs=1e-6)
+    assert high[1] == pytest.approx(0.4 if one.name == "vase" else 0.9, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "make", [sphere, cube, vase, chair, lambda size: plane(size, 1.0), lambda size: plane(1.0, size)]
+)
+@pytest.mark.parametrize("size", [0.0, -1.0, float("nan"), float("inf")])
+def test_shapes_without_a_size_are_refused(make: Callable[[float], VirtualObject], size: float) -> None:
+    with pytest.raises(ObjectError, match="_m must be a positive number"):
+        make(size)
+
+
+def test_scaling_sets_the_longest_side() -> None:
+    low, high = plane(2.0, 8.0).scaled_to(0.5).bounds()
+    np.testing.assert_allclose(high - low, [0.125, 0, 0.5], atol=1e-6)
+
+
+@pytest.mark.parametrize("size", [0.0, -1.0, float("nan")])
+def test_scaling_to_nothing_is_refused(size: float) -> None:
+    with pytest.raises(ObjectError, match="size_m"):
+        cube(1.0).scaled_to(size)
+
+
+def test_point_without_extent_cannot_be_scaled() -> None:
+    dot = VirtualObject("dot", ((TriangleMesh.build(np.zeros((3, 3)), FACE), mirror()),))
+    with pytest.raises(ObjectError, match="no extent"):
+        dot.scaled_to(1.0)
+
+
+def test_mirror_image_keeps_faces_outward() -> None:
+    assert _volume(vase(1.0).transformed(np.diag([-1.0, 1, 1, 1]))) == pytest.approx(_volume(vase(1.0)), rel=1e-4)
+
+
+def test_normals_follow_the_inverse_transpose() -> None:
+    ((mesh, _),) = sphere(1.0).transformed(np.diag([1.0, 0.25, 1, 1])).parts
+    expected = mesh.vertices / np.array([1, 0.0625, 1])
+    expected /= np.linalg.norm(expected, axis=1, keepdims=True)
+    np.testing.assert_allclose(mesh.normals, expected, atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("transform", "message"),
+    [
+        (np.diag([1.0, 0, 1, 1]), "flattens"),
+        (np.diag([1.0, 1, 1, 2]), "last row"),
+        (np.full((4, 4), np.nan), "NaN"),
+    ],
+)
+def test_unusable_transforms_are_refused(transform: np.ndarray, message: str) -> None:
+    with pytest.raises(ObjectError, match=message):
+        cube(1.0).transformed(transform)
+
+
+@pytest.mark.parametrize(
+    ("points", "faces", "message"),
+    [
+        (POINTS, np.zeros((0, 3), int), "one triangle at least"),
+        (POINTS, np.array([[0, 1, 3]]), "point at vertices"),
+        (POINTS, np.array([[0, -1, 2]]), "point at vertices"),
+        (POINTS * np.nan, FACE, "finite"),
+        (POINTS * 1e9, FACE, "check the unit"),
+    ],
+)
+def test_broken_meshes_are_refused(points: np.ndarray, faces: np.ndarray, message: str) -> None:
+    with pytest.raises(ObjectError, match=message):
+        TriangleMesh.build(points, faces)
+
+
+def test_object_without_a_part_is_refused() -> None:
+    with pytest.raises(ObjectError, match="no surface"):
+        VirtualObject("nothing", ())
+
+
+def test_tangents_follow_growing_u() -> None:
+    ((mesh, _),) = plane(1.0, 1.0).parts
+    tangents = mesh.with_tangents().tangents
+    assert tangents is not None
+    np.testing.assert_allclose(tangents[:, :3], [[1, 0, 0]] * 4, atol=1e-6)
+    # glTF: the bitangent cross(n, t) w points up the image, toward -z here
+    bitangent = np.cross(mesh.normals, tangents[:, :3]) * tangents[:, 3:]
+    np.testing.assert_allclose(bitangent, [[0, 0, -1]] * 4, atol=1e-6)
+
+
+def test_material_replaces_those_of_all_parts() -> None:
+    shiny = mirror()
+    assert all(material is shiny for _, material in chair().with_material(shiny).parts)
