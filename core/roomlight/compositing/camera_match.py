@@ -2,8 +2,8 @@
 
 Noise is measured in sRGB-encoded values, where viewers see it, as a function of brightness: the median absolute
 high-pass (Immerkaer 1996) of flat pixels. Cameras that demosaic and compress make noise that is correlated between
-pixels: the same measure at half the resolution tells how far. Blur is the width of the sharpest edges, by the ratio of
-their gradients before and after a known blur (Zhuo and Sim 2011). Nothing is added to a picture without noise.
+pixels: the same measure at half the resolution tells how far. Blur is the width of strong edges, by the ratio of their
+gradients before and after a known blur (Zhuo and Sim 2011). Nothing is added to a picture without noise.
 """
 
 from dataclasses import dataclass
@@ -27,6 +27,8 @@ _GRAINS: Final = (0.0, 0.4, 0.55, 0.7, 0.9, 1.2)
 _TILE: Final = 256
 _REBLUR_PX: Final = 1.0
 _STRONG: Final = 0.05
+_WIDE_PX: Final = 3.0
+_STEP: Final = (0.5, 1.6)
 _QUANTISED: Final = 0.4 / 255
 """Noise below this is the rounding to 8 bits."""
 
@@ -101,7 +103,7 @@ def measure_noise(encoded: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "l
 
 
 def measure_blur(encoded: Float[np.ndarray, "h w 3"]) -> float:
-    """Return the standard deviation, in pixels, of the sharpest strong edges; 0 if there is no strong edge."""
+    """Return the standard deviation, in pixels, of strong steps of brightness, in the median; 0 without steps."""
     grey = encoded.mean(axis=-1, dtype=np.float32)
     soft = cv2.GaussianBlur(grey, (0, 0), 0.5)  # so that noise makes no edges
     blurred = cv2.GaussianBlur(soft, (0, 0), _REBLUR_PX)
@@ -111,13 +113,17 @@ def measure_blur(encoded: Float[np.ndarray, "h w 3"]) -> float:
 
     sharp = gradient(soft)
     ridge = (sharp > _STRONG) & (sharp >= cv2.dilate(sharp, np.ones((3, 3), np.uint8)) - 1e-9)
-    if ridge.sum() < 40:
-        return 0.0
     ratio = np.maximum(sharp[ridge] / np.maximum(gradient(blurred)[ridge], 1e-6), 1.001)
     # R = sqrt((s^2 + b^2) / s^2) with s the edge's width after the first blur and the pixel's own derivative
     width = _REBLUR_PX / np.sqrt(ratio**2 - 1)
-    sharpest = float(np.percentile(width, 15))
-    return float(np.clip(np.sqrt(max(sharpest**2 - 0.5**2 - 0.6**2, 0.0)), 0.0, MAX_BLUR_PX))
+    # lines and corners lose more than steps do: the step's height must be the same at a larger scale
+    wide = gradient(cv2.GaussianBlur(soft, (0, 0), _WIDE_PX))[ridge]
+    kept = wide * np.sqrt(_WIDE_PX**2 + width**2) / (sharp[ridge] * width)
+    steps = (kept > _STEP[0]) & (kept < _STEP[1])
+    if steps.sum() < 40:
+        return 0.0
+    typical = float(np.median(width[steps]))
+    return float(np.clip(np.sqrt(max(typical**2 - 0.5**2 - 0.6**2, 0.0)), 0.0, MAX_BLUR_PX))
 
 
 def blur_layer(layer: Float[np.ndarray, "h w c"], blur_px: float) -> Float32[np.ndarray, "h w c"]:

@@ -33,6 +33,7 @@ from roomlight.compositing.scene_geometry import SceneGeometry
 from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand
 from roomlight.compositing.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
 from roomlight.compositing.tracer import ObjectScene
+from roomlight.depth import complete_depth
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
 from roomlight.frame import Frame
@@ -156,7 +157,9 @@ class Compositor:
             rendered = self._render(frame, matrices)
         with clock.stage("depth"):
             depth_m = self._filled(depth_m, frame, crop)
-            real = real_depth(depth_m, frame.intrinsics.width, frame.intrinsics.height, crop)
+            # shadows fall on surfaces without depth too: black and shiny tables; they do not hide objects
+            whole = complete_depth(depth_m) if (depth_m > 0).any() else depth_m
+            real = real_depth(whole, frame.intrinsics.width, frame.intrinsics.height, crop)
         supports = [one.support_at(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
         with clock.stage("shadow"):
             shadow = self._shadows(frame, crop, real.depth_m, spheres, supports, share_of(step_s, SHADOW_S))

@@ -236,9 +236,10 @@ def fit_plane(
         return None
     offset = (normals * offsets).sum(axis=1)
     inside = np.abs(local @ normals.T - offset) < tolerance_m
-    votes = np.where(np.abs(offset) < 2 * tolerance_m, inside.sum(axis=0), 0)
+    # of two surfaces that meet near the pixel, its own passes through the hit
+    votes = inside.sum(axis=0) * np.exp(-((2 * offset / tolerance_m) ** 2))
     inliers = inside[:, int(votes.argmax())]
-    if votes.max() < _LEAST_POINTS:
+    if inliers.sum() < _LEAST_POINTS or votes.max() < 1:
         return None
     centre, normal = np.zeros(3), np.zeros(3)
     for _ in range(4):

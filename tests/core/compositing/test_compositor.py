@@ -89,7 +89,7 @@ def test_a_real_block_hides_the_ball_behind_it(session):
 
 
 def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
-    held = replace(BALL, place=AtPixel(200, 180, frame=5))
+    held = replace(BALL, place=AtPixel(200.0, 180.0, frame=5))
     compositor = Compositor(session, [held], quality="preview")
     first = compositor.composite(view(index=4))
     assert first.waiting == ("ball",)
@@ -152,7 +152,7 @@ def test_a_moving_object_changes_without_steps(session):
 
 def test_light_is_eased_in_with_its_time_constant():
     dark, bright = np.full((16, 32, 3), 0.2, np.float32), np.full((16, 32, 3), 1.2, np.float32)
-    light = EasedLight((0, 0, 0), dark)
+    light = EasedLight((0.0, 0.0, 0.0), dark)
     light.aim(bright)
     for _ in range(12):
         light.advance(LIGHT_S / 12)
@@ -255,11 +255,11 @@ def test_objects_out_of_view_are_refused_in_a_single_picture(session):
     with pytest.raises(SceneError, match="ball: lies outside the picture"):
         composite(session, view(), [replace(BALL, place=AtPosition((-2.8, 0.0, 0.4)))], quality="preview")
     with pytest.raises(SceneError, match="ball: the pixel belongs to another frame"):
-        composite(session, view(), [replace(BALL, place=AtPixel(10, 10, frame=99))], quality="preview")
+        composite(session, view(), [replace(BALL, place=AtPixel(10.0, 10.0, frame=99))], quality="preview")
 
 
 def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
-    compositor = Compositor(session, [BALL, replace(BALL, name="lost", place=AtPixel(9999, 3))], quality="preview")
+    compositor = Compositor(session, [BALL, replace(BALL, name="lost", place=AtPixel(9999.0, 3.0))], quality="preview")
     with pytest.raises(SceneError, match=r"objects\[1\] \(lost\): pixel"):
         compositor.composite(view())
     assert compositor.waiting == ("ball", "lost")
@@ -268,7 +268,7 @@ def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
 
 def test_a_bad_position_is_refused_at_once(session):
     with pytest.raises(SceneError, match="position"):
-        Compositor(session, [replace(BALL, place=AtPosition((float("nan"), 0, 0)))])
+        Compositor(session, [replace(BALL, place=AtPosition((float("nan"), 0.0, 0.0)))])
 
 
 def test_a_big_object_has_several_probes(session):

@@ -57,8 +57,9 @@ def test_object_hangs_flush_on_a_wall(noise_m):
     placed = place_at_pixel(geometry, frame, *pixel_of(frame, (1.0, 1.5, -2.5)), BOX)
     corners = transform_points(placed.object_to_world, CORNERS)
     assert placed.kind == "wall"
-    assert abs(corners[:, 2].min() + 2.5) < 0.008 if noise_m else 0.005
-    assert placed.object_to_world[:3, 2] == pytest.approx([0, 0, 1], abs=1e-6)  # the front looks into the room
+    assert abs(corners[:, 2].min() + 2.5) < (0.008 if noise_m else 0.005)
+    front = placed.object_to_world[:3, 2]
+    assert front == pytest.approx([0, 0, 1], abs=0.02 if noise_m else 1e-5)  # it looks into the room
     assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0], abs=1e-6)
 
 

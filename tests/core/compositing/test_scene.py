@@ -26,8 +26,8 @@ def test_a_scene_has_objects_of_their_size_and_place():
     low, high = scene.objects[0].geometry.bounds()
     assert high - low == pytest.approx([0.2] * 3)
     assert np.ptp(scene.objects[2].geometry.bounds(), axis=0) == pytest.approx([1.0] * 3)  # the file's own metres
-    assert scene.objects[0].place == AtPosition((0, 0, -1))
-    assert scene.objects[1].place == AtPixel(10, 20, 3, 15)
+    assert scene.objects[0].place == AtPosition((0.0, 0.0, -1.0))
+    assert scene.objects[1].place == AtPixel(10.0, 20.0, 3, 15.0)
     assert scene.objects[2].geometry.parts[0][1].roughness == 0.3
 
 

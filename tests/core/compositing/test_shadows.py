@@ -52,7 +52,7 @@ def test_umbra_of_a_small_light_is_the_analytic_one():
     umbra = across < 0.2 - spread - margin
     outside = across > 0.2 + spread + margin
     assert umbra.sum() > 150
-    assert ratio[umbra].max() < 0.03
+    assert ratio[umbra].max() < 0.04  # 0.02 is the least
     assert ratio[outside & grid.known].min() > 0.98
     between = ratio[~umbra & ~outside & grid.known]
     assert 0.3 < between.mean() < 0.7
@@ -71,7 +71,7 @@ def test_sphere_under_a_white_sky_shades_the_floor_as_the_form_factor():
 def test_far_from_objects_nothing_changes():
     ratio, grid = ratio_of(ball(lit(60, [], level=1.0)))
     distance = np.linalg.norm(grid.points - np.array([0, 0.5, 0]), axis=-1)
-    assert (ratio[distance > 0.81] == 1).all()
+    assert (ratio[distance > 0.9] == 1).all()
 
 
 def test_a_red_cube_bleeds_red_onto_a_white_floor():
