@@ -23,7 +23,7 @@ from jaxtyping import Bool, Float, Int
 from roomlight.camera import Intrinsics, rigid_inverse, transform_points
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.blend import CLOSER_M
-from roomlight.engine.clipping import restore_clipped
+from roomlight.engine.clipping import ClippingModel, restore_clipped
 from roomlight.engine.kernels.bracket import PointArrays, SourceArrays, take_radiance
 from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.texture import Texture
@@ -36,17 +36,24 @@ MAX_PROJECTIONS: Final = 300_000
 """Most points projected for one frame in each direction: it bounds the time."""
 
 
-def restored(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Iterable[FrameMesh] = ()) -> Frame:
+def restored(
+    frame: Frame,
+    depth_m: Float[np.ndarray, "dh dw"],
+    earlier: Iterable[FrameMesh] = (),
+    *,
+    model: ClippingModel | None = None,
+) -> Frame:
     """Return the frame with the depth `depth_m`, its clipped pixels taken from earlier frames or else estimated.
 
     frame:    as measured, with the sensor's depth.
     depth_m:  its completed depth.
     earlier:  meshes of earlier frames; of two that know as much, the later one counts.
+    model:    estimates what no frame shows; None: constants.
     """
     if not frame.clipped.any():
         return replace(frame, depth_m=depth_m)
     measured = _from_earlier(frame, depth_m, list(earlier))
-    result = restore_clipped(measured, depth_m)
+    result = restore_clipped(measured, depth_m, model=model)
     guessed = np.einsum("hwc,c->hw", result.image - measured.image, LUMINANCE)
     return replace(result, guessed=guessed)
 

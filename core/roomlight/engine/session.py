@@ -26,6 +26,8 @@ from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.bracket import restored, update_keyframes
 from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.clipping import shipped_clipping
+from roomlight.engine.completion import CompletionBackend, shipped_completion
 from roomlight.engine.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
 from roomlight.engine.light_tracking import LightTracker
@@ -39,8 +41,10 @@ from roomlight.frame import Frame
 from roomlight.light.light import Light
 from roomlight.light.main_light import find_lights
 
-ModelName = Literal["auto", "classical", "single", "video"]
+ModelName = Literal["auto", "classical", "completion", "single", "video"]
 """`SessionOptions.model`."""
+ClippingName = Literal["learned", "constants"]
+"""`SessionOptions.clipping`."""
 
 WORKING_SIZE = (320, 240)
 """Frames are reduced to this size (width, height; swapped for upright images), the paper's: eight pixels for one of a
@@ -52,10 +56,12 @@ class SessionOptions:
     """Options of a session.
 
     Attributes:
-        model: classical (no networks), single or video (networks), or auto: the network form of `weights`, and without
-            `weights` classical. On streams of 35 captures that no choice was made with, the networks inside the package
+        model: classical (no networks), completion (classical, with learned light where no frame looked), single or
+            video (the paper's networks), or auto: the network form of `weights`, and without `weights` classical. On streams of 35 captures that no choice was made with, the networks inside the package
             had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
+        clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
+        parts: a folder with the model directories `clipping` and `completion`, instead of those inside the package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
         allow_untrained: accept weights that were never trained, for tests.
         height: rows of the panoramas, 16 to 2048; they have twice as many columns.
@@ -68,6 +74,8 @@ class SessionOptions:
 
     model: ModelName = "auto"
     weights: Path | None = None
+    clipping: ClippingName = "constants"
+    parts: Path | None = None
     provider: Provider = "auto"
     allow_untrained: bool = False
     height: int = 120
@@ -75,7 +83,12 @@ class SessionOptions:
     unknown_depth: UnknownDepth = "rim"
 
     def __post_init__(self) -> None:
-        for name, allowed in (("model", ModelName), ("provider", Provider), ("unknown_depth", UnknownDepth)):
+        for name, allowed in (
+            ("model", ModelName),
+            ("clipping", ClippingName),
+            ("provider", Provider),
+            ("unknown_depth", UnknownDepth),
+        ):
             if getattr(self, name) not in get_args(allowed):
                 raise OptionError(f"{name} must be one of {', '.join(get_args(allowed))}; got {getattr(self, name)!r}")
         if not 16 <= self.height <= 2048:
@@ -131,7 +144,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         OptionError: model="video" contradicts `weights`, which are single-view.
         ModelError: the weights are missing, damaged or untrained, or the provider is not available.
     """
-    if options.model == "classical" or (options.model == "auto" and options.weights is None):
+    if options.model in ("classical", "completion") or (options.model == "auto" and options.weights is None):
         return None
     if options.weights is not None:
         graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
@@ -147,6 +160,14 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         f'model="{options.model}": this version contains no trained weights for it; '
         'set `weights` to a model directory (from `roomlight export`) or use model="classical"'
     )
+
+
+def _backend(options: SessionOptions, graphs: LightingGraphs | None) -> Backend:
+    if graphs is not None:
+        return NetworkBackend(graphs)
+    if options.model == "completion":
+        return CompletionBackend(shipped_completion(options.provider, (options.parts or SHIPPED) / "completion"))
+    return ClassicalBackend()
 
 
 def _shipped(folder: str) -> bool:
@@ -167,7 +188,10 @@ class Session:
         """
         self.options = options or SessionOptions()
         chosen = graphs or choose_graphs(self.options)
-        self._backend: Backend = NetworkBackend(chosen) if chosen else ClassicalBackend()
+        self._backend = _backend(self.options, chosen)
+        folder, provider = self.options.parts or SHIPPED, self.options.provider
+        learned = self.options.clipping == "learned"
+        self._clipping = shipped_clipping(provider, folder / "clipping") if learned else None
         self._shape = chosen.volume_shape if chosen else VOLUME_SHAPE
         self._grid: VolumeGrid | None = None
         self._sglv: Sglv | None = None
@@ -247,7 +271,7 @@ class Session:
             sensor_depth_m = frame.depth_m
             rim = self.options.unknown_depth == "rim"
             depth_m = complete_depth(frame.depth_m) if rim else frame.depth_m
-            frame = restored(frame, depth_m, [mesh for _, mesh in self.meshes])
+            frame = restored(frame, depth_m, [mesh for _, mesh in self.meshes], model=self._clipping)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
         if self._grid is None:
             self._backend.start(grid)

@@ -14,10 +14,10 @@ from torch import Tensor
 
 from roomlight.depth import complete_depth
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
-from roomlight.engine.clipping import restore_clipped
+from roomlight.engine.bracket import restored, update_keyframes
 from roomlight.engine.fusion import FusedVolume
 from roomlight.engine.mesh import FrameMesh
-from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.engine.volume import VolumeGrid, clipping_buffer, initial_volume
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama
 from roomlight_model.training.examples import Example
@@ -96,9 +96,17 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
 
 
 def restored_frames(example: Example) -> list[Frame]:
-    """Return the frames of an example with completed depth and restored clipped light, as in the serving engine."""
-    frames = [restore_clipped(example.frame, example.depth_m)]
-    return frames + [restore_clipped(frame, complete_depth(frame.depth_m)) for frame in example.later]
+    """Return the frames of an example with completed depth and restored clipped light, as in the serving engine.
+
+    Clipped pixels are taken from earlier frames of shorter exposure, as if all of these were keyframes.
+    """
+    frames = [restored(example.frame, example.depth_m)]
+    meshes: list[FrameMesh] = []
+    for frame in example.later:
+        meshes.append(FrameMesh(frames[-1]))
+        update_keyframes(meshes[-1], meshes[:-1])
+        frames.append(restored(frame, complete_depth(frame.depth_m), meshes))
+    return frames
 
 
 def probe_columns(example: Example, grid: VolumeGrid) -> dict[str, np.ndarray]:
@@ -118,7 +126,8 @@ def _mean_volume(grid: VolumeGrid, frames: Sequence[Frame]) -> Float[np.ndarray,
     """Compute the volume that the serving engine gives to the networks after these frames."""
     fused = FusedVolume.fresh(grid.shape)
     for frame in frames:
-        fused.add(initial_volume(grid, frame))
+        clipping = clipping_buffer(grid, frame)
+        fused.add(initial_volume(grid, frame, clipping=clipping), clipping)
     volume = np.empty((5, *grid.shape), np.float32)
     fused.write(volume)
     return volume
@@ -143,7 +152,15 @@ def _probe_detail(
     *earlier, last = (mesh.render_panorama(position, height=height).within(farthest_m) for mesh in meshes)
     for detail in earlier:
         weight = detail.mask.astype(np.float32)
-        accumulate(state, hdr=nothing, detail=detail.radiance, detail_depth_m=detail.depth_m, weight=weight)
+        accumulate(
+            state,
+            hdr=nothing,
+            detail=detail.radiance,
+            detail_depth_m=detail.depth_m,
+            weight=weight,
+            detail_clipped=detail.clipped,
+            detail_guessed=detail.guessed,
+        )
     filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
     kept = (state.seen > 0) & ~(last.mask & state.is_closer(last.depth_m))
     return _ProbeDetail(filled, last.mask[..., None], state.radiance, kept[..., None])

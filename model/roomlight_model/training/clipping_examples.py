@@ -45,6 +45,13 @@ class ClippingFrames:
         """Return the number of frames."""
         return len(self.radiance)
 
+    def split(self, seed: int) -> "tuple[ClippingFrames, ClippingFrames]":
+        """Split off a twelfth, at random, to score: rooms are shared with training, so it shows progress alone."""
+        order = np.random.default_rng([seed, 13]).permutation(len(self))
+        held = max(1, len(self) // 12)
+        parts = [ClippingFrames(self.radiance[part], self.geometry[part]) for part in (order[held:], order[:held])]
+        return parts[0], parts[1]
+
     @classmethod
     def read(
         cls, datasets: Sequence[Dataset], *, seed: int, frames_each: int = 1, progress: ProgressCallback | None = None

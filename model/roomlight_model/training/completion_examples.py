@@ -1,4 +1,4 @@
-"""Examples for the completion network: what random streams through recordings have shown a probe, and its true light."""
+"""Examples for the completion network: what random streams have shown a probe, and the true light there."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -37,6 +37,13 @@ class CompletionExamples:
     def __len__(self) -> int:
         """Return the number of examples."""
         return len(self.panels)
+
+    def split(self, seed: int) -> "tuple[CompletionExamples, CompletionExamples]":
+        """Split off a twelfth, at random, to score: rooms are shared with training, so it shows progress alone."""
+        order = np.random.default_rng([seed, 13]).permutation(len(self))
+        held = max(1, len(self) // 12)
+        parts = [CompletionExamples(self.panels[part], self.truth[part]) for part in (order[held:], order[:held])]
+        return parts[0], parts[1]
 
     @classmethod
     def read(

@@ -48,7 +48,7 @@ class CompletionStage:
         return (error / (fill + _EVEN)).mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:
-        """Score held-out examples: mean ratio of log-L2 to the classical fill's (`loss`), energy, and log-L2 of both."""
+        """Score held-out examples: mean ratio of log-L2 to the classical fill's (`loss`), energy, both log-L2."""
         ratios, ours, classical, energy = list[float](), list[float](), list[float](), list[float]()
         rng, weight = np.random.default_rng(0), _solid_angles()
         with torch.no_grad():
@@ -95,7 +95,7 @@ def _solid_angles() -> Float32[Tensor, "h w"]:
 
 @cache
 def _lobes() -> Float32[Tensor, "n k"]:
-    """Return weights of all directions in diffuse and glossy reflections towards fixed random normals; each sums to 1."""
+    """Return weights of all directions in diffuse and glossy reflections at fixed normals; each sums to 1."""
     normals = np.random.default_rng(3).normal(size=(_LOBES, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     cosine = np.maximum(panorama_rays(HEIGHT).astype(np.float64) @ normals.T, 0)

@@ -47,6 +47,8 @@ class TrainOptions:
             (`engine.fusion`), panoramas accumulate. Video stages: the sequence's length, 2 or more.
         window: Video stages: frames over which gradients go back in time (truncated back-propagation). It bounds the
             memory of a step (`training.unroll.window_mb`).
+        variants: `video-blend`: draw so many sequences from each walk and keep what the fixed 3D networks make of them
+            in the run's folder (`training.walk_cache`); 0 draws new ones at every step.
         smoothness_weight: Video stages: weight of the difference between the panoramas of consecutive frames.
         augment: Whether to draw frames at random and augment them.
         surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
@@ -78,6 +80,7 @@ class TrainOptions:
     depth: DepthKind = "both"
     frames: int = 1
     window: int = 31
+    variants: int = 0
     smoothness_weight: float = 0.01
     augment: bool = True
     surround_max: float = 0.0
@@ -95,6 +98,7 @@ class TrainOptions:
             ("rays", 8),
             ("frames", 2 if is_video(self.stage) else 1),
             ("window", 1),
+            ("variants", 0),
             ("held_out", 0),
             ("sphere_pixels", 0),
             ("sphere_samples", 2),
@@ -111,6 +115,8 @@ class TrainOptions:
             value = getattr(self, name)
             if not low <= value <= high or (name == "learning_rate" and value == 0):
                 raise OptionError(f"{name} is {value}; it must be between {low} and {high}")
+        if self.variants and self.stage != "video-blend":
+            raise OptionError(f"variants is {self.variants}; only video-blend has fixed 3D networks, it must be 0")
         if min(self.volume_shape) < 8:
             raise OptionError(f"volume_shape is {self.volume_shape}; every side must be 8 or more")
         if self.panorama_height < 8 or self.panorama_height % 2:

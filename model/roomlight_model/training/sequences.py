@@ -114,11 +114,29 @@ class WalkBatch(Probes):
     mask: Float[Tensor, "b t p 1 h w"] | None = None
     distance_m: Float[Tensor, "b t p 1 h w"] | None = None
     """Distance of the mesh, at most `roomlight.engine.blend.farthest_depth_m`; 0 outside it."""
+    hdr: Float[Tensor, "b t p 3 h w"] | None = None
+    """The panoramas of a fixed 3D network at the probes (`unroll.with_renderings`), which replace the volumes."""
 
     @property
     def frames(self) -> int:
         """Number of frames of each sequence."""
-        return self.volume.shape[1]
+        return self.light_of.shape[1]
+
+    def cut(self, start: int, stop: int) -> "WalkBatch":
+        """Return the batch with these frames alone."""
+        part = slice(start, stop)
+        frames = {
+            name: None if value is None else value[:, part]
+            for name, value in (
+                ("volume", self.volume),
+                ("light_of", self.light_of),
+                ("detail", self.detail),
+                ("mask", self.mask),
+                ("distance_m", self.distance_m),
+                ("hdr", self.hdr),
+            )
+        }
+        return replace(self, **frames)
 
     def truth(self, frame: int) -> Float[Tensor, "b p 3 h w"]:
         """Return the true light at the probes in a frame."""
@@ -157,6 +175,14 @@ def collate_walks(walks: Sequence[PreparedWalk], *, panorama_height: int | None)
             columns.setdefault(name, []).append(np.asarray(value, np.float32))
     tensors = {name: torch.from_numpy(np.stack(values)) for name, values in columns.items()}
     return WalkBatch(**tensors, light_of=torch.from_numpy(np.stack([one.walk.light_of for one in walks])))
+
+
+def joined(batches: Sequence[WalkBatch]) -> WalkBatch:
+    """Join batches, cut to the shortest one's number of frames."""
+    shortest = min(batch.frames for batch in batches)
+    columns = [vars(batch.cut(0, shortest)) for batch in batches]
+    names = [name for name, value in columns[0].items() if isinstance(value, Tensor)]
+    return WalkBatch(**{name: torch.cat([column[name] for column in columns]) for name in names})
 
 
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:

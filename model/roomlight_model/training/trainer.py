@@ -9,17 +9,19 @@ A run is a folder:
     log.jsonl         one line for every reported step
     tensorboard/      the same curves
     pictures/         panoramas of held-out rooms during training
+    cache/            prepared sequences (`TrainOptions.variants`); may be deleted
 
 All random choices follow from (seed, step), so that a resumed run repeats the loss curve of an uninterrupted one.
 """
 
 import json
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
@@ -42,12 +44,15 @@ from roomlight_model.training.sequences import (
     WalkBatch,
     collate_walks,
     draw_length,
+    joined,
     read_walk,
     with_views,
 )
 from roomlight_model.training.stages import Losses, trained_modules
 from roomlight_model.training.starting import starting_model, starting_options
 from roomlight_model.training.step_clock import StepClock
+from roomlight_model.training.unroll import with_renderings
+from roomlight_model.training.walk_cache import WalkCache
 
 _AHEAD: Final = 3
 """Batches prepared in advance."""
@@ -131,6 +136,7 @@ class Trainer:
             fused=True,  # 1.5 ms a step where the plain loop takes 7.7
         )
         self.average = {name: value.detach().clone() for name, value in self.model.state_dict().items()}
+        self._cache = WalkCache(out / "cache")
         self.step = 0
         self.seconds = 0.0
         self.clock: StepClock | None = None
@@ -310,8 +316,25 @@ class Trainer:
 
     def _walk_batch(self, step: int) -> WalkBatch:
         options, drawn = self.options, list(self._drawn(step))
-        # the lengths of a batch are equal: its sequences run side by side
-        rng = np.random.default_rng([options.seed, STAGES.index(options.stage), step])
+        if not options.variants:
+            return self._prepared_walks(drawn, np.random.default_rng([options.seed, STAGES.index(options.stage), step]))
+        variant = step * options.batch // len(self._recordings) % options.variants
+        seeds = [options.seed, STAGES.index(options.stage), variant]
+
+        def make(index: int) -> WalkBatch:
+            # the lengths of a batch are equal: they follow from the variant alone
+            batch = self._prepared_walks(
+                [(index, np.random.default_rng([*seeds, index]))], np.random.default_rng(seeds)
+            )
+            assert isinstance(self.model, VideoModel)
+            with self._part("mesh"):
+                return with_renderings(batch, self.model, options, device=self.device)
+
+        return joined([self._cache.get(index, variant, partial(make, index)) for index, _ in drawn])
+
+    def _prepared_walks(self, drawn: Sequence[tuple[int, np.random.Generator]], rng: np.random.Generator) -> WalkBatch:
+        """Prepare one sequence of each recording; `rng` draws their common length: they run side by side."""
+        options = self.options
         most = min(options.frames, *(self._recordings.frames_of(index) for index, _ in drawn))
         length = draw_length(most, rng) if options.augment else most
         with self._part("data"):
@@ -320,7 +343,7 @@ class Trainer:
                     read_walk(
                         self._recordings,
                         index,
-                        rng,
+                        own,
                         depth=options.depth,
                         length=length,
                         augment=options.augment,
@@ -328,7 +351,7 @@ class Trainer:
                     ),
                     options.volume_shape,
                 )
-                for index, rng in drawn
+                for index, own in drawn
             ]
             height = None if options.stage == "video-sglv" else options.panorama_height
             batch = collate_walks(walks, panorama_height=height)

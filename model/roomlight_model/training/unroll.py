@@ -8,6 +8,7 @@ gradient; losses are means over the others.
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -78,11 +79,13 @@ class Unroll:
         self._directions = panorama_directions(height, device)[self._pixels]
         if self._sphere is not None:
             self._directions = torch.cat([self._directions, self._sphere.directions.flatten(2, 3)], dim=2)
+        self._volume_state: SGState | None = None
         with torch.no_grad():
-            with self._part("forward"), self._autocast():
-                self.volume_state = _in_float32(model.start(batch.volume[:, 0]))
+            if batch.hdr is None:
+                with self._part("forward"), self._autocast():
+                    self._volume_state = _in_float32(model.start(batch.volume[:, 0]))
             self.probe_state: BlendState | None = None
-            self._light = self._observe(0)[1]
+            self._hdr, self._light = self._observe(0)
 
     def gradients(self, parameters: Sequence[nn.Parameter]) -> tuple[Losses, list[Tensor | None]]:
         """Run the other frames; return the mean losses, detached, and the gradients of their total."""
@@ -100,14 +103,32 @@ class Unroll:
         means = [torch.stack([one[k] for one in losses]).mean() for k in range(len(Losses._fields))]
         return Losses(*means), gradients
 
+    @property
+    def volume_state(self) -> SGState:
+        """The 3D state after the latest frame; a batch with renderings (`with_renderings`) has none."""
+        assert self._volume_state is not None
+        return self._volume_state
+
+    def first_losses(self) -> Losses:
+        """Return the losses of the first frame; call it before `advance`."""
+        return self._losses(0, self._hdr, self._light, self._light)
+
+    def panoramas(self) -> Float[Tensor, "b p 3 h w"]:
+        """Return the panoramas after the latest frame: blended, or the volume's in the stage that trains only it."""
+        if self.probe_state is not None:
+            return self.probe_state.panorama.radiance.unflatten(0, self._batch.origins.shape[:2])
+        height = self._batch.lights.shape[-2]
+        return rendered_panoramas(self.volume_state.volume, self._batch, height=height, device=self._device)
+
     def advance(self, frame: int) -> Losses:
         """Run one frame after the first and return its losses."""
-        with self._part("forward"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
-            self.volume_state = self._volume_step(self._batch.volume[:, frame], self.volume_state)
+        if self._volume_state is not None:
+            with self._part("forward"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+                self._volume_state = self._volume_step(self._batch.volume[:, frame], self._volume_state)
         before = self._light
-        hdr, self._light = self._observe(frame)
+        self._hdr, self._light = self._observe(frame)
         with self._part("blend" if self._blends else "march"):
-            return self._losses(frame, hdr, self._light, before)
+            return self._losses(frame, self._hdr, self._light, before)
 
     def _losses(self, frame: int, hdr: Tensor, light: Tensor, before: Tensor) -> Losses:
         truth = self._batch.truth(frame)
@@ -133,12 +154,16 @@ class Unroll:
 
     def _observe(self, frame: int) -> tuple[Tensor, Tensor]:
         """Render the volume at the probes; return (HDR, the light of the loss): along rays, or blended panoramas."""
-        volume, batch = self.volume_state.volume, self._batch
+        batch = self._batch
         with self._part("march"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
             if not self._blends:
-                light = rendered(volume, batch, self._directions)
+                light = rendered(self.volume_state.volume, batch, self._directions)
                 return light, light
-            hdr = rendered_panoramas(volume, batch, height=batch.lights.shape[-2], device=self._device)
+            if batch.hdr is not None:
+                hdr = batch.hdr[:, frame]
+            else:
+                height = batch.lights.shape[-2]
+                hdr = rendered_panoramas(self.volume_state.volume, batch, height=height, device=self._device)
         with self._part("blend"):
             self.probe_state = self._probe_step(self._observation(frame, hdr.flatten(0, 1)), self.probe_state)
             return hdr, self.probe_state.panorama.radiance.unflatten(0, hdr.shape[:2])
@@ -181,16 +206,37 @@ class Unroll:
         return Observation(hdr, torch.stack(filled).to(hdr.device), mask, depth)
 
     def _detach(self) -> None:
-        self.volume_state = _detached(self.volume_state)
+        self._volume_state = _detached(self._volume_state)
         if self.probe_state is not None:
             self.probe_state = _detached(self.probe_state)
-        self._light = self._light.detach()
+        self._hdr, self._light = self._hdr.detach(), self._light.detach()
 
     def _autocast(self) -> AbstractContextManager[None]:
         return torch.autocast(self._device.type, dtype=torch.bfloat16, enabled=self._options.bf16)
 
     def _part(self, name: str) -> AbstractContextManager[None]:
         return nullcontext() if self._clock is None else self._clock.part(name)
+
+
+@torch.no_grad()
+def with_renderings(batch: WalkBatch, model: VideoModel, options: TrainOptions, *, device: torch.device) -> WalkBatch:
+    """Return the batch with the 3D networks' panoramas in place of its volumes; for the stage that does not train them.
+
+    Raises:
+        ValueError: The stage trains the 3D networks.
+    """
+    if options.stage != "video-blend":
+        raise ValueError(f"{options.stage} trains the 3D networks; their panoramas are not fixed")
+    here, height = batch.to(device), batch.lights.shape[-2]
+    panoramas: list[Tensor] = []
+    state: SGState | None = None
+    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16):
+        for frame in range(batch.frames):
+            volume = here.volume[:, frame]
+            state = _in_float32(model.start(volume) if state is None else model.step(volume, state))
+            panoramas.append(rendered_panoramas(state.volume, here, height=height, device=device))
+    nothing = batch.volume.new_empty((*batch.volume.shape[:3], 0, 0, 0))
+    return replace(batch, volume=nothing, hdr=torch.stack(panoramas, dim=1).to(batch.volume.device))
 
 
 def _filled(

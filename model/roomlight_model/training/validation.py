@@ -18,7 +18,7 @@ from torch import Tensor
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
-from roomlight_model.networks import SingleModel
+from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.sphere_rendering import disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import Example, Recordings, example_of, read_example
@@ -59,7 +59,7 @@ class Validation:
             for name, method in (("mean_colour", MeanColour(HEIGHT)), ("warp", WarpAndFill(HEIGHT))):
                 self._baselines[name].append(_errors(_baseline(method, example), batch))
 
-    def scores(self, model: SingleModel, *, device: torch.device) -> dict[str, float]:
+    def scores(self, model: SingleModel | VideoModel, *, device: torch.device) -> dict[str, float]:
         """Return the mean log-L2 and rendering loss of each method.
 
         Methods: the volume (`sglv`), the blended panoramas if the stage trains them (`blended`), the frame's mean
@@ -89,7 +89,7 @@ class Validation:
         weight, names = self._options.rendering_weight, [name, name + "_walk"] if self._walks else [name]
         return float(np.mean([scores[f"log_l2_{one}"] + weight * scores[f"rendering_{one}"] for one in names]))
 
-    def draw(self, model: SingleModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
+    def draw(self, model: SingleModel | VideoModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
         """Write a PNG with a row for each of the first sequences: frame, then truth, volume and blended, also darker.
 
         Raises:
@@ -106,7 +106,8 @@ class Validation:
         if not cv2.imwrite(str(path), np.concatenate(lines)[..., ::-1]):
             raise OutputError(f"{path}: the picture cannot be written")
 
-    def _predict(self, model: SingleModel, batch: Batch, device: torch.device) -> dict[str, Panoramas]:
+    def _predict(self, model: SingleModel | VideoModel, batch: Batch, device: torch.device) -> dict[str, Panoramas]:
+        assert isinstance(model, SingleModel)
         here = batch.to(device)
         with torch.no_grad():
             sglv = model(here.volume)
