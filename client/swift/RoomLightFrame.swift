@@ -371,10 +371,31 @@ func wireVectorMessages(json: Data) throws -> [Data] {
             public let status: String
         }
 
-        /// Unit direction toward the light in the world, and its linear RGB irradiance on a surface that faces it.
+        /// One light: unit direction toward it in the world, and its linear RGB irradiance on a surface that faces it.
+        public struct LightSource: Decodable {
+            public let direction: [Float]
+            public let intensity: [Float]
+            /// Angular radius in degrees of a round light of the same spread.
+            public let radius_deg: Float
+            /// Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is.
+            public let shadow_strength: Float
+            /// 1: brighter than any surface that the room's light explains; toward 0: it may be a bright surface.
+            public let emitted: Float
+            /// Equal from frame to frame at a tracked probe.
+            public let number: Int
+        }
+
+        /// The main light. What servers of earlier versions do not send is nil.
         public struct MainLight: Decodable {
             public let direction: [Float]
             public let intensity: [Float]
+            public let radius_deg: Float?
+            public let shadow_strength: Float?
+            public let emitted: Float?
+            public let number: Int?
+            /// Up to three lights, the strongest first. At a tracked probe the main light turns from one to another at
+            /// a bounded rate, while these stay in their places.
+            public let lights: [LightSource]?
             /// Fraction of the sphere that was observed, 0 to 1.
             public let coverage: Double
         }

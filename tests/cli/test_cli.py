@@ -171,6 +171,24 @@ def test_late_excludes_predictions(tmp_path: Path, roomlight: RunCommand) -> Non
     assert "--late runs the engine" in result.err
 
 
+@pytest.mark.parametrize("other", [("--late",), ("--predictions", ".")])
+def test_main_light_excludes_late_and_predictions(
+    other: tuple[str, ...], tmp_path: Path, roomlight: RunCommand
+) -> None:
+    result = roomlight("eval", sample_capture(), "--main-light", *other, cwd=tmp_path)
+    assert result.code == 2
+    assert "--main-light scores tracked probes" in result.err
+
+
+def test_the_main_light_is_scored_on_a_capture(tmp_path: Path, roomlight: RunCommand) -> None:
+    options = ("--main-light", "--model", "classical", "--max-frames", "6", "--json", "main.json")
+    result = roomlight("eval", sample_capture(), *options, cwd=tmp_path)
+    assert result.code == 0, result.err
+    assert "one panorama" in result.out
+    tracks = json.loads((tmp_path / "main.json").read_text())["tracks"]
+    assert {len(track["directions"]) for track in tracks} == {6}
+
+
 @pytest.mark.slow
 def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: RunCommand) -> None:
     sample, out = sample_capture(), "out [/y]"

@@ -60,6 +60,7 @@ def test_the_same_light_comes_through_the_client(forms):
     assert light.coverage == ENGINE.coverage
     assert (light.main_light.direction == ENGINE.main_light.direction).all()
     assert (light.main_light.intensity == ENGINE.main_light.intensity).all()
+    assert light.main_light.to_json() == ENGINE.main_light.to_json()
     for ours, theirs in ((light.harmonics, ENGINE.harmonics), (light.ambient, ENGINE.ambient)):
         assert isinstance(ours, SphericalHarmonics)
         assert ours.coefficients == pytest.approx(theirs.coefficients, rel=1e-6, abs=1e-7)  # sent as float32
@@ -145,3 +146,27 @@ def test_without_a_panorama_a_notebook_shows_text():
     light = received(("main_light", ENGINE.main_light.to_json()))
     assert light._repr_png_() is None
     assert "coverage=0.5" in repr(light)
+
+
+def test_lights_come_beside_the_main_light():
+    values = {**ENGINE.main_light.to_json(), "lights": [one.to_json() for one in ENGINE.lights]}
+    light = received(("main_light", values))
+    assert len(ENGINE.lights) > 0
+    assert [one.to_json() for one in light.lights] == values["lights"]
+
+
+def test_a_server_without_lights_sends_the_main_light_alone():
+    """Servers of earlier versions send direction and intensity."""
+    light = received(("main_light", {"direction": [0.0, 1.0, 0.0], "intensity": [2.0, 1.0, 0.5]}))
+    assert [one.to_json() for one in light.lights] == [light.main_light.to_json()]
+    assert (light.main_light.radius_deg, light.main_light.shadow_strength, light.main_light.number) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    "broken",
+    [{"radius_deg": "wide"}, {"emitted": [1, 2]}, {"lights": [{"direction": [0, 1, 0]}]}, {"lights": 3}],
+)
+def test_lights_that_cannot_be_read_are_refused(broken):
+    light = received(("main_light", {**ENGINE.main_light.to_json(), "lights": [], **broken}))
+    with pytest.raises(sdk.BadReplyError, match="the form main_light cannot be read"):
+        _ = light.lights if "lights" in broken else light.main_light

@@ -11,6 +11,8 @@ from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_evaluation.capture_evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.capture_tables import capture_tables
+from roomlight_evaluation.main_light_evaluation import MainLightScores, evaluate_main_lights
+from roomlight_evaluation.main_light_tables import main_light_table
 
 app = single_command_app()
 
@@ -25,6 +27,12 @@ def evaluate(
         bool,
         typer.Option(
             "--late", help="Also score probes that are added at each frame and see the earlier keyframes alone."
+        ),
+    ] = False,
+    main_light: Annotated[
+        bool,
+        typer.Option(
+            "--main-light", help="Score the direction of the main light instead; captures need no ground truth."
         ),
     ] = False,
     every: Annotated[
@@ -52,6 +60,8 @@ def evaluate(
     """
     if late and predictions is not None:
         raise typer.BadParameter("--late runs the engine, --predictions scores files instead: give one of the two")
+    if main_light and (late or predictions is not None):
+        raise typer.BadParameter("--main-light scores tracked probes: leave out --late and --predictions")
     session = arguments.session_options(
         model=model,
         weights=weights,
@@ -78,6 +88,10 @@ def evaluate(
         def show(name: str, done: int, total: int) -> None:
             bars.update(task, description=escape(f"scoring {name}"), completed=done, total=total)
 
+        if main_light:
+            lights = evaluate_main_lights(captures, session, options=capture, progress=show)
+            _show_main_lights(lights, json_out)
+            return
         if predictions is None:
             scores = evaluate_engine(captures, session, late=late, options=capture, progress=show)
         else:
@@ -87,3 +101,10 @@ def evaluate(
     if json_out:
         scores.write(json_out)
         console.say(f"Scores: {json_out}")
+
+
+def _show_main_lights(scores: MainLightScores, json_out: Path | None) -> None:
+    console.print_table(console.out, main_light_table(scores))
+    if json_out:
+        scores.write(json_out)
+        console.say(f"Directions: {json_out}")

@@ -15,10 +15,27 @@ export interface HarmonicsValues {
   kind: "total" | "ambient";
 }
 
-/** The values of a form `main_light`: unit direction toward the light; RGB irradiance on a surface that faces it. */
-export interface MainLightValues {
+/** One light: unit direction toward it; RGB irradiance on a surface that faces it. */
+export interface LightSourceValues {
   direction: Vector;
   intensity: Vector;
+  /** Angular radius in degrees of a round light of the same spread. */
+  radius_deg?: number;
+  /** Share of the irradiance on a surface that faces the light, 0 to 1: how much darker its shadow is. */
+  shadow_strength?: number;
+  /** 1: brighter than any surface that the room's light explains; toward 0: it may be a bright surface. */
+  emitted?: number;
+  /** Equal from frame to frame at a tracked probe. */
+  number?: number;
+}
+
+/** The values of a form `main_light`; servers of earlier versions send direction and intensity alone. */
+export interface MainLightValues extends LightSourceValues {
+  /**
+   * Up to three lights, the strongest first. At a tracked probe the main light turns from one to another at a bounded
+   * rate, while these stay in their places.
+   */
+  lights?: readonly LightSourceValues[];
 }
 
 const ODD_M: readonly number[] = [1, 3, 5, 7]; // m = -1, 1, -1, 1

@@ -2,7 +2,7 @@
 
 export { RoomLightError } from "./errors.js";
 export { canonicalJson, packFrame, type Binary, type Frame } from "./frame.js";
-export { Harmonics, type HarmonicsValues, type MainLightValues, type Vector } from "./harmonics.js";
+export { Harmonics, type HarmonicsValues, type LightSourceValues, type MainLightValues, type Vector } from "./harmonics.js";
 export type { ClientOptions } from "./http.js";
 export { parseHdr, type Panorama } from "./hdr.js";
 export { parseCube, type Cube } from "./cube.js";

@@ -46,7 +46,7 @@ const TEXTURE_MAKERS = { cube: cubeTexture, ktx2: cubeTexture, hdr: equirectText
  * Light a scene with the forms of a light. Call it again with each newer light.
  *
  * - `cube`, `ktx2` or `hdr`: sets `scene.environment`, which lights everything. The directional light of a `main_light`
- *   then has intensity 0: it casts its shadow on a `ShadowMaterial` but adds no light.
+ *   then has intensity 0: it casts its shadow on a `ShadowMaterial`, as strong as `shadow_strength`, and adds no light.
  * - otherwise `sh`: a `LightProbe`; with `main_light` also a `DirectionalLight`, subtracted from the harmonics.
  *
  * Returns at once if the light is the same (by its ETag). Removes what an earlier light set and this one lacks.
@@ -71,6 +71,8 @@ export function applyToScene(scene: Scene, light: Light, options: ApplyOptions =
   setDirectional(lights.directional, light, main, distance_m);
   setProbe(lights.probe, light, main);
   lights.directional.intensity *= environment ? 0 : intensity;
+  // Without an environment a shadow is as strong as the light; with one it is drawn by a ShadowMaterial.
+  lights.directional.shadow.intensity = environment ? (main?.shadow_strength ?? 1) : 1;
   lights.probe.intensity = environment ? 0 : intensity;
   lights.appliedKey = key;
   return lights;

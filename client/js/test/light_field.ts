@@ -167,7 +167,7 @@ export function harmonicsForm(basis: "arcore" | "arkit" | "threejs", kind: "tota
 export const MAIN_LIGHT: LightData = {
   format: "main_light",
   media_type: "application/json",
-  values: { direction: unit([1, 2, 2]), intensity: [3, 2, 1] },
+  values: { direction: unit([1, 2, 2]), intensity: [3, 2, 1], shadow_strength: 0.4 },
 };
 
 export const light = (forms: readonly LightData[], etag = "a"): Light => ({

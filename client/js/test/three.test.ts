@@ -107,6 +107,7 @@ test("an environment replaces other lights, and equal light is kept", () => {
   const { probe, directional, environment } = applyToScene(scene, full, { intensity: 2, distance_m: 3 });
   assert.equal(scene.environment, environment);
   assert.deepEqual([scene.environmentIntensity, probe.intensity, directional.intensity], [2, 0, 0]);
+  assert.equal(directional.shadow.intensity, 0.4);
   assert.equal(directional.position.distanceTo(directional.target.position).toFixed(6), "3.000000");
   assert.equal(applyToScene(scene, { ...full }, { intensity: 2, distance_m: 3 }).environment, environment);
 
@@ -120,6 +121,7 @@ test("an environment replaces other lights, and equal light is kept", () => {
     intensity: 2,
   });
   assert.deepEqual([scene.environment, without.probe.intensity, without.directional.intensity], [null, 2, 6]);
+  assert.equal(without.directional.shadow.intensity, 1);
   assert.equal(applyToScene(scene, field.light([], "d")).directional.intensity, 0);
   assert.deepEqual(probe.sh.coefficients[0]!.toArray(), [0, 0, 0]);
 });
