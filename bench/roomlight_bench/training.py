@@ -3,9 +3,11 @@
 Importing this module needs PyTorch: pip install 'roomlight[train]'.
 """
 
+import resource
+import sys
 import tempfile
 import time
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 from typing import Any
@@ -16,9 +18,11 @@ from rich.table import Table
 
 from roomlight_bench.reporting import describe_machine, short_number
 from roomlight_bench.timing import ProgressCallback
+from roomlight_model.checkpoint import Checkpoint
+from roomlight_model.networks import SingleModel
 from roomlight_model.training.examples import Recordings
-from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.step_clock import PARTS, StepClock
+from roomlight_model.training.options import TrainOptions, is_video
+from roomlight_model.training.step_clock import BACKGROUND, PARTS, VIDEO_PARTS, StepClock
 from roomlight_model.training.trainer import Trainer
 
 _WARM_UP = 3
@@ -48,7 +52,10 @@ class TrainCosts:
         cpu_ms: Mean processor time of a step over all threads.
         steps: Number of steps measured.
         stage: The stage of training.
-        batch: Examples per step.
+        batch: Examples per step: views, or sequences.
+        frames: Largest number of frames of an example; in video stages of every example.
+        window: Video stages: frames over which gradients go back in time.
+        peak_mb: Largest resident memory of the whole process so far, in MB.
         volume_shape: Voxels (z, y, x).
         bf16: Whether the networks compute in bf16; else fp32.
         threads: Threads of PyTorch.
@@ -61,6 +68,9 @@ class TrainCosts:
     steps: int
     stage: str
     batch: int
+    frames: int
+    window: int
+    peak_mb: float
     volume_shape: tuple[int, int, int]
     bf16: bool
     threads: int
@@ -72,9 +82,10 @@ class TrainCosts:
 
     def table(self) -> Table:
         """Return a table with a row per part, then the whole step."""
+        length = f" of {self.frames} frames, window {self.window}" if is_video(self.stage) else ""
         table = Table(
-            title=f"A step of {self.stage}, batch {self.batch}, volume {' x '.join(map(str, self.volume_shape))}, "
-            f"{'bf16' if self.bf16 else 'fp32'}",
+            title=f"A step of {self.stage}, batch {self.batch}{length}, "
+            f"volume {' x '.join(map(str, self.volume_shape))}, {'bf16' if self.bf16 else 'fp32'}",
             title_justify="left",
             caption=(
                 f"{self.steps} steps on {self.threads} threads, {self.machine['processor']}; data is prepared in the "
@@ -94,6 +105,7 @@ class TrainCosts:
         table.add_section()
         table.add_row("a step", short_number(self.step_ms), "", f"{3600e3 / self.step_ms:,.0f} per hour")
         table.add_row("processor time", short_number(self.cpu_ms), "", "")
+        table.add_row("largest memory, MB", f"{self.peak_mb:,.0f}", "", "of the process")
         return table
 
 
@@ -102,11 +114,17 @@ def measure_training(
 ) -> TrainCosts:
     """Train for `steps` steps, after a few unmeasured ones, in a temporary folder.
 
+    Video stages start from fresh single-view weights, and all their sequences have `options.frames` frames.
+
     Raises:
         ModelError: The options or the data do not allow a run.
     """
+    start_from = None
+    if is_video(options.stage):
+        options = replace(options, augment=False)
+        start_from = Checkpoint("single", options.model, SingleModel(options.model), {"steps": 0})
     with tempfile.TemporaryDirectory(prefix="roomlight-bench-") as folder:
-        trainer = Trainer(options, recordings, Path(folder) / "run", device=torch.device(device))
+        trainer = Trainer(options, recordings, Path(folder) / "run", device=torch.device(device), start_from=start_from)
         wall_s: list[float] = []  # at the first and at the last measured step
         cpu_s: list[float] = []
 
@@ -124,9 +142,11 @@ def measure_training(
         clock = trainer.clock
     assert clock is not None
     parts: list[PartCost] = []
-    for name in PARTS:
-        beside = name == "data"
-        values = (clock.thread_ms if beside else clock.wall_ms).get(name, [0.0])
+    for name in VIDEO_PARTS if is_video(options.stage) else PARTS:
+        beside = name in BACKGROUND
+        values = (clock.thread_ms if beside else clock.wall_ms).get(name)
+        if values is None:  # the first stage has no panoramas
+            continue
         parts.append(PartCost(name, median(values), min(values), beside))
     return TrainCosts(
         parts=tuple(parts),
@@ -135,6 +155,9 @@ def measure_training(
         steps=steps,
         stage=options.stage,
         batch=options.batch,
+        frames=options.frames,
+        window=options.window,
+        peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),
         volume_shape=options.volume_shape,
         bf16=options.bf16,
         threads=torch.get_num_threads(),

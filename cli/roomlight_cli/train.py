@@ -18,9 +18,11 @@ from torch.utils.tensorboard import SummaryWriter
 from roomlight.errors import OptionError
 from roomlight_export.importing import load_weights
 from roomlight_model.training.examples import Recordings
-from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.options import TrainOptions, is_video
 from roomlight_model.training.trainer import Trainer
+from roomlight_model.training.unroll import window_mb
 from roomlight_model.training.validation import Validation
+from roomlight_model.training.walk_validation import WalkValidation
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """glibc's numbers of two options (malloc.h)."""
@@ -70,9 +72,14 @@ def train(
         start_from=None if start_from is None else load_weights(start_from),
         data=data,
     )
-    validation = Validation(held_out, range(len(held_out)), trainer.options)
+    video = is_video(options.stage)
+    checked = WalkValidation if video else Validation
+    validation = checked(held_out, range(len(held_out)), trainer.options)
     curves = SummaryWriter(str(out / "tensorboard"), purge_step=trainer.step)
     console.print(f"{len(training)} sequences to train on, {len(held_out)} held out", highlight=False)
+    if video:
+        window = min(options.window, options.frames - 1)
+        console.print(f"gradients go back {window} frames: {window_mb(trainer.options):,.0f} MB of states a step")
     if trainer.step:
         console.print(f"continuing from step {trainer.step} of {options.steps}", highlight=False)
 
@@ -106,12 +113,21 @@ def train(
         task = bar.add_task(options.stage, total=options.steps, completed=trainer.step, detail="")
 
         def report(now: Any) -> None:
-            for name in ("loss", "log_l2", "rendering", "learning_rate", "seconds_a_step", "waited_for_data"):
+            for name in (
+                "loss",
+                "log_l2",
+                "rendering",
+                "smoothness",
+                "learning_rate",
+                "seconds_a_step",
+                "waited_for_data",
+            ):
                 curves.add_scalar(f"train/{name}", getattr(now, name), now.step)
             detail = f"loss {now.loss:.4f}  {now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
             bar.update(task, completed=now.step, detail=detail)
 
-        trainer.train(report=report, every=validate, every_steps=every_steps, stop=stop)
+        pause_s = 600.0 if video else 240.0  # a step of a video stage takes seconds
+        trainer.train(report=report, every=validate, every_steps=every_steps, checkpoint_s=pause_s, stop=stop)
     validate(trainer)
     curves.close()
     return trainer.card()

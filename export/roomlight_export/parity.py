@@ -11,6 +11,7 @@ import numpy as np
 import torch
 
 from roomlight.engine.runtime import ort
+from roomlight.engine.units import mean_colour
 from roomlight_export.graphs import Graph
 from roomlight_export.inputs import ProbeFrame
 
@@ -90,17 +91,20 @@ def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[P
 def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:
     results: list[Tensors] = []
     state: Tensors = {}
+    units = [mean_colour(volume[0]).reshape(1, 3, 1, 1, 1) for volume in volumes]
     for index, volume in enumerate(volumes):
         if index == 0 or not recurrent:
             features = run("single_sg_encoder", {"volume": volume})
             light = run("single_sg_decoder", {**features, "volume": volume})
             hidden = {"h0": features["f0"], "h1": features["f1"]}
         else:
-            features = run("video_sg_encoder", {"volume": volume})
-            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features})
+            # each graph takes those of these inputs that its units need
+            features = run("video_sg_encoder", {"volume": volume, "unit": units[0]})
+            ratio = {"unit_previous": units[index - 1], "unit": units[index]}
+            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features, **ratio})
             hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
             previous = {"alpha_previous": state["alpha"], "lobes_previous": state["lobes"]}
-            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous})
+            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous, "unit": units[0]})
         state = {**hidden, **light}
         results.append(state)
     return results

@@ -12,6 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
+from roomlight.engine.units import DARKEST, GREY
 from roomlight_model.config import SGConfig
 from roomlight_model.layers import ConvGRU, block3d, conv3d, resize_volume
 
@@ -21,14 +22,8 @@ MAX_LOG_RADIANCE = 10.0
 MAX_LOG_SHARPNESS = 7.0
 """lambda is clamped at e^7 = 1,097: a lobe of 2 degrees half width, a pixel of a 120-row panorama."""
 
-DARKEST = 0.02
-"""Added to observed colours before their logarithm: an 8-bit image does not resolve less."""
-
 GROUPS = 4
 """Groups of a normalisation: the narrowest layer allowed (8 channels, one voxel) still has two values in each."""
-
-_GREY = 0.3
-"""Mean colour to which frames are normalised (`SGConfig.own_colour`), and the initial value of c."""
 
 _FILL_OPACITY = 0.02
 """Opacity at which the fill weighs a cell as much as its surroundings."""
@@ -36,7 +31,7 @@ _FILL_OPACITY = 0.02
 _KEPT_BIAS = 2.0
 """Initial V_u before its sigmoid: 0.88 of the previous volume is kept where the frame shows nothing."""
 
-_INITIAL_BIAS = {"alpha": -3.0, "c": math.log(_GREY), "w": math.log(0.05), "sharpness": math.log(8.0)}
+_INITIAL_BIAS = {"alpha": -3.0, "c": math.log(GREY), "w": math.log(0.05), "sharpness": math.log(8.0)}
 """Initial head biases: nearly clear air (alpha 0.05), dim walls, faint broad lobes. s starts straight up in the volume
 frame, where rooms have their lamps; this also avoids 0 / 0 in its normalisation."""
 
@@ -75,7 +70,7 @@ class SGEncoder(nn.Module):
         """Return (f0, f1) of an initial volume; `unit` replaces its own mean colour."""
         radiance, rest = volume[:, :3], volume[:, 3:]
         if self.own_colour:
-            radiance = radiance * (_GREY / (mean_colour(volume) if unit is None else unit))
+            radiance = radiance * (GREY / (mean_colour(volume) if unit is None else unit))
         # the loss compares log(L + 1); a lamp at 100 x white must not dominate the walls
         volume = torch.cat([torch.log1p(torch.relu(radiance)), rest], dim=1)
         f0 = torch.tanh(self.at_half(volume))
@@ -121,7 +116,7 @@ class SGDecoder(nn.Module):
         room = self.room(f1.mean(dim=(2, 3, 4)))
         level: Tensor | float = 0.0
         if self.tint is not None:
-            level = torch.log((mean_colour(volume) if unit is None else unit) / _GREY)
+            level = torch.log((mean_colour(volume) if unit is None else unit) / GREY)
             room = room + self.tint(level[:, :, 0, 0, 0])
         x = self.at_eighth(f1) + room[:, :, None, None, None]
         x = self.at_quarter(resize_volume(x, [size // 2 for size in f0.shape[2:]]))
@@ -254,7 +249,7 @@ def mean_colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 1 1 1"
     """
     alpha = volume[:, 3:4]
     logs = (alpha * torch.log(_colour(volume).clamp(max=1) + DARKEST)).sum(dim=(2, 3, 4), keepdim=True)
-    return torch.exp((logs + math.log(_GREY)) / (alpha.sum(dim=(2, 3, 4), keepdim=True) + 1))
+    return torch.exp((logs + math.log(GREY)) / (alpha.sum(dim=(2, 3, 4), keepdim=True) + 1))
 
 
 def _colour(volume: Float[Tensor, "b 5 z y x"]) -> Float[Tensor, "b 3 z y x"]:

@@ -12,7 +12,7 @@ from roomlight_bench.training import TrainCosts, measure_training
 from roomlight_cli.console import print_table
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.step_clock import PARTS, StepClock
+from roomlight_model.training.step_clock import PARTS, VIDEO_PARTS, StepClock
 
 OPTIONS = TrainOptions(
     steps=1000, batch=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21), panorama_height=16,
@@ -44,6 +44,18 @@ def test_the_blending_stage_is_measured_too():
     options = replace(OPTIONS, stage="single-blend")
     assert_consistent(measure_training(options, BoxRecordings(3), steps=3, device="cpu", progress=progress.append))
     assert progress[-1] == "step 6 of 6"
+
+
+@pytest.mark.parametrize("stage", ["video-sglv", pytest.param("video-joint", marks=pytest.mark.slow)])
+def test_the_parts_of_a_video_step_are_reported(stage):
+    options = replace(OPTIONS, stage=stage, frames=3, window=2)
+    costs = measure_training(options, BoxRecordings(3), steps=2, device="cpu", progress=lambda _: None)
+    wanted = [name for name in VIDEO_PARTS if stage == "video-joint" or name not in ("mesh", "blend")]
+    assert [part.name for part in costs.parts] == wanted
+    assert all(0 < part.least_ms <= part.median_ms for part in costs.parts)
+    assert [part.name for part in costs.parts if part.beside] == wanted[: wanted.index("forward")]
+    assert costs.peak_mb > 10
+    assert costs.table().title == (f"A step of {stage}, batch 2 of 3 frames, window 2, volume 16 x 15 x 21, fp32")
 
 
 def test_the_report_is_readable_and_plain_json(costs):

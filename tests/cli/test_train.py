@@ -62,6 +62,24 @@ def test_the_next_stage_starts_from_the_one_before(tmp_path):
 
 
 @pytest.mark.slow
+def test_the_recurrent_form_starts_from_single_view_weights(tmp_path):
+    run(tmp_path)
+    options = replace(OPTIONS, stage="video-joint", steps=2, frames=3, model=ModelConfig())
+    card = train(
+        options, BoxRecordings(5), tmp_path / "video", held_out=BoxRecordings(1), device="cpu",
+        start_from=tmp_path / "run" / "model.pt", minutes=None, every_steps=1, console=Console(quiet=True),
+    )  # fmt: skip
+    assert (card["stage"], card["steps"], card["before"]["stage"]) == ("video-joint", 2, "single-sglv")
+    best = load_checkpoint(tmp_path / "video" / "best.pt")
+    assert best.form == "video"
+    card = best.card
+    assert isinstance(card["scores"], dict)
+    scores = card["scores"]
+    assert {"log_l2_video", "log_l2_no_rnn", "smoothness_video", "log_l2_video_01_07"} <= set(scores)
+    assert len(list((tmp_path / "video" / "pictures").iterdir())) == 2
+
+
+@pytest.mark.slow
 def test_the_shipped_weights_can_be_trained_further(tmp_path):
     options = replace(OPTIONS, stage="single-blend", steps=1)
     card = run(tmp_path, options, start_from=SHIPPED / "single", every_steps=10)

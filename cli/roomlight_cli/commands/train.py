@@ -10,8 +10,8 @@ from roomlight.engine.volume import VOLUME_SHAPE
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import train as run_training
-from roomlight_model.config import ModelConfig, SGConfig
-from roomlight_model.training.options import HELD_OUT, OPTIONS, TrainOptions
+from roomlight_model.config import ModelConfig, SGConfig, Units
+from roomlight_model.training.options import HELD_OUT, OPTIONS, TrainOptions, is_video
 from roomlight_model.training.subsets import TrainingRooms
 
 app = single_command_app()
@@ -26,7 +26,10 @@ def train(
     out: Annotated[Path, typer.Option(help="Folder of the run: a new one, or one to continue.")],
     stage: Annotated[
         arguments.TrainingStage,
-        typer.Option(help="What to train: the lighting volume (sglv), the blending network on it, or both jointly."),
+        typer.Option(
+            help="What to train: the lighting volume (sglv), the blending network on it, or both jointly; single: for "
+            "one view, video: the recurrent networks, from single-view weights (--start-from)."
+        ),
     ],
     steps: Annotated[
         int, typer.Option(min=1, help="Steps in all; the learning rate falls over them. May change between runs.")
@@ -41,8 +44,12 @@ def train(
             "Their network widths are taken over."
         ),
     ] = None,
-    batch: Annotated[int, typer.Option(min=1, help="Examples per step.")] = 4,
-    learning_rate: Annotated[float, typer.Option(help="Highest learning rate.")] = 1e-3,
+    batch: Annotated[
+        int | None, typer.Option(min=1, help="Examples per step; 4, and 2 sequences in video stages.")
+    ] = None,
+    learning_rate: Annotated[
+        float | None, typer.Option(help="Highest learning rate; 1e-3, and 3e-4 in video stages.")
+    ] = None,
     volume: Annotated[
         arguments.Resolution,
         typer.Option(
@@ -66,9 +73,32 @@ def train(
         ),
     ] = 0.0,
     frames: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            help="Show up to this many frames of a walk together, as in a stream; 1: single views. Video stages: the "
+            "longest sequence, 31.",
+        ),
+    ] = None,
+    window: Annotated[
         int,
-        typer.Option(min=1, help="Show up to this many frames of a walk together, as in a stream; 1: single views."),
-    ] = 1,
+        typer.Option(min=1, help="Video stages: frames over which gradients go back in time; fewer take less memory."),
+    ] = 31,
+    variants: Annotated[
+        int,
+        typer.Option(
+            min=0,
+            help="video-blend: draw so many sequences from each walk and keep what the fixed 3D networks make of them "
+            "in the run's folder, about 10 MB each; 0: draw new ones at every step.",
+        ),
+    ] = 0,
+    units: Annotated[
+        Units,
+        typer.Option(
+            help="Video stages that start from single-view weights: colours in units of each frame's mean (own), of "
+            "the first frame's (first), or each frame's with shifted states (rescaled)."
+        ),
+    ] = SGConfig.units,
     seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights, order and augmentation.")] = 0,
     device: arguments.Device = "auto",
     every: Annotated[int, typer.Option(min=1, help="Score the held-out rooms every this many steps.")] = 1000,
@@ -77,18 +107,20 @@ def train(
 
     It uses the train split. Stopped or killed, the same command continues from the last checkpoint.
     """
-    begun = out / OPTIONS
+    begun, video = out / OPTIONS, is_video(stage)
     options = TrainOptions(
         stage=stage,
         steps=steps,
-        batch=batch,
-        learning_rate=learning_rate,
+        batch=batch or (2 if video else 4),
+        learning_rate=learning_rate if learning_rate is not None else 3e-4 if video else 1e-3,
         rendering_weight=rendering_weight,
         depth=depth,
         surround_max=surround_max,
-        frames=frames,
+        frames=frames or (31 if video else 1),
+        window=window,
+        variants=variants,
         seed=seed,
-        model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha)),
+        model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha, units=units)),
     )
     with console.err.status("opening the datasets") as status:
         rooms = TrainingRooms(

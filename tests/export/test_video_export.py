@@ -1,0 +1,116 @@
+"""A briefly trained video model: exported, imported again, and run by the engine as it was trained."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from recordings import BoxRecordings
+from roomlight.engine.graphs import load_graphs
+from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
+from roomlight.engine.units import mean_colour
+from roomlight_export.exporting import export_checkpoint
+from roomlight_export.importing import load_exported
+from roomlight_export.inputs import room_volume
+from roomlight_model import volume_networks
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.networks import VideoModel
+from roomlight_model.training.examples import Example, example_of
+from roomlight_model.training.sequences import PreparedWalk, WalkExample, collate_walks, with_views
+from roomlight_model.training.trainer import Trainer
+from roomlight_model.training.unroll import Unroll
+from video_training import CPU, HEIGHT, OPTIONS, SHAPE, single_view_weights, with_units
+
+FRAMES = 5
+UNITS = ["first", pytest.param("rescaled", marks=pytest.mark.slow), pytest.param("own", marks=pytest.mark.slow)]
+
+
+@pytest.fixture(scope="module", params=UNITS)
+def trained(request, tmp_path_factory):
+    """(checkpoint, model folder, units) after two steps."""
+    folder = tmp_path_factory.mktemp(request.param)
+    options = replace(OPTIONS, steps=2, frames=3, learning_rate=2e-2, ema=0.0, model=with_units(request.param))
+    trainer = Trainer(options, BoxRecordings(2), folder / "run", device=CPU, start_from=single_view_weights())
+    trainer.train(report=lambda _: None)
+    checkpoint = folder / "run" / "model.pt"
+    report = export_checkpoint(checkpoint, folder / "onnx", ort=request.param == "rescaled")
+    assert report.form == "video"
+    assert len(report.graphs) == 10
+    return checkpoint, folder / "onnx", request.param
+
+
+def walk():
+    """Five unclipped frames whose mean colour changes, in the engine's working size."""
+    recording = BoxRecordings(1).read(0, frames=[0, 4, 8, 12, 16])
+    example = example_of(recording, np.random.default_rng(0), depth="exact")
+    resized = [frame.resized(*WORKING_SIZE) for frame in (example.frame, *example.later)]
+    frames = [
+        replace(frame, index=k, image=frame.image * np.float32(0.6 - 0.1 * k), clipped=np.zeros_like(frame.clipped))
+        for k, frame in enumerate(resized)
+    ]
+    example = Example(
+        frames[0], frames[0].depth_m, example.positions, example.truth, later=tuple(frames[1:])
+    )  # fmt: skip
+    return WalkExample(example, example.truth[None], np.zeros(FRAMES, np.int64))
+
+
+def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
+    checkpoint, folder, units = trained
+    model = load_exported(folder).model  # weights rounded to half precision, as in the graphs
+    assert isinstance(model, VideoModel)
+    assert model.config.sg.units == units
+    sequence = walk()
+    prepared = [PreparedWalk.of(sequence, SHAPE)]
+    batch = with_views(collate_walks(prepared, panorama_height=HEIGHT), prepared, panorama_height=HEIGHT)
+    options = replace(OPTIONS, model=model.config)
+    session = Session(SessionOptions(model="video", weights=folder, provider="cpu", height=HEIGHT))
+    handles = [session.track(tuple(position)) for position in sequence.example.positions.tolist()]
+    with torch.no_grad():
+        unroll = Unroll(model, batch, options, generator=torch.Generator().manual_seed(0), device=CPU)
+        for number, frame in enumerate(sequence.frames):
+            if number:
+                unroll.advance(number)
+            session.push(frame)
+            assert session.sglv is not None
+            assert session.grid is not None
+            # order of summation, under an exponent: 1e-4 to 1e-3 of the light
+            np.testing.assert_allclose(session.sglv.alpha, unroll.volume_state.volume.alpha[0].numpy(), atol=1e-3)
+            panoramas = unroll.panoramas()[0].permute(0, 2, 3, 1).numpy()
+            for handle, expected in zip(handles, panoramas, strict=True):
+                difference = np.abs(np.log1p(session.light(handle).panorama) - np.log1p(expected))
+                # a pixel at the threshold of the conservative rule may fall on either side
+                assert np.quantile(difference, 0.995) < 2e-3
+                assert difference.mean() < 3e-4
+    assert checkpoint.exists()
+
+
+def test_training_reaches_the_exported_graphs(trained):
+    checkpoint, folder, _ = trained
+    graphs = load_graphs(folder, provider="cpu")
+    assert graphs.form == "video"
+    assert graphs.card["stage"] == "video-joint"
+    assert graphs.card["steps"] == 2
+    assert graphs.card["options"]["window"] == OPTIONS.window
+    assert graphs.card["before"]["steps"] == 5
+    again = load_exported(folder)
+    kept = load_checkpoint(checkpoint).model.state_dict()
+    for name, value in again.model.state_dict().items():
+        torch.testing.assert_close(value, kept[name], rtol=1e-3, atol=1e-6)
+
+
+def test_graphs_name_the_units_that_they_take(trained):
+    _, folder, units = trained
+    graphs = load_graphs(folder, provider="cpu").graphs
+    named = {name for name, graph in graphs.items() if "unit" in graph.inputs}
+    assert named == {
+        "first": {"video_sg_encoder", "video_sg_decoder"}, "rescaled": {"video_sg_gru"}, "own": set(),
+    }[units]  # fmt: skip
+
+
+def test_mean_colour_equals_its_twin():
+    volume = room_volume(SHAPE, frame=3)
+    expected = volume_networks.mean_colour(torch.from_numpy(volume))[0, :, 0, 0, 0].numpy()
+    np.testing.assert_allclose(mean_colour(volume[0]), expected, rtol=1e-4)
+    empty = np.zeros((5, *SHAPE), np.float32)
+    np.testing.assert_allclose(mean_colour(empty), 0.3, rtol=1e-6)
