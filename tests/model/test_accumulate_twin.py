@@ -4,8 +4,18 @@ import numpy as np
 import pytest
 import torch
 
+from roomlight.conventions import LUMINANCE
 from roomlight.engine import blend as serving
-from roomlight_model.accumulate import Panorama, accumulate, conservative, fill_in, first_panorama
+from roomlight_model.accumulate import (
+    Clipping,
+    Panorama,
+    accumulate,
+    better_share,
+    conservative,
+    fill_in,
+    first_panorama,
+    with_brackets,
+)
 
 HEIGHT = 12
 DEPTH_MAX_M = 3.0
@@ -41,6 +51,29 @@ def test_agrees_with_serving(kernel):
         state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
     for ours, theirs in zip(state, (kept.radiance, kept.depth_m, kept.seen), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
+
+
+def test_clipped_observations_give_way_as_in_serving():
+    """A surface of unknown brightness, seen at other exposures: states of random share and bound, one frame more."""
+    random, shape = np.random.default_rng(3), (HEIGHT, 2 * HEIGHT)
+    for frame in frames(4, seed=9):
+        kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
+        kept.radiance[:] = random.random((*shape, 3))
+        kept.depth_m[:] = frame["detail_depth_m"] + random.uniform(-0.4, 0.2, shape)
+        kept.seen[:] = 1
+        kept.clipped[:] = random.random(shape) * (random.random(shape) < 0.7)
+        clipped = (random.random(shape) * (random.random(shape) < 0.5)).astype(np.float32)
+        state = Panorama(planes(kept.radiance.copy()), planes(kept.depth_m.copy()), planes(kept.seen.copy()))
+        before = Clipping(planes(kept.clipped.copy()), planes(kept.radiance @ LUMINANCE))
+        serving.accumulate(kept, **frame, detail_clipped=clipped, detail_guessed=np.zeros_like(clipped))
+        depth, raw = planes(frame["detail_depth_m"]), planes(frame["weight"])
+        weight = conservative(raw, depth, state.depth, margin=serving.CLOSER_M)
+        better = better_share(before, Clipping(planes(clipped), planes(frame["detail"] @ LUMINANCE)))
+        assert 0.1 < float((better > 0).float().mean()) < 0.9
+        weight = with_brackets(weight, raw, better, distance=state.depth - depth, margin=serving.CLOSER_M)
+        after = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
+        for ours, theirs in zip(after, (kept.radiance, kept.depth_m, kept.seen), strict=True):
+            torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 
 def test_what_is_filled_in_agrees_with_serving():

@@ -3,6 +3,7 @@
 import dataclasses
 import itertools
 
+import cv2
 import numpy as np
 import pytest
 
@@ -121,6 +122,22 @@ def test_a_lamp_switched_off_gives_no_radiance():
     bright, dark = shown(1), shown(DARK, room=off)
     key = FrameMesh(restored(bright, bright.depth_m))
     assert update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key]) == 0
+
+
+def test_the_rim_of_a_lamp_that_both_clip_is_no_evidence():
+    """A camera four pixels off its pose, a lamp with a soft rim, twice the white."""
+    sharp = shown(1)
+    soft = cv2.blur(np.where(sharp.clipped[..., None], np.float32(TRUE), sharp.image), (15, 15))
+    bright, later = (
+        dataclasses.replace(sharp, image=np.minimum(soft, white), clipped=(soft >= white).any(axis=-1))
+        for white in (np.float32(1.0), np.float32(2.0))
+    )
+    moved = dataclasses.replace(later, camera_to_world=camera_at((0.2, 1.4, 0.2)))
+    key = FrameMesh(restored(bright, bright.depth_m))
+    update_keyframes(FrameMesh(restored(moved, moved.depth_m)), [key])
+    assert key.texture.clipped is not None
+    resolved = bright.clipped & ~key.texture.clipped
+    assert (soft[resolved] < 2.0).all()
 
 
 def test_equal_exposures_search_nothing(monkeypatch):

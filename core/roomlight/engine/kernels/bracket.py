@@ -38,8 +38,9 @@ class PointArrays(NamedTuple):
 def take_radiance(points, source, tolerance_m):
     """Take each clipped point's radiance from the source, where that knows more; return how many were taken.
 
-    The source's pixel of the point is tried first, then its eight neighbours: the two frames' poses agree within a
-    pixel.
+    The source's pixel of the point is tried first. If it is unclipped and too dark, its eight neighbours follow: the
+    two frames agree within a pixel. An unclipped pixel beside a clipped one is no evidence: at the rim of a lamp that
+    both frames clip it is part lamp and part wall.
     """
     one = np.float32(1)
     height, width = source.bound.shape
@@ -70,10 +71,24 @@ def take_radiance(points, source, tolerance_m):
             if r < 0 or r >= height or c < 0 or c >= width:
                 continue
             share = one if source.clipped[r, c] else np.float32(0)
+            if share < one and _beside_clipped(source.clipped, r, c):
+                continue
             if better_share(one, points.bound[n], share, source.bound[r, c]) == one:
                 points.radiance[n] = source.image[r, c]
                 points.bound[n] = source.bound[r, c]
                 points.clipped[n] = source.clipped[r, c]
                 taken += 1
                 break
+            if step == 0 and share == one:
+                break
     return taken
+
+
+@njit(nogil=True, cache=True)
+def _beside_clipped(clipped, row, column):
+    height, width = clipped.shape
+    for r in range(max(row - 1, 0), min(row + 2, height)):
+        for c in range(max(column - 1, 0), min(column + 2, width)):
+            if clipped[r, c]:
+                return True
+    return False
