@@ -17,6 +17,7 @@ Conventions (axes, units, colour): `roomlight.conventions`. Packages, from the l
     dataset   training sequences in folders and shards
     wire      messages of the session server
     engine    frames in, light out: the lighting volume, the models, the session
+    compositing  virtual objects in the frames of a session
 
 Importing `roomlight` loads none of them; the names below are loaded on first use.
 """
@@ -27,6 +28,9 @@ from typing import TYPE_CHECKING, Final
 if TYPE_CHECKING:
     from roomlight.camera import Intrinsics
     from roomlight.captures import CaptureOptions, open_capture
+    from roomlight.compositing.compositor import Compositor, composite
+    from roomlight.compositing.layers import Composite
+    from roomlight.compositing.scene import load_scene
     from roomlight.conventions import Position
     from roomlight.engine.session import FrameReport, Session, SessionOptions
     from roomlight.errors import (
@@ -58,6 +62,8 @@ __version__ = "0.1.0"
 __all__ = [
     "CaptureError",
     "CaptureOptions",
+    "Composite",
+    "Compositor",
     "CubeMap",
     "DatasetError",
     "Frame",
@@ -82,6 +88,8 @@ __all__ = [
     "UnknownFormatError",
     "WireError",
     "__version__",
+    "composite",
+    "load_scene",
     "open_capture",
     "point_at_pixel",
     "point_in_view",
@@ -90,6 +98,8 @@ __all__ = [
 
 _MODULES: Final = {
     "CaptureOptions": "roomlight.captures",
+    "Composite": "roomlight.compositing.layers",
+    "Compositor": "roomlight.compositing.compositor",
     "CubeMap": "roomlight.light.cube",
     "Frame": "roomlight.frame",
     "FrameReport": "roomlight.engine.session",
@@ -100,6 +110,8 @@ _MODULES: Final = {
     "Session": "roomlight.engine.session",
     "SessionOptions": "roomlight.engine.session",
     "SphericalHarmonics": "roomlight.light.spherical_harmonics",
+    "composite": "roomlight.compositing.compositor",
+    "load_scene": "roomlight.compositing.scene",
     "open_capture": "roomlight.captures",
     "point_at_pixel": "roomlight.placement",
     "point_in_view": "roomlight.placement",

@@ -14,7 +14,7 @@ import time
 from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import Final, Literal, get_args
+from typing import Final, Literal, cast, get_args
 
 import numpy as np
 from jaxtyping import Float, Float32, UInt8
@@ -22,8 +22,8 @@ from jaxtyping import Float, Float32, UInt8
 from roomlight.camera import transform_points
 from roomlight.compositing import shadows
 from roomlight.compositing.camera_match import CameraModel, add_noise, blur_layer, measure_camera
-from roomlight.compositing.composite import BehindGlass, Composite, encode_srgb8, unchanged
 from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.layers import BehindGlass, Composite, encode_srgb8, unchanged
 from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
 from roomlight.compositing.placing import Placement, Plane
 from roomlight.compositing.probes import SceneProbes
@@ -66,7 +66,7 @@ class Compositor:
         session: Session,
         scene: Scene | Sequence[SceneObject],
         *,
-        quality: Quality = "good",
+        quality: str = "good",
         seed: int = 0,
         match_camera: bool = True,
         background_glass: bool = True,
@@ -88,7 +88,7 @@ class Compositor:
         if quality not in get_args(Quality):
             raise OptionError(f"quality must be one of {', '.join(get_args(Quality))}; got {quality!r}")
         self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
-        self.quality: Quality = quality
+        self.quality = cast(Quality, quality)
         self.geometry = SceneGeometry()
         self._session, self._seed, self._match = session, seed, match_camera
         self._background_glass = background_glass
@@ -337,7 +337,7 @@ class Compositor:
 
 
 def composite(
-    session: Session, frame: Frame, scene: Scene | Sequence[SceneObject], *, quality: Quality = "good", seed: int = 0
+    session: Session, frame: Frame, scene: Scene | Sequence[SceneObject], *, quality: str = "good", seed: int = 0
 ) -> Composite:
     """Return one frame with objects in it; for a stream of frames, keep a `Compositor`.
 

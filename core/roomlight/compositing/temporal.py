@@ -66,7 +66,7 @@ class DepthFilter:
             same = (depth > 0) & (held > 0) & (np.abs(held - depth) < SAME_SURFACE * depth)
             gone = (depth <= 0) & (held > 0) & (held_age < MAX_HELD)
             age[gone] = held_age[gone] + 1
-            blended = share * depth + (1 - share) * held
+            blended = held + share * (depth - held)
             depth = np.where(same, blended, np.where(gone, held, depth)).astype(np.float32)
         self._depth, self._age, self._frame = depth, age, frame
         return depth

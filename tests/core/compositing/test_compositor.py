@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from roomlight.compositing.camera_match import CameraModel, add_noise, measure_camera
-from roomlight.compositing.composite import encode_srgb8
 from roomlight.compositing.compositor import Compositor, composite
+from roomlight.compositing.layers import encode_srgb8
 from roomlight.compositing.lighting import LightSampler
 from roomlight.compositing.materials import diffuse, mirror
 from roomlight.compositing.primitives import cube, sphere
@@ -54,7 +54,7 @@ def test_layers_make_the_image(session):
     assert np.abs(made.image.astype(int) - linear_to_srgb8(linear)).max() <= 1  # this room has no noise to match
     outside = np.ones(frame.image.shape[:2], bool)
     outside[made.crop.slices] = False
-    assert (made.image[outside] == linear_to_srgb8(frame.image)[outside]).all()
+    assert (made.image[outside] == encode_srgb8(frame.image)[outside]).all()
     assert (made.alpha[outside] == 0).all()
     assert (made.shadow[outside] == 1).all()
 
@@ -89,23 +89,24 @@ def test_a_real_block_hides_the_ball_behind_it(session):
 
 
 def test_an_object_is_placed_by_a_pixel_of_its_frame(session):
+    before = session.handles
     held = replace(BALL, place=AtPixel(200.0, 180.0, frame=5))
     compositor = Compositor(session, [held], quality="preview")
     first = compositor.composite(view(index=4))
     assert first.waiting == ("ball",)
-    assert (first.image == linear_to_srgb8(view().image)).all()
+    assert (first.image == encode_srgb8(view().image)).all()
     second = compositor.composite(view(index=5))
     assert second.waiting == ()
     bottom = compositor.placement("ball").object_to_world[1, 3] - 0.2
     assert abs(bottom) < 0.005
     compositor.close()
-    assert session.handles == ()
+    assert session.handles == before
 
 
 def test_still_objects_do_not_shimmer(session):
     compositor = Compositor(session, [BALL], quality="preview")
     frames = [compositor.composite(view(index=index)).image for index in range(6)]
-    assert rest_variance(frames[1:]) == 0.0
+    assert rest_variance(frames) < (0.05 / 255) ** 2  # a twentieth of a step of 8 bits
 
 
 def test_noise_of_depth_hardly_reaches_the_picture(session):
@@ -251,7 +252,7 @@ def test_an_unknown_quality_is_refused(session):
 
 def test_objects_out_of_view_are_refused_in_a_single_picture(session):
     with pytest.raises(SceneError, match="ball: lies behind the camera"):
-        composite(session, view(), [replace(BALL, place=AtPosition((0.2, 0.0, 2.2)))], quality="preview")
+        composite(session, view(), [replace(BALL, place=AtPosition((0.2, 1.2, 2.4)))], quality="preview")
     with pytest.raises(SceneError, match="ball: lies outside the picture"):
         composite(session, view(), [replace(BALL, place=AtPosition((-2.8, 0.0, 0.4)))], quality="preview")
     with pytest.raises(SceneError, match="ball: the pixel belongs to another frame"):
@@ -259,11 +260,12 @@ def test_objects_out_of_view_are_refused_in_a_single_picture(session):
 
 
 def test_a_refused_pixel_names_the_object_and_changes_nothing(session):
+    before = session.handles
     compositor = Compositor(session, [BALL, replace(BALL, name="lost", place=AtPixel(9999.0, 3.0))], quality="preview")
     with pytest.raises(SceneError, match=r"objects\[1\] \(lost\): pixel"):
         compositor.composite(view())
     assert compositor.waiting == ("ball", "lost")
-    assert session.handles == ()
+    assert session.handles == before
 
 
 def test_a_bad_position_is_refused_at_once(session):
@@ -272,8 +274,9 @@ def test_a_bad_position_is_refused_at_once(session):
 
 
 def test_a_big_object_has_several_probes(session):
+    before = len(session.handles)
     big = SceneObject("big", cube(1.0), AtPosition((0.6, 0.0, -1.2)))
     compositor = Compositor(session, [big], quality="preview")
     compositor.composite(view())
-    assert len(session.handles) == 8
+    assert len(session.handles) == before + 8
     compositor.close()

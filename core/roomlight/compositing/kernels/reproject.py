@@ -90,4 +90,4 @@ def accumulate_image(image, known, points, world_to_before, lens, before, before
                         if known[r, c]:
                             low, high = min(low, fresh[r, c, channel]), max(high, fresh[r, c, channel])
                 held = min(max(held, low - slack), high + slack)
-                image[i, j, channel] = share * fresh[i, j, channel] + (np.float32(1) - share) * held
+                image[i, j, channel] = held + share * (fresh[i, j, channel] - held)

@@ -69,7 +69,7 @@ class Composite:
         """The composite in linear radiance, unclipped, without added noise."""
         return self.frame.image * self.shadow * (1 - self.alpha[..., None]) + self.objects
 
-    def _whole(self, part: np.ndarray, outside: float) -> np.ndarray:
+    def _whole(self, part: np.ndarray, outside: int) -> np.ndarray:
         whole = np.full((*self.frame.image.shape[:2], *part.shape[2:]), outside, part.dtype)
         whole[self.crop.slices] = part
         return whole
