@@ -11,7 +11,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.blend import DARK, FILL_COLOUR
+from roomlight.engine.blend import DARK, FILL_COLOUR, HIGHER, NOISE
 
 
 class Panorama(NamedTuple):
@@ -71,6 +71,39 @@ def conservative(
     """
     not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
     return torch.relu(weight - not_closer)
+
+
+class Clipping(NamedTuple):
+    """What of an observation was clipped: its share, and a lower bound of its luminance."""
+
+    share: Float[Tensor, "b 1 h w"]
+    bound: Float[Tensor, "b 1 h w"]
+
+
+def better_share(kept: Clipping, new: Clipping) -> Float[Tensor, "b 1 h w"]:
+    """Return how much of a clipped observation a new one replaces (`roomlight.engine.blend.better_share`)."""
+    less = (kept.share - new.share) / kept.share.clamp(min=1e-12)
+    less = less.clamp(min=0) * (new.bound >= kept.bound * (1 - float(NOISE) * kept.share))
+    share = torch.where(new.bound * kept.share > float(HIGHER) * kept.bound, torch.ones_like(less), less)
+    return share * (kept.share > 0)
+
+
+def with_brackets(
+    ruled: Float[Tensor, "b 1 h w"],
+    weight: Float[Tensor, "b 1 h w"],
+    better: Float[Tensor, "b 1 h w"],
+    *,
+    distance: Float[Tensor, "b 1 h w"],
+    margin: float | Float[Tensor, "b 1 1 1"],
+) -> Float[Tensor, "b 1 h w"]:
+    """Raise the weight after `conservative` where the new observation of the same surface knows more.
+
+    ruled, weight:  the weight after the conservative rule, and before it.
+    better:         `better_share`.
+    distance:       difference of the accumulated depth and the new one.
+    """
+    same = distance.abs() < margin
+    return torch.where(same, torch.maximum(ruled, better * weight.clamp(max=1)), ruled)
 
 
 def accumulate(
