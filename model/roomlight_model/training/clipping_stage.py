@@ -37,7 +37,9 @@ class ClippingStage:
     def loss(self, network: torch.nn.Module, chosen: list[int], rng: np.random.Generator) -> Float[Tensor, ""]:
         """Return the loss of a batch: squared errors of log radiance, of pixels and of each frame's clipped light."""
         planes, truth, weight = clipping_batch(self.frames, chosen, rng, augment=True)
-        pixels, energy = _errors(network(planes), truth, weight)
+        with torch.autocast("cpu", dtype=torch.bfloat16):
+            predicted = network(planes)
+        pixels, energy = _errors(predicted.float(), truth, weight)
         return pixels + ENERGY_WEIGHT * energy
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:

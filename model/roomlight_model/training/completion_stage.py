@@ -71,7 +71,9 @@ class CompletionStage:
 
 def completed(network: torch.nn.Module, panels: Float32[Tensor, "b 9 h w"]) -> Float32[Tensor, "b 3 h w"]:
     """Return the completed panorama, as the engine's (`CompletionModel.complete`)."""
-    change = network(panels) * (1 - panels[:, 3:4])
+    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
+        change = network(panels)
+    change = change.float() * (1 - panels[:, 3:4])
     return torch.expm1((torch.log1p(panels[:, 6:]) + change).clamp(0, 11))
 
 
