@@ -5,7 +5,7 @@ session; loaded graphs are shared between sessions.
 """
 
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -34,6 +34,7 @@ ProbeMemory = object
 """A backend's state of one probe (2D hidden states); opaque to the session."""
 
 
+@runtime_checkable
 class Backend(Protocol):
     """One session's lighting model."""
 
