@@ -65,7 +65,7 @@ class GenerateOptions:
     furniture: Path | None = None
     renderer: str | None = None
     panoramas: Path | None = None
-    furniture_share: float = 0.0
+    furniture_share: float = 0.7
 
     def __post_init__(self) -> None:
         """Check the ranges."""

@@ -63,6 +63,9 @@ def generate(
         Path | None,
         typer.Option(help="Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light."),
     ] = None,
+    furniture_share: Annotated[
+        float, typer.Option(min=0, max=1, help="Share of the rooms lit by panoramas that have furniture.")
+    ] = 0.7,
 ) -> None:
     """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command continues."""
     options = GenerateOptions(
@@ -74,6 +77,7 @@ def generate(
         frames=frames,
         furniture=furniture,
         panoramas=panoramas,
+        furniture_share=furniture_share,
     )
     if panoramas is not None:
         _say_split(panoramas, split)

@@ -13,12 +13,13 @@ from jaxtyping import Float, Float32
 
 from roomlight.conventions import LUMINANCE
 from roomlight.dataset.recording import Recording, Split
+from roomlight_generator.panoramas.furniture import furnish
 from roomlight_generator.panoramas.library import building, load_panorama, split_files
 from roomlight_generator.panoramas.room import PanoramaRoom, describe, percentile, surface_kinds
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
-from roomlight_generator.sequences.render import PROBES, draw_camera_path, record
+from roomlight_generator.sequences.render import PROBES, catalogue_for, draw_camera_path, record
 from roomlight_generator.sequences.walk import FreeSpace
 
 _MEDIAN_KCD_M2: Final = (0.01, 0.2)
@@ -28,7 +29,9 @@ _AIM: Final = (0.3, 0.6)
 _TINT: Final = 0.06
 """Deviation of the logarithm of the white balance's gains, in half of the sequences: panoramas are neutral already."""
 _WALKS: Final = 6
-"""Walks drawn in each shell."""
+"""Walks drawn, until one has places for its probes."""
+_FURNITURE: Final = 1 << 20
+"""Purpose of the random numbers that decide whether a room has furniture."""
 
 
 def render_room(
@@ -54,15 +57,19 @@ def render_room(
     kinds = surface_kinds(image, rng)
     facts |= {"panorama": path.name, "building": building(path), **describe(kinds)}
     shell = draw_shell(rng)
-    room = PanoramaRoom(shell, image, kinds)
+    pieces = None
+    if room_generator(room_index, seed=seed, split=split, purpose=_FURNITURE).random() < furniture_share:
+        pieces = furnish(shell, catalogue_for(furniture), rng, split=split)
+    room = PanoramaRoom(shell, image, kinds, pieces)
     facts |= shell.facts
     room_facts = {
         "room_type": "panorama",
         "light": {"scenario": "panorama", "sources": [], **facts},
         "panorama": path.name,
-        "furniture": {},
+        "furniture": {} if pieces is None else pieces.roles,
+        "attributions": [] if pieces is None else pieces.attributions,
     }
-    free = shell.free_space()
+    free = room.free_space()
     for walk in range(count):
         rng = room_generator(room_index, seed=seed, split=split, purpose=1 + walk)
         yield _filmed(room, free, rng, frames, f"panorama-{room_index}-{walk}", room_facts)

@@ -7,14 +7,18 @@ from typing import Any, Final
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32, UInt8
+from jaxtyping import Bool, Float, Float32, UInt8
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import LUMINANCE, panorama_solid_angles
 from roomlight.dataset.recording import GLASS, LIGHT, ORDINARY
+from roomlight_generator.panoramas.furnished import CELL_M as FURNITURE_CELL_M
+from roomlight_generator.panoramas.furnished import FurnishedLight, padded
+from roomlight_generator.panoramas.furniture import Footprint, Furniture, still_free
 from roomlight_generator.panoramas.kernels import shell_views
 from roomlight_generator.panoramas.kernels.shell_views import CameraArrays, PanoramaArrays
-from roomlight_generator.panoramas.shell import Shell
+from roomlight_generator.panoramas.shell import CELL_M, Shell
+from roomlight_generator.sequences.walk import FreeSpace
 from roomlight_generator.transport import FrameView
 
 FINER: Final = 2
@@ -33,12 +37,43 @@ _GLASS_SHARE: Final = 0.75
 class PanoramaRoom:
     """A shell with a panorama on it."""
 
-    def __init__(self, shell: Shell, image: Float32[np.ndarray, "h w 3"], kinds: UInt8[np.ndarray, "h w"]) -> None:
-        """Take a shell, the panorama's radiance (kcd/m2), and the kind of surface of its pixels."""
+    def __init__(
+        self,
+        shell: Shell,
+        image: Float32[np.ndarray, "h w 3"],
+        kinds: UInt8[np.ndarray, "h w"],
+        furniture: Furniture | None = None,
+    ) -> None:
+        """Take a shell, the panorama's radiance (kcd/m2), the kind of surface of its pixels, and furniture."""
         self.shell = shell
-        padded = np.ascontiguousarray(np.concatenate([image[:, -1:], image, image[:, :1]], axis=1))
-        self._panorama = PanoramaArrays(padded, np.zeros_like(padded), kinds, shell.centre)
         self._shade = np.empty((0, 3), np.float32)
+        self._furniture: FurnishedLight | None = None
+        emitted, reflected = image, np.zeros_like(image)
+        self._footprints: tuple[Footprint, ...] = ()
+        if furniture is not None and furniture.items:
+            self._footprints = furniture.footprints
+            self._furniture = FurnishedLight(shell, image, bright_parts(image), furniture)
+            emitted, reflected, self._shade = (
+                self._furniture.emitted,
+                self._furniture.reflected,
+                self._furniture.shade,
+            )
+        self._panorama = PanoramaArrays(padded(emitted), padded(reflected), kinds, shell.centre)
+
+    def free_space(self) -> FreeSpace:
+        """Return where a camera can be: near the centre, off the walls and the furniture."""
+        walkable, points = self.shell.walkable()
+        origin = float(points[0, 0, 0]), float(points[0, 0, 1])
+        return FreeSpace(still_free(walkable, points, self._footprints), origin, CELL_M, self._distances)
+
+    def _distances(
+        self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+    ) -> Float32[np.ndarray, " n"]:
+        """Return the distance in metres along each ray to the shell or the furniture."""
+        reach = self.shell.distances(origins, directions)
+        if self._furniture is None:
+            return reach
+        return np.minimum(reach, self._furniture.tracer.distances(origins, directions))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
@@ -50,6 +85,11 @@ class PanoramaRoom:
         distance = np.empty((camera.height, camera.width))
         kinds = np.empty((camera.height, camera.width), np.uint8)
         shell_views.centres(self.shell.arrays, self._panorama, camera, distance, kinds)
+        if self._furniture is not None:
+            origins, directions = _rays(camera)
+            reach = self._furniture.tracer.distances(origins, directions).reshape(distance.shape)
+            kinds[reach < distance] = ORDINARY
+            distance = np.minimum(distance, reach)
         return FrameView(radiance, (distance / _slant(intrinsics)).astype(np.float32), kinds)
 
     def depth(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> Float32[np.ndarray, "h w"]:
@@ -57,19 +97,33 @@ class PanoramaRoom:
         slant = _slant(intrinsics)
         rays = (intrinsics.rays() / slant[..., None]).reshape(-1, 3) @ camera_to_world[:3, :3].T
         origins = np.broadcast_to(camera_to_world[:3, 3], rays.shape)
-        return (self.shell.distances(origins, rays).reshape(slant.shape) / slant).astype(np.float32)
+        return (self._distances(origins, rays).reshape(slant.shape) / slant).astype(np.float32)
 
     def panorama(
         self, position: Float[np.ndarray, "3"], height: int = 120, *, seed: int
     ) -> Float32[np.ndarray, "{height} 2*{height} 3"]:
         """Render the radiance that arrives at a point from all sides, the mean over each pixel."""
         del seed
-        camera = CameraArrays(np.asarray(position, np.float64), np.eye(3), np.zeros(4), height, 2 * height)
-        return self._picture(camera)
+        finer = 1 if self._furniture is None else FINER  # the shell alone is exact at any size
+        rows = finer * height
+        fine = self._picture(CameraArrays(np.asarray(position, np.float64), np.eye(3), np.zeros(4), rows, 2 * rows))
+        weight = panorama_solid_angles(rows).reshape(height, finer, 1, 1)
+        weight = (weight / weight.mean(axis=1, keepdims=True))[..., None]
+        image = fine.reshape(height, finer, 2 * height, finer, 3)
+        return (image * weight).mean(axis=(1, 3), dtype=np.float32)
 
     def _picture(self, camera: CameraArrays) -> Float32[np.ndarray, "h w 3"]:
         image = np.empty((camera.height, camera.width, 3), np.float32)
         shell_views.picture(self.shell.arrays, self._shade, self._panorama, camera, image)
+        if self._furniture is not None:
+            origins, directions = _rays(camera)
+            reach = self.shell.distances(origins, directions)
+            sphere = camera.lens[0] == 0
+            angle = np.pi / camera.height if sphere else 1 / camera.lens[0]
+            on, radiance, _ = self._furniture.shaded(
+                origins, directions, reach, float(angle), cell_m=FURNITURE_CELL_M[int(sphere)]
+            )
+            image.reshape(-1, 3)[on] = radiance
         return image
 
 
@@ -80,10 +134,9 @@ def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator)
 
     Three of four large ones are glass: phones see through some panes, and measure others.
     """
-    luminance = image @ LUMINANCE
-    bright = luminance > _BRIGHT * max(percentile(luminance, 80), 1e-9)
+    bright = bright_parts(image)
     count, labels, _, middles = cv2.connectedComponentsWithStats(bright.astype(np.uint8))
-    area = np.broadcast_to(panorama_solid_angles(len(image)), luminance.shape)
+    area = np.broadcast_to(panorama_solid_angles(len(image)), bright.shape)
     solid = np.bincount(labels.ravel(), weights=area.ravel(), minlength=count)
     elevation = np.cos((middles[:, 1] + 0.5) / len(image) * np.pi)
     low, high = _WINDOW_ELEVATION
@@ -91,6 +144,12 @@ def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator)
     kind = np.where(glass, GLASS, np.where(elevation > low, LIGHT, ORDINARY)).astype(np.uint8)
     kind[0] = ORDINARY  # the background
     return kind[labels]
+
+
+def bright_parts(image: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
+    """Return where a panorama shows sources of light, or what they shine on from near."""
+    luminance = image @ LUMINANCE
+    return luminance > _BRIGHT * max(percentile(luminance, 80), 1e-9)
 
 
 def percentile(luminance: Float32[np.ndarray, "h w"], percent: float) -> float:
@@ -106,6 +165,13 @@ def _pinhole(intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) 
     pose = np.asarray(camera_to_world, np.float64)
     rotation = np.ascontiguousarray(pose[:3, :3])
     return CameraArrays(pose[:3, 3].copy(), rotation, lens, intrinsics.height, intrinsics.width)
+
+
+def _rays(camera: CameraArrays) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+    """Return origins and unit directions of the rays through the pixels' centres."""
+    directions = np.empty((camera.height * camera.width, 3), np.float32)
+    shell_views.directions(camera, directions)
+    return np.broadcast_to(camera.position.astype(np.float32), directions.shape).copy(), directions
 
 
 def _slant(intrinsics: Intrinsics) -> Float[np.ndarray, "h w"]:

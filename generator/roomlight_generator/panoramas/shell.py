@@ -12,7 +12,6 @@ from jaxtyping import Bool, Float
 
 from roomlight_generator.panoramas.kernels import shell_views
 from roomlight_generator.panoramas.kernels.shell_views import ShellArrays
-from roomlight_generator.sequences.walk import FreeSpace
 
 CENTRE_M: Final = (1.2, 1.7)
 """Range of the centre's height: a tripod's."""
@@ -26,10 +25,12 @@ _HALL_ABOVE_M: Final = (2.0, 4.0)
 """Range of the ceiling's height above the centre."""
 _SHAPES: Final = ("box", "corner", "slope", "gable")
 _SHAPE_SHARES: Final = (0.55, 0.2, 0.12, 0.13)
-_NODE_M: Final = 0.11
-_NODES: Final = 7000
-"""Distance of a light map's nodes, and about how many a shell has at most: larger shells have coarser maps."""
-_CELL_M: Final = 0.1
+_NODE_M: Final = (0.1, 0.25)
+_NODES: Final = (3000, 1500)
+"""Distance of a light map's nodes, and about how many there are at most (larger faces have coarser maps): on the floor,
+and on all other faces together. Contact shadows are on the floor."""
+CELL_M: Final = 0.1
+"""Squares of the walkable floor."""
 _WALL_M: Final = 0.32
 """Distance from the walls in which the camera does not walk."""
 
@@ -42,6 +43,7 @@ class Shell:
         arrays: as the kernels take them.
         centre: where the panorama was taken.
         plan: corners (x, z) of the floor.
+        lowest_m: the ceiling's least height.
         reach_m: how far from the centre the camera walks.
         facts: shape and sizes.
     """
@@ -49,6 +51,7 @@ class Shell:
     arrays: ShellArrays
     centre: Float[np.ndarray, "3"]
     plan: Float[np.ndarray, "n 2"]
+    lowest_m: float
     reach_m: float
     facts: dict[str, Any]
 
@@ -66,14 +69,14 @@ class Shell:
         shell_views.distances(self.arrays, begin, along, out)
         return out
 
-    def free_space(self) -> FreeSpace:
-        """Return where a camera can be: near the centre, off the walls."""
+    def walkable(self) -> tuple[Bool[np.ndarray, "nz nx"], Float[np.ndarray, "nz nx 2"]]:
+        """Return the squares where a camera can be, near the centre and off the walls, and their middles (x, z)."""
         low, high = self.plan.min(axis=0), self.plan.max(axis=0)
-        columns, rows = (np.floor((high - low) / _CELL_M).astype(int) + 1).tolist()
-        x, z = low[0] + _CELL_M * np.arange(columns), low[1] + _CELL_M * np.arange(rows)
+        columns, rows = (np.floor((high - low) / CELL_M).astype(int) + 1).tolist()
+        x, z = low[0] + CELL_M * np.arange(columns), low[1] + CELL_M * np.arange(rows)
         points = np.stack(np.meshgrid(x, z), axis=-1)
-        walkable = _inside(points, self.plan, _WALL_M) & (np.hypot(*np.moveaxis(points, -1, 0)) <= self.reach_m)
-        return FreeSpace(walkable, (float(low[0]), float(low[1])), _CELL_M, self.distances)
+        near = np.hypot(points[..., 0], points[..., 1]) <= self.reach_m
+        return inside_plan(points, self.plan, _WALL_M) & near, points
 
 
 def draw_shell(rng: np.random.Generator) -> Shell:
@@ -90,13 +93,15 @@ def draw_shell(rng: np.random.Generator) -> Shell:
         plan = np.array([
             [-west, -north], [east, -north], [east, cut_z], [cut_x, cut_z], [cut_x, south], [-west, south]
         ])  # fmt: skip
-        polygons = _flat_room(plan, height + above)
-    elif shape == "box":
-        polygons = _flat_room(plan, height + above)
+    lowest = height + above
+    if shape in ("box", "corner"):
+        polygons = _flat_room(plan, lowest)
     else:
         rise = float(rng.uniform(0.5, 1.6)) * size
-        eaves = height + max(0.45, above - 0.5 * rise)
-        polygons = _sloped_room(plan, eaves, eaves + rise, gable=shape == "gable", ridge=float(rng.uniform(0.35, 0.65)))
+        lowest = height + max(0.45, above - 0.5 * rise)
+        polygons = _sloped_room(
+            plan, lowest, lowest + rise, gable=shape == "gable", ridge=float(rng.uniform(0.35, 0.65))
+        )
     top = max(float(polygon[:, 1].max()) for polygon in polygons)
     facts = {
         "shape": shape,
@@ -105,7 +110,7 @@ def draw_shell(rng: np.random.Generator) -> Shell:
         "size_m": [round(value, 2) for value in (west + east, top, north + south)],
     }
     centre = np.array([0.0, height, 0.0])
-    return Shell(_arrays(polygons, centre), centre, plan, 1.1 * size, facts)
+    return Shell(_arrays(polygons, centre), centre, plan, lowest, 1.1 * size, facts)
 
 
 def _flat_room(plan: Float[np.ndarray, "n 2"], top_m: float) -> list[Float[np.ndarray, "_ 3"]]:
@@ -168,8 +173,13 @@ def _arrays(polygons: list[Float[np.ndarray, "_ 3"]], centre: Float[np.ndarray, 
         axes.append(frame)
         extents.append(flat.max(axis=0) - flat.min(axis=0))
     extent = np.array(extents)
-    spacing = max(_NODE_M, float(np.sqrt(extent.prod(axis=1).sum() / _NODES)))
-    shape = (np.ceil(extent[:, ::-1] / spacing).astype(np.int32) + 1).clip(2)
+    area = extent.prod(axis=1)
+    level = np.array([float(np.ptp(polygon[:, 1])) + float(polygon[0, 1]) < 1e-6 for polygon in polygons])
+    spacing = np.where(level, *(
+        max(least, float(np.sqrt(area[part].sum() / most)))
+        for least, most, part in zip(_NODE_M, _NODES, (level, ~level), strict=True)
+    ))  # fmt: skip
+    shape = (np.ceil(extent[:, ::-1] / spacing[:, None]).astype(np.int32) + 1).clip(2)
     start = np.concatenate([[0], np.cumsum(shape.prod(axis=1))[:-1]]).astype(np.int32)
     return ShellArrays(
         np.array(corners, np.float64),
@@ -184,7 +194,7 @@ def _arrays(polygons: list[Float[np.ndarray, "_ 3"]], centre: Float[np.ndarray, 
     )
 
 
-def _inside(
+def inside_plan(
     points: Float[np.ndarray, "*shape 2"], plan: Float[np.ndarray, "n 2"], margin_m: float
 ) -> Bool[np.ndarray, "*shape"]:
     """Return which points are in a plan and farther than a margin from its walls; walls follow the axes."""

@@ -25,8 +25,8 @@ class ShellArrays(NamedTuple):
     """Triangles of a shell, and where its faces keep their light maps.
 
     Triangle t is corner[t] + a * edge[t, 0] + b * edge[t, 1]. Face f has the frame origin[f], axes[f, 0], axes[f, 1]
-    (unit vectors); its light map has shape[f] = (rows along axes 1, columns along axes 0) nodes, spacing_m apart, from
-    start[f] in `shade`: factors of the light that the shell reflects.
+    (unit vectors); its light map has shape[f] = (rows along axes 1, columns along axes 0) nodes, spacing_m[f] apart,
+    from start[f] in `shade`: factors of the light that the shell reflects.
     """
 
     corner: Float64[np.ndarray, "t 3"]
@@ -37,7 +37,7 @@ class ShellArrays(NamedTuple):
     axes: Float64[np.ndarray, "f 2 3"]
     shape: Int32[np.ndarray, "f 2"]
     start: Int32[np.ndarray, " f"]
-    spacing_m: float
+    spacing_m: Float64[np.ndarray, " f"]
 
 
 class PanoramaArrays(NamedTuple):
@@ -141,8 +141,8 @@ def shade_at(shell, shade, face, x, y, z):
     rows, columns = shell.shape[face, 0], shell.shape[face, 1]
     o, axes = shell.origin[face], shell.axes[face]
     x, y, z = x - o[0], y - o[1], z - o[2]
-    column = (x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2]) / shell.spacing_m
-    row = (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) / shell.spacing_m
+    column = (x * axes[0, 0] + y * axes[0, 1] + z * axes[0, 2]) / shell.spacing_m[face]
+    row = (x * axes[1, 0] + y * axes[1, 1] + z * axes[1, 2]) / shell.spacing_m[face]
     column = min(max(column, 0.0), columns - 1.001)
     row = min(max(row, 0.0), rows - 1.001)
     i, j = int(row), int(column)
@@ -305,6 +305,15 @@ def centres(shell, panorama, camera, distance, kinds):
             u, v = place(panorama, ox + t * dx, oy + t * dy, oz + t * dz)
             kinds[row, column] = panorama.kinds[min(int(v), height - 1), min(int(u), width - 1)]
             distance[row, column] = t
+
+
+@njit(**JIT)
+def directions(camera, out):
+    """Write the unit directions through the centres of all pixels, row by row."""
+    for row in range(camera.height):
+        for column in range(camera.width):
+            at = row * camera.width + column
+            out[at, 0], out[at, 1], out[at, 2] = ray(camera, row + 0.5, column + 0.5)
 
 
 @njit(**JIT)
