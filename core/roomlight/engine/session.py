@@ -411,7 +411,7 @@ class Session:
 
 
 def warm_up(graphs: LightingGraphs | None = None) -> None:
-    """Compile (or load from numba's cache) every kernel of a session on a frame of 32 x 24 pixels, and run the graphs.
+    """Compile (or load from numba's cache) every kernel of a session on frames of 32 x 24 pixels, and run the graphs.
 
     The first run of a graph plans its memory.
     """
@@ -419,4 +419,7 @@ def warm_up(graphs: LightingGraphs | None = None) -> None:
     grey, near = np.full((24, 32, 3), 0.5, np.float32), np.ones((24, 32), np.float32)
     session = Session(SessionOptions(model="classical", height=16), graphs=graphs)
     session.track((0.0, 0.0, -0.5))
-    session.push(Frame(0, grey, near < 0, near, intrinsics, np.eye(4)))
+    clipped = np.zeros((24, 32), bool)
+    clipped[:12] = True
+    session.push(Frame(0, grey, clipped, near, intrinsics, np.eye(4)))
+    session.push(Frame(1, 4 * grey, clipped, near, intrinsics, np.eye(4)))  # a shorter exposure: searched

@@ -9,6 +9,7 @@ from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.engine import session as session_module
 from roomlight.engine.kernels.blend import accumulate_rows
+from roomlight.engine.kernels.bracket import take_radiance
 from roomlight.engine.kernels.march import march_rays
 from roomlight.engine.kernels.volume_init import initialise_slices
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
@@ -297,9 +298,13 @@ def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_
 
 def test_after_warming_up_no_kernel_is_compiled_any_more(pan_frames):
     session_module.warm_up()
-    kernels = (initialise_slices, march_rays, accumulate_rows)
+    kernels = (initialise_slices, march_rays, accumulate_rows, take_radiance)
     before = [list(kernel.signatures) for kernel in kernels]
     session, _ = _run(pan_frames[:2], probes=PROBES)
+    clipped = pan_frames[0].image.max(axis=-1) > 0.7
+    session.push(dataclasses.replace(pan_frames[0], clipped=clipped))
+    session.push(dataclasses.replace(pan_frames[0], image=4 * pan_frames[0].image))
+    session.push(dataclasses.replace(pan_frames[0], clipped=clipped))
     double = dataclasses.replace(pan_frames[2], image=np.asfortranarray(pan_frames[2].image, np.float64))
     session.push(double)
     session.light_at(PROBES[0])
