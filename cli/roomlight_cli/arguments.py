@@ -10,7 +10,7 @@ from roomlight.captures.options import CameraConvention, PoseDirection
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.engine.providers import Provider
-from roomlight.engine.session import ModelName, SessionOptions
+from roomlight.engine.session import ClippingName, ModelName, SessionOptions
 
 CAPTURE_PANEL: Final = "How to read the capture"
 MODEL_PANEL: Final = "How to estimate the light"
@@ -73,6 +73,22 @@ AllowUntrained = Annotated[
     bool, typer.Option("--allow-untrained", rich_help_panel=MODEL_PANEL, help="Accept weights that were never trained.")
 ]
 Runtime = Annotated[Provider, typer.Option("--provider", rich_help_panel=MODEL_PANEL, help="Where the networks run.")]
+Clipping = Annotated[
+    ClippingName,
+    typer.Option(
+        "--clipping",
+        rich_help_panel=MODEL_PANEL,
+        help="Radiance of clipped pixels: estimated by a network, or constants by kind of surface.",
+    ),
+]
+Parts = Annotated[
+    Path | None,
+    typer.Option(
+        "--parts",
+        rich_help_panel=MODEL_PANEL,
+        help="A folder with the model folders `clipping` and `completion`, instead of the shipped ones.",
+    ),
+]
 UnknownDepthOption = Annotated[
     UnknownDepth,
     typer.Option(
@@ -178,11 +194,14 @@ def session_options(
     allow_untrained: bool,
     unknown_depth: UnknownDepth,
     height: int,
+    clipping: ClippingName = SessionOptions.clipping,
+    parts: Path | None = None,
 ) -> SessionOptions:
     """Build the engine's options from the command line's. Raises typer.BadParameter for weights that go unused."""
-    if model == "classical" and weights is not None:
+    if model in ("classical", "completion") and weights is not None:
         raise typer.BadParameter(
-            f"--model classical uses no networks: leave out --weights {weights}, or choose another --model"
+            f"--model {model} does not run the paper's networks: leave out --weights {weights}, or choose another "
+            "--model"
         )
     return SessionOptions(
         model=model,
@@ -191,4 +210,6 @@ def session_options(
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
         height=height,
+        clipping=clipping,
+        parts=parts,
     )

@@ -65,6 +65,13 @@ def smoothness(current: Panorama, previous: Panorama, *, solid_angle: bool = Fal
     return log_l2(current, previous, solid_angle=solid_angle)
 
 
+def energy_ratio(prediction: Panorama, truth: Panorama) -> float:
+    """Radiance summed over the sphere and the channels, as a ratio to the truth's: 1 is right; NaN for black truth."""
+    weights = panorama_solid_angles(len(truth))[..., None]
+    total = float((truth * weights).sum(dtype=np.float64))
+    return float((prediction * weights).sum(dtype=np.float64)) / total if total > 0 else float("nan")
+
+
 def si_rmse(prediction: Float[np.ndarray, "n 3"], truth: Float[np.ndarray, "n 3"]) -> float:
     """Scale-invariant RMSE of sphere pixels: after multiplying the prediction by the best factor (>= 0).
 

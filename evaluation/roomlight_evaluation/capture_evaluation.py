@@ -17,7 +17,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
-from roomlight.metrics import SphereScorer, ldr_l2, log_l2, smoothness
+from roomlight.metrics import SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.capture_scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.estimators import EngineEstimator, Estimator, PredictionFolder
@@ -210,6 +210,7 @@ class _ProbeScorer:
         if self._previous is not None:
             scores["smoothness"] = smoothness(current, self._previous)
         scores.update(self._judge.scores(current))
+        scores["energy"] = energy_ratio(current, self._truth)
         self._previous = current
         for key, value in scores.items():
             self._scores.setdefault(key, []).append(value)

@@ -6,13 +6,14 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from roomlight.engine.session import warm_up
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_evaluation.capture_evaluation import evaluate_engine, evaluate_predictions
 from roomlight_evaluation.capture_tables import capture_tables
 from roomlight_evaluation.main_light_evaluation import MainLightScores, evaluate_main_lights
 from roomlight_evaluation.main_light_tables import main_light_table
+from roomlight_evaluation.ship_rule import ShipRule, apply_ship_rule, ship_rule_table
 
 app = single_command_app()
 
@@ -35,6 +36,13 @@ def evaluate(
             "--main-light", help="Score the direction of the main light instead; captures need no ground truth."
         ),
     ] = False,
+    ship_rule: Annotated[
+        bool,
+        typer.Option(
+            "--ship-rule",
+            help="Compare the model with the classical one on every capture and interval, and fail if it is worse.",
+        ),
+    ] = False,
     every: Annotated[
         int,
         typer.Option(min=1, help="Score every n-th frame only; with --predictions, the n they were replayed with."),
@@ -45,6 +53,8 @@ def evaluate(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
+    clipping: arguments.Clipping = SessionOptions.clipping,
+    parts: arguments.Parts = None,
     format_name: arguments.Format = None,
     depth_key: arguments.DepthKey = None,
     depth_unit: arguments.DepthUnit = None,
@@ -60,6 +70,8 @@ def evaluate(
     """
     if late and predictions is not None:
         raise typer.BadParameter("--late runs the engine, --predictions scores files instead: give one of the two")
+    if ship_rule and (late or main_light or predictions is not None):
+        raise typer.BadParameter("--ship-rule scores tracked probes: leave out --late, --main-light and --predictions")
     if main_light and (late or predictions is not None):
         raise typer.BadParameter("--main-light scores tracked probes: leave out --late and --predictions")
     session = arguments.session_options(
@@ -68,6 +80,8 @@ def evaluate(
         provider=provider,
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
+        clipping=clipping,
+        parts=parts,
         height=120,
     )
     capture = arguments.capture_options(
@@ -81,6 +95,7 @@ def evaluate(
         max_frames=max_frames,
         every=every,
     )
+    rule: ShipRule | None = None
     with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()
@@ -92,15 +107,24 @@ def evaluate(
             lights = evaluate_main_lights(captures, session, options=capture, progress=show)
             _show_main_lights(lights, json_out)
             return
-        if predictions is None:
+        if ship_rule:
+            rule, scores = apply_ship_rule(captures, session, options=capture, progress=show)
+        elif predictions is None:
             scores = evaluate_engine(captures, session, late=late, options=capture, progress=show)
         else:
             scores = evaluate_predictions(captures, predictions, baselines=True, options=capture, progress=show)
-    for table in capture_tables(scores, per_capture=True):
-        console.print_table(console.out, table)
+    if rule is None:
+        for table in capture_tables(scores, per_capture=True):
+            console.print_table(console.out, table)
     if json_out:
         scores.write(json_out)
         console.say(f"Scores: {json_out}")
+    if rule is not None:
+        console.print_table(console.out, ship_rule_table(rule))
+        for line in (failures := rule.failures()):
+            console.say(f"  {line}")
+        console.say(f"{model} {'fails' if failures else 'passes'}: {len(failures)} of its figures break the rule")
+        raise typer.Exit(1 if failures else 0)
 
 
 def _show_main_lights(scores: MainLightScores, json_out: Path | None) -> None:

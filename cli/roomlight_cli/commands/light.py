@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from roomlight.engine.session import choose_graphs, warm_up
+from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
 from roomlight_cli import arguments
 from roomlight_cli.console import err, out, say
 from roomlight_cli.lazy import single_command_app
@@ -69,6 +69,8 @@ def light(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
+    clipping: arguments.Clipping = SessionOptions.clipping,
+    parts: arguments.Parts = None,
 ) -> None:
     """Light points of one photograph that has depth.
 
@@ -84,6 +86,8 @@ def light(
         provider=provider,
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
+        clipping=clipping,
+        parts=parts,
         height=height,
     )
     photo = read_photo(image, depth, fov_deg=fov, depth_unit_m=depth_unit, depth_orientation=depth_orientation)

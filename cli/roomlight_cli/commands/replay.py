@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from roomlight.engine.session import SessionOptions
 from roomlight_cli import arguments
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.replay_options import ReplayOptions
@@ -41,6 +42,8 @@ def replay(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
+    clipping: arguments.Clipping = SessionOptions.clipping,
+    parts: arguments.Parts = None,
     height: Annotated[
         int, typer.Option(min=16, max=2048, help="Panorama height in pixels; the width is twice that.")
     ] = 120,
@@ -88,6 +91,8 @@ def replay(
             provider=provider,
             allow_untrained=allow_untrained,
             unknown_depth=unknown_depth,
+            clipping=clipping,
+            parts=parts,
             height=height,
         ),
         probes=tuple(arguments.parse_position(text) for text in probe or ()),
