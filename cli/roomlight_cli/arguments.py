@@ -16,7 +16,9 @@ CAPTURE_PANEL: Final = "How to read the capture"
 MODEL_PANEL: Final = "How to estimate the light"
 POINTS_PANEL: Final = "Where to light"
 
-TrainingStage = Literal["single-sglv", "single-blend", "single-joint", "video-sglv", "video-blend", "video-joint"]
+TrainingStage = Literal[
+    "clipping", "completion", "single-sglv", "single-blend", "single-joint", "video-sglv", "video-blend", "video-joint"
+]
 Resolution = Literal["half", "full"]
 
 Format = Annotated[

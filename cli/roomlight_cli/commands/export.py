@@ -8,6 +8,8 @@ import typer
 from roomlight_cli.console import err, say
 from roomlight_cli.lazy import single_command_app
 from roomlight_export.exporting import export_checkpoint
+from roomlight_export.parts import export_part
+from roomlight_model.part_checkpoint import is_part_checkpoint
 
 app = single_command_app()
 
@@ -25,10 +27,16 @@ def export(
     Each graph's output is compared with the PyTorch network's.
     """
     with err.status("exporting and verifying the graphs") as status:
-        report = export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
+        part = is_part_checkpoint(checkpoint)
+        report = (
+            export_part(checkpoint, out)
+            if part
+            else export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
+        )
     say(
         f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
-        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX" + (f", {report.ort_bytes / 1e6:.1f} MB of .ort" if ort else "")
+        f"{report.onnx_bytes / 1e6:.1f} MB of ONNX"
+        + (f", {report.ort_bytes / 1e6:.1f} MB of .ort" if report.ort_bytes else "")
     )
     for network, parity in report.parity.items():
         say(

@@ -10,8 +10,10 @@ from roomlight.engine.volume import VOLUME_SHAPE
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import train as run_training
+from roomlight_cli.train_part import train_part
 from roomlight_model.config import ModelConfig, SGConfig, Units
 from roomlight_model.training.options import HELD_OUT, OPTIONS, TrainOptions, is_video
+from roomlight_model.training.part_trainer import PartOptions
 from roomlight_model.training.subsets import TrainingRooms
 
 app = single_command_app()
@@ -28,7 +30,9 @@ def train(
         arguments.TrainingStage,
         typer.Option(
             help="What to train: the lighting volume (sglv), the blending network on it, or both jointly; single: for "
-            "one view, video: the recurrent networks, from single-view weights (--start-from)."
+            "one view, video: the recurrent networks, from single-view weights (--start-from). clipping: the radiance "
+            "of clipped pixels. completion: light where no frame looked. These two use --steps, --batch, "
+            "--learning-rate, --seed, --minutes, --every and --start-from."
         ),
     ],
     steps: Annotated[
@@ -107,6 +111,25 @@ def train(
 
     It uses the train split. Stopped or killed, the same command continues from the last checkpoint.
     """
+    if stage == "clipping" or stage == "completion":
+        part_options = PartOptions(
+            steps=steps,
+            batch=batch or PartOptions.batch,
+            learning_rate=learning_rate or PartOptions.learning_rate,
+            seed=seed,
+        )
+        done = train_part(
+            stage,
+            data,
+            out,
+            options=part_options,
+            start_from=start_from,
+            minutes=minutes,
+            every_steps=every,
+            console=console.err,
+        )
+        _say_result(out, done["steps"], steps, done["hours"])
+        return
     begun, video = out / OPTIONS, is_video(stage)
     options = TrainOptions(
         stage=stage,
@@ -145,7 +168,11 @@ def train(
         every_steps=every,
         console=console.err,
     )
-    console.say(f"{out}: {card['steps']} of {steps} steps in {card['hours']:.2f} hours; weights in {out / 'model.pt'}")
+    _say_result(out, card["steps"], steps, card["hours"])
+
+
+def _say_result(out: Path, done: int, steps: int, hours: float) -> None:
+    console.say(f"{out}: {done} of {steps} steps in {hours:.2f} hours; weights in {out / 'model.pt'}")
     best = out / "best.pt"
-    if card["steps"] >= steps and best.exists():
+    if done >= steps and best.exists():
         console.say(f"Export the best weights on held-out rooms: roomlight export {best} --out {out / 'onnx'}")
