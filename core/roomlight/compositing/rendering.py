@@ -52,6 +52,9 @@ _EDGE_SAMPLES: Final = 8
 """Rays in a pixel on an outline of a preview."""
 _COVERAGE_SAMPLES: Final = 4
 """Rays that decide whether a pixel and its neighbours are worth paths."""
+_BRIGHTEST_CAUSTIC: Final = 10.0
+"""Light that reaches a matte surface through glass is limited to this multiple of the panorama's mean: a lamp seen so
+is a rare bright dot."""
 _BLOCK_RAYS: Final = 1 << 15
 """Rays of a block: 6 MB of paths, which stay in a core's cache."""
 
@@ -136,6 +139,7 @@ class _Settings(NamedTuple):
     max_bounces: int
     background: bool
     offset_m: float
+    brightest: float
 
 
 def render_objects(
@@ -342,9 +346,10 @@ def _traced(
     film, paths, queues = _film(count), _paths(count), (_queue(count), _queue(count))
     path_kernels.camera_rays(view, samples, first, paths)
     offset_m, live = scene.offset_m(), count
+    brightest = _BRIGHTEST_CAUSTIC * float(world.light.radiance.mean())
     for depth in range(settings.bounces + 1):
         face, _, u, v = scene.trace(paths.origin[:live], paths.direction[:live])
-        step = _Settings(samples, first, depth, settings.bounces, background is not None, offset_m)
+        step = _Settings(samples, first, depth, settings.bounces, background is not None, offset_m, brightest)
         live, shadows, escaped = path_kernels.bounce(world, view, paths, live, _RayHits(face, u, v), film, queues, step)
         shadow, escape = queues
         if shadows:

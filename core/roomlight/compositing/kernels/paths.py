@@ -19,6 +19,10 @@ PRIMARY = 1
 """Flag of a ray that has met nothing since the camera."""
 CLEAR = 2
 """Flag of a ray that has met glass only, and was refracted first: the background behind the glass shows in it."""
+BLURRED = 4
+"""Flag of a ray that a matte surface scattered: mirrors that it meets are blurred, and lamps through glass dimmed."""
+LEAST_BLURRED_ROUGHNESS = 0.3
+"""Of lobes that a matte surface is lit by: their lamps can be sampled, where a mirror's would be rare bright dots."""
 _DIMENSIONS = 4
 
 
@@ -69,6 +73,8 @@ def _escape(world, paths, i, film, settings, weights):
     probe_weights(world.light.position, paths.origin[i, 0], paths.origin[i, 1], paths.origin[i, 2], weights)
     r, g, b = radiance(world.light, weights, d[0], d[1], d[2])
     scale = 1.0
+    if paths.pdf[i] <= 0 and paths.flags[i] & BLURRED:
+        scale = settings.brightest / max(r, g, b, settings.brightest)
     if paths.pdf[i] > 0:
         other = density(world.light, weights, d[0], d[1], d[2]) / paths.pdf[i]
         scale = 1 / (1 + other * other)
@@ -161,7 +167,8 @@ def _opaque(paths, i, live, found, frame, local_view, choice, points2):
         a[1] * light[0] + b[1] * light[1] + normal[1] * light[2],
         a[2] * light[0] + b[2] * light[1] + normal[2] * light[2],
     )
-    _continue(paths, i, live, origin, direction, weight, pdf, 0)
+    matte = choice >= found[4] or found[3] >= LEAST_BLURRED_ROUGHNESS
+    _continue(paths, i, live, origin, direction, weight, pdf, BLURRED if matte else paths.flags[i] & BLURRED)
     return 1
 
 
@@ -234,7 +241,8 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             -(bx * d[0] + by * d[1] + bz * d[2]),
             -(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]),
         )
-        found = surface(world, material, base, shares[0], shares[1], local_view[2])
+        roughness = max(shares[1], LEAST_BLURRED_ROUGHNESS) if paths.flags[i] & BLURRED else shares[1]
+        found = surface(world, material, base, shares[0], roughness, local_view[2])
         probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
         light_point = point(key, number, dimension + 1)
         shadows = _light_ray(world, paths, i, frame, local_view, found, shadow, shadows, weights, light_point)
