@@ -101,7 +101,7 @@ def _decode(data: bytes, label: str, size: tuple[int, int]) -> UInt8[np.ndarray,
     if image is None or image.shape[:2] != size:  # pyright: ignore[reportUnnecessaryComparison]  (the stub lacks None)
         raise ObjectError(f"{label} does not decode; the file is truncated or damaged")
     if image.dtype == np.uint16:
-        image = (image >> 8).astype(np.uint8)
+        image = np.right_shift(image.astype(np.uint16), 8).astype(np.uint8)
     if image.dtype != np.uint8:
         raise ObjectError(f"{label} has values of {image.dtype}; 8 or 16 bits are read")
     if image.ndim == 2:

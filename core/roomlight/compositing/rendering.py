@@ -240,17 +240,23 @@ def _film(count: int) -> _Film:
 
 
 def _paths(count: int) -> _Paths:
-    colours = (count, 3)
     return _Paths(
-        *(np.empty(colours, np.float32) for _ in range(3)),
-        np.empty(count, np.float32),
-        np.empty(count, np.uint8),
-        np.empty(count, np.int32),
+        origin=np.empty((count, 3), np.float32),
+        direction=np.empty((count, 3), np.float32),
+        throughput=np.empty((count, 3), np.float32),
+        pdf=np.empty(count, np.float32),
+        flags=np.empty(count, np.uint8),
+        slot=np.empty(count, np.int32),
     )
 
 
 def _queue(count: int) -> _Queue:
-    return _Queue(*(np.empty((count, 3), np.float32) for _ in range(3)), np.empty(count, np.int32))
+    return _Queue(
+        origin=np.empty((count, 3), np.float32),
+        direction=np.empty((count, 3), np.float32),
+        light=np.empty((count, 3), np.float32),
+        slot=np.empty(count, np.int32),
+    )
 
 
 def _camera_hits(scene: ObjectScene, view: _View, samples: int) -> tuple[_Paths, _RayHits]:
