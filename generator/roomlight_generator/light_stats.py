@@ -88,6 +88,9 @@ def measure_light(
 ) -> Measures:
     """Measure one frame and one panorama near it.
 
+    "above 3 x frame" means above three times the frame's mean; ceiling, walls and floor are the means over the
+    directions more than 30 degrees above the horizon, less than 30 from it, and more than 30 below.
+
     Args:
         frame: Linear RGB as the phone shows it, at most 1.
         clipped: True radiance at the frame's clipped pixels; empty if none is clipped.
@@ -105,17 +108,17 @@ def measure_light(
         "frame's mean": mean,
         "frame's median": float(np.median(shown)),
         f"frame's {WHITE_PERCENTILE}th percentile": float(np.percentile(shown, WHITE_PERCENTILE)),
-        "clipped share of the frame": float((frame.max(axis=-1) >= _CLIPPED).mean()),
-        "radiance at clipped pixels": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
+        "frame's clipped share": float((frame.max(axis=-1) >= _CLIPPED).mean()),
+        "clipped pixels' radiance": float(np.median(clipped.max(axis=-1))) if len(clipped) else np.nan,
         "sphere above white": float(share[white].sum()),
         "energy above white": float((light * share)[white].sum()) / total,
         "panorama's mean": total,
         "panorama's median": float(np.median(light)),
         "99.9th percentile": high,
-        "panorama's mean / frame's mean": total / mean,
-        "99.9th percentile / frame's mean": high / mean,
-        "sphere above 3 x frame's mean": float(share[bright].sum()),
-        "energy above 3 x frame's mean": float((light * share)[bright].sum()) / total,
+        "mean / frame's mean": total / mean,
+        "99.9th / frame's mean": high / mean,
+        "sphere above 3 x frame": float(share[bright].sum()),
+        "energy above 3 x frame": float((light * share)[bright].sum()) / total,
         "ceiling / floor": ceiling / floor,
         "ceiling / walls": ceiling / walls,
         "floor / walls": floor / walls,

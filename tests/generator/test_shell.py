@@ -20,6 +20,10 @@ ROLES = {
 EVERYTHING = ShellStyle(
     area_m2=(10.0, 40.0), l_shape=0.4, alcove=0.4, bay=0.3, chamfer=0.3, chimney_breast=0.3, niche=0.6, slanted=0.3,
     beams=0.4, windows=(2, 5), doors=(0, 3), open_door=0.5, passage=0.5, crown_moulding=0.6, lower_wall_chance=0.5,
+    covers=(
+        ("none", 0.3), ("open_curtains", 0.26), ("half_curtains", 0.08), ("drawn_curtains", 0.04), ("sheer", 0.06),
+        ("sheer_and_curtains", 0.06), ("roller", 0.09), ("roller_down", 0.03), ("venetian", 0.08),
+    ),
 )  # fmt: skip
 """A style with every feature at a high probability."""
 

@@ -21,7 +21,7 @@ _RESERVED_SHARE: Final = 0.4
 training."""
 
 
-_GLAZED_SHARE: Final = 0.4
+_GLAZED_SHARE: Final = 0.45
 """Share of rooms with windows that have most of a wall or two of glass, mostly uncovered, as living rooms onto a
 garden, winter gardens and halls do."""
 _GLAZED_KINDS: Final = (("picture", 0.5), ("french", 0.4), ("office", 0.1))

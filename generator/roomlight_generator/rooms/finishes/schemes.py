@@ -31,7 +31,7 @@ from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 _PLAIN: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo of textures that hold the whole colour."""
 
-_WORN: Final = (0.65, 0.95)
+_WORN: Final = (0.5, 0.9)
 """Factor on the albedo of floors, for dirt and wear: real floors are 0.19 to 0.49 times as bright as walls."""
 
 _FLOORS: Final[dict[str, tuple[float, float, float, float]]] = {
