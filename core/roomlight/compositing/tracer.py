@@ -77,6 +77,8 @@ class ObjectScene:
             raise ObjectError(
                 f"the objects have {triangles} triangles together, at most {MAX_TRIANGLES}: simplify them"
             )
+        self._bounds = np.stack([one.bounds() for one in self.objects])
+        self._bounds.setflags(write=False)
         self.surfaces, materials = _flatten(self.objects)
         self.materials, self.textures = material_arrays(materials)
         self._tree = EmbreeScene(robust=True)
@@ -87,11 +89,11 @@ class ObjectScene:
 
     def bounds(self) -> Float[np.ndarray, "n 2 3"]:
         """Return each object's box: least and greatest corner in world metres."""
-        return np.stack([one.bounds() for one in self.objects])
+        return self._bounds
 
     def offset_m(self) -> float:
         """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""
-        boxes = self.bounds()
+        boxes = self._bounds
         extent = float((boxes[:, 1] - boxes[:, 0]).max())
         return max(2e-5 * extent, 2e-6 * float(np.abs(boxes).max()), 1e-7)
 

@@ -138,6 +138,20 @@ def test_objects_reflect_each_other() -> None:
     assert on_mirror[:, 1].max() < 0.11
 
 
+def test_mirrors_and_glass_leave_no_bright_dots_on_matte_ground() -> None:
+    light = np.full((32, 64, 3), 0.2, np.float32)
+    light[8, 20] = 1000.0  # a lamp of 6 degrees; without limits the brightest pixels are at 6 and 27 x the median
+    ground = plane(2.0, 2.0, diffuse())
+    above = look_at((0, 1.0, 2), (0, 0, 0))
+    for material in (mirror(), glass()):
+        scene = ObjectScene([ground, moved(sphere(0.3, material), 0, 0.3)])
+        picture = render_objects(
+            scene, CAMERA, above, ProbeSet.single(light), quality=RenderSettings(64, 6, denoised=False)
+        )
+        matte = picture.radiance[(picture.object_id == 0) & (picture.alpha == 1)][:, 1]
+        assert matte.max() < 5 * np.median(matte), material
+
+
 def test_closed_box_of_mirrors_ends_paths() -> None:
     inside = look_at((0.1, 0.05, 0.1), (0, 0, -1))
     picture = render_objects(
