@@ -74,7 +74,7 @@ class SessionOptions:
 
     model: ModelName = "auto"
     weights: Path | None = None
-    clipping: ClippingName = "constants"
+    clipping: ClippingName = "learned"
     parts: Path | None = None
     provider: Provider = "auto"
     allow_untrained: bool = False
