@@ -39,9 +39,16 @@ def single_view_weights(config=TINY):
     return Checkpoint("single", config, model, {"steps": 5, "stage": "single-joint"})
 
 
+def unclipped(walk, rng):
+    """Declare every pixel known, so that no estimate of clipped light is added to it."""
+    del rng
+    frames = [replace(frame, clipped=np.zeros_like(frame.clipped)) for frame in walk.frames]
+    return replace(walk, example=replace(walk.example, frame=frames[0], later=tuple(frames[1:])))
+
+
 def dimmed(walk, rng):
     """Switch half of the light off from frame 2 on: a light change for tests."""
-    del rng
+    walk = unclipped(walk, rng)
     first, *later = walk.frames
     later = [replace(frame, image=frame.image * np.float32(0.5 if k >= 2 else 1)) for k, frame in enumerate(later, 1)]
     return replace(

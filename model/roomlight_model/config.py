@@ -54,7 +54,9 @@ class SGConfig:
     filled: bool = True
     """Where nothing was seen, `direct` heads start from the surroundings; False: from the mean colour."""
     units: Units = "first"
-    """Units of the recurrent networks; the single-view networks do not depend on it."""
+    """Units of the recurrent networks; the single-view networks do not depend on it. After 40 steps from the shipped
+    weights, on 12 held-out walks (four frames, units 1.5 times apart in the mean): log-L2 0.0477 with first, 0.0490
+    rescaled, 0.0488 own (standard error of the differences 0.0015); smoothness x 1,000 is 1.54, 1.83, 1.77."""
 
     @property
     def carries_unit(self) -> bool:

@@ -15,7 +15,7 @@ from roomlight_model.training.sequences import (
     read_walk,
     with_views,
 )
-from video_training import SHAPE, dimmed
+from video_training import SHAPE, dimmed, unclipped
 
 
 def walk_of(rng, *, length=4, augment=True, change_light=None):
@@ -91,7 +91,7 @@ def test_a_mirrored_sequence_has_mirrored_volumes():
 
 
 def test_the_light_of_a_sequence_may_change_at_a_frame():
-    plain = batch_of(walk_of(np.random.default_rng(1)))
+    plain = batch_of(walk_of(np.random.default_rng(1), change_light=unclipped))
     batch = batch_of(walk_of(np.random.default_rng(1), change_light=dimmed))
     assert batch.light_of.tolist() == [[0, 0, 1, 1]]
     for frame, share in enumerate((1, 1, 0.5, 0.5)):
