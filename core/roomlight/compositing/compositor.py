@@ -26,7 +26,7 @@ from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.layers import BehindGlass, Composite, encode_srgb8, unchanged
 from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
 from roomlight.compositing.placing import Placement, Plane
-from roomlight.compositing.probes import SceneProbes
+from roomlight.compositing.probes import LightAt, SceneProbes
 from roomlight.compositing.rendering import RenderedObjects, render_objects
 from roomlight.compositing.scene import AtPixel, Scene, SceneObject
 from roomlight.compositing.scene_geometry import SceneGeometry
@@ -70,6 +70,7 @@ class Compositor:
         seed: int = 0,
         match_camera: bool = True,
         background_glass: bool = True,
+        light: LightAt | None = None,
     ) -> None:
         """Begin; objects are placed at the first frame, or at the frame that their pixel belongs to.
 
@@ -80,6 +81,8 @@ class Compositor:
             seed: of the sampling points; the same seed gives the same picture.
             match_camera: give objects the frame's noise and blur.
             background_glass: show the frame through glass; else the probes' light.
+            light: panorama at a world position, from elsewhere (a light probe, another estimator); default the
+                session's light.
 
         Raises:
             OptionError: the quality is unknown.
@@ -88,12 +91,12 @@ class Compositor:
         if quality not in get_args(Quality):
             raise OptionError(f"quality must be one of {', '.join(get_args(Quality))}; got {quality!r}")
         self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
-        self.quality = cast(Quality, quality)
+        self.quality: Quality = cast(Quality, quality)
         self.geometry = SceneGeometry()
         self._session, self._seed, self._match = session, seed, match_camera
         self._background_glass = background_glass
         self._standing: list[StandingObject] = []
-        self._probes = SceneProbes(session)
+        self._probes = SceneProbes(session, light)
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
         self._objects: ObjectScene | None = None
         self._matrices: list[bytes] = []

@@ -155,6 +155,7 @@ def _extended(depth_m: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"
     _, labels = cv2.distanceTransformWithLabels(
         (~covered).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
     )
-    table = np.zeros(labels.max() + 1, np.float32)
-    table[labels[covered]] = depth_m[covered]
-    return table[labels]
+    nearest = np.asarray(labels, np.int32)
+    table = np.zeros(int(nearest.max()) + 1, np.float32)
+    table[nearest[covered]] = depth_m[covered]
+    return table[nearest]

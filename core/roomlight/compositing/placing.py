@@ -227,7 +227,10 @@ def fit_plane(
     if len(points) > _MAX_FITTED:
         points = points[rng.choice(len(points), _MAX_FITTED, replace=False)]
     local = points.astype(np.float64) - hit
-    triples = local[rng.integers(0, len(local), (_TRIPLES, 3))]
+    chosen = rng.integers(0, len(local), (_TRIPLES, 3))
+    nearest = np.argsort((local**2).sum(axis=1))[:16]
+    chosen[:, 0] = nearest[rng.integers(0, len(nearest), _TRIPLES)]
+    triples = local[chosen]
     normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
     length = np.linalg.norm(normals, axis=1)
     good = length > 1e-9
@@ -235,20 +238,24 @@ def fit_plane(
     if not len(normals):
         return None
     offset = (normals * offsets).sum(axis=1)
-    inside = np.abs(local @ normals.T - offset) < tolerance_m
-    # of two surfaces that meet near the pixel, its own passes through the hit
-    votes = inside.sum(axis=0) * np.exp(-((2 * offset / tolerance_m) ** 2))
-    inliers = inside[:, int(votes.argmax())]
-    if inliers.sum() < _LEAST_POINTS or votes.max() < 1:
+    apart = np.abs(local @ normals.T - offset)
+    # Of two surfaces that meet near the pixel, its own passes through the hit and has the points around it. Votes are
+    # soft, because a plane between the two has many points near it, but few on it.
+    away = np.linalg.norm(local, axis=1)
+    near = np.exp(-((away / (0.4 * max(float(away.max()), 1e-9))) ** 2))
+    votes = near @ np.exp(-((2 * apart / tolerance_m) ** 2)) * np.exp(-((2 * offset / tolerance_m) ** 2))
+    best = apart[:, int(votes.argmax())]
+    if (best < tolerance_m).sum() < _LEAST_POINTS or votes.max() < 1:
         return None
     centre, normal = np.zeros(3), np.zeros(3)
-    for _ in range(4):
-        centre = local[inliers].mean(axis=0)
-        _, spread, axes = np.linalg.svd(local[inliers] - centre, full_matrices=False)
+    for _ in range(3):
+        weight = np.exp(-((2 * best / tolerance_m) ** 2))
+        centre = weight @ local / weight.sum()
+        _, spread, axes = np.linalg.svd((local - centre) * np.sqrt(weight)[:, None], full_matrices=False)
         if spread[1] < 0.05 * spread[0]:
             return None
         normal = axes[2]
-        inliers = np.abs((local - centre) @ normal) < tolerance_m
+        best = np.abs((local - centre) @ normal)
     return Plane(hit + centre, normal if normal @ toward >= 0 else -normal)
 
 

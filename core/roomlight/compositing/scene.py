@@ -42,7 +42,10 @@ class _Model(BaseModel):
 
 
 class MaterialSpec(_Model):
-    """A material: `kind` with its colour and roughness, with defaults."""
+    """A material: `kind` with its colour and roughness.
+
+    Defaults: albedo 0.8 and roughness 0.2 (glossy), white and 0.5 (metal), clear (glass).
+    """
 
     kind: Literal["diffuse", "glossy", "metal", "mirror", "glass"]
     base_colour: tuple[Share, Share, Share] | None = None
@@ -50,16 +53,17 @@ class MaterialSpec(_Model):
 
     def build(self) -> Material:
         """Make the material."""
-        colour = {} if self.base_colour is None else {"base_colour": self.base_colour}
-        roughness = {} if self.roughness is None else {"roughness": self.roughness}
+        white = (1.0, 1.0, 1.0)
         if self.kind == "diffuse":
-            return materials.diffuse(**colour)
+            return materials.diffuse(self.base_colour or (0.8, 0.8, 0.8))
         if self.kind == "glossy":
-            return materials.glossy(**colour, **roughness)
+            return materials.glossy(
+                self.base_colour or (0.8, 0.8, 0.8), 0.2 if self.roughness is None else self.roughness
+            )
         if self.kind == "metal":
-            return materials.rough_metal(**roughness, **colour)
+            return materials.rough_metal(0.5 if self.roughness is None else self.roughness, self.base_colour or white)
         if self.kind == "glass":
-            return materials.glass(tint=self.base_colour or (1.0, 1.0, 1.0))
+            return materials.glass(tint=self.base_colour or white)
         return materials.mirror()
 
     @model_validator(mode="after")
