@@ -4,7 +4,7 @@ An object that rests has one probe at its centre; one longer than `BIG_M` has tw
 moves has probes along its path, and the light between them is interpolated.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import product
 from typing import Final
 
@@ -22,6 +22,10 @@ PATH_STEP_M: Final = 0.3
 MAX_PER_OBJECT: Final = 8
 MAX_TOTAL: Final = 16
 """Most tracked probes of a scene: the session takes about 10 ms for each and frame. Later objects share them."""
+
+
+LightAt = Callable[[Position], Float[np.ndarray, "h w 3"]]
+"""Returns the panorama [h, 2h, 3] of the light that arrives at a world position."""
 
 
 def box_probes(
@@ -51,9 +55,9 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 class SceneProbes:
     """Tracked probes of all objects of a scene."""
 
-    def __init__(self, session: Session) -> None:
-        """Begin without probes."""
-        self._session = session
+    def __init__(self, session: Session, light: LightAt | None = None) -> None:
+        """Begin without probes; `light` replaces the session's, and does not change over time."""
+        self._session, self._light = session, light
         self._lights: dict[int, EasedLight] = {}  # by the session's handle
         self._set: ProbeSet | None = None
         self._frames = 0
@@ -67,7 +71,7 @@ class SceneProbes:
         for position in positions[: MAX_TOTAL - len(self._lights)]:
             x, y, z = position.tolist()
             handle = self._session.track((x, y, z))
-            self._lights[handle] = EasedLight((x, y, z), self._session.light(handle).panorama)
+            self._lights[handle] = EasedLight((x, y, z), self._panorama(handle, (x, y, z)))
         self._set = None
         self._frames = self._session.frames
 
@@ -76,7 +80,7 @@ class SceneProbes:
 
         every_s:  change the light at most this often: each change costs 12 ms a probe.
         """
-        if self._session.frames != self._frames:
+        if self._session.frames != self._frames and self._light is None:
             for handle, light in self._lights.items():
                 light.aim(self._session.light(handle).panorama)
             self._frames = self._session.frames
@@ -104,6 +108,9 @@ class SceneProbes:
         if shares.max() > 0.98:
             return probes.samplers[int(shares.argmax())]
         return LightSampler(_mixed([one.panorama for one in probes.samplers], shares), position)
+
+    def _panorama(self, handle: int, position: Position) -> Float[np.ndarray, "h w 3"]:
+        return self._session.light(handle).panorama if self._light is None else self._light(position)
 
     def close(self) -> None:
         """Stop tracking."""
