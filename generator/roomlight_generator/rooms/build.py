@@ -21,12 +21,6 @@ _RESERVED_SHARE: Final = 0.4
 training."""
 
 
-_GLAZED_SHARE: Final = 0.45
-"""Share of rooms with windows that have most of a wall or two of glass, mostly uncovered, as living rooms onto a
-garden, winter gardens and halls do."""
-_GLAZED_KINDS: Final = (("picture", 0.5), ("french", 0.4), ("office", 0.1))
-_GLAZED_COVERS: Final = (("none", 0.75), ("open_curtains", 0.15), ("venetian", 0.05), ("roller", 0.05))
-
 _RECOLOURED_SHARE: Final = 0.4
 """Share of furniture items whose colour differs from their model's."""
 
@@ -98,9 +92,6 @@ def _shell_style(room_type: RoomType, rng: np.random.Generator) -> ShellStyle:
     elif windows[0] == 0:
         windows = (1, max(1, windows[1]))
     behind_doors = 0.72 * room_type.p_second_room
-    if windows[1] and rng.random() < _GLAZED_SHARE:
-        windows = (windows[1], 2 * windows[1] + 2)
-        default = replace(default, window_kinds=_GLAZED_KINDS, covers=_GLAZED_COVERS)
     return replace(
         default,
         area_m2=room_type.area_m2,

@@ -32,14 +32,14 @@ _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
     "night": ("night",),
 }
 _SCENARIOS: Final[tuple[Scenario, ...]] = ("sunny", "bright", "overcast", "golden", "dusk", "night")
-_SCENARIO_PROBABILITIES: Final = (0.26, 0.18, 0.2, 0.09, 0.1, 0.17)
-"""Probability of each scenario in a room with windows: three quarters of the rooms by day, a sixth by night."""
+_SCENARIO_PROBABILITIES: Final = (0.28, 0.2, 0.22, 0.1, 0.08, 0.12)
+"""Probability of each scenario in a room with windows: three quarters of the rooms by day, an eighth by night."""
 
 _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
-    "sunny": 0.5,
-    "bright": 0.6,
-    "overcast": 0.75,
-    "golden": 0.7,
+    "sunny": 0.25,
+    "bright": 0.35,
+    "overcast": 0.5,
+    "golden": 0.5,
     "dusk": 0.95,
     "night": 1.0,
 }
@@ -77,7 +77,7 @@ def light_room(
     """Choose a time of day and switch lamps on; `items` holds the placements' items in the same order.
 
     Every room has light: at dusk and at night at least one lamp is on, and a room without lamps gets a ceiling panel.
-    Lamps together give a mean illuminance between 20 and 1,500 lux (log-uniform, dimmer at night).
+    Lamps together give a mean illuminance between 12 and 900 lux (log-uniform, dimmer at night).
     """
     windows = _has_windows(shell)
     scenario = _SCENARIOS[int(rng.choice(len(_SCENARIOS), p=_SCENARIO_PROBABILITIES))] if windows else "night"
@@ -177,7 +177,7 @@ def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np
     """Choose the lamps that are on: those of one role share a switch; sometimes a single lamp is on."""
     if not lamps:
         return []
-    if rng.random() < 0.06:
+    if rng.random() < 0.12:
         return [int(rng.choice(lamps))]
     roles = sorted({placements[i].model.role for i in lamps})
     on = {role for role in roles if rng.random() < (0.75 if role == "ceiling_lamp" else 0.7)}
@@ -193,7 +193,7 @@ def _choose_total_flux(shell: Shell, rng: np.random.Generator, *, evening: bool)
     """Draw the total flux for a mean illuminance, assuming that half of a lamp's light reaches the visible surfaces."""
     x, z = shell.polygon.T
     area = 0.5 * abs(float(x @ np.roll(z, -1) - z @ np.roll(x, -1)))
-    low, high = (20, 500) if evening else (100, 1500)
+    low, high = (12, 350) if evening else (60, 900)
     lux = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return lux / 1000 * max(area, 2.0) / 0.5
 

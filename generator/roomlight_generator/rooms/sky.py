@@ -244,7 +244,7 @@ def _skyline(
     bearing: Float[np.ndarray, " w"], sun: Sun | None, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " w"], str]:
     """Return the elevation, in radians, of the skyline at each azimuth, and its kind."""
-    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.3, 0.32, 0.19, 0.19)))]
+    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.42, 0.3, 0.14, 0.14)))]
     width = len(bearing)
     if kind == "houses":
         line = np.zeros(width)
@@ -252,11 +252,11 @@ def _skyline(
         end = at + width
         while at < end:
             wide = int(rng.integers(6, 22))
-            tall = rng.uniform(0.05, 0.45) if rng.random() < 0.8 else 0.03
+            tall = rng.uniform(0.12, 0.7) if rng.random() < 0.8 else 0.03
             line[np.arange(at, min(at + wide, end)) % width] = tall
             at += wide
     else:
-        low, high, cells = {"trees": (0.05, 0.28, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.12, 4)}[kind]
+        low, high, cells = {"trees": (0.1, 0.4, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
         noise = fbm(rng, (8, width), (1, cells), octaves=3)[0]
         line = low + (high - low) * np.clip(0.5 + noise, 0, 1)
     if sun is not None:
@@ -273,13 +273,13 @@ def _facing(sky: Sky, azimuth: float) -> Float[np.ndarray, "3"]:
 def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:
     """Return the albedo of lawn, paving, asphalt, gravel or (seldom) snow, with noise."""
     albedos = (
-        paint(rng.uniform(0.09, 0.18), 0.07, rng.uniform(115, 140)),
-        paint(rng.uniform(0.2, 0.5), 0.02, rng.uniform(60, 90)),
-        paint(rng.uniform(0.08, 0.18), 0.004, 250),
-        paint(rng.uniform(0.15, 0.4), 0.04, rng.uniform(55, 80)),
+        paint(rng.uniform(0.06, 0.14), 0.07, rng.uniform(115, 140)),
+        paint(rng.uniform(0.15, 0.35), 0.02, rng.uniform(60, 90)),
+        paint(rng.uniform(0.06, 0.12), 0.004, 250),
+        paint(rng.uniform(0.1, 0.22), 0.04, rng.uniform(55, 80)),
         paint(rng.uniform(0.6, 0.8), 0.01, 240),
     )
-    first = albedos[int(rng.choice(5, p=(0.28, 0.36, 0.16, 0.14, 0.06)))]
+    first = albedos[int(rng.choice(5, p=(0.42, 0.24, 0.2, 0.1, 0.04)))]
     second = albedos[int(rng.choice(4))]
     patches = np.clip(fbm(rng, _SHAPE, (8, 4), octaves=3) * 3 + 0.2, 0, 1)[..., None]
     # One ground cover near the house (steeply below), another beyond it.
@@ -291,9 +291,9 @@ def _ground_albedo(views: Panorama, rng: np.random.Generator) -> Panorama:
 def _foliage(rng: np.random.Generator, kind: str) -> Panorama:
     """Return the albedo of foliage, in clumps; far hills are bluer."""
     if kind == "hills":
-        colour = paint(rng.uniform(0.12, 0.3), 0.03, rng.uniform(150, 240))
+        colour = paint(rng.uniform(0.08, 0.18), 0.03, rng.uniform(150, 240))
     else:
-        colour = paint(rng.uniform(0.06, 0.16), rng.uniform(0.045, 0.08), rng.uniform(118, 145))
+        colour = paint(rng.uniform(0.04, 0.1), rng.uniform(0.045, 0.08), rng.uniform(118, 145))
     clumps = fbm(rng, _SHAPE, (32, 64), octaves=2)
     return (np.array(colour) * np.clip(1 + 0.7 * clumps, 0.3, 2)[..., None]).astype(np.float32)
 
@@ -308,10 +308,10 @@ def _facades(
     storey = rng.uniform(0.11, 0.17)
     for number in range(max(len(edges), 1)):
         pick = rng.random()
-        if pick < 0.65:
-            wall = paint(rng.uniform(0.4, 0.8), rng.uniform(0, 0.04), rng.uniform(50, 100))
-        elif pick < 0.85:
-            wall = paint(rng.uniform(0.1, 0.3), rng.uniform(0.05, 0.09), rng.uniform(35, 50))
+        if pick < 0.45:
+            wall = paint(rng.uniform(0.35, 0.75), rng.uniform(0, 0.04), rng.uniform(50, 100))
+        elif pick < 0.75:
+            wall = paint(rng.uniform(0.1, 0.25), rng.uniform(0.05, 0.09), rng.uniform(35, 50))
         else:
             wall = paint(rng.uniform(0.1, 0.5), rng.uniform(0, 0.06), rng.uniform(0, 360))
         columns = np.flatnonzero(house == number)
@@ -319,7 +319,7 @@ def _facades(
         spacing = int(rng.integers(3, 6))
         rows = ((elevation[:, 0] / storey) % 1 > 0.4) & (elevation[:, 0] > -0.02)
         glass = np.ix_(rows, columns[np.arange(len(columns)) % spacing > spacing // 2])
-        out[glass] = np.array([0.1, 0.11, 0.12])
+        out[glass] = np.array([0.06, 0.07, 0.08])
         if rng.random() < 0.6:
             roof = paint(rng.uniform(0.04, 0.2), rng.uniform(0, 0.07), rng.uniform(30, 60))
             top = elevation[:, columns] > skyline[None, columns] - 0.08

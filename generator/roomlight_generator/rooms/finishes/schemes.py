@@ -1,6 +1,6 @@
 """Colour schemes: materials of the walls, floor, ceiling, frames, doors and curtains of one room.
 
-About 66 % of the walls are white, grey or beige, 22 % clearly coloured and 12 % papered, of brick or panelled.
+About 64 % of the walls are white, grey or beige, 23 % clearly coloured and 13 % papered, of brick or panelled.
 """
 
 from collections.abc import Callable, Sequence
@@ -30,9 +30,6 @@ from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 
 _PLAIN: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo of textures that hold the whole colour."""
-
-_WORN: Final = (0.5, 0.9)
-"""Factor on the albedo of floors, for dirt and wear: real floors are 0.19 to 0.49 times as bright as walls."""
 
 _FLOORS: Final[dict[str, tuple[float, float, float, float]]] = {
     # Probabilities of wood, tile, carpet, stone.
@@ -147,9 +144,9 @@ class _FinishChooser:
         pick = rng.random()
         if kind == "bath" and rng.random() < 0.3:
             return self.tiled("wall")
-        if pick < 0.66:
+        if pick < 0.64:
             return self.painted("wall", neutral_wall(rng))
-        if pick < 0.88 or kind == "bath":
+        if pick < 0.87 or kind == "bath":
             return self.painted("wall", wall_colour(rng))
         return self.textured_wall("wall")
 
@@ -202,11 +199,9 @@ class _FinishChooser:
     def floor(self, kind: str) -> Material:
         """Choose the floor of a room of this kind."""
         rng = self.rng
-        wear = float(rng.uniform(*_WORN))
-        colour = (wear, wear, wear)
         if self.floor_textures and rng.random() < 0.35:
             texture = self.floor_textures[int(rng.integers(len(self.floor_textures)))]
-            return Material("floor", colour, texture=texture, roughness=self.optional_roughness(0.5, 0.1, 0.4))
+            return Material("floor", _PLAIN, texture=texture, roughness=self.optional_roughness(0.5, 0.1, 0.4))
         group: TextureGroup = ("wood_floor", "floor_tile", "carpet", "stone")[int(rng.choice(4, p=_FLOORS[kind]))]
         low, high, chance = {
             "wood_floor": (0.1, 0.35, 0.6),
@@ -216,23 +211,23 @@ class _FinishChooser:
         }[group]
         return Material(
             "floor",
-            colour,
+            _PLAIN,
             texture=make_texture(group, self.split, rng),
             roughness=self.optional_roughness(chance, low, high),
         )
 
     def ceiling(self, wall: Material) -> Material:
-        """Choose the ceiling's paint, mostly white; else boards, a colour or bare concrete."""
+        """Choose the ceiling's paint, nearly always white."""
         rng = self.rng
         pick = rng.random()
-        if pick < 0.72:
+        if pick < 0.84:
             colour = white(rng)
-        elif pick < 0.8:
+        elif pick < 0.9:
             boards = make_texture("panelling", self.split, rng)
             return Material("ceiling", _PLAIN, texture=boards, roughness=self.optional_roughness(0.3, 0.25, 0.5))
-        elif pick < 0.88:
-            colour = _mean(wall)
         elif pick < 0.95:
+            colour = _mean(wall)
+        elif pick < 0.985:
             colour = off_white(rng) if rng.random() < 0.5 else wall_colour(rng)
         else:
             return Material("ceiling", _PLAIN, texture=stone.concrete(split_rng(self.split, rng)))

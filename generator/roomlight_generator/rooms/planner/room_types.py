@@ -92,12 +92,12 @@ class RoomType:
 
 
 _HOME_WALLS: Final = (
-    ("picture", 2.2), ("mirror", 0.3), ("clock", 0.3), ("wall_shelf", 0.6), ("wall_lamp", 1.0),
+    ("picture", 2.2), ("mirror", 0.3), ("clock", 0.3), ("wall_shelf", 0.6), ("wall_lamp", 0.5),
     ("air_conditioner", 0.12), ("wall_clutter", 0.15),
 )  # fmt: skip
 
 _CORNER_ITEMS: Final = (
-    Step(partial(place_in_corners, role="floor_lamp", number=1.0)),
+    Step(partial(place_in_corners, role="floor_lamp", number=0.6)),
     Step(partial(place_in_corners, role="plant", number=1.1)),
 )
 
@@ -149,7 +149,7 @@ def _types() -> list[RoomType]:
             area_m2=(9.0, 24.0),
             windows=(1, 3),
             p_attic=0.12,
-            wall_items=(("picture", 1.8), ("mirror", 0.5), ("wall_shelf", 0.4), ("wall_lamp", 0.8), ("clock", 0.15),
+            wall_items=(("picture", 1.8), ("mirror", 0.5), ("wall_shelf", 0.4), ("wall_lamp", 0.4), ("clock", 0.15),
                         ("air_conditioner", 0.2)),
         ),
         RoomType(
@@ -282,7 +282,7 @@ def _types() -> list[RoomType]:
             p_windowless=0.4,
             p_attic=0.0,
             p_second_room=0.7,
-            wall_items=(("picture", 1.8), ("mirror", 0.6), ("wall_clutter", 0.5), ("wall_lamp", 1.2), ("clock", 0.2),
+            wall_items=(("picture", 1.8), ("mirror", 0.6), ("wall_clutter", 0.5), ("wall_lamp", 0.8), ("clock", 0.2),
                         ("wall_shelf", 0.3)),
             ceiling=(("middle", 0.5), ("spots", 0.3), ("pendants", 0.2)),
             people=0.04,
