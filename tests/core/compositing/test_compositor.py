@@ -164,7 +164,7 @@ def test_light_is_eased_in_with_its_time_constant():
     assert share_of(0.0, LIGHT_S) == 0
 
 
-def test_depth_is_averaged_where_it_agrees_and_replaced_where_not():
+def test_depth_is_averaged_where_it_agrees_else_replaced():
     rng = np.random.default_rng(6)
     clean = view()
     depth_filter = DepthFilter()
