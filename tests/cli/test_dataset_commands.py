@@ -19,7 +19,7 @@ from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
 from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
-from roomlight_generator.generate import GenerateOptions, GenerationProgress
+from roomlight_generator.generate import GenerateOptions, GenerateReport, GenerationProgress
 
 SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--frames", "4", "--workers", "1")
 STUBBED = f"""
@@ -191,3 +191,30 @@ def test_durations():
 def test_costs_show_whether_they_grow():
     assert cost_text([10.0]) == "10.0 core-seconds each"
     assert cost_text([10.0, 11.0, 13.0]) == "11.3 core-seconds each (first half 10.0, second 12.0)"
+
+
+def test_generate_names_the_panoramas_of_each_split(run, monkeypatch, tmp_path):
+    for name in ("barn", "lounge", "hall_1", "hall_2", "cellar", "tower", "studio"):
+        (tmp_path / f"{name}.exr").write_bytes(encode_exr(np.ones((16, 32, 3), np.float32)))
+    asked = []
+
+    def generated(_out, options, **_):
+        asked.append(options)
+        return GenerateReport(3, 0, 0, 0.0, ())
+
+    monkeypatch.setattr(dataset_commands, "run_generator", generated)
+    result = run("generate", "--out", "x", "--sequences", "3", "--panoramas", str(tmp_path), "--furniture-share", "0.2")
+    assert result.code == 0, result.err
+    used, kept = result.out.splitlines()[:2]
+    assert "of 7 panoramas light the train rooms: " in used
+    assert kept.startswith("kept for the other split, whole buildings each: ")
+    named = [*used.split(": ")[-1].split(", "), *kept.split(": ")[-1].split(", ")]
+    assert sorted(named) == ["barn", "cellar", "hall_1", "hall_2", "lounge", "studio", "tower"]
+    assert ("hall_1" in used) == ("hall_2" in used)
+    assert (asked[0].panoramas, asked[0].furniture_share) == (tmp_path, 0.2)
+
+
+def test_a_folder_without_panoramas_is_an_error(run, tmp_path):
+    result = run("generate", "--out", "x", "--sequences", "3", "--panoramas", str(tmp_path))
+    assert result.code == 1
+    assert "holds no panorama; put equirectangular HDR images there" in result.err

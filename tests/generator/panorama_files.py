@@ -4,8 +4,12 @@ import numpy as np
 
 from roomlight.conventions import panorama_directions
 from roomlight.images import write_exr
+from roomlight_generator.rooms.furniture import Catalogue
+from roomlight_generator.rooms.props import procedural_models
 
-NAMES = ("attic_01", "attic_02", "barn", "cellar", "den_2k", "den_05", "loft")
+NAMES = ("attic_01", "attic_02", "barn", "shed", "den_2k", "den_05", "loft")
+
+CATALOGUE = Catalogue().with_procedural(procedural_models("train"))
 
 
 def panorama(seed=0, height=64):

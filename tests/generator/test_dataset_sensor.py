@@ -5,7 +5,7 @@ import pytest
 from analytic_room import smooth_noise
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
-from roomlight_generator.sequences.sensor import BASE_MULTIPLIER, OWN_RESPONSE_SHARE, Sensor, develop
+from roomlight_generator.sequences.sensor import BASE_MULTIPLIER, OWN_RESPONSE_SHARE, Sensor, clipped_radiance, develop
 
 CLEAN = Sensor(noise=0.0)
 NEUTRAL = np.ones(3)
@@ -29,6 +29,19 @@ def test_linearised_colour_is_radiance_by_gains_and_multiplier():
     gains = np.array([1.3, 1.0, 0.7])
     shown = srgb8_to_linear(picture(radiance, multiplier=20.0, gains=gains))
     assert np.abs(shown - radiance * gains * 20).max() < 0.012  # half a step at white is 0.0045; the rest is the blur
+
+
+def test_clipped_pixels_keep_their_radiance_in_units_of_white():
+    radiance = flat(0.02)
+    radiance[20:40, 30:60] = (3.0, 0.5, 0.01)
+    radiance[80:90, :10] = 1e6
+    gains = np.array([1.5, 1.0, 0.8])
+    shown = picture(radiance, multiplier=10.0, gains=gains)
+    found = clipped_radiance(radiance, shown, multiplier=10.0, gains=gains)
+    np.testing.assert_allclose(found[30, 45], (45.0, 5.0, 0.08), rtol=1e-3)
+    np.testing.assert_allclose(found[85, 5], np.array([1.0, 1 / 1.5, 0.8 / 1.5]) * 65504, rtol=1e-3)  # hue kept
+    np.testing.assert_array_equal((found > 0).any(axis=2), (shown >= 250).any(axis=2))
+    assert not found[60:75].any()
 
 
 def test_more_than_white_is_white():

@@ -98,7 +98,7 @@ def _varied(
     mirrored = bool(rng.random() < 0.5)
     columns = int(rng.integers(image.shape[1]))
     median = float(np.exp(rng.uniform(*np.log(_MEDIAN_KCD_M2))))
-    scale = median / max(percentile(image @ LUMINANCE, 50), 1e-3 * float(image.mean()))
+    scale = median / max(percentile(image @ LUMINANCE, 50.0), 1e-3 * float(image.mean()))
     turned = np.roll(image[:, ::-1] if mirrored else image, columns, axis=1) * np.float32(scale)
     facts = {
         "mirrored": mirrored,

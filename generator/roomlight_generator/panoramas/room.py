@@ -143,13 +143,13 @@ def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator)
     glass = (solid > _WINDOW_SR) & (elevation > low) & (elevation < high) & (rng.random(count) < _GLASS_SHARE)
     kind = np.where(glass, GLASS, np.where(elevation > low, LIGHT, ORDINARY)).astype(np.uint8)
     kind[0] = ORDINARY  # the background
-    return kind[labels]
+    return kind[np.asarray(labels, np.int64)]
 
 
 def bright_parts(image: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
     """Return where a panorama shows sources of light, or what they shine on from near."""
     luminance = image @ LUMINANCE
-    return luminance > _BRIGHT * max(percentile(luminance, 80), 1e-9)
+    return luminance > _BRIGHT * max(percentile(luminance, 80.0), 1e-9)
 
 
 def percentile(luminance: Float32[np.ndarray, "h w"], percent: float) -> float:

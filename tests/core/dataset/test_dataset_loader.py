@@ -64,6 +64,12 @@ def test_one_frame_decodes_one_frame(folder, monkeypatch):
     assert recording.probe_panoramas.shape[0] == 0
 
 
+def test_datasets_made_before_clipped_radiance_have_none(folder):
+    assert Dataset(folder).read(0, clipped=True).clipped_radiance is None
+    example = next(Dataset(folder).stream(StreamOptions(clipped=True, workers=1)))
+    assert example.recording.clipped_radiance is None
+
+
 def test_a_name_that_is_not_there_says_which_are(folder):
     with pytest.raises(DatasetError, match="no sequence 'train-000024'; it has 24, from train-000000 to train-000023"):
         Dataset(folder).number_of("train-000024")

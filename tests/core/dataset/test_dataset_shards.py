@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import tarfile
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -153,9 +154,48 @@ def test_colours_beyond_half_floats_keep_their_hue():
     np.testing.assert_allclose(after, np.array([65504, 0.75 * 65504, 0.25 * 65504]), rtol=1e-3)
 
 
+def with_clipped(seed):
+    """A recording whose frames show white in a corner, of 1 to 900 times white."""
+    recording = one(seed)
+    recording.colour[:, :5, :6] = 255
+    clipped = np.zeros(recording.colour.shape, np.float16)
+    clipped[:, :5, :6] = np.geomspace(1, 900, 4 * 5 * 6 * 3).reshape(4, 5, 6, 3)
+    return replace(recording, clipped_radiance=clipped)
+
+
+def test_clipped_radiance_comes_back_where_requested():
+    before = with_clipped(7)
+    files = sequence_files.encode(before)
+    assert sequence_files.decode(files, "here").clipped_radiance is None
+    after = sequence_files.decode(files, "here", frames=[2, 0], clipped=True).clipped_radiance
+    assert after.dtype == np.float16
+    np.testing.assert_array_equal(after, before.clipped_radiance[[2, 0]])
+
+
+def test_clipped_radiance_is_not_decoded_unless_requested():
+    files = sequence_files.encode(with_clipped(7))
+    files["clipped/000001.exr"] = b"not an image"
+    assert len(sequence_files.decode(files, "here").colour) == 4
+    with pytest.raises(ImageError, match=r"here/clipped/000001\.exr"):
+        sequence_files.decode(files, "here", clipped=True)
+
+
+def test_recordings_without_clipped_radiance_have_none():
+    files = sequence_files.encode(one(8))
+    assert not any(name.startswith("clipped") for name in files)
+    assert sequence_files.decode(files, "here", clipped=True).clipped_radiance is None
+
+
+def test_clipped_radiance_counts_as_a_part_of_its_own():
+    assert sequence_files.part_sizes(sequence_files.encode(with_clipped(7)))["clipped"] > 0
+
+
 @pytest.mark.parametrize(
     ("change", "says"),
     [
+        ({"clipped_radiance": np.zeros((4, 12, 16, 3), np.float16)}, r"clipped_radiance is \(4, 12, 16, 3\), colour"),
+        ({"clipped_radiance": np.full((4, 24, 32, 3), np.inf, np.float16)}, "clipped_radiance must be finite"),
+        ({"clipped_radiance": np.full((4, 24, 32, 3), -1, np.float16)}, "clipped_radiance must be finite"),
         ({"exposure": np.array([1.0, 1, 1])}, "'exposure': 3"),
         ({"exposure": np.array([1.0, 1, 1, 0])}, "exposures must be positive"),
         ({"camera_to_world": np.tile(2 * np.eye(4), (4, 1, 1))}, "0 0 0 1"),

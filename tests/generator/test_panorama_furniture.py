@@ -1,0 +1,185 @@
+"""Furniture in rooms lit by panoramas: where it stands, the light that it gets, and its shadows."""
+
+import numpy as np
+import pytest
+from panorama_files import CATALOGUE, folder_of, panorama
+
+from roomlight.camera import Intrinsics
+from roomlight.conventions import panorama_directions, panorama_solid_angles
+from roomlight.dataset.recording import ORDINARY
+from roomlight_generator.panoramas import furnished, render
+from roomlight_generator.panoramas import furniture as furniture_module
+from roomlight_generator.panoramas.furnished import FurnishedLight
+from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish
+from roomlight_generator.panoramas.kernels import gather
+from roomlight_generator.panoramas.room import PanoramaRoom, bright_parts
+from roomlight_generator.panoramas.shell import draw_shell, inside_plan
+from roomlight_generator.rooms import shapes
+from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.rooms.scene import Item, Material
+
+GREY = Material("grey", albedo=(0.5, 0.5, 0.5))
+
+
+def box_shell(shape="box"):
+    return next(
+        shell
+        for shell in (draw_shell(np.random.default_rng(seed)) for seed in range(99))
+        if shell.facts["shape"] == shape and not shell.facts["hall"]
+    )
+
+
+def table_at(x, z, *, size=0.8, height=0.5):
+    """A level square plate without legs, its lower side at `height`."""
+    mesh = shapes.with_material(shapes.block(size, 0.04, size), GREY).placed(x, height, z)
+    return Item("plate", "coffee_table", mesh)
+
+
+def only(*items):
+    return Furniture(items, tuple(Footprint(np.array([9.0, 9.0]), np.ones(2), np.array([1.0, 0.0])) for _ in items))
+
+
+def nodes_of(shell):
+    position, normal, face = np.empty((shell.nodes, 3)), np.empty((shell.nodes, 3)), np.empty(shell.nodes, np.int32)
+    gather.nodes(shell.arrays, position, normal, face)
+    return position, normal
+
+
+@pytest.mark.parametrize("shape", ["box", "corner", "gable"])
+def test_irradiance_is_the_panoramas_integral(shape):
+    """At a few places of the floor, against a panorama rendered there: the same light by another way."""
+    shell = box_shell(shape)
+    image = panorama(height=256)
+    light = FurnishedLight(shell, image, bright_parts(image), only(table_at(30.0, 0.0)))  # outside of the room
+    room = PanoramaRoom(shell, image, np.zeros(image.shape[:2], np.uint8))
+    places = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, -0.4], [-0.6, 0.0, 0.3]])
+    up = np.tile([0.0, 1.0, 0.0], (3, 1))
+    found, without = light._irradiance(light._sources, places, up)
+    np.testing.assert_allclose(found, without, rtol=1e-6)
+    cosine = np.maximum(panorama_directions(128)[..., 1], 0)[..., None] * panorama_solid_angles(128)[..., None]
+    expected = [
+        (room.panorama(place + np.array([0, 0.002, 0]), height=128, seed=0) * cosine).sum((0, 1)) for place in places
+    ]
+    np.testing.assert_allclose(found, expected, rtol=0.08)  # 96 light samples and 64 rays
+
+
+def test_an_even_room_lights_every_side_alike():
+    """In a furnace of radiance 1 every surface receives pi, and a plate of albedo 1/2 shines with 1/2."""
+    shell = box_shell()
+    image = np.ones((64, 128, 3), np.float32)
+    light = FurnishedLight(shell, image, bright_parts(image), only(table_at(0.0, 0.0, size=0.3, height=0.7)))
+    origin = np.array([[0.0, 1.2, 0.01]], np.float32)
+    on, radiance, distance = light.shaded(
+        origin, np.array([[0.0, -1.0, 0.0]], np.float32), np.array([9.0], np.float32), 0.002, cell_m=0.05
+    )
+    assert on.tolist() == [0]
+    np.testing.assert_allclose(radiance, 0.5, rtol=0.02)
+    assert distance[0] == pytest.approx(0.46, abs=0.03)
+
+
+def test_a_plate_shades_the_floor_below_and_not_afar():
+    shell = box_shell()
+    image = np.full((64, 128, 3), 0.4, np.float32)
+    light = FurnishedLight(shell, image, bright_parts(image), only(table_at(0.0, 0.0, height=0.1)))
+    position, normal = nodes_of(shell)
+    floor = normal[:, 1] > 0.9
+    off = np.abs(position[:, [0, 2]]).max(axis=1)
+    below, afar = floor & (off < 0.2), floor & (off > 1.0)
+    assert light.shade[below].mean() < 0.45
+    assert light.shade[afar].min() > 0.9
+    assert light.shade.max() < 1.1
+
+
+def test_light_sources_are_not_shaded():
+    """What an albedo of 0.9 cannot reflect is emitted: the window keeps its radiance behind furniture."""
+    shell = box_shell()
+    image = panorama(height=128)
+    light = FurnishedLight(shell, image, bright_parts(image), only(table_at(0.0, 0.0)))
+    np.testing.assert_allclose(light.emitted + light.reflected, image, rtol=1e-5)
+    window = image[..., 0] == 20
+    assert (light.emitted[window] > 0.85 * image[window]).all()
+    floor = panorama_directions(128)[..., 1] < -0.5
+    assert (light.reflected[floor] > 0.5 * image[floor]).mean() > 0.9
+
+
+def test_without_bright_parts_all_light_is_gathered():
+    image = np.ones((32, 64, 3), np.float32)
+    assert not bright_parts(image).any()
+    lights = furnished._lights(box_shell(), image, bright_parts(image))
+    assert len(lights.area) == 0
+
+
+def test_frames_and_probes_show_the_furniture():
+    shell = box_shell()
+    image = np.full((128, 256, 3), 0.4, np.float32)
+    kinds = np.full(image.shape[:2], 3, np.uint8)
+    plate = table_at(0.0, -1.0, size=0.6, height=0.6)
+    room = PanoramaRoom(shell, image, kinds, only(plate))
+    bare = PanoramaRoom(shell, image, kinds)
+    lens = Intrinsics(50.0, 50.0, 32.0, 24.0, 64, 48)
+    pose = np.eye(4)  # looks along -z
+    pose[:3, 3] = (0, 1.0, 0.2)
+    view, empty = room.frame(lens, pose, seed=0), bare.frame(lens, pose, seed=0)
+    nearer = view.depth_m < empty.depth_m - 0.01
+    assert 50 < nearer.sum() < 1500
+    assert (view.surface[nearer] == ORDINARY).all()
+    assert (view.surface[~nearer] == 3).all()
+    np.testing.assert_array_equal(view.depth_m[~nearer], empty.depth_m[~nearer])
+    np.testing.assert_allclose(room.depth(lens, pose), view.depth_m, rtol=1e-5)
+    above = room.panorama(np.array([0.0, 1.0, -1.0]), height=32, seed=0)
+    assert above.shape == (32, 64, 3)
+    assert above[-3:].mean() < 0.3  # the grey plate below: half of what it receives
+    np.testing.assert_allclose(above[:8], 0.4, rtol=0.1)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_furniture_stands_in_the_room_and_leaves_a_way(seed):
+    rng = np.random.default_rng(seed)
+    shell = draw_shell(rng)
+    furniture = furnish(shell, CATALOGUE, rng, split="train")
+    assert len(furniture.footprints) <= 8
+    for item in furniture.items:
+        low, high = item.mesh.bounds()
+        assert low[1] > -0.01
+        assert high[1] < shell.lowest_m + 0.6  # small things on top may be higher than the piece allows
+    for number, footprint in enumerate(furniture.footprints):
+        assert inside_plan(footprint.grid(), shell.plan, 0.0).all()
+        for other in furniture.footprints[number + 1 :]:
+            assert (footprint.distance(other.grid()) > 0).all()
+    room = PanoramaRoom(shell, np.ones((16, 32, 3), np.float32), np.zeros((16, 32), np.uint8), furniture)
+    assert room.free_space().walkable.sum() >= 25
+
+
+def test_the_share_of_rooms_with_furniture_is_kept(tmp_path, monkeypatch):
+    folder = folder_of(tmp_path / "in", height=16)
+    asked = []
+
+    class StopError(Exception):
+        """Ends a room before it is rendered."""
+
+    def stop(_shell, _image, _kinds, furniture):
+        asked.append(furniture is not None)
+        raise StopError
+
+    monkeypatch.setattr(render, "PanoramaRoom", stop)
+    monkeypatch.setattr(render, "furnish", lambda *_, **__: only())
+    monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
+    for share, low, high in ((0.0, 0, 0), (0.7, 30, 54), (1.0, 60, 60)):
+        asked.clear()
+        for number in range(60):
+            with pytest.raises(StopError):
+                next(
+                    render.render_room(
+                        number, seed=1, split="train", furniture=None, count=1, frames=1,
+                        panoramas=folder, furniture_share=share,
+                    )
+                )  # fmt: skip
+        assert low <= sum(asked) <= high
+
+
+def test_mirrors_become_matt_and_keep_their_mesh():
+    mesh = shapes.with_material(shapes.block(1, 1, 0.1), Material("m", mirror=0.9))
+    model = next(one for one in procedural_models("train") if one.role == "chair")
+    item = furniture_module._item(model, mesh)
+    assert all(material.mirror == 0 for material in item.mesh.materials)
+    np.testing.assert_array_equal(item.mesh.faces, mesh.faces)
