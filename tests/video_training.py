@@ -6,9 +6,10 @@ import numpy as np
 import torch
 
 from roomlight_model.checkpoint import Checkpoint
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig, Units
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.options import TrainOptions
+from roomlight_model.training.sequences import WalkExample
 
 CPU = torch.device("cpu")
 SHAPE = (16, 15, 21)
@@ -23,12 +24,12 @@ OPTIONS = TrainOptions(
 )  # fmt: skip
 
 
-def with_units(units):
+def with_units(units: Units) -> ModelConfig:
     """The tiny configuration with other units."""
     return replace(TINY, sg=replace(TINY.sg, units=units))
 
 
-def single_view_weights(config=TINY):
+def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:
     """A single-view model whose weights all differ, as trained ones do."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(7)
@@ -39,14 +40,14 @@ def single_view_weights(config=TINY):
     return Checkpoint("single", config, model, {"steps": 5, "stage": "single-joint"})
 
 
-def unclipped(walk, rng):
+def unclipped(walk: WalkExample, rng: np.random.Generator) -> WalkExample:
     """Declare every pixel known, so that no estimate of clipped light is added to it."""
     del rng
     frames = [replace(frame, clipped=np.zeros_like(frame.clipped)) for frame in walk.frames]
     return replace(walk, example=replace(walk.example, frame=frames[0], later=tuple(frames[1:])))
 
 
-def dimmed(walk, rng):
+def dimmed(walk: WalkExample, rng: np.random.Generator) -> WalkExample:
     """Switch half of the light off from frame 2 on: a light change for tests."""
     walk = unclipped(walk, rng)
     first, *later = walk.frames

@@ -89,7 +89,8 @@ class Unroll:
 
     def gradients(self, parameters: Sequence[nn.Parameter]) -> tuple[Losses, list[Tensor | None]]:
         """Run the other frames; return the mean losses, detached, and the gradients of their total."""
-        frames, gradients = self._batch.frames, [None] * len(parameters)
+        frames = self._batch.frames
+        gradients: list[Tensor | None] = [None for _ in parameters]
         losses: list[Losses] = []
         for start in range(1, frames, self._options.window):
             stop = min(start + self._options.window, frames)
@@ -211,7 +212,7 @@ class Unroll:
             self.probe_state = _detached(self.probe_state)
         self._hdr, self._light = self._hdr.detach(), self._light.detach()
 
-    def _autocast(self) -> AbstractContextManager[None]:
+    def _autocast(self) -> torch.autocast:
         return torch.autocast(self._device.type, dtype=torch.bfloat16, enabled=self._options.bf16)
 
     def _part(self, name: str) -> AbstractContextManager[None]:
