@@ -24,6 +24,12 @@ COMMANDS: Final = (
         _LIGHT,
     ),
     CommandEntry(
+        "composite",
+        "roomlight_cli.commands.composite",
+        "Put virtual objects into a recording: lit by the room, with shadows, hidden by real things in front.",
+        _LIGHT,
+    ),
+    CommandEntry(
         "stream",
         "roomlight_cli.commands.stream",
         "Play a recording to a server as a phone would stream it; show rate, latency and light.",

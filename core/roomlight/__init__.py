@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from roomlight.captures import CaptureOptions, open_capture
     from roomlight.compositing.compositor import Compositor, composite
     from roomlight.compositing.layers import Composite
+    from roomlight.compositing.recordings import composite_capture, scene_of_object
     from roomlight.compositing.scene import load_scene
     from roomlight.conventions import Position
     from roomlight.engine.session import FrameReport, Session, SessionOptions
@@ -91,11 +92,13 @@ __all__ = [
     "WireError",
     "__version__",
     "composite",
+    "composite_capture",
     "load_scene",
     "open_capture",
     "point_at_pixel",
     "point_in_view",
     "sample_capture",
+    "scene_of_object",
 ]
 
 _MODULES: Final = {
@@ -113,11 +116,13 @@ _MODULES: Final = {
     "SessionOptions": "roomlight.engine.session",
     "SphericalHarmonics": "roomlight.light.spherical_harmonics",
     "composite": "roomlight.compositing.compositor",
+    "composite_capture": "roomlight.compositing.recordings",
     "load_scene": "roomlight.compositing.scene",
     "open_capture": "roomlight.captures",
     "point_at_pixel": "roomlight.placement",
     "point_in_view": "roomlight.placement",
     "sample_capture": "roomlight.sample",
+    "scene_of_object": "roomlight.compositing.recordings",
 }
 """Where each name is defined; errors are all in `roomlight.errors`."""
 

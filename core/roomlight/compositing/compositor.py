@@ -285,6 +285,8 @@ class Compositor:
         supports: list[Plane | None],
     ) -> Float32[np.ndarray, "ch cw 4"]:
         """Return premultiplied radiance and alpha of the visible part of the objects, blurred as the frame is."""
+        if crop.empty:  # only the shadows are in the picture
+            return np.zeros((*crop.shape, 4), np.float32)
         real = real_depth(depth_m, frame.intrinsics.width, frame.intrinsics.height, crop)
         camera = CropCamera.of(frame.intrinsics, crop)
         planes = [plane for plane in supports if plane is not None]
@@ -311,7 +313,7 @@ class Compositor:
         objects, alpha = np.ascontiguousarray(whole[..., :3]), np.ascontiguousarray(whole[..., 3])
         linear = frame.image[crop.slices] * ratio * (1 - alpha[..., None]) + objects
         encoded = encode_srgb8(linear)
-        if self._match and self._camera.noise.any():
+        if self._match and self._camera.noise.any() and not inner.empty:
             rows = slice(inner.top - crop.top, inner.bottom - crop.top)
             part = rows, slice(inner.left - crop.left, inner.right - crop.left)
             noisy = add_noise(
@@ -355,7 +357,7 @@ def composite(
             raise SceneError(
                 f"{', '.join(result.waiting)}: the pixel belongs to another frame than {frame.index}; give that frame"
             )
-        _check_in_view(compositor, frame)
+        check_in_view(compositor, frame)
         return result
     finally:
         compositor.close()
@@ -368,7 +370,7 @@ def elapsed_since(first: Frame, frame: Frame) -> float:
     return (frame.index - first.index) * FRAME_S
 
 
-def _check_in_view(compositor: Compositor, frame: Frame) -> None:
+def check_in_view(compositor: Compositor, frame: Frame) -> None:
     """Raise SceneError for an object that a single picture cannot show."""
     for held in compositor.scene.objects:
         placement, box = compositor.placement(held.name), held.box

@@ -1,0 +1,108 @@
+"""Virtual objects in a whole recording, and scenes of one object on a pixel.
+
+scene = scene_of_object("sphere", pixel=(320, 260), size_m=0.2, material="mirror")
+for picture in composite_capture("my-capture", scene):
+    picture.image
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+from roomlight.captures import open_capture
+from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.layers import Composite
+from roomlight.compositing.scene import Scene, SceneObject, load_scene, parse_scene
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import CaptureError, OptionError, SceneError
+from roomlight.frame import Frame
+
+SHAPE_SIZE_M: Final = {"sphere": 0.2, "cube": 0.2, "plane": 0.5, "vase": 0.3, "chair": 0.85}
+"""The shapes, and the longest side of each where no size is given."""
+
+
+def scene_of_object(
+    source: str | Path,
+    pixel: tuple[float, float],
+    *,
+    size_m: float | None = None,
+    material: str | None = None,
+    yaw_degrees: float = 0.0,
+) -> Scene:
+    """Return a scene of one object that stands on the surface behind a pixel of the first frame.
+
+    Args:
+        source: A shape (a key of `SHAPE_SIZE_M`), or a glTF, GLB, OBJ or PLY file.
+        pixel: Column and row.
+        size_m: Longest side; None: `SHAPE_SIZE_M` for a shape, the file's own metres for a file.
+        material: diffuse, glossy, metal, mirror or glass; None: the file's own.
+        yaw_degrees: About the surface's normal.
+
+    Raises:
+        SceneError: A value is refused; the message names its field.
+        ObjectError: The file is refused.
+    """
+    from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
+
+    shape = str(source) if str(source) in SHAPE_SIZE_M else None
+    spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees}
+    spec |= {"file": str(source)} if shape is None else {"shape": shape}
+    size_m = SHAPE_SIZE_M[shape] if size_m is None and shape is not None else size_m
+    spec |= {} if size_m is None else {"size_m": size_m}
+    spec |= {} if material is None else {"material": {"kind": material}}
+    if shape is None and not Path(source).exists():
+        raise SceneError(f"object {str(source)!r}: neither a file nor one of the shapes {', '.join(SHAPE_SIZE_M)}")
+    return parse_scene({"objects": [spec]}, load=load_object)
+
+
+def composite_capture(
+    capture: str | Path | Iterable[Frame],
+    scene: Scene | Sequence[SceneObject] | str | Path,
+    *,
+    quality: str = "good",
+    seed: int = 0,
+    online: bool = False,
+    options: SessionOptions | None = None,
+) -> Iterator[Composite]:
+    """Yield every frame of a recording with the objects in it.
+
+    The recording is read twice: first for the light and the geometry of the room, then for the pictures. Objects are
+    placed at the first frame, or at the frame that their pixel belongs to; earlier frames are yielded without them.
+
+    Args:
+        capture: A recording's path, or frames that can be iterated twice, such as a list or `rl.open_capture(...)`.
+        scene: The objects, or the path of a scene.json.
+        quality: preview, good or final.
+        seed: Of the sampling points.
+        online: Read the recording once: each picture knows only the frames up to its own, as in an app.
+        options: Of the session that estimates the light.
+
+    Raises:
+        OptionError: The quality is unknown, or an iterator is given without `online`.
+        CaptureError: The recording cannot be read, or has no frame.
+        SceneError: The scene or a place is refused.
+    """
+    frames = open_capture(Path(capture)) if isinstance(capture, str | Path) else capture
+    if not online and iter(frames) is frames:
+        raise OptionError("capture is an iterator, which can be read once: give a list, or online=True")
+    session = Session(options or SessionOptions())
+    held = load_scene(scene) if isinstance(scene, str | Path) else scene
+    return _composited(frames, Compositor(session, held, quality=quality, seed=seed), session, online=online)
+
+
+def _composited(
+    frames: Iterable[Frame], compositor: Compositor, session: Session, *, online: bool
+) -> Iterator[Composite]:
+    if not online:
+        for frame in frames:
+            session.push(frame)
+    found = False
+    for frame in frames:
+        if online:
+            session.push(frame)
+        yield compositor.composite(frame)
+        found = True
+    if not found:
+        raise CaptureError("the recording has no usable frame")
+    if compositor.waiting:
+        raise SceneError(f"{', '.join(compositor.waiting)}: the recording has no frame of the index that `frame` names")
