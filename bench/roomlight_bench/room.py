@@ -65,6 +65,13 @@ def views(count: int, size: RoomSize) -> list[Frame]:
     return [_view(index, 2 * np.pi * index / count, lens) for index in range(count)]
 
 
+def handheld(count: int, size: RoomSize, *, sway_degrees: float = 6.0) -> list[Frame]:
+    """Return frames of a camera that looks at the table and sways to both sides once in 30 frames."""
+    focal = size.width / 2 / np.tan(np.radians(_HORIZONTAL_FIELD_DEGREES / 2))
+    lens = Intrinsics(focal, focal, size.width / 2, size.height / 2, size.width, size.height)
+    return [_view(index, np.radians(sway_degrees) * np.sin(2 * np.pi * index / 30), lens) for index in range(count)]
+
+
 def network_like(grid: VolumeGrid, surfaces: Sglv, *, seed: int = 0) -> Sglv:
     """Return a volume as a network predicts it: faint opacity and a lobe in every voxel, besides the surfaces."""
     random = np.random.default_rng(seed)

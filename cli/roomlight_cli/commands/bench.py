@@ -16,6 +16,11 @@ BENCHMARKS: Final = (
         "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
     ),
     CommandEntry(
+        "composite",
+        "roomlight_cli.commands.bench_composite",
+        "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
+    ),
+    CommandEntry(
         "widths",
         "roomlight_cli.commands.bench_widths",
         "Measure what each width of the networks costs (needs the `train` extra; minutes).",

@@ -10,10 +10,7 @@
 Everything is computed in the frame's own linear radiance: its exposure is the light's. World metres, y up.
 """
 
-import time
 from collections.abc import Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, field
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
@@ -30,6 +27,7 @@ from roomlight.compositing.probes import LightAt, SceneProbes
 from roomlight.compositing.rendering import RenderedObjects, render_objects
 from roomlight.compositing.scene import AtPixel, Scene, SceneObject
 from roomlight.compositing.scene_geometry import SceneGeometry
+from roomlight.compositing.stage_clock import StageClock
 from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand
 from roomlight.compositing.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
 from roomlight.compositing.tracer import ObjectScene
@@ -45,17 +43,6 @@ CAMERA_EVERY: Final = 30
 LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "final": 0.0}
 """Light is moved toward the session's at most this often; each move costs 12 ms a probe."""
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
-
-
-@dataclass
-class _Clock:
-    stage_ms: dict[str, float] = field(default_factory=dict[str, float])
-
-    @contextmanager
-    def stage(self, name: str):
-        began = time.perf_counter()
-        yield
-        self.stage_ms[name] = self.stage_ms.get(name, 0.0) + (time.perf_counter() - began) * 1e3
 
 
 class Compositor:
@@ -134,7 +121,7 @@ class Compositor:
         """
         if self._session.frames == 0:
             raise SceneError("the session has no light and no geometry yet: push a frame first")
-        clock = _Clock()
+        clock = StageClock()
         with clock.stage("place"):
             self._place_waiting(frame)
             self.geometry.update(self._session, latest=False)
@@ -153,11 +140,13 @@ class Compositor:
             image = encode_srgb8(frame.image)
         self._first, self._before = first, frame
         if crop.empty:
-            return unchanged(frame, image, clock.stage_ms, self.waiting)
+            return unchanged(frame, image, clock, self.waiting)
         with clock.stage("camera"):
             self._follow_camera(image)
+        with clock.stage("scene"):
+            objects = self._built(matrices)
         with clock.stage("render"):
-            rendered = self._render(frame, matrices)
+            rendered = self._render(frame, objects)
         with clock.stage("depth"):
             depth_m = self._filled(depth_m, frame, crop)
             # shadows fall on surfaces without depth too: black and shiny tables; they do not hide objects
@@ -211,15 +200,18 @@ class Compositor:
             self._camera = found if self._camera_age == 0 else self._camera.eased(found, 0.3)
         self._camera_age += 1
 
-    def _render(self, frame: Frame, matrices: list[Float[np.ndarray, "4 4"]]) -> RenderedObjects:
+    def _built(self, matrices: list[Float[np.ndarray, "4 4"]]) -> ObjectScene:
         keys = [matrix.tobytes() for matrix in matrices]
         if self._objects is None or keys != self._matrices:
             pairs = zip(self._standing, matrices, strict=True)
             self._objects = ObjectScene([one.held.geometry.transformed(matrix) for one, matrix in pairs])
             self._matrices = keys
-        glass = self._background_glass and bool((self._objects.materials.transmission > 0).any())
+        return self._objects
+
+    def _render(self, frame: Frame, objects: ObjectScene) -> RenderedObjects:
+        glass = self._background_glass and bool((objects.materials.transmission > 0).any())
         return render_objects(
-            self._objects,
+            objects,
             frame.intrinsics,
             frame.camera_to_world,
             self._probes.lights(),
@@ -305,7 +297,7 @@ class Compositor:
         shadow: tuple[Crop, Float32[np.ndarray, "ch cw 3"]],
         layer: tuple[Crop, Float32[np.ndarray, "oh ow 4"]],
         rendered: RenderedObjects,
-        clock: _Clock,
+        clock: StageClock,
     ) -> Composite:
         (crop, ratio), (inner, pixels) = shadow, layer
         whole = np.zeros((*crop.shape, 4), np.float32)
@@ -331,13 +323,14 @@ class Compositor:
             image,
             frame,
             crop,
-            clock.stage_ms,
+            clock.wall_ms,
             self.waiting,
             objects,
             alpha,
             ratio,
             rendered.depth_m[crop.slices],
             numbers[ids],  # -1 reads the last entry
+            clock.cpu_ms,
         )
 
 

@@ -1,6 +1,6 @@
 """A composited frame with its layers, and how it is encoded."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property, lru_cache
 
 import cv2
@@ -9,6 +9,7 @@ from jaxtyping import Float, Float32, Int32, UInt8
 
 from roomlight.compositing.crop import Crop
 from roomlight.compositing.kernels.encode import encode_values
+from roomlight.compositing.stage_clock import StageClock
 from roomlight.conventions import linear_to_srgb8
 from roomlight.frame import Frame
 from roomlight.threads import parallel_for
@@ -24,8 +25,9 @@ class Composite:
         image: [h, w, 3] 8-bit sRGB, with the camera's noise on the objects.
         frame: what objects were put into.
         crop: rectangle outside which the frame is unchanged.
-        stage_ms: milliseconds by stage: place, light, depth, render, occlusion, shadow, combine.
+        stage_ms: milliseconds by stage: place, light, depth, camera, scene, render, shadow, occlusion, combine.
         waiting: names of objects whose pixel belongs to a frame that was not composited yet.
+        stage_cpu_ms: processor time by stage, of the whole process.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -38,6 +40,7 @@ class Composite:
     crop_shadow: Float32[np.ndarray, "ch cw 3"]
     crop_depth_m: Float32[np.ndarray, "ch cw"]
     crop_object_id: Int32[np.ndarray, "ch cw"]
+    stage_cpu_ms: dict[str, float] = field(default_factory=dict[str, float])
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:
@@ -76,7 +79,7 @@ class Composite:
 
 
 def unchanged(
-    frame: Frame, image: UInt8[np.ndarray, "h w 3"], stage_ms: dict[str, float], waiting: tuple[str, ...]
+    frame: Frame, image: UInt8[np.ndarray, "h w 3"], clock: StageClock, waiting: tuple[str, ...]
 ) -> Composite:
     """Return a frame that no object changes."""
     nothing = np.zeros((0, 0), np.float32)
@@ -85,13 +88,14 @@ def unchanged(
         image,
         frame,
         Crop(0, 0, 0, 0),
-        stage_ms,
+        clock.wall_ms,
         waiting,
         colour,
         nothing,
         colour,
         nothing,
         nothing.astype(np.int32),
+        clock.cpu_ms,
     )
 
 

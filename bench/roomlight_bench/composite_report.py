@@ -1,0 +1,168 @@
+"""The figures of `roomlight bench composite`, as tables and JSON."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from statistics import mean, median
+from typing import Any, Final
+
+import numpy as np
+from rich import box
+from rich.table import Table
+
+from roomlight_bench.reporting import Criterion, short_number
+
+PREVIEW_MS: Final = 30.0
+"""Limit of a preview of a sphere in 640 x 480 pixels, on two idle cores."""
+
+
+@dataclass(frozen=True)
+class PartTimes:
+    """Milliseconds of one part of a frame over the measured frames.
+
+    The mean matters where a part works in some frames only, as the light does: its median may be 0.
+    """
+
+    name: str
+    wall_median_ms: float
+    wall_p95_ms: float
+    cpu_median_ms: float
+    cpu_p95_ms: float
+    cpu_mean_ms: float
+
+    @classmethod
+    def of(cls, name: str, wall_ms: Sequence[float], cpu_ms: Sequence[float]) -> "PartTimes":
+        """Return the median, the 95th percentile and the mean of a value per frame."""
+        high = [float(np.percentile(values, 95)) for values in (wall_ms, cpu_ms)]
+        return cls(name, median(wall_ms), high[0], median(cpu_ms), high[1], mean(cpu_ms))
+
+
+@dataclass(frozen=True)
+class PresetTimes:
+    """One object in one preset.
+
+    Attributes:
+        preset: Quality.
+        object: Name of the object.
+        triangles: Triangles of the object.
+        pixels: Pixels that show the object, mean.
+        parts: Every part of a frame.
+        whole: Their sum, frame by frame.
+        volume_ms: Median of the engine's stage `volume` in between: time passed, processor time.
+        frames: Measured frames.
+    """
+
+    preset: str
+    object: str
+    triangles: int
+    pixels: float
+    parts: tuple[PartTimes, ...]
+    whole: PartTimes
+    volume_ms: tuple[float, float]
+    frames: int
+
+
+@dataclass(frozen=True)
+class Shimmer:
+    """Change over time of what should not change; standard deviations.
+
+    Attributes:
+        preset: Quality.
+        object: Name of the object.
+        rest_steps: Of the picture around the object, in steps of 8 bits, when everything rests.
+        noisy_depth_steps: The same with noise in depth.
+        moving_shadow: Of the shadow's ratio on real surfaces under the moving camera, warped back.
+    """
+
+    preset: str
+    object: str
+    rest_steps: float
+    noisy_depth_steps: float
+    moving_shadow: float
+
+
+@dataclass(frozen=True)
+class CompositeReport:
+    """All figures of a run.
+
+    Attributes:
+        times: A row per preset and object.
+        shimmer: A row per preset and resting object.
+        denoiser: "oidn" if Open Image Denoise is installed, which `final` uses; else "none".
+        image: Columns and rows of a frame.
+        depth: Columns and rows of its depth.
+        machine: What the figures depend on besides the code.
+    """
+
+    times: tuple[PresetTimes, ...]
+    shimmer: tuple[Shimmer, ...]
+    denoiser: str
+    image: tuple[int, int]
+    depth: tuple[int, int]
+    machine: dict[str, str]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values."""
+        return asdict(self) | {"criteria": [asdict(one) for one in self.criteria()]}
+
+    def criteria(self) -> tuple[Criterion, ...]:
+        """Return the limit on previews of spheres, for each of them."""
+        spheres = [row for row in self.times if row.preset == "preview" and "sphere" in row.object]
+        return tuple(
+            Criterion(
+                f"preview, {row.object}: median ms of a frame (at most {PREVIEW_MS:g} on two idle cores)",
+                row.whole.wall_median_ms,
+                PREVIEW_MS,
+                row.whole.wall_median_ms <= PREVIEW_MS,
+            )
+            for row in spheres
+        )
+
+    def table(self) -> Table:
+        """Return a table with a row per part, preset by preset and object by object."""
+        width, height = self.image
+        table = Table(
+            title=f"A frame of {width} x {height} pixels with depth of {self.depth[0]} x {self.depth[1]}, milliseconds",
+            title_justify="left",
+            caption="ratio: mean processor time / processor time of the engine's stage volume in the same run; "
+            + self.denoiser_note(),
+            caption_justify="left",
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+        )
+        table.add_column("part")
+        for heading in ("median", "p95", "CPU median", "CPU p95", "CPU mean", "ratio"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for row in self.times:
+            table.add_section()
+            table.add_row(f"[bold]{row.preset}, {row.object}[/bold]")
+            for part in (*row.parts, row.whole):
+                values = (part.wall_median_ms, part.wall_p95_ms, part.cpu_median_ms, part.cpu_p95_ms, part.cpu_mean_ms)
+                ratio = f"{part.cpu_mean_ms / row.volume_ms[1]:.2f}" if row.volume_ms[1] > 0 else ""
+                table.add_row(part.name, *(short_number(value) for value in values), ratio)
+            about = f"{row.frames} frames, {row.triangles} triangles, {row.pixels:.0f} pixels"
+            table.add_row(f"[dim]{about}[/dim]")
+        return table
+
+    def shimmer_table(self) -> Table:
+        """Return a table with a row per preset and resting object."""
+        table = Table(
+            title="Shimmer, standard deviation over time",
+            title_justify="left",
+            caption="picture: around the object, in steps of 8 bits; shadow: light with objects / without, warped back",
+            caption_justify="left",
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+        )
+        table.add_column("object")
+        for heading in ("picture at rest", "with noisy depth", "shadow, moving camera"):
+            table.add_column(heading, justify="right")
+        for row in self.shimmer:
+            values = f"{row.rest_steps:.3f}", f"{row.noisy_depth_steps:.3f}", f"{100 * row.moving_shadow:.2f} %"
+            table.add_row(f"{row.preset}, {row.object}", *values)
+        return table
+
+    def denoiser_note(self) -> str:
+        """Say whether `final` denoises."""
+        if self.denoiser == "none":
+            return "Open Image Denoise is not installed: final stays as it was sampled"
+        return "Open Image Denoise is installed: final is denoised"
