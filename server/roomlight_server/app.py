@@ -19,13 +19,22 @@ from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight.wire import messages
 from roomlight.wire.frame_header import FrameHeader
-from roomlight_server import light_forms, light_routes, problems, session_routes, stream
+from roomlight_server import (
+    composite_routes,
+    light_forms,
+    light_routes,
+    object_routes,
+    problems,
+    session_routes,
+    stream,
+)
 from roomlight_server.auth import DOCS_ASSETS, AuthMiddleware, Tokens
 from roomlight_server.bodies import BodyMiddleware
 from roomlight_server.byte_budget import ByteBudget
 from roomlight_server.connections import ConnectionGuard
 from roomlight_server.context import Context, ContextDep
 from roomlight_server.metrics import CONTENT_TYPE, Metrics
+from roomlight_server.object_store import ObjectStore
 from roomlight_server.registry import Clock, Registry
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
@@ -70,13 +79,14 @@ def create_app(
     guard = ConnectionGuard(settings, metrics)
     budget = ByteBudget(settings.max_pending_bytes, lambda: guard.unsent_bytes)
     metrics.pending_bytes.set_function(lambda: budget.used)
-    context = Context(settings, metrics, workers, registry, guard, budget)
+    objects = ObjectStore(settings, metrics, clock)
+    context = Context(settings, metrics, workers, registry, guard, budget, objects)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
         tasks = [
             asyncio.create_task(_prepare(context, when_ready)),
-            asyncio.create_task(_expire_sessions(registry, every_s=min(5.0, settings.idle_expiry_s / 4))),
+            asyncio.create_task(_expire(context, every_s=min(5.0, settings.idle_expiry_s / 4))),
         ]
         try:
             yield
@@ -110,10 +120,16 @@ def create_app(
     app.state.context = context
     app.include_router(session_routes.router)
     app.include_router(light_routes.router)
+    app.include_router(object_routes.router)
+    app.include_router(composite_routes.router)
     app.include_router(stream.router)
     _add_health(app)
     app.add_middleware(
-        BodyMiddleware, frame_bytes=settings.max_body_bytes, timeout_s=settings.body_timeout_s, metrics=metrics
+        BodyMiddleware,
+        frame_bytes=settings.max_body_bytes,
+        object_bytes=settings.max_object_file_bytes,
+        timeout_s=settings.body_timeout_s,
+        metrics=metrics,
     )
     app.add_middleware(
         AuthMiddleware,
@@ -129,7 +145,10 @@ def create_app(
             allow_origins=settings.allow_origins,
             allow_methods=["GET", "PUT", "POST", "DELETE"],
             allow_headers=["Authorization", "Content-Type", "If-None-Match", "Prefer", "X-Session-Id"],
-            expose_headers=["ETag", "Retry-After", light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER],
+            expose_headers=[
+                *("ETag", "Retry-After", light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER),
+                composite_routes.POSES_HEADER,
+            ],
         )
     app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
     return app
@@ -155,10 +174,11 @@ async def _prepare(context: Context, when_ready: Callable[[], object] | None) ->
         _log.info("ready")
 
 
-async def _expire_sessions(registry: Registry, *, every_s: float) -> None:
+async def _expire(context: Context, *, every_s: float) -> None:
     while True:
         await asyncio.sleep(every_s)
-        registry.expire()
+        context.registry.expire()
+        context.objects.expire()
 
 
 def _add_health(app: FastAPI) -> None:

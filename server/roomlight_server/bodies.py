@@ -25,6 +25,7 @@ MAX_JSON_BYTES: Final = 65_536
 """Largest JSON body; a request with 64 probes has 6 kB."""
 _MAX_LENGTH_DIGITS: Final = 15
 _CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
+OBJECTS_PATH: Final = "/v1/objects"
 _FRAME_PATH: Final = re.compile(r"/v1/sessions/[^/]+/frames/[^/]+")
 
 
@@ -35,9 +36,12 @@ class BodyMiddleware:
     discards the rest of the body, so that the client receives the answer.
     """
 
-    def __init__(self, app: ASGIApp, *, frame_bytes: int, timeout_s: float, metrics: Metrics) -> None:
-        """Wrap an application. `frame_bytes` limits frames; `MAX_JSON_BYTES` limits all other bodies."""
+    def __init__(
+        self, app: ASGIApp, *, frame_bytes: int, object_bytes: int, timeout_s: float, metrics: Metrics
+    ) -> None:
+        """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own."""
         self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
+        self._object_bytes = object_bytes
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle an ASGI connection."""
@@ -48,6 +52,8 @@ class BodyMiddleware:
         if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
             multipart = Headers(scope=scope).get("content-type", "").startswith("multipart/")
             limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if multipart else 0)
+        elif scope["path"] == OBJECTS_PATH:
+            limit = self._object_bytes
         start_s, status = time.perf_counter(), 0
 
         async def send_observed(message: Message) -> None:

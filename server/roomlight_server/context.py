@@ -11,6 +11,7 @@ from roomlight_server.byte_budget import ByteBudget, Reservation
 from roomlight_server.connections import ConnectionGuard
 from roomlight_server.live_session import LiveSession
 from roomlight_server.metrics import Metrics
+from roomlight_server.object_store import ObjectStore
 from roomlight_server.registry import Registry
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
@@ -26,6 +27,7 @@ class Context:
     registry: Registry
     guard: ConnectionGuard
     budget: ByteBudget
+    objects: ObjectStore
     ready: bool = False
 
 

@@ -1,4 +1,4 @@
-"""Processes that decode images, killed when a frame exceeds its time limit: a decoder in C cannot be interrupted."""
+"""Processes that decode images and objects, killed at a time limit: a decoder in C cannot be interrupted."""
 
 import json
 import logging
@@ -8,12 +8,16 @@ import subprocess
 import sys
 import threading
 import time
+from dataclasses import asdict
 from typing import IO, Any, Final
 
-from roomlight.errors import WireError
+from roomlight.compositing.loading_limits import ObjectLimits
+from roomlight.compositing.objects import VirtualObject
+from roomlight.errors import ObjectError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameMessage
 from roomlight_server.decode_worker import READY, REQUEST, RESULT, unpack_frame
+from roomlight_server.object_packing import unpack_object
 
 _log = logging.getLogger("roomlight.server")
 _START_S: Final = 60.0
@@ -22,6 +26,10 @@ _MAX_RESULT_BYTES: Final = 2**28
 
 class _DeadlineError(Exception):
     """The process did not answer in time."""
+
+
+class _KilledError(Exception):
+    """A process was killed, or has ended, while it decoded; the message is the rule that was broken."""
 
 
 class _Process:
@@ -88,9 +96,9 @@ class _Process:
 class DecodeProcesses:
     """Decoding processes, started when they are needed and reused. Methods may be called on any thread."""
 
-    def __init__(self, timeout_s: float) -> None:
-        """Create an empty pool; a frame may take `timeout_s` seconds."""
-        self._timeout_s = timeout_s
+    def __init__(self, timeout_s: float, object_timeout_s: float, object_limits: ObjectLimits) -> None:
+        """Create an empty pool; a frame and an object may take these times in seconds."""
+        self._timeout_s, self._object_timeout_s, self._object_limits = timeout_s, object_timeout_s, object_limits
         self._lock = threading.Lock()
         self._idle: list[_Process] = []
         self._all: set[_Process] = set()
@@ -123,20 +131,50 @@ class DecodeProcesses:
         """
         body = message.colour.obj
         assert isinstance(body, bytes)
-        seconds = int(self._timeout_s) + 10
-        head = REQUEST.pack(len(body), index, reference, min_confidence, *box, seconds)
+        arguments = {"work": "frame", "index": index, "reference": reference, "min_confidence": min_confidence}
+        try:
+            text, data = self._request(arguments | {"box": box}, body, self._timeout_s)
+        except _KilledError as error:
+            value = f"{len(body)} bytes, {message.header.colour.encoding}"
+            raise WireError("bad-frame", field="colour", value=value, rule=str(error)) from error
+        return unpack_frame(text, data, message, index)
+
+    def decode_object(self, body: bytes, kind: str | None) -> VirtualObject:
+        """Decode the file of an object.
+
+        Raises:
+            WireError: The file is refused, takes too long or ends the decoder; of the kind bad-object.
+            RuntimeError: The decoder failed.
+        """
+        value = f"{len(body)} bytes"
+        arguments = {"work": "object", "kind": kind, "limits": asdict(self._object_limits)}
+        try:
+            text, data = self._request(arguments, body, self._object_timeout_s)
+            if "rejected" in text:
+                raise WireError(**text["rejected"])
+            if "failed" in text:
+                raise RuntimeError(text["failed"])
+            return unpack_object(text, data)
+        except _KilledError as error:
+            raise WireError("bad-object", field="body", value=value, rule=str(error)) from error
+        except ObjectError as error:
+            raise WireError("bad-object", field="body", value=value, rule=str(error)) from error
+
+    def _request(self, arguments: dict[str, Any], body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytearray]:
+        """Return the result of one request. Raises _KilledError if the process took too long or has ended."""
+        text = json.dumps(arguments).encode()
+        head = REQUEST.pack(len(text), len(body), int(timeout_s) + 10) + text
         process = self._acquire()
         try:
-            text, data = process.request(head, body, self._timeout_s)
+            result = process.request(head, body, timeout_s)
         except (_DeadlineError, OSError) as error:
-            late = isinstance(error, _DeadlineError)
-            rule = f"must decode within {self._timeout_s:g} s" if late else "the decoder crashed"
+            rule = f"must decode within {timeout_s:g} s" if isinstance(error, _DeadlineError) else "the decoder crashed"
             self._replace(process)
-            _log.warning("decoding process killed", extra={"frame": index, "bytes": len(body), "reason": rule})
-            encoding = message.header.colour.encoding
-            raise WireError("bad-frame", field="colour", value=f"{len(body)} bytes, {encoding}", rule=rule) from error
+            fields = {"work": arguments["work"], "bytes": len(body), "reason": rule}
+            _log.warning("decoding process killed", extra=fields)
+            raise _KilledError(rule) from error
         self._release(process)
-        return unpack_frame(text, data, message, index)
+        return result
 
     def _acquire(self) -> _Process:
         with self._lock:

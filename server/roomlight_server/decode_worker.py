@@ -1,4 +1,4 @@
-"""Decoding of one frame, and the process that does it for a server: `python -m roomlight_server.decode_worker`.
+"""Decoding of frames and objects, and the process that does it: `python -m roomlight_server.decode_worker`.
 
 The process reads requests from standard input and writes results to standard output, one at a time, until the input
 ends. A result is plain numbers and no pickle, so that a decoder taken over by a hostile image cannot run code in the
@@ -16,13 +16,13 @@ from typing import Any, BinaryIO, Final
 import numpy as np
 
 from roomlight.camera import Intrinsics
-from roomlight.errors import RoomLightError, WireError
+from roomlight.errors import ObjectError, RoomLightError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
 
-REQUEST: Final = struct.Struct("<QQdIIII")
-"""Length of the message, index, reference exposure, least confidence, width and height of the box, seconds to live."""
+REQUEST: Final = struct.Struct("<IQI")
+"""Lengths of the JSON (`work` and its arguments) and of the file, and seconds to live."""
 RESULT: Final = struct.Struct("<IQ")
 """Lengths of the JSON and of the arrays."""
 READY: Final = b"ready\n"
@@ -90,12 +90,27 @@ def _pack(text: dict[str, Any], data: bytes = b"") -> bytes:
     return RESULT.pack(len(encoded), len(data)) + encoded + data
 
 
-def _result(body: bytes, index: int, reference: float, min_confidence: int, box: tuple[int, int]) -> bytes:
+def _frame_result(body: bytes, index: int, reference: float, min_confidence: int, box: list[int]) -> bytes:
     try:
-        return pack_frame(decode_to_box(parse(body, _NO_LIMITS), index, reference, min_confidence, box))
+        return pack_frame(decode_to_box(parse(body, _NO_LIMITS), index, reference, min_confidence, (box[0], box[1])))
     except WireError as error:
         fields = {"kind": error.kind, "field": error.field, "value": str(error.value)[:1000], "rule": error.rule}
         return _pack({"rejected": fields})
+    except Exception:
+        return _pack({"failed": traceback.format_exc()[-4000:]})
+
+
+def _object_result(body: bytes, kind: str | None, limits: dict[str, int]) -> bytes:
+    from roomlight_server.object_packing import pack_object  # most processes decode frames only
+
+    try:
+        return _pack(*pack_object(body, kind, limits))
+    except ObjectError as error:
+        value = f"{len(body)} bytes"
+        return _pack({"rejected": {"kind": "bad-object", "field": "body", "value": value, "rule": str(error)[:1000]}})
+    except MemoryError:
+        rule = "must decode within the memory of the server"
+        return _pack({"rejected": {"kind": "bad-object", "field": "body", "value": f"{len(body)} bytes", "rule": rule}})
     except Exception:
         return _pack({"failed": traceback.format_exc()[-4000:]})
 
@@ -105,10 +120,11 @@ def serve(requests: BinaryIO, results: BinaryIO) -> None:
     results.write(READY)
     results.flush()
     while len(head := requests.read(REQUEST.size)) == REQUEST.size:
-        length, index, reference, min_confidence, width, height, seconds = REQUEST.unpack(head)
+        text_bytes, length, seconds = REQUEST.unpack(head)
+        arguments = json.loads(requests.read(text_bytes))
         body = requests.read(length)
         signal.alarm(seconds)  # ends this process, even inside a decoder, if the server that would kill it is gone
-        result = _result(body, index, reference, min_confidence, (width, height))
+        result = (_object_result if arguments.pop("work") == "object" else _frame_result)(body, **arguments)
         signal.alarm(0)
         results.write(result)
         results.flush()

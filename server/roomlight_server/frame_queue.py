@@ -16,8 +16,8 @@ from roomlight_server.problems import ProblemError
 class Entry:
     """An accepted frame. `outcome` becomes its result or a ProblemError; it may stay unread.
 
-    A frame that replaced a waiting one is stored as its undecoded `message`, because on a busy server most of these are
-    replaced too. A frame with neither `frame` nor `message` is skipped because of its tracking state.
+    A frame that replaced a waiting one is stored undecoded (`frame` is None), because on a busy server most of these
+    are replaced too. A frame with neither `frame` nor `message` is skipped because of its tracking state.
     """
 
     index: int

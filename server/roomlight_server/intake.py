@@ -24,7 +24,13 @@ def parse_frame(body: bytes, limits: FrameLimits) -> tuple[FrameMessage, bytes]:
 
 
 def decode_to_size(
-    message: FrameMessage, index: int, reference: float, min_confidence: int, processes: DecodeProcesses
+    message: FrameMessage,
+    index: int,
+    reference: float,
+    min_confidence: int,
+    processes: DecodeProcesses,
+    *,
+    box: tuple[int, int] = WORKING_SIZE,
 ) -> Frame:
     """Decode a frame at the working size (a waiting frame takes 1.3 MB, whatever the camera).
 
@@ -37,6 +43,7 @@ def decode_to_size(
         reference: Exposure at which radiance 1 is white.
         min_confidence: Depth below this confidence becomes unknown.
         processes: Decode image files.
+        box: Width and height that the frame is reduced to fit into.
 
     Raises:
         WireError: A part does not decode, has unusable values or takes too long.
@@ -44,8 +51,8 @@ def decode_to_size(
     header = message.header
     planes = (header.depth.encoding, None if header.confidence is None else header.confidence.encoding)
     if header.colour.encoding in ("jpeg", "png", "heic") or "png" in planes:
-        return processes.decode(message, index, reference, min_confidence, WORKING_SIZE)
-    return decode_to_box(message, index, reference, min_confidence, WORKING_SIZE)
+        return processes.decode(message, index, reference, min_confidence, box)
+    return decode_to_box(message, index, reference, min_confidence, box)
 
 
 def index_of(message: FrameMessage, index: int | None) -> int:

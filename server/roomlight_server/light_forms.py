@@ -1,12 +1,17 @@
 """Encoding of a `Light` in the requested `LightForm`s: media types, numbers or bytes, and ETags."""
 
+import hashlib
+import json
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Final, get_args
 
 import numpy as np
+from jaxtyping import Float
 
 from roomlight.light.cube import DEFAULT_SIZE
 from roomlight.light.light import Light
+from roomlight.light.main_light import TrackedLights
 from roomlight.light.prior import prior_panorama
 from roomlight.light.spherical_harmonics import CoefficientOrder, Phase
 from roomlight.wire.messages import (
@@ -111,3 +116,20 @@ def warm_up() -> None:
     for name in get_args(LightFormat):
         for size in _WARM_FACE_SIZES if name in CUBE_FORMATS else (None,):
             encode(light, LightForm(format=name, size=size))
+
+
+@lru_cache(maxsize=4)
+def default_panorama(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], str]:
+    """Return panorama, `observed` (all zero) and digest of the default light, which is used before the first frame."""
+    panorama = prior_panorama(height)
+    observed = np.zeros(panorama.shape[:2], np.float32)
+    return panorama, observed, digest_of_light(panorama, observed)
+
+
+def digest_of_light(
+    panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"], tracked: TrackedLights | None = None
+) -> str:
+    """Return the identity of a light: equal values have equal digests. 0.3 ms at a height of 120."""
+    lights = () if tracked is None else (tracked.main, *tracked.sources)
+    numbers = json.dumps([light.to_json() for light in lights]).encode()
+    return hashlib.sha256(panorama.tobytes() + observed.tobytes() + numbers).hexdigest()[:24]

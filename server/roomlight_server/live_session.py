@@ -6,18 +6,12 @@ request is answered with this error, and its memory is released.
 """
 
 import asyncio
-import hashlib
-import json
 import logging
 from collections import OrderedDict
-from collections.abc import AsyncGenerator, Awaitable, Callable, Sequence
-from contextlib import asynccontextmanager
+from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 from typing import Final, Literal, TypeVar, cast
-
-import numpy as np
-from jaxtyping import Float
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.memory import Footprint
@@ -25,12 +19,11 @@ from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import FrameError, ProbeError, WireError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
-from roomlight.light.main_light import TrackedLights
-from roomlight.light.prior import prior_panorama
 from roomlight.wire.frame_message import FrameLimits, FrameMessage
 from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
 from roomlight_server.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.intake import decode_to_size, index_of, parse_frame
+from roomlight_server.light_forms import default_panorama, digest_of_light
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
 from roomlight_server.workers import Workers
@@ -49,6 +42,19 @@ class Limits:
     frames_in_flight: int
     max_probes: int
     idle_expiry_s: float
+
+
+@dataclass(frozen=True)
+class LatestFrame:
+    """The last processed frame, as it was received."""
+
+    index: int
+    message: FrameMessage
+
+    @property
+    def size(self) -> int:
+        """Bytes of the message."""
+        return len(self.message.colour.obj)
 
 
 @dataclass
@@ -97,6 +103,8 @@ class LiveSession:
         self._named: dict[str, _NamedProbe] = {}
         self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
         self._light_frame = NO_FRAME
+        self._latest: LatestFrame | None = None
+        self._compositing = False
         self._ended: ProblemError | None = None
         self._listeners: set[Callable[[], None]] = set()
 
@@ -166,9 +174,8 @@ class LiveSession:
         usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
         entry = Entry(index, digest)
         if message.header.tracking_state in usable:
-            if self._queue.has_waiting:
-                entry.message = message
-            else:
+            entry.message = message
+            if not self._queue.has_waiting:
                 entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
@@ -217,6 +224,8 @@ class LiveSession:
             self._end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
         else:
             self._light_frame = entry.index
+            assert entry.message is not None
+            self._latest = LatestFrame(entry.index, entry.message)
             self._metrics.observe_frame(report)
             self._queue.processed(entry, result)
 
@@ -315,7 +324,7 @@ class LiveSession:
             async with self._workers.engine_slot():
                 found = await _convert_errors(self._workers.run_in_engine_pool(engine.light_at, position))
         tracked = found.tracked_lights
-        etag = await self._workers.run_in_decode_pool(_digest, found.panorama, found.observed, tracked)
+        etag = await self._workers.run_in_decode_pool(digest_of_light, found.panorama, found.observed, tracked)
         light = Light(
             position, found.panorama, found.observed, found.coverage, frame=self._light_frame, name=name, etag=etag
         )
@@ -327,7 +336,7 @@ class LiveSession:
         return light
 
     def _default_light(self, query: ProbeQuery) -> Light:
-        panorama, observed, etag = _default_panorama(self.request.height)
+        panorama, observed, etag = default_panorama(self.request.height)
         return Light(self._position(query), panorama, observed, 0.0, frame=NO_FRAME, name=query.name, etag=etag)
 
     def _position(self, query: ProbeQuery) -> Position:
@@ -358,6 +367,47 @@ class LiveSession:
         self._listeners.add(listener)
         return lambda: self._listeners.discard(listener)
 
+    # --- composites -------------------------------------------------------------------------------------------
+
+    @contextmanager
+    def composite_turn(self) -> Generator[LatestFrame]:
+        """Yield the last processed frame; only one composite is made at a time.
+
+        Raises:
+            ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
+        """
+        self.check_open()
+        if self._compositing:
+            rule = "one composite a session at a time"
+            raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
+        if self._latest is None:
+            raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+        self._compositing = True
+        try:
+            yield self._latest
+        finally:
+            self._compositing = False
+
+    async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
+        """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
+        reference = self._reference or latest.message.header.exposure
+        least, processes = self.request.min_confidence, self._workers.decode_processes
+        try:
+            return await self._workers.run_in_decode_pool(
+                decode_to_size, latest.message, latest.index, reference, least, processes, box=box
+            )
+        except WireError as error:
+            raise ProblemError.from_wire(error) from error
+
+    async def composite(self, work: Callable[[Session], _R]) -> _R:
+        """Run work on the engine on a compositing thread; frames of this session wait, those of others do not.
+
+        Raises:
+            ProblemError: The session has ended.
+        """
+        async with self._workers.composite_slot(), self._engine_lock:
+            return await self._workers.run_in_composite_pool(work, self._live_engine())
+
     # --- state and end ----------------------------------------------------------------------------------------
 
     def check_open(self) -> None:
@@ -380,7 +430,7 @@ class LiveSession:
 
     def _end(self, reason: ProblemError) -> None:
         self._ended = reason
-        self._engine = None
+        self._engine = self._latest = None
         self._lights.clear()
         self._queue.end_all(reason)
         self._workers.release_memory()
@@ -400,7 +450,7 @@ class LiveSession:
         """Upper bound of the session's memory."""
         keyframes, probes = self._keyframe_capacity, self._limits.max_probes
         return self._footprint.total(keyframes=keyframes, probes=probes, started=True) + (
-            MAX_CACHED_LIGHTS * self.light_bytes
+            MAX_CACHED_LIGHTS * self.light_bytes + self._limits.frame.max_body_bytes
         )
 
     @property
@@ -414,7 +464,7 @@ class LiveSession:
         grid = None if engine is None else engine.grid
         keyframes = 0 if engine is None else engine.keyframes
         held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=grid is not None)
-        kept = held + len(self._lights) * self.light_bytes
+        kept = held + len(self._lights) * self.light_bytes + (0 if self._latest is None else self._latest.size)
         volume = None
         if grid is not None:
             volume = Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)
@@ -442,20 +492,3 @@ async def _convert_errors(work: Awaitable[_R]) -> _R:
     except Exception as error:  # the session is unchanged: it adds a probe only when the probe is complete
         _log.exception("probe failed")
         raise ProblemError("engine-failed", f"the light could not be computed: {type(error).__name__}") from error
-
-
-@lru_cache(maxsize=4)
-def _default_panorama(height: int) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"], str]:
-    """Return panorama, `observed` (all zero) and digest of the default light, which is used before the first frame."""
-    panorama = prior_panorama(height)
-    observed = np.zeros(panorama.shape[:2], np.float32)
-    return panorama, observed, _digest(panorama, observed)
-
-
-def _digest(
-    panorama: Float[np.ndarray, "h w 3"], observed: Float[np.ndarray, "h w"], tracked: TrackedLights | None = None
-) -> str:
-    """Return the identity of a light: equal values have equal digests. 0.3 ms at a height of 120."""
-    lights = () if tracked is None else (tracked.main, *tracked.sources)
-    numbers = json.dumps([light.to_json() for light in lights]).encode()
-    return hashlib.sha256(panorama.tobytes() + observed.tobytes() + numbers).hexdigest()[:24]

@@ -41,6 +41,16 @@ class Metrics:
             buckets=_SECONDS,
             registry=registry,
         )
+        self.composite_seconds = Histogram(
+            "roomlight_composite_seconds",
+            "Time per composite without its waiting, by quality.",
+            ["quality"],
+            buckets=(*_SECONDS, 10.0, 30.0, 60.0),
+            registry=registry,
+        )
+        self.objects = Gauge("roomlight_objects", "Uploaded objects.", registry=registry)
+        self.object_bytes = Gauge("roomlight_object_bytes", "Memory of uploaded objects.", registry=registry)
+        self.objects_refused = Counter("roomlight_objects_refused", "Rejected object files.", registry=registry)
         self.requests = Histogram(
             "roomlight_request_seconds",
             "Time per request, by method, route and status.",

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, ValidationError, field_validator, model_validator
 from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
+from roomlight.compositing.loading_limits import ObjectLimits
 from roomlight.engine.keyframes import DEFAULT_KEYFRAMES
 from roomlight.engine.providers import Provider
 from roomlight.engine.session import ModelName
@@ -54,6 +55,12 @@ class ServerSettings(BaseSettings):
         wrong_token_delay_s: Time after which a request with a wrong token is answered.
         decode_timeout_s: Time limit for decoding the images of a frame; then its process is killed and the frame is
             rejected.
+        max_object_file_bytes: Largest file of an uploaded object.
+        max_owner_object_bytes: Memory of all objects of one token, decoded.
+        max_object_bytes: Memory of all objects of all tokens, decoded.
+        object_expiry_s: An object that is not used for this time is deleted.
+        object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
+        composite_threads: Composites made at once, in different sessions.
     """
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=PREFIX)
@@ -89,6 +96,12 @@ class ServerSettings(BaseSettings):
     max_pending_bytes: Annotated[int, Field(ge=2**27)] = 2**30
     wrong_token_delay_s: Annotated[float, Field(ge=0, le=60)] = 1.0
     decode_timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
+    max_object_file_bytes: Annotated[int, Field(ge=2**16, le=2**28)] = 32 * 2**20
+    max_owner_object_bytes: Annotated[int, Field(ge=2**16)] = 256 * 2**20
+    max_object_bytes: Annotated[int, Field(ge=2**16)] = 512 * 2**20
+    object_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 3600.0
+    object_timeout_s: Annotated[float, Field(gt=0, le=600)] = 20.0
+    composite_threads: Annotated[int, Field(ge=1, le=64)] = 1
 
     @model_validator(mode="before")
     @classmethod
@@ -115,6 +128,17 @@ class ServerSettings(BaseSettings):
     def frame_limits(self) -> FrameLimits:
         """Largest frame accepted."""
         return FrameLimits(self.max_body_bytes, self.max_colour_pixels, self.max_depth_pixels)
+
+    @property
+    def object_limits(self) -> ObjectLimits:
+        """Largest object accepted: half the library's, because many clients share the memory."""
+        return ObjectLimits(
+            file_bytes=self.max_object_file_bytes,
+            triangles=500_000,
+            vertices=750_000,
+            images=16,
+            total_pixels=4096 * 4096,
+        )
 
     @property
     def is_loopback(self) -> bool:

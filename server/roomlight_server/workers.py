@@ -1,4 +1,4 @@
-"""Thread pools of a server: one for the engine, one for decoding and encoding. The event loop only awaits them.
+"""Thread pools of a server: for the engine, for composites, for decoding and encoding. The event loop awaits them.
 
 The event loop assigns engine threads to sessions in the order of their requests, and only when a thread is free: a
 session then chooses its newest frame as late as possible.
@@ -28,8 +28,12 @@ class Workers:
         """Create the pools; threads start when they are first used."""
         self._engine = ThreadPoolExecutor(settings.engine_threads, thread_name_prefix="engine")
         self._decode = ThreadPoolExecutor(settings.decode_threads, thread_name_prefix="decode")
-        self.decode_processes = DecodeProcesses(settings.decode_timeout_s)
+        self.decode_processes = DecodeProcesses(
+            settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
+        )
         self._decode_threads = settings.decode_threads
+        self._composite = ThreadPoolExecutor(settings.composite_threads, thread_name_prefix="composite")
+        self._composite_slots = asyncio.Semaphore(settings.composite_threads)
         self._engine_slots = asyncio.Semaphore(settings.engine_threads)
         self._base = SessionOptions(
             model=settings.model,
@@ -63,6 +67,7 @@ class Workers:
         """Finish running work and drop work that has not started; images that are being decoded are dropped too."""
         self.decode_processes.stop()
         self._engine.shutdown(wait=True, cancel_futures=True)
+        self._composite.shutdown(wait=True, cancel_futures=True)
         self._decode.shutdown(wait=True, cancel_futures=True)
 
     @property
@@ -98,6 +103,16 @@ class Workers:
     async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on an engine thread; requires an `engine_slot`."""
         return await _run_to_end(self._engine, lambda: work(*args, **kwargs))
+
+    @asynccontextmanager
+    async def composite_slot(self) -> AsyncGenerator[None]:
+        """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately."""
+        async with self._composite_slots:
+            yield
+
+    async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run on a compositing thread; requires a `composite_slot`."""
+        return await _run_to_end(self._composite, lambda: work(*args, **kwargs))
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on a decoding thread."""

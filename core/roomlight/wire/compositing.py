@@ -1,0 +1,111 @@
+"""Messages of objects and composites: `POST /v1/objects` and `POST /v1/sessions/{id}/composite`.
+
+World metres, y up; colours are linear RGB; a pose is 16 numbers, column by column, as in `frame_header`.
+"""
+
+from typing import Annotated, Final, Literal
+
+from pydantic import Field, StringConstraints, model_validator
+
+from roomlight.wire.frame_header import FiniteNumber, WireModel
+from roomlight.wire.messages import Id, WirePosition
+
+OBJECT_ID_PATTERN: Final = r"^[0-9a-f]{64}$"
+MAX_COMPOSITE_OBJECTS: Final = 16
+
+ObjectId = Annotated[str, StringConstraints(pattern=OBJECT_ID_PATTERN)]
+ObjectFormat = Literal["glb", "gltf", "obj", "ply"]
+Shape = Literal["sphere", "cube", "plane", "vase", "chair"]
+MaterialKind = Literal["diffuse", "glossy", "metal", "mirror", "glass"]
+CompositeQuality = Literal["preview", "good", "final"]
+CompositeFormat = Literal["png", "jpeg", "exr", "layers"]
+Share = Annotated[float, Field(ge=0, le=1)]
+Coordinate = Annotated[float, Field(ge=-10_000, le=10_000, allow_inf_nan=False)]
+
+
+class ObjectInfo(WireModel):
+    """An object that the server holds.
+
+    Attributes:
+        id: SHA-256 of the file, hexadecimal.
+        triangles: number of triangles.
+        size_m: sides of its bounding box in the file's own metres.
+        bytes: memory that it takes on the server.
+    """
+
+    id: ObjectId
+    triangles: int
+    size_m: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)]
+    bytes: int
+
+
+class ObjectList(WireModel):
+    """The objects of a token, the memory that they take together, and its limit."""
+
+    objects: list[ObjectInfo]
+    bytes: int
+    limit_bytes: int
+
+
+class CompositeMaterial(WireModel):
+    """A material that replaces those of a file.
+
+    Attributes:
+        base_colour: default 0.8 grey, white for metal and glass; mirrors have none.
+        roughness: 0 to 1, of glossy (0.2) and metal (0.5).
+    """
+
+    kind: MaterialKind
+    base_colour: Annotated[list[Share], Field(min_length=3, max_length=3)] | None = None
+    roughness: Share | None = None
+
+
+class CompositeObject(WireModel):
+    """An object and its place: exactly one of object and shape, and exactly one of position, pose and pixel.
+
+    Attributes:
+        object: id of an uploaded object.
+        shape: instead of an uploaded object; with size_m.
+        name: of the object in the answer; default object-0, object-1, ...
+        size_m: longest side; default: the file's own metres.
+        material: default: the file's own.
+        position: world metres of the anchor, upright; with yaw_degrees.
+        pose: rigid, object axes to world, 16 numbers column by column.
+        pixel: column and row in the last processed frame, as it was sent: the object stands on the surface there.
+        yaw_degrees: about the surface's normal, with position and pixel.
+        anchor: point of the object that is placed, with position and pose; default base.
+    """
+
+    object: ObjectId | None = None
+    shape: Shape | None = None
+    name: Id | None = None
+    size_m: Annotated[float, Field(gt=0, le=100)] | None = None
+    material: CompositeMaterial | None = None
+    position: WirePosition | None = None
+    pose: Annotated[list[Coordinate], Field(min_length=16, max_length=16)] | None = None
+    pixel: Annotated[list[Coordinate], Field(min_length=2, max_length=2)] | None = None
+    yaw_degrees: Annotated[float, Field(ge=-3600, le=3600, allow_inf_nan=False)] = 0.0
+    anchor: Literal["base", "back", "top", "centre", "origin"] | None = None
+
+    @model_validator(mode="after")
+    def _check_one_of_each(self) -> "CompositeObject":
+        if (self.object is None) == (self.shape is None):
+            raise ValueError("must have either object or shape")
+        if self.shape is not None and self.size_m is None:
+            raise ValueError("a shape must have size_m")
+        if sum(place is not None for place in (self.position, self.pose, self.pixel)) != 1:
+            raise ValueError("must have exactly one of position, pose and pixel")
+        return self
+
+
+class CompositeRequest(WireModel):
+    """Request for the last processed frame with objects in it; 1 to 16 objects.
+
+    Attributes:
+        quality: preview, good or final.
+        format: png and jpeg: 8-bit sRGB. exr: linear radiance. layers: a zip with the layers apart.
+    """
+
+    objects: Annotated[list[CompositeObject], Field(min_length=1, max_length=MAX_COMPOSITE_OBJECTS)]
+    quality: CompositeQuality = "preview"
+    format: CompositeFormat = "png"

@@ -1,0 +1,287 @@
+"""Objects and composites over a real socket: uploads, refusals, limits, layers, and damaged files."""
+
+import hashlib
+import io
+import json
+import struct
+import threading
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+from damaged_objects import damaged
+from gltf_files import packed, textured_quad
+
+from http_servers import InThread, RunningServer, box_shot
+from roomlight.compositing.loading import load_object
+from roomlight.conventions import linear_to_srgb8
+from roomlight.images import decode_colour
+from roomlight_server import composites
+from roomlight_server.object_packing import object_bytes, pack_object, unpack_object
+
+TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+BALL = {"shape": "sphere", "size_m": 0.4, "material": {"kind": "diffuse"}, "position": [0.2, 1.1, -0.4]}
+COMPOSITE = "/v1/sessions/room/composite"
+OTHER = "another-token-of-16"
+TOKEN = "a-token-of-16-chars"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        running.open()
+        assert running.push(0).status == 200
+        yield running
+
+
+def composite(server, *objects, **options):
+    return server.call("POST", COMPOSITE, {"objects": list(objects), **options})
+
+
+def upload(server, body=TETRAHEDRON, path="/v1/objects?kind=obj", **more):
+    return server.call("POST", path, body, **more)
+
+
+def pixels_of(answer):
+    return cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def test_an_object_is_uploaded_once_and_listed(server):
+    first, again = upload(server), upload(server)
+    assert (first.status, again.status) == (201, 200)
+    assert first.json == again.json
+    assert first.json["id"] == hashlib.sha256(TETRAHEDRON).hexdigest()
+    assert (first.json["triangles"], first.json["size_m"]) == (4, [1, 1, 1])
+    path = f"/v1/objects/{first.json['id']}"
+    assert server.call("GET", path).json == first.json
+    listed = server.call("GET", "/v1/objects").json
+    assert first.json in listed["objects"]
+    assert listed["bytes"] == sum(one["bytes"] for one in listed["objects"]) < listed["limit_bytes"]
+    assert server.call("DELETE", path).status == 204
+    assert server.call("GET", path).kind == "object-not-found"
+    assert server.call("DELETE", path).kind == "object-not-found"
+
+
+def test_an_uploaded_object_is_put_into_the_frame(server):
+    held = upload(server).json["id"]
+    answer = composite(server, {"object": held, "size_m": 0.5, "position": [0.2, 1.1, -0.4], "name": "tetra"})
+    assert (answer.status, answer.headers["content-type"]) == (200, "image/png")
+    assert answer.headers["roomlight-frame"] == "0"
+    pose = np.reshape(json.loads(answer.headers["roomlight-poses"])["tetra"], (4, 4)).T
+    assert np.allclose(pose[:3, :3], np.eye(3))
+    plain = linear_to_srgb8(np.clip(box_shot(0).image, 0, 1))
+    changed = np.abs(pixels_of(answer).astype(int) - plain).max(axis=-1) > 8
+    assert 0.01 < changed.mean() < 0.6
+
+
+def test_a_returned_pose_keeps_the_object_where_it_is(server):
+    at_pixel = composite(server, {**BALL, "position": None, "pixel": [24, 30], "name": "ball"})
+    assert at_pixel.status == 200, at_pixel.json
+    pose = json.loads(at_pixel.headers["roomlight-poses"])["ball"]
+    again = composite(server, {**BALL, "position": None, "pose": pose, "anchor": "origin", "name": "ball"})
+    assert np.abs(json.loads(again.headers["roomlight-poses"])["ball"] - np.array(pose)).max() < 1e-5
+
+
+def test_formats_and_layers_agree(server):
+    png, exr = composite(server, BALL), composite(server, BALL, format="exr")
+    jpeg, layers = composite(server, BALL, format="jpeg"), composite(server, BALL, format="layers")
+    assert jpeg.headers["content-type"] == "image/jpeg"
+    assert pixels_of(jpeg).shape == (36, 48, 3)
+    linear, _ = decode_colour(exr.body, "answer")
+    with zipfile.ZipFile(io.BytesIO(layers.body)) as archive:
+        assert sorted(archive.namelist()) == ["alpha.png", "depth.exr", "image.png", "objects.exr", "shadow.exr"]
+        assert archive.read("image.png") == png.body
+        objects, _ = decode_colour(archive.read("objects.exr"), "objects")
+        shadow, _ = decode_colour(archive.read("shadow.exr"), "shadow")
+        stored = np.frombuffer(archive.read("alpha.png"), np.uint8)
+    alpha = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED)[..., None] / 65535
+    assert alpha.max() > 0.9
+    shot = linear_to_srgb8(np.clip(box_shot(0).image, 0, 1))
+    frame, _ = decode_colour(cv2.imencode(".png", shot[..., ::-1])[1].tobytes(), "frame")
+    assert np.abs(frame * shadow * (1 - alpha) + objects - linear).max() < 2e-3 * linear.max()
+
+
+@pytest.mark.parametrize(
+    ("changes", "rule"),
+    [
+        ({"position": [0.2, 1.1, 3.2]}, "behind the camera"),
+        ({"position": None, "pixel": [500, 4]}, "must lie in the image of 48 x 36 pixels"),
+        ({"position": [9.0, 1.1, -0.4]}, "outside the picture"),
+    ],
+)
+def test_a_bad_place_is_refused_and_the_session_stays(server, changes, rule):
+    answer = composite(server, {**BALL, **changes})
+    assert (answer.status, answer.kind) == (422, "bad-place")
+    assert rule in answer.json["detail"]
+    assert server.state()["probes"] == {}
+    assert composite(server, BALL).status == 200
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"shape": None},
+        {"size_m": None},
+        {"size_m": -1},
+        {"pixel": [3, 3]},
+        {"position": None},
+        {"material": {"kind": "velvet"}},
+        {"material": {"kind": "mirror", "roughness": 0.5}},
+        {"position": None, "pose": [1.0] * 16},
+        {"anchor": "base", "position": None, "pixel": [3, 3]},
+        {"object": "0" * 63},
+        {"colour": "red"},
+    ],
+)
+def test_a_wrong_field_is_refused(server, wrong):
+    answer = composite(server, {**BALL, **wrong})
+    assert answer.status == 422, answer
+    assert answer.kind in ("invalid", "bad-place")
+
+
+def test_an_unknown_object_is_not_found(server):
+    answer = composite(server, {"object": "0" * 64, "position": [0, 1, 0]})
+    assert (answer.status, answer.kind, answer.json["field"]) == (404, "object-not-found", "object")
+
+
+def test_a_session_without_frames_has_no_composite(server):
+    server.open("empty")
+    answer = server.call("POST", "/v1/sessions/empty/composite", {"objects": [BALL]})
+    assert (answer.status, answer.kind) == (409, "no-frame")
+
+
+def test_quality_limits_the_pixels(server, monkeypatch):
+    monkeypatch.setattr(composites, "MAX_PATHS", 64 * 20)
+    answer = composite(server, BALL, quality="good")
+    assert (answer.status, answer.kind) == (422, "invalid")
+    assert "at most 20 pixels at quality good" in answer.json["rule"]
+    assert composite(server, BALL, quality="preview").status == 200
+
+
+def test_one_composite_a_session_at_a_time(server, monkeypatch):
+    entered, gate = threading.Event(), threading.Event()
+    original = composites.make
+
+    def held(*given):
+        entered.set()
+        assert gate.wait(60)
+        return original(*given)
+
+    monkeypatch.setattr("roomlight_server.composite_routes.make", held)
+    first = InThread(composite, server, BALL)
+    assert entered.wait(60)
+    second = composite(server, BALL)
+    assert (second.status, second.kind, second.headers["retry-after"]) == (429, "composite-running", "1")
+    server.open("neighbour")
+    assert server.push(0, name="neighbour").json["status"] == "processed"  # other sessions do not wait
+    gate.set()
+    assert first.result().status == 200
+    assert server.call("GET", "/v1/sessions/room/probe?x=0&y=1&z=0&format=sh").status == 200
+
+
+def test_an_unexpected_error_leaves_the_session_open(server, monkeypatch):
+    def broken(*_):
+        raise MemoryError
+
+    monkeypatch.setattr("roomlight_server.composite_routes.make", broken)
+    answer = composite(server, BALL)
+    assert (answer.status, answer.kind) == (500, "engine-failed")
+    monkeypatch.undo()
+    assert server.state()["status"] == "open"
+    assert composite(server, BALL).status == 200
+
+
+def test_the_kept_frame_counts_as_memory(server):
+    state = server.state()
+    size = server.registry._sessions["anyone", "room"]._latest.size
+    assert size > 48 * 36 * 7
+    assert size < state["memory"]["bytes"] < state["memory"]["bound_bytes"]
+
+
+def test_objects_belong_to_their_token_and_have_limits():
+    limits = {"max_owner_object_bytes": 2**16, "max_object_bytes": 2**16, "max_object_file_bytes": 2**16}
+    now = [0.0]
+    with RunningServer(tokens=(TOKEN, OTHER), clock=lambda: now[0], **limits) as server:
+        assert upload(server).kind == "unauthorized"
+        held = upload(server, token=TOKEN).json["id"]
+        assert server.call("GET", f"/v1/objects/{held}", token=OTHER).kind == "object-not-found"
+        assert server.call("GET", "/v1/objects", token=OTHER).json["objects"] == []
+        too_large = upload(server, bytes(2**16 + 1), token=TOKEN)
+        assert (too_large.status, too_large.kind) == (413, "too-large")
+        points = b"".join(b"v %d 0 %d\n" % (n, n % 7) for n in range(1202))
+        wide = points + b"".join(b"f %d %d %d\n" % (n, n + 1, n + 2) for n in range(1, 1201))
+        assert upload(server, wide, token=TOKEN).status == 201
+        other = wide + b"f 5 6 9\n"  # 53 kB each
+        full = upload(server, other, token=TOKEN)
+        assert (full.status, full.kind) == (409, "too-many-objects")
+        busy = upload(server, other, token=OTHER)
+        assert (busy.status, busy.kind) == (503, "object-memory")
+        assert int(busy.headers["retry-after"]) >= 1
+        now[0] = server.settings.object_expiry_s + 1
+        assert upload(server, other, token=OTHER).status == 201
+        assert server.call("GET", "/v1/objects", token=TOKEN).json == {"objects": [], "bytes": 0, "limit_bytes": 2**16}
+
+
+def test_damaged_files_are_refused_or_read(server):
+    """Every answer is a 201 or a 4xx with a rule, and the server goes on."""
+    rng = np.random.default_rng(11)
+    sources = [(textured_quad().glb(), "/v1/objects"), (TETRAHEDRON, "/v1/objects?kind=obj")]
+    counts = {}
+    for number in range(30):
+        body, path = sources[number % 2]
+        answer = upload(server, damaged(body, rng), path)
+        counts[answer.status] = counts.get(answer.status, 0) + 1
+        if answer.status != 201:
+            assert (answer.status, answer.kind) == (422, "bad-object"), answer
+            assert answer.json["rule"]
+    assert counts[422] > 8
+    assert upload(server, textured_quad().glb(), "/v1/objects").status in (200, 201)
+    assert composite(server, BALL).status == 200
+
+
+def test_hostile_declarations_are_refused(server):
+    node = {"asset": {"version": "2.0"}, "scene": 0, "scenes": [{"nodes": [0]}], "nodes": [{}] * 20_000}
+    far = textured_quad()
+    far.tree["buffers"] = [{"byteLength": 4, "uri": "http://localhost/secret"}]
+    huge = textured_quad()
+    huge.tree["accessors"][0]["count"] = 2**31
+    nan = TETRAHEDRON.replace(b"v 1 0 0", b"v nan 0 0")
+    for body, path in (
+        (packed(json.dumps(node).encode(), b""), "/v1/objects"),
+        (far.glb(), "/v1/objects"),
+        (huge.glb(), "/v1/objects"),
+        (nan, "/v1/objects?kind=obj"),
+        (b"", "/v1/objects"),
+        (b"v 0 0 0\n", "/v1/objects?kind=obj"),
+        (struct.pack("<4sII", b"glTF", 2, 12), "/v1/objects"),
+    ):
+        answer = upload(server, body, path)
+        assert (answer.status, answer.kind) == (422, "bad-object"), (body[:40], answer)
+        assert answer.json["rule"]
+
+
+def test_an_object_beyond_the_time_limit_is_refused():
+    with RunningServer(object_timeout_s=0.001) as server:
+        answer = upload(server, textured_quad().glb(), "/v1/objects")
+        assert (answer.status, answer.kind) == (422, "bad-object")
+        assert answer.json["rule"] == "must decode within 0.001 s"
+
+
+def test_a_packed_object_is_the_same_object():
+    body = textured_quad().glb()
+    text, data = pack_object(body, None, {})
+    held, direct = unpack_object(json.loads(json.dumps(text)), bytearray(data)), load_object(body)
+    assert object_bytes(held) == object_bytes(direct) == len(data)
+    for (mesh, material), (own_mesh, own_material) in zip(held.parts, direct.parts, strict=True):
+        for name in ("vertices", "normals", "uvs", "faces"):
+            assert (getattr(mesh, name) == getattr(own_mesh, name)).all()
+        assert material.base_colour == own_material.base_colour
+        assert (material.base_colour_texture.texels == own_material.base_colour_texture.texels).all()
+
+
+def test_composites_and_objects_are_measured(server):
+    text = server.call("GET", "/metrics").body.decode()
+    assert 'roomlight_composite_seconds_count{quality="preview"}' in text
+    assert "roomlight_objects_refused_total" in text
+    assert "roomlight_object_bytes" in text
