@@ -65,6 +65,7 @@ def train_part(
             )
         except KeyboardInterrupt:
             trainer.save()
+            trainer.keep_scored()
             console.print(f"stopped at step {trainer.step}; the same command continues")
     return trainer.card()
 

@@ -6,7 +6,8 @@ frames) at most `TARGET`. Choosing on few captures picks what does not carry ove
 and rooms of panoramas that no training has used.
 """
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -32,7 +33,10 @@ _LEAST: Final = 1e-4
 
 @dataclass(frozen=True)
 class Ratio:
-    """A model's error as a ratio to the reference's on one capture: of each interval of frames, and of all frames."""
+    """A model's error as a ratio to the reference's on one capture: of each interval of frames, and of all frames.
+
+    NaN: a short capture has no frames in this interval. Infinite: the model's error is not a number.
+    """
 
     capture: str
     metric: str
@@ -40,6 +44,16 @@ class Ratio:
     overall: float
     to_warp: float
     """Of the last interval, as a ratio to warp-and-fill's."""
+
+    @property
+    def worst(self) -> float:
+        """Greatest ratio of an interval."""
+        return max(value for value in self.intervals if not math.isnan(value))
+
+    @property
+    def last(self) -> float:
+        """Ratio of the last interval that has frames."""
+        return [value for value in self.intervals if not math.isnan(value)][-1]
 
 
 @dataclass(frozen=True)
@@ -74,20 +88,20 @@ class ShipRule:
         found = [text for _, text in sorted(worse, reverse=True)]
         for metric, title in METRICS.items():
             mean = self.mean(metric).mean
-            if mean > TARGET:
+            if not mean <= TARGET:
                 found.append(f"mean over captures: {title} is {mean:.3f} of {self.reference}'s, above {TARGET}")
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """Return plain values."""
+        """Return plain values; what is NaN or infinite becomes null."""
         return {
             "model": self.model,
             "reference": self.reference,
             "tolerance": TOLERANCE,
             "target": TARGET,
-            "means": {metric: vars(self.mean(metric)) for metric in METRICS},
-            "ratios": [vars(one) for one in self.ratios],
-            "energy": list(self.energy),
+            "means": {metric: _plain(vars(self.mean(metric))) for metric in METRICS},
+            "ratios": [_plain(vars(one)) for one in self.ratios],
+            "energy": _plain(self.energy),
             "failures": self.failures(),
         }
 
@@ -124,35 +138,18 @@ def rule_of(scores: CaptureScores, model: str, reference: str) -> ShipRule:
     ratios = list[Ratio]()
     for capture in scores.captures:
         for metric in METRICS:
-            means = {
-                method: np.maximum([cell.mean for cell in scores.means(method, metric, capture=capture.name)], _LEAST)
+            ours, known, warp = (
+                np.maximum([cell.mean for cell in scores.means(method, metric, capture=capture.name)], _LEAST)
                 for method in ("candidate", "reference", "warp and fill")
-            }
-            ratio = means["candidate"] / means["reference"]
-            known = np.isfinite(ratio[:-1])
-            last = int(np.flatnonzero(known)[-1])
+            )
+            ratio = np.where(np.isfinite(known) & ~np.isfinite(ours), np.inf, ours / known)
+            last = int(np.flatnonzero(~np.isnan(ratio[:-1]))[-1])
+            intervals = tuple(float(value) for value in ratio[:-1])
             ratios.append(
-                Ratio(
-                    capture.name,
-                    metric,
-                    tuple(float(value) for value in ratio[:-1][known]),
-                    float(ratio[-1]),
-                    float(means["candidate"][last] / means["warp and fill"][last]),
-                )
+                Ratio(capture.name, metric, intervals, float(ratio[-1]), float(ratio[last] * known[last] / warp[last]))
             )
-    energy = [
-        float(
-            np.nanmean(
-                [
-                    track.scores["energy"][-1]
-                    for track in scores.tracks
-                    if track.capture == capture.name and track.method == "candidate"
-                ]
-            )
-        )
-        for capture in scores.captures
-    ]
-    return ShipRule(model, reference, tuple(ratios), tuple(energy))
+    energy = tuple(_last_energy(scores, capture.name) for capture in scores.captures)
+    return ShipRule(model, reference, tuple(ratios), energy)
 
 
 def ship_rule_table(rule: ShipRule) -> Table:
@@ -163,7 +160,7 @@ def ship_rule_table(rule: ShipRule) -> Table:
     table.add_column("energy, last", justify="right")
     energies = dict(zip(dict.fromkeys(one.capture for one in rule.ratios), rule.energy, strict=True))
     for one in rule.ratios:
-        figures = (max(one.intervals), one.intervals[-1], one.overall, one.to_warp)
+        figures = (one.worst, one.last, one.overall, one.to_warp)
         table.add_row(
             one.capture,
             METRICS[one.metric],
@@ -179,22 +176,38 @@ def ship_rule_table(rule: ShipRule) -> Table:
             "",
             f"{mean.mean:.3f} [{mean.low:.3f}, {mean.high:.3f}]",
             f"{warp.mean:.3f} [{warp.low:.3f}, {warp.high:.3f}]",
-            f"{np.median(rule.energy):.2f}" if metric == "log_l2" else "",
+            f"{np.nanmedian(rule.energy):.2f}" if metric == "log_l2" else "",
         )
     return table
 
 
-def write_rule(path: Path, rules: Mapping[str, ShipRule]) -> None:
-    """Write rules as JSON, atomically.
+def write_rule(path: Path, rule: ShipRule, scores: CaptureScores) -> None:
+    """Write the scores as JSON (`CaptureScores.write`), with the rule as `ship_rule`, atomically.
 
     Raises:
         OutputError: The file cannot be written.
     """
-    write_json(path, {name: rule.to_json() for name, rule in rules.items()})
+    write_json(path, scores.to_json() | {"ship_rule": rule.to_json()})
 
 
 def _mean(values: Sequence[float]) -> MeanWithInterval:
     known = np.array(values)
     drawn = np.random.default_rng(0).integers(0, len(known), (BOOTSTRAP_SAMPLES, len(known)))
-    low, high = np.percentile(known[drawn].mean(axis=1), [2.5, 97.5]) if len(known) > 1 else (np.nan, np.nan)
+    several = len(known) > 1 and bool(np.isfinite(known).all())
+    low, high = np.percentile(known[drawn].mean(axis=1), [2.5, 97.5]) if several else (np.nan, np.nan)
     return MeanWithInterval(float(known.mean()), float(low), float(high))
+
+
+def _last_energy(scores: CaptureScores, capture: str) -> float:
+    """Return the mean of the candidate's last energies over a capture's probes; those with a black truth are NaN."""
+    tracks = [track for track in scores.tracks if track.capture == capture and track.method == "candidate"]
+    known = [value for value in (track.scores["energy"][-1] for track in tracks) if math.isfinite(value)]
+    return float(np.mean(known)) if known else math.nan
+
+
+def _plain(values: Any) -> Any:
+    if isinstance(values, dict):
+        return {key: _plain(value) for key, value in values.items()}
+    if isinstance(values, (tuple, list)):
+        return [_plain(value) for value in values]
+    return None if isinstance(values, float) and not math.isfinite(values) else values

@@ -9,6 +9,7 @@ from roomlight.metrics import (
     METRICS,
     SphereScorer,
     angular_error_deg,
+    energy_ratio,
     interval_means,
     intervals,
     ldr_l2,
@@ -145,3 +146,28 @@ def test_interval_means() -> None:
         interval_means(values, 20)
     with pytest.raises(ValueError, match="0 frames or more"):
         intervals(-1)
+
+
+def test_energy_is_a_ratio_to_the_truths() -> None:
+    truth = panorama(3)
+    assert energy_ratio(truth, truth) == pytest.approx(1)
+    assert energy_ratio(2.5 * truth, truth) == pytest.approx(2.5)
+    assert energy_ratio(np.zeros_like(truth), truth) == 0
+
+
+def test_energy_weights_pixels_by_solid_angle() -> None:
+    truth = np.ones((16, 32, 3), np.float32)
+    polar = np.zeros_like(truth)
+    polar[0] = 1
+    assert energy_ratio(polar, truth) == pytest.approx((1 - np.cos(np.pi / 16)) / 2, rel=1e-5)
+
+
+def test_energy_of_a_black_truth_is_unknown() -> None:
+    black = np.zeros((16, 32, 3), np.float32)
+    assert np.isnan(energy_ratio(panorama(1), black))
+
+
+def test_energy_sums_bright_pixels_without_loss() -> None:
+    truth = np.full((16, 32, 3), np.float32(1e-3))
+    truth[8, 5] = 1e9
+    assert energy_ratio(truth, truth) == pytest.approx(1, rel=1e-9)

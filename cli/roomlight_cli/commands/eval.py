@@ -13,7 +13,7 @@ from roomlight_evaluation.capture_evaluation import evaluate_engine, evaluate_pr
 from roomlight_evaluation.capture_tables import capture_tables
 from roomlight_evaluation.main_light_evaluation import MainLightScores, evaluate_main_lights
 from roomlight_evaluation.main_light_tables import main_light_table
-from roomlight_evaluation.ship_rule import ShipRule, apply_ship_rule, ship_rule_table
+from roomlight_evaluation.ship_rule import ShipRule, apply_ship_rule, ship_rule_table, write_rule
 
 app = single_command_app()
 
@@ -117,7 +117,10 @@ def evaluate(
         for table in capture_tables(scores, per_capture=True):
             console.print_table(console.out, table)
     if json_out:
-        scores.write(json_out)
+        if rule is None:
+            scores.write(json_out)
+        else:
+            write_rule(json_out, rule, scores)
         console.say(f"Scores: {json_out}")
     if rule is not None:
         console.print_table(console.out, ship_rule_table(rule))

@@ -115,7 +115,7 @@ def train(
         part_options = PartOptions(
             steps=steps,
             batch=batch or PartOptions.batch,
-            learning_rate=learning_rate or PartOptions.learning_rate,
+            learning_rate=PartOptions.learning_rate if learning_rate is None else learning_rate,
             seed=seed,
         )
         done = train_part(

@@ -91,7 +91,8 @@ def shipped_clipping(provider: Provider = "auto", folder: Path = SHIPPED / "clip
 def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model: ClippingModel | None = None) -> Frame:
     """Estimate the radiance of the clipped pixels of a frame; the returned frame has the depth `depth_m`.
 
-    Channels that did not saturate keep their value. A frame without clipped pixels keeps its image.
+    Channels that did not saturate keep their value. The network's estimate is never below the measured value, which is
+    a lower bound. A frame without clipped pixels keeps its image.
 
     model:  the network; None: the constants (`restore_by_constants`).
     """
@@ -101,9 +102,8 @@ def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model:
         return restore_by_constants(frame, depth_m)
     white = white_of(frame)
     estimate = np.exp(model.log_radiance(frame, depth_m)) * white
-    lower = np.minimum(frame.image, white)
     saturated = frame.clipped[..., None] & (frame.image >= np.float32(_SATURATED) * white)
-    image = np.where(saturated, np.maximum(estimate, lower), frame.image)
+    image = np.where(saturated, np.maximum(estimate, frame.image), frame.image)
     return replace(frame, image=image, depth_m=depth_m)
 
 
@@ -170,8 +170,8 @@ def surface_normals(frame: Frame) -> Float[np.ndarray, "dh dw 3"]:
 def _heading(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
     """Return the rotation, as columns in the world, of a frame with y up and z against the camera's heading."""
     back = camera_to_world[:3, 2] * np.array([1.0, 0.0, 1.0])
-    if np.linalg.norm(back) < 1e-6:  # looking straight up or down
-        back = camera_to_world[:3, 1] * np.array([1.0, 0.0, 1.0])
+    if np.linalg.norm(back) < 1e-6:  # straight down, the image's upper edge points ahead; straight up, back
+        back = -np.sign(camera_to_world[1, 2]) * camera_to_world[:3, 1] * np.array([1.0, 0.0, 1.0])
     back = back / max(float(np.linalg.norm(back)), 1e-12)
     up = np.array([0.0, 1.0, 0.0])
     return np.stack([np.cross(up, back), up, back], axis=1).astype(np.float32)

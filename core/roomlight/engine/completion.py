@@ -104,8 +104,14 @@ class CompletionBackend(ClassicalBackend):
         """Estimate the HDR panorama: the classical fill, changed by the network where nothing was observed."""
         del depth_max_m
         seen = self.observe(state, rendered=rendered, transmittance=transmittance, partial=partial)
+        # as in training: the panorama that the frames make, with the fill only where they show nothing
+        known = seen.known[..., None]
         panels = completion_panels(
-            detail=seen.detail, known=seen.known, clipped=seen.clipped, depth_m=seen.depth_m, fill=seen.fill
+            detail=seen.detail,
+            known=seen.known,
+            clipped=seen.clipped,
+            depth_m=seen.depth_m,
+            fill=known * seen.detail + (1 - known) * seen.fill,
         )
         hdr = self._model.complete(panels, seen.fill, seen.known)
         if self.is_later_frame(memory):

@@ -57,8 +57,9 @@ class SessionOptions:
 
     Attributes:
         model: classical (no networks), completion (classical, with learned light where no frame looked), single or
-            video (the paper's networks), or auto: the network form of `weights`, and without `weights` classical. On streams of 35 captures that no choice was made with, the networks inside the package
-            had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
+            video (the paper's networks), or auto: the network form of `weights`, and without `weights` classical. On
+            streams of 35 captures that no choice was made with, the networks inside the package had 1.0 to 1.2 of
+            warp-and-fill's log-L2, classical 0.82 to 0.94.
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
         clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
         parts: a folder with the model directories `clipping` and `completion`, instead of those inside the package.
@@ -206,7 +207,7 @@ class Session:
 
     @property
     def model(self) -> str:
-        """The model in use: classical, single or video."""
+        """The model in use: classical, completion, single or video."""
         return self._backend.name
 
     @property
@@ -315,11 +316,7 @@ class Session:
         Raises:
             ProbeError: no tracked probe has this handle, or no frame was pushed yet.
         """
-        if handle not in self._probes:
-            tracked = f"this session tracks {len(self._probes)}"
-            reason = "no frame has been pushed yet" if handle in self._pending else tracked
-            raise ProbeError(f"no light for tracked probe {handle}: {reason}")
-        return self._light_of(self._probes[handle])
+        return self._light_of(self._probe(handle, "light"))
 
     def panorama_state(self, handle: int) -> PanoramaState:
         """Return what a tracked position has accumulated up to the last frame; the next frame overwrites it.
@@ -327,9 +324,7 @@ class Session:
         Raises:
             ProbeError: no tracked probe has this handle, or no frame was pushed yet.
         """
-        if handle not in self._probes:
-            raise ProbeError(f"no panorama for tracked probe {handle}: this session tracks {len(self._probes)}")
-        return self._probes[handle].state
+        return self._probe(handle, "panorama").state
 
     def light_at(self, position: Position) -> Light:
         """Return the light at any position, from the keyframes and the last frame.
@@ -345,6 +340,13 @@ class Session:
     def lights(self) -> Sequence[Light]:
         """Return the light at every tracked position, in the order of `handles`."""
         return [self._light_of(probe) for probe in self._probes.values()]
+
+    def _probe(self, handle: int, wanted: str) -> _Probe:
+        if handle not in self._probes:
+            tracked = f"this session tracks {len(self._probes)}"
+            reason = "no frame has been pushed yet" if handle in self._pending else tracked
+            raise ProbeError(f"no {wanted} for tracked probe {handle}: {reason}")
+        return self._probes[handle]
 
     def _fresh_probe(self, position: Position) -> _Probe:
         assert self._grid is not None

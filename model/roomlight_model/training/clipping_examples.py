@@ -5,7 +5,7 @@ other pixels clip, and their truth is known too.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import cv2
@@ -74,15 +74,11 @@ class ClippingFrames:
                         continue
                     example = example_of(recording, rng, depth="both")
                     frame = example.frame
-                    planes = clipping_planes(replace(frame), example.depth_m)
-                    radiance.append(
-                        _square(
-                            np.where(
-                                frame.clipped[..., None], recording.clipped_radiance[0].astype(np.float32), frame.image
-                            )
-                        )
-                    )
-                    geometry.append(planes[4:].astype(np.float16))
+                    truth = recording.clipped_radiance[0].astype(np.float32)
+                    # JPEG moves pixels across the limit: the truth is where it was stored
+                    stored = truth.any(-1, keepdims=True)
+                    radiance.append(_square(np.where(stored, truth, frame.image)))
+                    geometry.append(clipping_planes(frame, example.depth_m)[4:].astype(np.float16))
                 done += 1
                 if progress:
                     progress(done, total)

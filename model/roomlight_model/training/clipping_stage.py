@@ -9,8 +9,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from roomlight.errors import DatasetError
 from roomlight_model.clipping_network import ClippingNetwork
-from roomlight_model.training.clipping_examples import ClippingFrames, clipping_batch
+from roomlight_model.training.clipping_examples import CLIPPED, ClippingFrames, clipping_batch
 
 ENERGY_WEIGHT: Final = 0.3
 """Weight of the error of a frame's whole clipped light beside that of its pixels."""
@@ -20,11 +21,22 @@ _LEAST: Final = 30.0
 
 @dataclass(frozen=True)
 class ClippingStage:
-    """Trains `ClippingNetwork` on frames; held-out frames score it."""
+    """Trains `ClippingNetwork` on frames; held-out frames score it.
+
+    Raises:
+        DatasetError: No held-out frame has a clipped pixel.
+    """
 
     frames: ClippingFrames
     held_out: ClippingFrames
     form = "clipping"
+
+    def __post_init__(self) -> None:
+        if not (self.held_out.radiance >= CLIPPED).any():
+            raise DatasetError(
+                f"none of the {len(self.held_out)} held-out frames has a clipped pixel: nothing could be scored; "
+                "give a larger dataset"
+            )
 
     def network(self) -> ClippingNetwork:
         """Build the network."""

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
+import cv2
 import numpy as np
 import torch
 from jaxtyping import Float16, Float32
@@ -123,7 +124,6 @@ def _panels(session: Session, handle: int) -> Float16[np.ndarray, "9 h w"]:
 
 
 def _reduced(truth: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 h w"]:
-    rows, columns = truth.shape[0] // HEIGHT, truth.shape[1] // (2 * HEIGHT)
-    limited = np.minimum(truth, BRIGHTEST)
-    means = limited[: rows * HEIGHT, : columns * 2 * HEIGHT].reshape(HEIGHT, rows, 2 * HEIGHT, columns, 3).mean((1, 3))
+    limited = np.minimum(truth, np.float32(BRIGHTEST))
+    means = cv2.resize(limited, (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
     return np.moveaxis(means, -1, 0).astype(np.float16)

@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, Protocol
+from typing import Any, Final, Protocol, runtime_checkable
 
 import numpy as np
 import torch
@@ -25,8 +25,10 @@ from roomlight_model.training.options import OPTIONS
 from roomlight_model.training.trainer import LAST
 
 _REPORT_STEPS: Final = 20
+LOG: Final = "log.jsonl"
 
 
+@runtime_checkable
 class PartStage(Protocol):
     """What is trained: examples, a network, its loss and its scores."""
 
@@ -104,8 +106,8 @@ class PartTrainer:
         """Start a run in an empty folder, or resume the folder's run.
 
         Raises:
-            ModelError: The folder's run has other options (`steps` may differ), or there are fewer examples than a
-                batch needs.
+            ModelError: The folder's run has other options (`steps` may differ) or is damaged, there are fewer examples
+                than a batch needs, or `start_from` holds another network.
             OutputError: The folder holds other files.
         """
         if len(stage) < options.batch:
@@ -115,7 +117,10 @@ class PartTrainer:
             torch.manual_seed(options.seed)
             self.network = stage.network()
         if start_from is not None:
-            self.network.load_state_dict(load_part_checkpoint(start_from).network.state_dict())
+            found = load_part_checkpoint(start_from)
+            if found.form != stage.form:
+                raise ModelError(f"{start_from}: holds a {found.form} network; this stage trains {stage.form}")
+            self.network.load_state_dict(found.network.state_dict())
         self.average = {name: value.detach().clone() for name, value in self.network.state_dict().items()}
         self._optimizer = torch.optim.AdamW(self.network.parameters(), options.learning_rate, weight_decay=0.02)
         self.step, self.seconds = 0, 0.0
@@ -129,14 +134,14 @@ class PartTrainer:
         checkpoint_s: float = 600.0,
         stop: Callable[[], bool] = lambda: False,
     ) -> None:
-        """Train to the last step, or until `stop`; validate every `every_steps` steps and at the end.
+        """Train to the last step, or until `stop`; validate every `every_steps` steps and where it ends.
 
         Raises:
             ModelError: The loss is not finite.
             OutputError: The folder cannot be written.
         """
         began = saved = time.monotonic()
-        before, losses = self.seconds, list[float]()
+        before, losses, scored = self.seconds, list[float](), self.step
         while self.step < self.options.steps and not stop():
             losses.append(self._one_step())
             self.step += 1
@@ -144,6 +149,7 @@ class PartTrainer:
             self.seconds = before + now - began
             last = self.step == self.options.steps
             scores = self.keep_scored() if last or self.step % every_steps == 0 else None
+            scored = scored if scores is None else self.step
             if scores is not None or self.step % _REPORT_STEPS == 0:
                 mean = float(np.mean(losses))
                 losses.clear()
@@ -154,6 +160,8 @@ class PartTrainer:
                 self.save()
                 saved = now
         self.save()
+        if scored < self.step:  # stopped
+            self.keep_scored()
 
     def averaged(self) -> nn.Module:
         """Return a network with the averaged weights."""
@@ -208,7 +216,9 @@ class PartTrainer:
         self.network.train()
         loss = self.stage.loss(self.network, rng.integers(len(self.stage), size=options.batch).tolist(), rng)
         if not torch.isfinite(loss):
-            raise ModelError(f"{self.out}: the loss is {float(loss)} at step {self.step}; use a lower learning rate")
+            raise ModelError(
+                f"{self.out}: the loss is {float(loss.detach())} at step {self.step}; use a lower learning rate"
+            )
         self._optimizer.zero_grad()
         loss.backward()
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
@@ -224,7 +234,7 @@ class PartTrainer:
         if not path.exists() and self.out.exists() and any(self.out.iterdir()):
             raise OutputError(f"{self.out}: holds other files and no training run; give an empty folder")
         if path.exists():
-            theirs = json.loads(path.read_text(encoding="utf-8"))
+            theirs = _read_options(path)
             changed = [name for name in ours if name != "steps" and theirs.get(name) != ours[name]]
             if changed:
                 raise ModelError(
@@ -240,9 +250,29 @@ class PartTrainer:
                 self.network.load_state_dict(state["network"])
                 self._optimizer.load_state_dict(state["optimizer"])
                 self.average, self.step, self.seconds = state["average"], state["step"], state["seconds"]
-            except (OSError, RuntimeError, KeyError, ValueError, EOFError) as error:
-                raise ModelError(f"{last}: cannot be resumed from ({error}); delete it to start again") from error
+            except Exception as error:  # the unpickler raises any type for damaged bytes
+                reason = str(error).strip().split("\n")[0] or type(error).__name__
+                raise ModelError(f"{last}: cannot be resumed from ({reason}); delete it to start again") from error
+        self._cut_log()
+
+    def _cut_log(self) -> None:
+        """Leave out what was logged after the state that the run resumes from."""
+        log = self.out / LOG
+        if log.exists():
+            lines = log.read_text(encoding="utf-8").splitlines(keepends=True)
+            kept = [line for line in lines if line.endswith("\n") and json.loads(line)["step"] <= self.step]
+            write_atomic(log, "".join(kept).encode())
 
     def _log(self, entry: Mapping[str, Any]) -> None:
-        with (self.out / "log.jsonl").open("a", encoding="utf-8") as file:
+        with (self.out / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(entry) + "\n")
+
+
+def _read_options(path: Path) -> dict[str, Any]:
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:
+        raise ModelError(f"{path}: is damaged ({error}); use another folder") from error
+    if not isinstance(found, dict):
+        raise ModelError(f"{path}: holds no options; use another folder")
+    return found

@@ -23,7 +23,8 @@ TRUE = 20.0
 ROOM = BoxRoom(lamp=LAMP, lamp_radiance=TRUE)
 PROBE = (0.3, 1.4, 0.2)
 DARK = 1 / 32
-CLASSICAL = SessionOptions(model="classical", height=48)
+CLASSICAL = SessionOptions(model="classical", clipping="constants", height=48)
+LEARNED = SessionOptions(model="classical", clipping="learned", provider="cpu", height=48)
 
 
 def shown(exposure, *, position=(0.3, 1.4, 0.2), yaw=0.0, index=0, room=ROOM, width=160):
@@ -46,8 +47,8 @@ def lamp_voxels(grid):
     return (away < LAMP[1] / 2) & (abs(centres[..., 2] - LAMP[0][2]) < grid.edge_m)
 
 
-def streamed(*frames):
-    session = Session(CLASSICAL)
+def streamed(*frames, options=CLASSICAL):
+    session = Session(options)
     session.track(PROBE)
     for index, frame in enumerate(frames):
         session.push(dataclasses.replace(frame, index=index))
@@ -83,6 +84,23 @@ def test_still_clipped_is_at_least_the_shortest_exposures_white():
     session = streamed(shown(1), shown(1 / 4, **MOVED), shown(1))
     for light in (session.light(0), session.light_at(PROBE)):
         np.testing.assert_allclose(light.panorama[in_lamp()], 4 * BRIGHT_GAIN, rtol=0.05)
+
+
+def test_learned_light_starts_from_the_shortest_exposure():
+    """The network knows nothing of the bracket: its estimate is at least what the shortest exposure measured."""
+    long, short = shown(1), shown(1 / 4, **MOVED)
+    alone, together = streamed(long, options=LEARNED), streamed(long, short, long, options=LEARNED)
+    lamp = alone.light(0).panorama[in_lamp()]
+    assert lamp.min() > 1
+    for light in (together.light(0), together.light_at(PROBE)):
+        assert light.panorama[in_lamp()].min() >= 4
+        assert np.median(light.panorama[in_lamp()]) > 1.5 * np.median(lamp)
+
+
+def test_a_short_exposure_overrides_what_was_learned():
+    session = streamed(shown(1), shown(DARK, **MOVED), shown(1), options=LEARNED)
+    for light in (session.light(0), session.light_at(PROBE)):
+        np.testing.assert_allclose(np.median(light.panorama[in_lamp()]), TRUE, rtol=0.1)
 
 
 def test_a_keyframe_keeps_its_bracket():

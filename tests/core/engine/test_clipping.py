@@ -1,13 +1,28 @@
-"""Radiance of clipped pixels, by the surface that they show."""
+"""Radiance of clipped pixels: by constants for kinds of surface, and by the network."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from part_models import write_part
 from roomlight.depth import complete_depth
-from roomlight.engine.clipping import BRIGHT_GAIN, GLARE_GAIN, WINDOW_GAIN, restore_clipped
-from rooms import BoxRoom, camera_at
+from roomlight.engine.clipping import (
+    BRIGHT_GAIN,
+    CHANNELS,
+    GLARE_GAIN,
+    SIDE,
+    WINDOW_GAIN,
+    ClippingModel,
+    Placement,
+    clipping_planes,
+    restore_clipped,
+    shipped_clipping,
+    white_of,
+)
+from roomlight.engine.graphs import load_part
+from roomlight.frame import Frame
+from rooms import BoxRoom, camera_at, pinhole, rotation_about_y
 
 
 @pytest.fixture
@@ -53,3 +68,230 @@ def test_low_resolution_depth_serves_too(frame):
 def test_the_completed_depth_comes_along(frame):
     completed = np.full_like(frame.depth_m, 2.0)
     assert (restore_clipped(frame, completed).depth_m == 2.0).all()
+
+
+# --- the network's input
+
+
+WHITE = np.float32(0.5)
+
+
+def clipped(frame):
+    """The frame as a camera gives it that saturates at `WHITE`."""
+    marked = frame.image.max(-1) >= WHITE
+    assert 0.02 < marked.mean() < 0.9
+    return replace(frame, image=np.minimum(frame.image, WHITE), clipped=marked)
+
+
+def inside(frame, planes):
+    height, width = frame.clipped.shape
+    return Placement.of(width, height).inside(np.moveaxis(planes, 0, -1))
+
+
+@pytest.mark.parametrize(
+    ("size", "place"),
+    [
+        ((320, 240), Placement(160, 120, 0, 20)),
+        ((240, 320), Placement(120, 160, 20, 0)),
+        ((320, 180), Placement(160, 90, 0, 34)),
+        ((100, 100), Placement(160, 160, 0, 0)),
+        ((4000, 3), Placement(160, 2, 0, 78)),
+    ],
+)
+def test_frames_lie_centred_in_even_numbers(size, place):
+    assert Placement.of(*size) == place
+    square = np.zeros((SIDE, SIDE), np.float32)
+    assert place.inside(square).shape == (place.height, place.width)
+    assert place.inside(square[::2, ::2], halved=True).shape == (place.height // 2, place.width // 2)
+
+
+@pytest.mark.parametrize("size", [(320, 240), (240, 320), (64, 48)])
+def test_planes_are_empty_outside_the_frame(size):
+    frame = clipped(BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=size[0], height=size[1]))
+    planes = clipping_planes(frame, frame.depth_m)
+    assert planes.shape == (CHANNELS, SIDE, SIDE)
+    assert planes.dtype == np.float32
+    assert np.isfinite(planes).all()
+    outside = planes[4] == 0
+    assert (~outside).sum() == Placement.of(*size).width * Placement.of(*size).height
+    assert (planes[:, outside] == 0).all()
+    assert (inside(frame, planes)[..., 4] == 1).all()
+
+
+def test_planes_show_image_clipping_and_depth(frame):
+    marked = clipped(frame)
+    depth = marked.depth_m.copy()
+    depth[:30] = 0
+    view = inside(marked, clipping_planes(replace(marked, depth_m=depth), marked.depth_m))
+    assert view[..., :3] == pytest.approx(np.minimum(marked.image / WHITE, 1), abs=1e-5)
+    assert (view[..., 3] == marked.clipped).all()
+    assert (view[..., 5] == (depth > 0)).all()
+    assert view[..., 6] == pytest.approx(np.log1p(marked.depth_m))
+
+
+def test_exposure_does_not_change_the_planes(frame):
+    marked = clipped(frame)
+    brighter = replace(marked, image=marked.image * 8)
+    assert white_of(brighter) == pytest.approx(8 * white_of(marked))
+    assert clipping_planes(brighter, frame.depth_m) == pytest.approx(clipping_planes(marked, frame.depth_m), abs=1e-5)
+
+
+def test_normals_of_known_planes_in_the_heading_frame():
+    for yaw in (0, 90, 180, 270):
+        frame = BoxRoom(size_m=(6.0, 3.0, 6.0)).frame(camera_at((0, 1.4, 0.0), yaw_degrees=yaw, pitch_degrees=-20))
+        normals = inside(frame, clipping_planes(frame, frame.depth_m))[..., 7:10]
+        assert normals[30, 80] == pytest.approx([0, 0, 1], abs=1e-3)  # the wall ahead
+        assert normals[-10, 80] == pytest.approx([0, 1, 0], abs=1e-3)  # the floor
+
+
+def test_height_of_rays_is_the_sine_of_their_elevation():
+    frame = BoxRoom().frame(camera_at((0, 1.4, 1.5), yaw_degrees=35, pitch_degrees=-30))
+    view = inside(frame, clipping_planes(frame, frame.depth_m))
+    assert view[59, 80, 10] == pytest.approx(np.sin(np.radians(-30)), abs=0.01)
+    assert view[0, 80, 10] > view[-1, 80, 10]
+
+
+def test_planes_do_not_know_where_north_is():
+    marked = clipped(BoxRoom().frame(camera_at((0.4, 1.4, 1.0), yaw_degrees=20, pitch_degrees=-25)))
+    turned = np.eye(4)
+    turned[:3, :3] = rotation_about_y(1.1)
+    other = replace(marked, camera_to_world=turned @ marked.camera_to_world)
+    # float32 rays: 1e-4 in a unit normal
+    assert clipping_planes(other, marked.depth_m) == pytest.approx(clipping_planes(marked, marked.depth_m), abs=2e-4)
+
+
+def test_a_mirrored_frame_has_mirrored_planes(frame):
+    marked = clipped(frame)
+    k = marked.intrinsics
+    mirrored = replace(
+        marked,
+        image=marked.image[:, ::-1],
+        clipped=marked.clipped[:, ::-1],
+        depth_m=marked.depth_m[:, ::-1],
+        intrinsics=replace(k, cx=k.width - k.cx),
+    )
+    expected = clipping_planes(marked, marked.depth_m)[:, :, ::-1].copy()
+    expected[7] *= -1
+    assert clipping_planes(mirrored, mirrored.depth_m) == pytest.approx(expected, abs=2e-4)
+
+
+@pytest.mark.parametrize("pitch", [-90, 90])
+def test_the_heading_is_continuous_straight_up_and_down(pitch):
+    """A surface that slants against the image: its normal leans to or away from the heading."""
+    depth = np.linspace(1.0, 2.0, 48)[:, None].repeat(64, 1).astype(np.float32)
+    grey = np.full((48, 64, 3), np.float32(0.5))
+    straight, almost = (
+        Frame(0, grey, np.zeros((48, 64), bool), depth, pinhole(64, 48), camera_at((0, 1, 0), 30, pitch * share))
+        for share in (1.0, 0.9999)
+    )
+    planes = clipping_planes(straight, depth)
+    assert abs(planes[9]).max() > 0.3
+    assert planes == pytest.approx(clipping_planes(almost, depth), abs=1e-3)
+
+
+# --- the network
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    return shipped_clipping("cpu")
+
+
+@pytest.fixture(scope="module")
+def five_times_white(tmp_path_factory):
+    folder = write_part(tmp_path_factory.mktemp("part") / "clipping", "clipping", constant=np.log(5.0))
+    return ClippingModel(load_part(folder, "clipping", provider="cpu"))
+
+
+class Forbidden(ClippingModel):
+    """Must not be asked."""
+
+    def __init__(self):
+        pass
+
+    def log_radiance(self, frame, depth_m):
+        raise AssertionError(f"{frame.source} has no clipped pixels and needs no network ({depth_m.shape})")
+
+
+def test_a_frame_without_clipped_pixels_is_not_estimated(frame):
+    result = restore_clipped(frame, np.full_like(frame.depth_m, 2.0), model=Forbidden())
+    assert result.image is frame.image
+    assert (result.depth_m == 2.0).all()
+
+
+def test_the_network_changes_saturated_channels_alone(frame, shipped):
+    marked = clipped(frame)
+    result = restore_clipped(marked, frame.depth_m, model=shipped)
+    saturated = marked.clipped[..., None] & (marked.image >= 0.95 * white_of(marked))
+    assert 0 < saturated[marked.clipped].mean() < 1
+    assert (result.image[~saturated] == marked.image[~saturated]).all()
+    assert (result.image[saturated] > marked.image[saturated]).any()
+    assert result.image.dtype == np.float32
+
+
+def test_estimates_are_never_below_the_measured_value(frame, tmp_path):
+    folder = write_part(tmp_path / "clipping", "clipping", constant=-1.5)  # the least that the network says
+    dark = ClippingModel(load_part(folder, "clipping", provider="cpu"))
+    marked = clipped(frame)
+    assert (restore_clipped(marked, frame.depth_m, model=dark).image == marked.image).all()
+
+
+def test_a_higher_bound_of_another_exposure_is_kept(frame, five_times_white):
+    """Pixels that an earlier frame of shorter exposure clipped too are at least that frame's white."""
+    marked = clipped(frame)
+    image = marked.image.copy()
+    row, column = np.argwhere(marked.clipped)[0]
+    image[row, column] = 7.0
+    result = restore_clipped(replace(marked, image=image), frame.depth_m, model=five_times_white)
+    assert result.image[row, column] == pytest.approx(7.0)
+    others = marked.clipped & (image.max(-1) < 1)
+    assert result.image[others].max() == pytest.approx(5 * WHITE, rel=1e-5)
+
+
+def test_estimates_are_in_units_of_the_frames_white(frame, shipped):
+    marked = clipped(frame)
+    once = restore_clipped(marked, frame.depth_m, model=shipped).image
+    brighter = restore_clipped(replace(marked, image=marked.image * 8), frame.depth_m, model=shipped).image
+    assert brighter == pytest.approx(8 * once, rel=1e-3)
+
+
+@pytest.mark.parametrize("size", [(320, 240), (240, 320), (100, 60)])
+def test_estimates_return_to_their_pixels(size, tmp_path):
+    """A graph that returns its own image: what comes back is the frame, smoothed."""
+    folder = write_part(tmp_path / "clipping", "clipping", image=1.0)
+    model = ClippingModel(load_part(folder, "clipping", provider="cpu"))
+    frame = BoxRoom().frame(camera_at((0, 1.4, 1.5), pitch_degrees=-35), width=size[0], height=size[1])
+    found = model.log_radiance(frame, frame.depth_m)
+    assert found.shape == frame.image.shape
+    difference = np.abs(found - np.minimum(frame.image, 1))
+    assert np.median(difference) < 0.01  # smooth walls
+    assert np.quantile(difference, 0.9) < 0.1  # edges between them
+    assert np.median(np.abs(found[::-1] - np.minimum(frame.image, 1))) > 0.05  # a flipped image would show
+
+
+@pytest.mark.parametrize("depth_size", [(160, 120), (64, 48), (4, 3)])
+def test_depth_of_any_size_serves_the_network(depth_size, shipped):
+    frame = BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=240, height=180)
+    small = replace(clipped(frame), depth_m=BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=240, height=180,
+                                                            depth_size=depth_size).depth_m)  # fmt: skip
+    result = restore_clipped(small, small.depth_m, model=shipped)
+    assert np.isfinite(result.image).all()
+
+
+def test_a_frame_that_is_clipped_everywhere_is_finite(frame, shipped):
+    white = replace(frame, image=np.ones_like(frame.image), clipped=np.ones_like(frame.clipped))
+    for depth in (frame.depth_m, np.zeros_like(frame.depth_m)):
+        result = restore_clipped(replace(white, depth_m=depth), depth, model=shipped).image
+        assert np.isfinite(result).all()
+        assert result.min() >= 1
+
+
+def test_lamps_come_out_brighter_than_by_constants(shipped):
+    """A lamp of eight times white on a wall, with depth: constants take it for a bright wall."""
+    frame = BoxRoom(lamp=((0.5, 2.2, -2.5), 0.4)).frame(camera_at((0, 1.4, 1.0), pitch_degrees=10))
+    marked = replace(frame, image=np.minimum(frame.image, 1), clipped=frame.image.max(-1) >= 1)
+    constants, learned = (
+        restore_clipped(marked, frame.depth_m, model=model).image[marked.clipped] for model in (None, shipped)
+    )
+    assert np.median(constants) == pytest.approx(BRIGHT_GAIN)
+    assert abs(np.log(np.median(learned) / 8)) < abs(np.log(BRIGHT_GAIN / 8))

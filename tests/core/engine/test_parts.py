@@ -1,0 +1,160 @@
+"""Networks that serve every model: what is refused, several threads at once, and no PyTorch."""
+
+import json
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from part_models import write_part
+from roomlight.engine.clipping import ClippingModel, restore_clipped, shipped_clipping
+from roomlight.engine.graphs import SHIPPED, load_graphs, load_part, read_description
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import ModelError, ProbeError
+from rooms import BoxRoom, camera_at
+
+LAMP = BoxRoom(lamp=((0.5, 1.5, -2.5), 0.5))
+
+
+def clipped_frames(count):
+    frames = [LAMP.frame(camera_at((0.1 * i, 1.4, 1.0), yaw_degrees=3.0 * i), index=i) for i in range(count)]
+    return [replace(frame, image=np.minimum(frame.image, 1), clipped=frame.image.max(-1) >= 1) for frame in frames]
+
+
+def test_a_complete_folder_loads(tmp_path):
+    graph = load_part(write_part(tmp_path / "part", "completion"), "completion", provider="cpu")
+    assert graph.inputs == {"panels": (1, 9, 60, 120)}
+    assert graph.outputs == {"change": (1, 3, 60, 120)}
+
+
+def test_another_form_is_named(tmp_path):
+    folder = write_part(tmp_path / "part", "completion")
+    with pytest.raises(ModelError, match="networks of the form completion, not clipping"):
+        load_part(folder, "clipping", provider="cpu")
+
+
+def test_a_part_alone_is_no_model(tmp_path):
+    folder = write_part(tmp_path / "part", "clipping")
+    with pytest.raises(ModelError, match="the form clipping, which no model runs by itself"):
+        load_graphs(folder, provider="cpu", allow_untrained=True)
+
+
+def test_networks_of_a_model_are_no_part():
+    with pytest.raises(ModelError, match="of the form single, not completion"):
+        load_part(SHIPPED / "single", "completion", provider="cpu")
+
+
+def test_a_missing_folder_is_named(tmp_path):
+    with pytest.raises(ModelError, match=r"nowhere/model\.json: cannot be read.*roomlight export"):
+        load_part(tmp_path / "nowhere", "clipping", provider="cpu")
+
+
+def test_a_missing_part_graph_is_named(tmp_path):
+    folder = write_part(tmp_path / "part", "clipping")
+    (folder / "clipping.onnx").unlink()
+    with pytest.raises(ModelError, match=r"clipping\.onnx: missing"):
+        load_part(folder, "clipping", provider="cpu")
+
+
+def test_a_changed_part_graph_is_refused(tmp_path):
+    folder = write_part(tmp_path / "part", "clipping")
+    file = folder / "clipping.onnx"
+    file.write_bytes(file.read_bytes() + b"\0")
+    with pytest.raises(ModelError, match=r"clipping\.onnx: is not the graph.*digest differs"):
+        load_part(folder, "clipping", provider="cpu")
+
+
+def test_an_untrained_part_is_refused(tmp_path):
+    folder = write_part(tmp_path / "part", "completion", steps=0)
+    with pytest.raises(ModelError, match=r"never trained.*--stage completion"):
+        load_part(folder, "completion", provider="cpu")
+
+
+def test_a_graph_of_another_size_is_refused_when_it_runs(tmp_path):
+    folder = write_part(tmp_path / "part", "completion")
+    described = json.loads((folder / "model.json").read_text())
+    described["form"], described["graphs"] = "clipping", {"clipping": described["graphs"]["completion"]}
+    (folder / "model.json").write_text(json.dumps(described))
+    (folder / "completion.onnx").rename(folder / "clipping.onnx")
+    model = ClippingModel(load_part(folder, "clipping", provider="cpu"))
+    (frame,) = clipped_frames(1)
+    with pytest.raises(ModelError, match=r"graph clipping has \['panels'\], the engine gives \['planes'\]"):
+        restore_clipped(frame, frame.depth_m, model=model)
+
+
+def test_the_shipped_clipping_network_states_its_origin():
+    described = read_description(SHIPPED / "clipping")
+    card = described["card"]
+    assert card["steps"] > 0
+    assert card["examples"] > 0
+    assert all(isinstance(share["seed"], int) for share in card["data"])
+    assert card["scores"]["loss"] < card["scores"]["constant_2"]
+    assert described["parity"]["largest"] <= described["parity"]["tolerance"]
+
+
+def test_threads_share_the_network_and_get_the_same():
+    model = shipped_clipping("cpu")
+    frames = clipped_frames(8)
+    alone = [restore_clipped(frame, frame.depth_m, model=model).image for frame in frames]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda frame: restore_clipped(frame, frame.depth_m, model=model).image, frames * 3))
+    for index, image in enumerate(together):
+        assert np.array_equal(image, alone[index % 8])
+
+
+def test_sessions_take_their_parts_from_a_folder(tmp_path):
+    write_part(tmp_path / "clipping", "clipping", constant=np.log(5.0))
+    options = SessionOptions(model="classical", parts=tmp_path, provider="cpu", height=32)
+    session = Session(options)
+    (frame,) = clipped_frames(1)
+    session.push(frame)
+    ((_, mesh),) = session.meshes
+    assert mesh.texture.image.max() == pytest.approx(5.0, rel=1e-3)
+
+
+def test_a_folder_without_a_part_is_named(tmp_path):
+    with pytest.raises(ModelError, match=r"clipping/model\.json: cannot be read"):
+        Session(SessionOptions(parts=tmp_path, provider="cpu"))
+    write_part(tmp_path / "clipping", "clipping")
+    with pytest.raises(ModelError, match=r"completion/model\.json: cannot be read"):
+        Session(SessionOptions(model="completion", parts=tmp_path, provider="cpu"))
+    Session(SessionOptions(model="classical", parts=tmp_path, provider="cpu"))
+
+
+def test_constants_need_no_network(tmp_path):
+    session = Session(SessionOptions(clipping="constants", parts=tmp_path))
+    assert session.push(clipped_frames(1)[0]).index == 0
+
+
+def test_a_panorama_needs_a_frame_and_a_handle():
+    session = Session(SessionOptions(clipping="constants", height=32))
+    handle = session.track((0.0, 1.2, 0.0))
+    with pytest.raises(ProbeError, match="no panorama for tracked probe 0: no frame has been pushed yet"):
+        session.panorama_state(handle)
+    session.push(clipped_frames(1)[0])
+    assert session.panorama_state(handle).radiance.shape == (32, 64, 3)
+    with pytest.raises(ProbeError, match="no panorama for tracked probe 7: this session tracks 1"):
+        session.panorama_state(7)
+
+
+def test_learned_parts_run_without_torch(tmp_path):
+    write_part(tmp_path / "clipping", "clipping", constant=1.0)
+    write_part(tmp_path / "completion", "completion", constant=0.1)
+    code = (
+        "import sys; sys.modules['torch'] = None; sys.modules['onnx'] = None\n"
+        "import numpy as np; from pathlib import Path\n"
+        "from roomlight.camera import Intrinsics; from roomlight.frame import Frame\n"
+        "from roomlight.engine.session import Session, SessionOptions\n"
+        f"parts = Path({str(tmp_path)!r})\n"
+        "frame = Frame(0, np.ones((24, 32, 3), np.float32), np.ones((24, 32), bool), np.ones((24, 32), np.float32),\n"
+        "              Intrinsics(30.0, 30.0, 16.0, 12.0, 32, 24), np.eye(4))\n"
+        "for options in (SessionOptions(), SessionOptions(model='completion', parts=parts)):\n"
+        "    session = Session(options); session.push(frame)\n"
+        "    print(session.model, np.isfinite(session.light_at((0.0, 0.0, -0.5)).panorama).all())\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split("\n")[:2] == ["classical True", "completion True"]
