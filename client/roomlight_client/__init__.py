@@ -19,6 +19,7 @@ depth map, `CameraFrame`. Conventions: `roomlight.conventions` (world metres, y 
 from roomlight_client.async_client import AsyncClient, AsyncSession
 from roomlight_client.calls import PositionOrName
 from roomlight_client.client import Client, Session
+from roomlight_client.compositing import CompositeFile
 from roomlight_client.errors import (
     BadReplyError,
     BusyError,
@@ -42,6 +43,7 @@ __all__ = [
     "BusyError",
     "CameraFrame",
     "Client",
+    "CompositeFile",
     "ConflictError",
     "FrameEncoding",
     "GoneError",

@@ -3,16 +3,27 @@
 import asyncio
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import httpx
 
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
+from roomlight.wire.compositing import (
+    CompositeFormat,
+    CompositeObject,
+    CompositeQuality,
+    ObjectFormat,
+    ObjectInfo,
+    ObjectList,
+)
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
+from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
@@ -79,6 +90,18 @@ class AsyncClient:
         """Continue an existing session, whatever its options; see `Client.join`."""
         session_calls = SessionCalls(session_id)
         return AsyncSession(self, session_calls, await self.run(session_calls.state()))
+
+    async def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
+        """Store an object on the server for composites; see `Client.upload`."""
+        return await self.run(calls.upload(*object_file(source, kind)))
+
+    async def objects(self) -> ObjectList:
+        """Return the objects of this token on the server, with their memory and its limit."""
+        return await self.run(calls.list_objects())
+
+    async def delete_object(self, object_id: str) -> None:
+        """Delete an object on the server. A missing one is not an error."""
+        await self.run(calls.delete_object(object_id))
 
     async def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
         """Send a call and return its result; see `Client.run`."""
@@ -152,6 +175,17 @@ class AsyncSession:
     ) -> LightFile | None:
         """Return one form of the light as a file; see `Session.file`."""
         return await self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
+
+    async def composite(
+        self,
+        objects: Sequence[CompositeObject | dict[str, Any]],
+        *,
+        quality: CompositeQuality = "preview",
+        picture_format: CompositeFormat = "png",
+    ) -> CompositeFile:
+        """Return the last processed frame with objects in it; see `Session.composite`."""
+        request = composite_request(objects, quality=quality, picture_format=picture_format)
+        return await self._client.run(self._calls.composite(request))
 
     async def track(self, name: str, position: Position) -> None:
         """Track a point; see `Session.track`."""

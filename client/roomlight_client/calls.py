@@ -19,6 +19,7 @@ from pydantic import BaseModel, ValidationError
 from roomlight.conventions import Position
 from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
+from roomlight.wire.compositing import CompositeRequest, ObjectInfo, ObjectList
 from roomlight.wire.frame_message import to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
@@ -32,6 +33,7 @@ from roomlight.wire.messages import (
     SessionRequest,
     SessionState,
 )
+from roomlight_client.compositing import CompositeFile, parse_composite
 from roomlight_client.errors import RETRIED, BadReplyError, UnreachableError, refusal
 from roomlight_client.frames import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
 from roomlight_client.light import Light, LightFile, parse_lights
@@ -166,6 +168,28 @@ def ready() -> Call[bool]:
     return Call("GET", "/readyz", lambda reply: reply.status == 200, expected=frozenset({503}))
 
 
+def upload(body: bytes, kind: str | None) -> Call[ObjectInfo]:
+    """Store an object on the server. A repetition changes nothing: its id is the digest of the file."""
+    headers = {"Content-Type": "application/octet-stream", "Accept": "application/json"}
+    params = {} if kind is None else {"kind": kind}
+    return Call("POST", "/v1/objects", _parser(ObjectInfo), headers, body, params)
+
+
+def list_objects() -> Call[ObjectList]:
+    """Get the objects of this token."""
+    return Call("GET", "/v1/objects", _parser(ObjectList))
+
+
+def delete_object(object_id: str) -> Call[None]:
+    """Delete an object. A missing one counts as success.
+
+    Raises:
+        OptionError: If the id is invalid; it becomes part of an address.
+    """
+    _check_id(object_id, "object_id")
+    return Call("DELETE", f"/v1/objects/{object_id}", _ignore_body, expected=frozenset({404}))
+
+
 def new_session_id() -> str:
     """Return an id of 128 random bits, which is unique and cannot be guessed."""
     return secrets.token_hex(16)
@@ -262,6 +286,14 @@ class SessionCalls:
 
         path = "/probe" if query.name is None else f"/probes/{query.name}"
         return self._call("GET", path, read, params=params, headers=headers, expected=frozenset({304}))
+
+    def composite(self, request: CompositeRequest) -> Call[CompositeFile]:
+        """Get the last processed frame with objects in it."""
+
+        def read(reply: Reply) -> CompositeFile:
+            return parse_composite(reply.body, reply.headers)
+
+        return self._call("POST", "/composite", read, json=request, headers={"Accept": "*/*"})
 
     def track(self, name: str, position: Position) -> Call[None]:
         """Track a point under a name.

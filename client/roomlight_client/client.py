@@ -3,16 +3,27 @@
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from pathlib import Path
 from types import TracebackType
+from typing import Any
 
 import httpx
 
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.frame import Frame
+from roomlight.wire.compositing import (
+    CompositeFormat,
+    CompositeObject,
+    CompositeQuality,
+    ObjectFormat,
+    ObjectInfo,
+    ObjectList,
+)
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
+from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
@@ -118,6 +129,28 @@ class Client:
         """
         session_calls = SessionCalls(session_id)
         return Session(self, session_calls, self.run(session_calls.state()))
+
+    def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
+        """Store an object on the server for composites; a file that it holds already is not stored again.
+
+        Args:
+            source: A GLB, glTF, OBJ or PLY file: its path or its bytes.
+            kind: The format; needed for the bytes of an OBJ.
+
+        Raises:
+            ObjectError: If the file cannot be read.
+            InvalidError: If the server refuses the file.
+            ConflictError: If the objects of this token would take too much memory.
+        """
+        return self.run(calls.upload(*object_file(source, kind)))
+
+    def objects(self) -> ObjectList:
+        """Return the objects of this token on the server, with their memory and its limit."""
+        return self.run(calls.list_objects())
+
+    def delete_object(self, object_id: str) -> None:
+        """Delete an object on the server. A missing one is not an error."""
+        self.run(calls.delete_object(object_id))
 
     def run(self, call: Call[T], *, retry: Retry | None = None) -> T:
         """Send a call and return its result. `retry` replaces the client's policy.
@@ -235,6 +268,29 @@ class Session:
             GoneError: If there is no such probe.
         """
         return self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
+
+    def composite(
+        self,
+        objects: Sequence[CompositeObject | dict[str, Any]],
+        *,
+        quality: CompositeQuality = "preview",
+        picture_format: CompositeFormat = "png",
+    ) -> CompositeFile:
+        """Return the last processed frame with objects in it.
+
+        Args:
+            objects: `CompositeObject`s or dictionaries with their fields; 1 to 16.
+            quality: preview, good or final.
+            picture_format: png, jpeg, exr, or layers for a zip of the layers.
+
+        Raises:
+            WireError: If a field is invalid.
+            InvalidError: If a place is refused: no surface there, behind the camera, outside the picture.
+            GoneError: If there is no object of an id.
+            ConflictError: If the session has no frame yet.
+        """
+        request = composite_request(objects, quality=quality, picture_format=picture_format)
+        return self._client.run(self._calls.composite(request))
 
     def track(self, name: str, position: Position) -> None:
         """Track a point: the engine then updates its light with each frame. An existing name moves to the position.

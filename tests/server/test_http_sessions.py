@@ -212,9 +212,9 @@ def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
 
 def test_the_document_describes_every_route(server):
     document = server.call("GET", "/openapi.json").json
-    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}")
+    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite")
     ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
-    assert set(document["paths"]) == ours | {"/healthz", "/readyz", "/metrics"}
+    assert set(document["paths"]) == ours | {"/v1/objects", "/v1/objects/{object_id}", "/healthz", "/readyz", "/metrics"}
     for operations in document["paths"].values():
         for operation in operations.values():
             for status, response in operation["responses"].items():

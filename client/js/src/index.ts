@@ -7,6 +7,6 @@ export type { ClientOptions } from "./http.js";
 export { parseHdr, type Panorama } from "./hdr.js";
 export { parseCube, type Cube } from "./cube.js";
 export { decodeLights, findForm, parseLights, type Light, type LightData, type Lights } from "./light.js";
-export { RoomLight, Session, type CallOptions, type LightFile, type SessionOptions } from "./session.js";
+export { RoomLight, Session, type CallOptions, type CompositeFile, type LightFile, type SessionOptions } from "./session.js";
 export { Stream, type StreamOptions } from "./stream.js";
 export * from "./wire.js";

@@ -18,6 +18,78 @@ export interface components {
             /** @description 1 to 2,147,483,648 */
             readonly bytes: number;
         };
+        /**
+         * @description A material that replaces those of a file.
+         *
+         *     Attributes:
+         *         base_colour: default 0.8 grey, white for metal and glass; mirrors have none.
+         *         roughness: 0 to 1, of glossy (0.2) and metal (0.5).
+         */
+        readonly CompositeMaterial: {
+            /** @enum {string} */
+            readonly kind: "diffuse" | "glossy" | "metal" | "mirror" | "glass";
+            readonly base_colour?: readonly [
+                number,
+                number,
+                number
+            ] | null;
+            /** @description 0 to 1 */
+            readonly roughness?: number | null;
+        };
+        /**
+         * @description An object and its place: exactly one of object and shape, and exactly one of position, pose and pixel.
+         *
+         *     Attributes:
+         *         object: id of an uploaded object.
+         *         shape: instead of an uploaded object; with size_m.
+         *         name: of the object in the answer; default object-0, object-1, ...
+         *         size_m: longest side; default: the file's own metres.
+         *         material: default: the file's own.
+         *         position: world metres of the anchor, upright; with yaw_degrees.
+         *         pose: rigid, object axes to world, 16 numbers column by column.
+         *         pixel: column and row in the last processed frame, as it was sent: the object stands on the surface there.
+         *         yaw_degrees: about the surface's normal, with position and pixel.
+         *         anchor: point of the object that is placed, with position and pose; default base.
+         */
+        readonly CompositeObject: {
+            /** @description ^[0-9a-f]{64}$ */
+            readonly object?: string | null;
+            readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair") | null;
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name?: string | null;
+            readonly size_m?: number | null;
+            readonly material?: components["schemas"]["CompositeMaterial"] | null;
+            readonly position?: components["schemas"]["Position"] | null;
+            readonly pose?: readonly number[] | null;
+            readonly pixel?: readonly number[] | null;
+            /**
+             * @description -3,600 to 3,600
+             * @default 0
+             */
+            readonly yaw_degrees?: number;
+            readonly anchor?: ("base" | "back" | "top" | "centre" | "origin") | null;
+        };
+        /**
+         * @description Request for the last processed frame with objects in it; 1 to 16 objects.
+         *
+         *     Attributes:
+         *         quality: preview, good or final.
+         *         format: png and jpeg: 8-bit sRGB. exr: linear radiance. layers: a zip with the layers apart.
+         */
+        readonly CompositeRequest: {
+            /** @description 1 to 16 items */
+            readonly objects: readonly components["schemas"]["CompositeObject"][];
+            /**
+             * @default preview
+             * @enum {string}
+             */
+            readonly quality?: "preview" | "good" | "final";
+            /**
+             * @default png
+             * @enum {string}
+             */
+            readonly format?: "png" | "jpeg" | "exr" | "layers";
+        };
         /** @description The optional third part: one byte per depth pixel (0 low, 1 medium, 2 high), of the size of the depth map. */
         readonly ConfidencePart: {
             /**
@@ -265,6 +337,32 @@ export interface components {
             readonly bytes: number;
             readonly bound_bytes: number;
         };
+        /**
+         * @description An object that the server holds.
+         *
+         *     Attributes:
+         *         id: SHA-256 of the file, hexadecimal.
+         *         triangles: number of triangles.
+         *         size_m: sides of its bounding box in the file's own metres.
+         *         bytes: memory that it takes on the server.
+         */
+        readonly ObjectInfo: {
+            /** @description ^[0-9a-f]{64}$ */
+            readonly id: string;
+            readonly triangles: number;
+            readonly size_m: readonly [
+                number,
+                number,
+                number
+            ];
+            readonly bytes: number;
+        };
+        /** @description The objects of a token, the memory that they take together, and its limit. */
+        readonly ObjectList: {
+            readonly objects: readonly components["schemas"]["ObjectInfo"][];
+            readonly bytes: number;
+            readonly limit_bytes: number;
+        };
         /** @description World metres: x, y (up), z. */
         readonly Position: readonly [
             number,
@@ -453,6 +551,9 @@ export interface components {
 }
 export type ClientMessage = components['schemas']['ClientMessage'];
 export type ColourPart = components['schemas']['ColourPart'];
+export type CompositeMaterial = components['schemas']['CompositeMaterial'];
+export type CompositeObject = components['schemas']['CompositeObject'];
+export type CompositeRequest = components['schemas']['CompositeRequest'];
 export type ConfidencePart = components['schemas']['ConfidencePart'];
 export type DepthPart = components['schemas']['DepthPart'];
 export type EncodedLight = components['schemas']['EncodedLight'];
@@ -467,6 +568,8 @@ export type LightRequest = components['schemas']['LightRequest'];
 export type LightResponse = components['schemas']['LightResponse'];
 export type LightingUpdate = components['schemas']['LightingUpdate'];
 export type Memory = components['schemas']['Memory'];
+export type ObjectInfo = components['schemas']['ObjectInfo'];
+export type ObjectList = components['schemas']['ObjectList'];
 export type Position = components['schemas']['Position'];
 export type ProbeBody = components['schemas']['ProbeBody'];
 export type ProbeLight = components['schemas']['ProbeLight'];

@@ -7,11 +7,14 @@ import { Stream, type StreamOptions } from "./stream.js";
 import {
   FRAME_MEDIA_TYPE,
   LIGHT_MEDIA_TYPE,
+  type CompositeRequest,
   type FrameResult,
   type LightForm,
   type LightRequest,
   type LightResponse,
   type ModelName,
+  type ObjectInfo,
+  type ObjectList,
   type Position,
   type SessionRequest,
   type SessionState,
@@ -38,6 +41,16 @@ export interface CallOptions {
   signal?: AbortSignal;
 }
 
+/** A frame with objects in it. */
+export interface CompositeFile {
+  /** The picture; with the format "layers" a zip of the layers. */
+  data: Blob;
+  /** Index of the frame. */
+  frame: number;
+  /** Pose of each object by name, column by column: given as `pose` with the anchor "origin", it stays in place. */
+  poses: { readonly [name: string]: readonly number[] };
+}
+
 /** A server. `new RoomLight("https://light.example").open()` */
 export class RoomLight {
   private readonly http: Http;
@@ -56,6 +69,29 @@ export class RoomLight {
     const request: SessionRequest = model === undefined ? others : { mode: model, ...others };
     const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
     return new Session(this.http, id, (await response.json()) as SessionState);
+  }
+
+  /** Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file. */
+  async upload(
+    file: Uint8Array<ArrayBuffer>,
+    options: CallOptions & { kind?: "glb" | "gltf" | "obj" | "ply" } = {},
+  ): Promise<ObjectInfo> {
+    const path = options.kind === undefined ? OBJECTS : `${OBJECTS}?kind=${options.kind}`;
+    const headers = { "content-type": "application/octet-stream" };
+    const request: HttpRequest = { method: "POST", path, body: file, headers, signal: options.signal };
+    return (await (await this.http.send(request)).json()) as ObjectInfo;
+  }
+
+  /** The objects of this token on the server, with their memory and its limit. */
+  async objects(options: CallOptions = {}): Promise<ObjectList> {
+    const response = await this.http.send({ method: "GET", path: OBJECTS, signal: options.signal });
+    return (await response.json()) as ObjectList;
+  }
+
+  /** Delete an object on the server. */
+  async deleteObject(id: string, options: CallOptions = {}): Promise<void> {
+    const path = `${OBJECTS}/${encodeURIComponent(id)}`;
+    await this.http.send({ method: "DELETE", path, signal: options.signal });
   }
 
   /**
@@ -155,6 +191,17 @@ export class Session {
     };
   }
 
+  /** The last processed frame with objects in it: lit by the room, with shadows, behind real things in front. */
+  async composite(request: CompositeRequest, options: CallOptions = {}): Promise<CompositeFile> {
+    const http: HttpRequest = { method: "POST", path: `${this.path}/composite`, signal: options.signal };
+    const response = await sendJson(this.http, http, request);
+    return {
+      data: await response.blob(),
+      frame: Number(response.headers.get("roomlight-frame")),
+      poses: JSON.parse(response.headers.get("roomlight-poses") ?? "{}") as CompositeFile["poses"],
+    };
+  }
+
   /** Track a point under a name; an existing name moves to the position. */
   async track(name: string, position: Position, options: CallOptions = {}): Promise<void> {
     await sendJson(this.http, { method: "PUT", path: this.probePath(name), signal: options.signal }, { position });
@@ -187,6 +234,8 @@ export class Session {
     return `${this.path}/probes/${encodeURIComponent(name)}`;
   }
 }
+
+const OBJECTS = "v1/objects";
 
 function pathOf(id: string): string {
   return `v1/sessions/${encodeURIComponent(id)}`;

@@ -47,6 +47,42 @@ test("the requests of a session from open to delete", async (context) => {
   assert.ok(server.requests.every(({ headers }) => headers.authorization === "Bearer a-token"));
 });
 
+test("objects and composites", async (context) => {
+  const info = { id: "0".repeat(64), triangles: 4, size_m: [1, 1, 1], bytes: 100 };
+  const poses = { ball: [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, -2, 1] };
+  const server = await serve(context, ({ method, path }: ReceivedRequest): ScriptedResponse => {
+    if (method === "DELETE") {
+      return { status: 204 };
+    }
+    if (path.endsWith("/composite")) {
+      const headers = { "roomlight-frame": "7", "roomlight-poses": JSON.stringify(poses), "content-type": "image/png" };
+      return { body: Uint8Array.of(1, 2, 3), headers };
+    }
+    return { body: method === "GET" ? { objects: [info], bytes: 100, limit_bytes: 1000 } : path.includes("objects") ? info : STATE };
+  });
+  const roomlight = new RoomLight(server.url);
+  assert.deepEqual(await roomlight.upload(Uint8Array.of(9, 8), { kind: "obj" }), info);
+  assert.deepEqual((await roomlight.objects()).objects, [info]);
+  const session = await roomlight.open({ id: "room" });
+  const request = { objects: [{ shape: "sphere", size_m: 0.2, pixel: [3, 4] }], quality: "good" } as const;
+  const made = await session.composite(request);
+  assert.deepEqual([made.frame, made.poses, made.data.type], [7, poses, "image/png"]);
+  assert.deepEqual(new Uint8Array(await made.data.arrayBuffer()), Uint8Array.of(1, 2, 3));
+  await roomlight.deleteObject(info.id);
+  assert.deepEqual(
+    server.requests.map(({ method, path }) => `${method} ${path}`),
+    [
+      "POST /v1/objects?kind=obj",
+      "GET /v1/objects",
+      "PUT /v1/sessions/room",
+      "POST /v1/sessions/room/composite",
+      `DELETE /v1/objects/${info.id}`,
+    ],
+  );
+  assert.deepEqual(server.requests[0]!.body, Buffer.from([9, 8]));
+  assert.deepEqual(JSON.parse(server.requests[3]!.body.toString()), request);
+});
+
 test("binary and JSON light messages give the same light", async (context) => {
   const data = Uint8Array.of(1, 2, 3, 255);
   const result = (form: object) => ({
