@@ -37,7 +37,7 @@ class ServerSettings(BaseSettings):
         provider: Where networks run.
         allow_untrained: Whether untrained weights are accepted.
         keyframes: Frames kept per session for probes that are requested later.
-        max_sessions: Each holds up to 130 MB of keyframes and 20 MB of volume with the default options.
+        max_sessions: Each holds up to 150 MB of keyframes and 20 MB of volume with the default options.
         max_session_bytes: Sessions whose options could exceed this are rejected.
         max_probes: Named probes per session. Each adds to the time of every frame.
         frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
