@@ -14,6 +14,7 @@ from http_servers import HeldSession, RunningServer
 from roomlight.captures import CaptureWriter
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import ObjectError, WireError
 from roomlight.images import decode_colour
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
@@ -268,3 +269,45 @@ def test_the_example_of_the_package_runs(server, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     exec(compile(block.replace("http://localhost:8090", url_of(server)), "example", "exec"), {})
     assert "(120, 240, 3)" in capsys.readouterr().out
+
+
+TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
+
+
+@BOTH
+def test_objects_are_uploaded_and_composited(server, kind, tmp_path):
+    file = tmp_path / "tetra.obj"
+    file.write_bytes(TETRAHEDRON)
+    ahead = FRAMES[0].camera_to_world @ [0, 0, -1.2, 1]
+
+    async def work(client):
+        held = await client.upload(file)
+        assert await client.upload(TETRAHEDRON, "obj") == held
+        session = await client.open(**SMALL)
+        place = {"object": held.id, "size_m": 0.4, "position": tuple(ahead[:3].tolist()), "name": "tetra"}
+        with pytest.raises(sdk.ConflictError, match="no processed frame"):
+            await session.composite([place])
+        await session.push(FRAMES[0])
+        with pytest.raises(WireError, match="quality"):
+            await session.composite([place], quality="best")
+        with pytest.raises(sdk.InvalidError, match="behind the camera"):
+            await session.composite([place | {"position": (FRAMES[0].camera_to_world @ [0, 0, 3, 1])[:3].tolist()}])
+        made = await session.composite([place])
+        await client.delete_object(held.id)
+        await client.delete_object(held.id)
+        with pytest.raises(sdk.GoneError):
+            await session.composite([place])
+        assert held.id not in [one.id for one in (await client.objects()).objects]
+        return made
+
+    made = run(server, kind, work, retry=Retry(attempts=1))
+    assert (made.media_type, made.frame, list(made.poses)) == ("image/png", FRAMES[0].index, ["tetra"])
+    made.save(tmp_path / "made.png")
+    image, _ = decode_colour((tmp_path / "made.png").read_bytes(), "made")
+    assert image.shape == FRAMES[0].image.shape
+    assert np.abs(image - np.clip(FRAMES[0].image, 0, 1)).max() > 0.05
+
+
+def test_a_missing_object_file_is_named(server, tmp_path):
+    with Client(url_of(server)) as client, pytest.raises(ObjectError, match=r"nothing\.glb"):
+        client.upload(tmp_path / "nothing.glb")

@@ -1,0 +1,88 @@
+"""`roomlight composite` on a small recording: pictures, layers, a film, and every refusal."""
+
+import json
+
+import av
+import cv2
+import numpy as np
+import pytest
+
+from roomlight.captures import CaptureWriter
+from rooms import BoxRoom, camera_at
+
+ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
+FAST = ("--quality", "preview", "--height", "16", "--model", "classical")
+BALL = ("--object", "sphere", "--size", "0.4", "--pixel", "32,36")
+
+
+@pytest.fixture(scope="module")
+def capture(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("captures") / "box"
+    with CaptureWriter(folder) as writer:
+        for index in range(3):
+            pose = camera_at((0.2, 1.4, 1.4), 4.0 * index, -30)
+            writer.write(ROOM.frame(pose, index=index, width=64, height=48))
+    return folder
+
+
+def picture(path):
+    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+
+
+def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):
+    done = roomlight("composite", capture, *BALL, *FAST, "--layers", "--out", tmp_path / "out")
+    assert (done.code, done.err) == (0, "")
+    assert "3 frames; pictures:" in done.out
+    names = {str(path.relative_to(tmp_path / "out")) for path in (tmp_path / "out").rglob("*.*")}
+    layers = ("image.png", "objects.exr", "alpha.png", "shadow.exr", "depth.exr")
+    folders = ("000000", "000001", "000002")
+    assert names == {f"{folder}.png" for folder in folders} | {f"{f}/{name}" for f in folders for name in layers}
+    assert (picture(tmp_path / "out/000001.png") == picture(tmp_path / "out/000001/image.png")).all()
+    alpha = picture(tmp_path / "out/000000/alpha.png")
+    assert alpha.dtype == np.uint16
+    assert alpha.max() > 60_000
+
+
+def test_a_film_shows_the_moving_object(roomlight, capture, tmp_path):
+    motion = {"unit": "frames", "keys": [{"at": 0}, {"at": 2, "offset_m": [0.6, 0, 0]}]}
+    ball = {"name": "ball", "shape": "sphere", "size_m": 0.4, "pixel": [20, 36], "motion": motion}
+    scene = tmp_path / "scene.json"
+    scene.write_text(json.dumps({"objects": [ball]}))
+    film = tmp_path / "film.mp4"
+    done = roomlight("composite", capture, "--scene", scene, *FAST, "--fps", "10", "--online", "--out", film)
+    assert done.code == 0, done.err
+    with av.open(str(film)) as container:
+        stream = container.streams.video[0]
+        assert (stream.codec_context.name, stream.average_rate) == ("h264", 10)
+        frames = [frame.to_ndarray(format="rgb24") for frame in container.decode(stream)]
+    assert len(frames) == 3
+    assert frames[0].shape == (48, 64, 3)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "give either --scene"),
+        (("--object", "sphere"), "--object needs --pixel"),
+        (("--object", "sphere", "--pixel", "3"), "a pixel is U,V"),
+        (("--object", "blob", "--pixel", "3,3"), "neither a file nor one of the shapes sphere"),
+        (("--object", "sphere", "--size", "-1", "--pixel", "3,3"), "size_m"),
+        (("--object", "sphere", "--pixel", "300,3"), "must lie in the image of 64 x 48 pixels"),
+        (("--scene", "missing.json"), "missing.json: cannot be read"),
+        (("--scene", "missing.json", "--size", "1"), "--size: belongs to --object"),
+        ((*BALL, "--layers", "--out", "film.mp4"), "a film has no layers"),
+        ((*BALL, "--out", "film.webm"), "films are written as .mp4"),
+        ((*BALL, "--out", "held.txt"), "is a file"),
+        ((*BALL, "--out", "full"), "exists already"),
+    ],
+)
+def test_a_wrong_call_writes_nothing(roomlight, capture, tmp_path, arguments, message):
+    (tmp_path / "held.txt").write_text("held")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "held.txt").write_text("held")
+    before = sorted(tmp_path.rglob("*"))
+    out = () if "--out" in arguments else ("--out", "new")
+    done = roomlight("composite", capture, *arguments, *FAST, *out, cwd=tmp_path)
+    assert done.code != 0
+    assert message in " ".join(done.err.replace("\u2502", " ").split())
+    assert sorted(tmp_path.rglob("*")) == before
