@@ -33,10 +33,12 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
         "demo",
         "light",
         "replay",
+        "composite",
         "stream",
         "serve",
         "eval",
         "eval-dataset",
+        "eval-composite",
         "bench",
         "dataset",
         "train",
@@ -150,7 +152,7 @@ def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
         (("--probe", "0,1,0", "--probes-from-capture"), "excludes --probe"),
         (("--pixel", "5,5", "--probes-from-capture"), "excludes --probe"),
         (("--interpolate",), "--interpolate fills in"),
-        (("--model", "classical", "--weights", "w"), "no networks"),
+        (("--model", "classical", "--weights", "w"), "leave out --weights"),
         (("--model", "magic"), "magic"),
         (("--world-up", "1,2"), "three numbers"),
         (("--mode", "classical"), "No such option"),
@@ -257,10 +259,13 @@ def test_the_demo_replays_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyP
     calls: list[tuple[Path, Path, ReplayOptions]] = []
     monkeypatch.setattr(demo_command, "run_replay", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(demo_command, "score_line", lambda capture, out: f"{capture} {out}")
+    monkeypatch.setattr(demo_command, "composite_recording", lambda *given, **_: f"film: {given[2].path}")
     result = roomlight("demo", cwd=tmp_path)
     expected = ReplayOptions(probes_from_capture=True, overwrite=True)
     assert calls == [(sample_capture(), Path("roomlight-demo"), expected)]
-    assert result.out.strip() == f"{sample_capture()} roomlight-demo"
+    first, film = result.out.strip().splitlines()
+    assert first == f"{sample_capture()} roomlight-demo"
+    assert film.endswith("film: roomlight-demo/composite.mp4")
 
 
 @pytest.mark.slow
@@ -271,6 +276,7 @@ def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
     assert "summary.png" in result.stdout
     mean = evaluate_predictions([sample_capture()], out).means("predictions", "log_l2")
     assert f"log-L2 {mean[0].mean:.3f} over the first seven frames, {mean[4].mean:.3f} over the last" in result.stdout
+    assert (out / "composite.mp4").stat().st_size > 10_000
     report = json.loads((out / "report.json").read_text())
     assert len(report["probes"]) == 3
     assert report["skipped"] == []
