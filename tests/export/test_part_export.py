@@ -22,11 +22,9 @@ FORMS = ("clipping", "completion")
 def network(form):
     """A network with random weights everywhere: the heads begin near zero."""
     torch.manual_seed(4)
-    if form == "clipping":
-        return ClippingNetwork().eval()
-    built = CompletionNetwork().eval()
-    torch.nn.init.normal_(built.head.conv.weight, std=0.1)
-    return built
+    built = ClippingNetwork() if form == "clipping" else CompletionNetwork()
+    torch.nn.init.normal_(built.head.weight if form == "clipping" else built.head.conv.weight, std=0.1)
+    return built.eval()
 
 
 @pytest.fixture

@@ -4,6 +4,9 @@ The classical model fills them from their surroundings. The network sees that fi
 predicts how much brighter or darker the unobserved light is: E[log(1 + L)] - log(1 + fill), per channel. It sees the
 panorama that the frames of the stream make together, never its own results, so that nothing that it inferred can grow
 by being looked at.
+
+Cost for a panorama of 120 rows: 8.6 ms of processor time on one thread, 3.5 times the stage `volume` of the same run
+(2.5 ms; least of 30 calls), for each probe and frame. It is part of the stage `blend` of `FrameReport.stage_ms`.
 """
 
 from functools import cache

@@ -123,7 +123,7 @@ def _panels(session: Session, handle: int) -> Float16[np.ndarray, "9 h w"]:
     ).astype(np.float16)
 
 
-def _reduced(truth: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 h w"]:
+def _reduced(truth: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 ph pw"]:
     limited = np.minimum(truth, np.float32(BRIGHTEST))
     means = cv2.resize(limited, (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
     return np.moveaxis(means, -1, 0).astype(np.float16)
