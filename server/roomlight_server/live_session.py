@@ -53,8 +53,9 @@ class LatestFrame:
 
     @property
     def size(self) -> int:
-        """Bytes of the message."""
-        return len(self.message.colour.obj)
+        """Bytes of the message without its header."""
+        parts = (self.message.colour, self.message.depth, self.message.confidence)
+        return sum(part.nbytes for part in parts if part is not None)
 
 
 @dataclass

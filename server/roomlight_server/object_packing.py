@@ -68,7 +68,9 @@ def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
 
 
 def _material(values: dict[str, Any], textures: list[Texture]) -> Material:
-    made = {name: tuple(value) if isinstance(value, list) else value for name, value in values.items()}
+    made: dict[str, Any] = dict(values)
+    for name in ("base_colour", "emissive"):
+        made[name] = tuple(values[name])
     for name in _TEXTURES:
         if made[name] is not None:
             made[name] = textures[made[name]]

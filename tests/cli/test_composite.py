@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from roomlight.captures import CaptureWriter
+from roomlight.conventions import linear_to_srgb8
 from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom(lamp=((0.3, 3.0, 0.0), 0.5), lamp_radiance=20.0)
@@ -21,7 +22,13 @@ def capture(tmp_path_factory):
     with CaptureWriter(folder) as writer:
         for index in range(3):
             pose = camera_at((0.2, 1.4, 1.4), 4.0 * index, -30)
-            writer.write(ROOM.frame(pose, index=index, width=64, height=48))
+            frame = ROOM.frame(pose, index=index, width=64, height=48)
+            writer.add(
+                srgb8=linear_to_srgb8(np.clip(frame.image, 0, 1)),
+                depth_m=frame.depth_m,
+                intrinsics=frame.intrinsics,
+                camera_to_world=frame.camera_to_world,
+            )
     return folder
 
 

@@ -288,8 +288,8 @@ def test_objects_are_uploaded_and_composited(server, kind, tmp_path):
         with pytest.raises(sdk.ConflictError, match="no processed frame"):
             await session.composite([place])
         await session.push(FRAMES[0])
-        with pytest.raises(WireError, match="quality"):
-            await session.composite([place], quality="best")
+        with pytest.raises(WireError, match="size_m"):
+            await session.composite([place | {"size_m": -1.0}])
         with pytest.raises(sdk.InvalidError, match="behind the camera"):
             await session.composite([place | {"position": (FRAMES[0].camera_to_world @ [0, 0, 3, 1])[:3].tolist()}])
         made = await session.composite([place])

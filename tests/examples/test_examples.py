@@ -80,6 +80,18 @@ def test_replay_folder(tmp_path: Path) -> None:
     assert printed.count("% of the directions observed") == 3
 
 
+def test_virtual_object(tmp_path: Path) -> None:
+    printed = run_example("virtual_object", "--frames", 2, cwd=tmp_path)
+    files = sorted((tmp_path / "out/virtual_object").iterdir())
+    assert [path.name for path in files] == ["000000.jpg", "000001.jpg"]
+    room = next(iter(rl.open_capture(rl.sample_capture()))).image
+    picture = cv2.imread(str(files[0]))
+    assert picture is not None
+    assert picture.shape == room.shape
+    covered = [float(line.rpartition("covers ")[2].partition("%")[0]) for line in printed.splitlines()]
+    assert all(0.5 < share < 30 for share in covered)
+
+
 def test_light_one_photo(tmp_path: Path) -> None:
     run_example("light_one_photo", cwd=tmp_path)
     out = tmp_path / "out/light_one_photo"

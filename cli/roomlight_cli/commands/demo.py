@@ -41,7 +41,7 @@ def demo(
         (capture, CaptureOptions()),
         demo_scene(),
         film,
-        quality="good",
+        quality="preview",
         online=False,
         options=SessionOptions(),
         rate=lambda _: FILM_RATE,
