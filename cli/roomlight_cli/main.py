@@ -54,6 +54,12 @@ COMMANDS: Final = (
         _MEASURE,
     ),
     CommandEntry(
+        "eval-composite",
+        "roomlight_cli.commands.eval_composite",
+        "Compare virtual objects in pictures with the same rooms with the object really in them.",
+        _MEASURE,
+    ),
+    CommandEntry(
         "bench",
         "roomlight_cli.commands.bench",
         "Measure speed: every figure as a ratio within one run.",

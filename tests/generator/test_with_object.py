@@ -1,0 +1,86 @@
+"""Rooms with a real object: where it can stand, and what it changes."""
+
+import numpy as np
+import pytest
+
+from roomlight.camera import Intrinsics
+from roomlight_generator.rooms.scene import Item, Material, Scene, Sky
+from roomlight_generator.rooms.shapes import box, with_material
+from roomlight_generator.sequences.with_object import (
+    find_resting_place,
+    height_above_surface,
+    object_mesh,
+    render_with_object,
+    with_object,
+)
+from roomlight_generator.transport import RoomLight, Tracer
+
+GREY, LAMP = Material("grey", (0.5, 0.5, 0.5)), Material("lamp", (0.0, 0.0, 0.0), emission=(10.0, 10.0, 10.0))
+CAMERA = Intrinsics(50.0, 50.0, 40.0, 30.0, 80, 60)
+SIZE = (4.0, 2.5, 4.0)
+
+
+def cuboid(size, centre, material):
+    mesh = with_material(box(*size), material)
+    return mesh.transformed(np.eye(3), np.float32(centre) - mesh.bounds().mean(axis=0))
+
+
+def room():
+    """A closed room, floor at 0, with a lamp under the ceiling."""
+    items = (
+        Item("shell", "wall", cuboid(SIZE, (0, SIZE[1] / 2, 0), GREY)),
+        Item("lamp", "lamp", cuboid((0.4, 0.02, 0.4), (0, 2.4, 0), LAMP)),
+    )
+    return Scene(items, (), Sky(np.zeros((32, 64, 3), np.float32)))
+
+
+def looking_down():
+    """A pose at 1.5 m, 1.5 m from the middle, that looks at the middle of the floor."""
+    pose, c = np.eye(4), np.sqrt(0.5)
+    pose[:3, :3] = [[1, 0, 0], [0, c, c], [0, -c, c]]
+    pose[:3, 3] = 0, 1.5, 1.5
+    return pose
+
+
+def block(material, centre=(0, 0.2, 0)):
+    mesh = cuboid((0.4, 0.4, 0.4), centre, material)
+    return object_mesh(mesh.vertices, mesh.normals, mesh.faces, material)
+
+
+@pytest.mark.parametrize("material", [Material("matte", (0.1, 0.1, 0.1)), Material("mirror", mirror=1.0)])
+def test_an_object_covers_pixels_and_shades_the_floor(material):
+    scene = room()
+    made = render_with_object(scene, block(material), CAMERA, looking_down(), seed=0)
+    before = RoomLight.solve(Tracer(scene), 0).frame(CAMERA, looking_down(), seed=0)
+    nearer = made.view.depth_m < before.depth_m - 0.02
+    assert made.covered.sum() > 100
+    assert (nearer == made.covered).mean() > 0.98
+    ratio = made.view.radiance.mean(axis=-1) / before.radiance.mean(axis=-1)
+    beside = (np.roll(made.covered, 2, axis=1) | np.roll(made.covered, -2, axis=1)) & ~made.covered
+    beside[: made.covered.nonzero()[0].max() - 4] = False  # at the object's foot
+    assert ratio[beside].mean() < 0.95
+    far = np.zeros_like(made.covered)
+    far[:, :8] = True
+    assert ratio[far].mean() == pytest.approx(1, abs=0.05)
+
+
+def test_resting_places_are_level_and_free():
+    scene, rng = room(), np.random.default_rng(0)
+    tracer = Tracer(scene)
+    place = find_resting_place(tracer, CAMERA, looking_down(), rng, radius_m=0.15, height_m=0.2)
+    assert place is not None
+    assert place.point[1] == pytest.approx(0, abs=1e-4)
+    ray = np.array([(place.u + 0.5 - CAMERA.cx) / CAMERA.fx, -(place.v + 0.5 - CAMERA.cy) / CAMERA.fy, -1])
+    hit = looking_down()[:3, :3] @ ray
+    hit = looking_down()[:3, 3] - hit * 1.5 / hit[1]
+    assert hit == pytest.approx(place.point, abs=1e-3)
+    assert height_above_surface(tracer, np.add(place.point, [0, 0.02, 0])) == pytest.approx(0.02, abs=1e-4)
+
+
+def test_an_object_without_room_has_no_place():
+    crowded = [block(GREY, (x, 0.2, z)) for x in np.arange(-1.75, 1.8, 0.5) for z in np.arange(-1.75, 1.8, 0.5)]
+    scene = room()
+    for mesh in crowded:
+        scene = with_object(scene, mesh)
+    rng = np.random.default_rng(0)
+    assert find_resting_place(Tracer(scene), CAMERA, looking_down(), rng, radius_m=0.3, height_m=0.2) is None
