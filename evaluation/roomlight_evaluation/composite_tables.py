@@ -81,4 +81,4 @@ def summary(scores: CompositeScores) -> list[str]:
 def _cell(value: MeanWithInterval, digits: int = 3) -> str:
     if not math.isfinite(value.mean):
         return "-"
-    return f"{value.mean:.{digits}f} ({value.low:.{digits}f}-{value.high:.{digits}f})"
+    return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"
