@@ -7,8 +7,12 @@ from typing import Any
 import numpy as np
 from numba import njit
 
-JIT: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
-"""Contraction and reciprocals only: infinities must stay infinities."""
+KERNEL: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
+"""Of functions that Python calls. Contraction and reciprocals only: infinities must stay infinities."""
+JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False}
+"""Of functions that kernels call. They are cached within the kernels: code from a cache of their own cannot be inlined.
+They allocate nothing, so numba need not count references to the arrays of the tuples that they are given. The two made
+three quarters of a preview's shading."""
 
 _MASK = np.uint64(0xFFFFFFFF)
 

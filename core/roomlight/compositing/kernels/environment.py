@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
+from roomlight.compositing.kernels.common import JIT, KERNEL
 
 
 @njit(**JIT)
@@ -102,7 +102,7 @@ def sample(light, weights, u, v):
     return ring * math.cos(azimuth), y, ring * math.sin(azimuth)
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def fill_radiance(light, positions, directions, out, begin, end):
     """Fill the radiance seen from each position in each direction, for rows begin .. end."""
     weights = np.empty(light.radiance.shape[0])
@@ -112,7 +112,7 @@ def fill_radiance(light, positions, directions, out, begin, end):
         out[i, 0], out[i, 1], out[i, 2] = r, g, b
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def fill_density(light, directions, out):
     """Fill the density of each direction; of the first probe alone."""
     weights = np.ones(1)
@@ -120,7 +120,7 @@ def fill_density(light, directions, out):
         out[i] = density(light, weights, directions[i, 0], directions[i, 1], directions[i, 2])
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def fill_samples(light, points, out):
     """Fill the direction that each point of [0, 1)^2 draws; of the first probe alone."""
     weights = np.ones(1)

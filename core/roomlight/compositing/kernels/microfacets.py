@@ -5,7 +5,7 @@ import math
 
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, normalised
+from roomlight.compositing.kernels.common import JIT, KERNEL, normalised
 
 MIRROR_ROUGHNESS = 0.02
 """Below this a lobe is a mirror: it is 0.05 degrees wide, a tenth of a panorama's pixel."""
@@ -82,7 +82,7 @@ def lobe_share(table, cosine, roughness):
     )
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def fill_lobe_table(table, samples):
     """Integrate the lobe's reflected share of F0 (column 0) and of F90 (column 1) by cosine and roughness."""
     for i in range(table.shape[0]):

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, point, tangents
+from roomlight.compositing.kernels.common import JIT, KERNEL, point, tangents
 from roomlight.compositing.kernels.environment import density, probe_weights, radiance, sample
 from roomlight.compositing.kernels.microfacets import dielectric
 from roomlight.compositing.kernels.scattering import draw, evaluate, surface
@@ -26,7 +26,7 @@ LEAST_BLURRED_ROUGHNESS = 0.3
 _DIMENSIONS = 4
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def camera_rays(view, samples, first, paths):
     """Aim a ray through a point of each pixel per sample; slot s is sample (first + s) % count of its pixel."""
     m = view.camera_to_world
@@ -172,7 +172,7 @@ def _opaque(paths, i, live, found, frame, local_view, choice, points2):
     return 1
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def bounce(world, view, paths, count, hits, film, queues, settings):
     """Advance `count` rays by one surface; returns the numbers of rays that go on, to the light, and to the background.
 
@@ -251,7 +251,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
     return live, shadows, escaped
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def add_lit(shadow, blocked, count, out):
     """Add the light of the shadow rays that met nothing."""
     for i in range(count):

@@ -4,7 +4,7 @@
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
+from roomlight.compositing.kernels.common import JIT, KERNEL
 from roomlight.compositing.kernels.environment import bilinear, probe_weights, radiance
 from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import surface
@@ -63,7 +63,7 @@ def _shade(world, mips, weights, face, base, shares, normal, d, side):
     return r, g, b
 
 
-@njit(**JIT)
+@njit(**KERNEL)
 def shade_hits(world, mips, view, paths, hits, film, begin, end):
     """Fill the film of the slots begin .. end from their camera rays' first hits."""
     weights = np.empty(world.light.radiance.shape[0])
