@@ -96,7 +96,8 @@ def clipping_batch(
     radiance = torch.from_numpy(frames.radiance[list(chosen)].astype(np.float32))
     geometry = torch.from_numpy(frames.geometry[list(chosen)].astype(np.float32))
     if augment:
-        gain = np.exp(rng.uniform(*np.log(_GAINS), (len(chosen), 1, 1, 1)))
+        low, high = np.log(_GAINS)
+        gain = np.exp(rng.uniform(low, high, (len(chosen), 1, 1, 1)))
         tint = np.exp(rng.normal(0, 0.05, (len(chosen), 3, 1, 1)))
         radiance = radiance * torch.from_numpy((gain * tint).astype(np.float32))
         if rng.random() < 0.5:

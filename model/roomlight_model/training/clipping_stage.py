@@ -11,6 +11,7 @@ from torch import Tensor
 
 from roomlight.errors import DatasetError
 from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.clipping_examples import CLIPPED, ClippingFrames, clipping_batch
 
 ENERGY_WEIGHT: Final = 0.3
@@ -29,7 +30,6 @@ class ClippingStage:
 
     frames: ClippingFrames
     held_out: ClippingFrames
-    form = "clipping"
 
     def __post_init__(self) -> None:
         if not (self.held_out.radiance >= CLIPPED).any():
@@ -37,6 +37,11 @@ class ClippingStage:
                 f"none of the {len(self.held_out)} held-out frames has a clipped pixel: nothing could be scored; "
                 "give a larger dataset"
             )
+
+    @property
+    def form(self) -> PartForm:
+        """The form of the network."""
+        return "clipping"
 
     def network(self) -> ClippingNetwork:
         """Build the network."""

@@ -13,14 +13,17 @@ from torch import Tensor
 from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.completion import HEIGHT
 from roomlight_model.completion_network import CompletionNetwork
+from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 
-SPHERE_WEIGHT: Final = 0.03
+SPHERE_WEIGHT: Final = 0.01
 """Weight of the error of light on surfaces: without it the network predicts the mean of the logarithm everywhere, and
 with that too little energy."""
 _EVEN: Final = 0.02
 """Added to the classical fill's error, by which each example's error is divided: an easy room counts as a hard one."""
 _SCALE: Final = 0.06
+WORSE_WEIGHT: Final = 1.0
+"""Weight of the part of an example's error that exceeds the classical fill's: harm counts more than help."""
 _LOBES: Final = 64
 _GLOSSY_POWER: Final = 24
 
@@ -31,7 +34,11 @@ class CompletionStage:
 
     examples: CompletionExamples
     held_out: CompletionExamples
-    form = "completion"
+
+    @property
+    def form(self) -> PartForm:
+        """The form of the network."""
+        return "completion"
 
     def network(self) -> CompletionNetwork:
         """Build the network."""
@@ -45,7 +52,8 @@ class CompletionStage:
         """Return the loss of a batch: log-L2 relative to the classical fill's, and the light on surfaces."""
         panels, truth = completion_batch(self.examples, chosen, rng, augment=True)
         error, fill, surfaces = _errors(completed(network, panels), panels, truth)
-        return (error / (fill + _EVEN)).mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
+        relative = (error + WORSE_WEIGHT * (error - fill).clamp(min=0)) / (fill + _EVEN)
+        return relative.mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:
         """Score held-out examples: mean ratio of log-L2 to the classical fill's (`loss`), energy, both log-L2."""

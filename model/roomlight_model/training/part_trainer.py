@@ -32,7 +32,10 @@ LOG: Final = "log.jsonl"
 class PartStage(Protocol):
     """What is trained: examples, a network, its loss and its scores."""
 
-    form: PartForm
+    @property
+    def form(self) -> PartForm:
+        """The form of the network."""
+        ...
 
     def network(self) -> nn.Module:
         """Build the network."""
