@@ -67,8 +67,9 @@ def serve(
     Every flag can be set in the environment as ROOMLIGHT_NAME, for example ROOMLIGHT_MAX_SESSIONS; a flag wins over
     its variable. These settings have a variable only: max_session_bytes, frames_in_flight, body_timeout_s,
     max_colour_pixels, max_depth_pixels, decode_threads, decode_timeout_s, max_connections,
-    max_connections_per_address, max_header_bytes, header_timeout_s, send_timeout_s, max_pending_bytes and
-    wrong_token_delay_s.
+    max_connections_per_address, max_header_bytes, header_timeout_s, send_timeout_s, max_pending_bytes,
+    wrong_token_delay_s, max_object_file_bytes, max_owner_object_bytes, max_object_bytes, object_expiry_s,
+    object_timeout_s and composite_threads.
     """
     settings = load_settings(
         host=host,
