@@ -33,7 +33,9 @@ def capture(tmp_path_factory):
 
 
 def picture(path):
-    return cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    image = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    assert image is not None
+    return image
 
 
 def test_pictures_and_layers_are_written(roomlight, capture, tmp_path):

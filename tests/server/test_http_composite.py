@@ -44,7 +44,13 @@ def upload(server, body=TETRAHEDRON, path="/v1/objects?kind=obj", **more):
 
 
 def pixels_of(answer):
-    return cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_COLOR)[..., ::-1]
+    return decoded(answer.body, cv2.IMREAD_COLOR)[..., ::-1]
+
+
+def decoded(data, flags):
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    assert image is not None
+    return image
 
 
 def test_an_object_is_uploaded_once_and_listed(server):
@@ -94,8 +100,7 @@ def test_formats_and_layers_agree(server):
         assert archive.read("image.png") == png.body
         objects, _ = decode_colour(archive.read("objects.exr"), "objects")
         shadow, _ = decode_colour(archive.read("shadow.exr"), "shadow")
-        stored = np.frombuffer(archive.read("alpha.png"), np.uint8)
-    alpha = cv2.imdecode(stored, cv2.IMREAD_UNCHANGED)[..., None] / 65535
+        alpha = decoded(archive.read("alpha.png"), cv2.IMREAD_UNCHANGED)[..., None] / 65535
     assert alpha.max() > 0.9
     shot = linear_to_srgb8(np.clip(box_shot(0).image, 0, 1))
     frame, _ = decode_colour(cv2.imencode(".png", shot[..., ::-1])[1].tobytes(), "frame")
@@ -277,7 +282,10 @@ def test_a_packed_object_is_the_same_object():
         for name in ("vertices", "normals", "uvs", "faces"):
             assert (getattr(mesh, name) == getattr(own_mesh, name)).all()
         assert material.base_colour == own_material.base_colour
-        assert (material.base_colour_texture.texels == own_material.base_colour_texture.texels).all()
+        texture, own_texture = material.base_colour_texture, own_material.base_colour_texture
+        assert texture is not None
+        assert own_texture is not None
+        assert (texture.texels == own_texture.texels).all()
 
 
 def test_composites_and_objects_are_measured(server):

@@ -21,8 +21,8 @@ OPTIONS = SessionOptions(model="classical", height=16)
 BALL = rl.scene_of_object("sphere", (32.0, 36.0), size_m=0.4)
 
 
-def made(frames, scene=BALL, **more):
-    return list(rl.composite_capture(frames, scene, quality="preview", options=OPTIONS, **more))
+def made(frames, scene=None, **more):
+    return list(rl.composite_capture(frames, scene or BALL, quality="preview", options=OPTIONS, **more))
 
 
 def test_every_frame_has_the_object_where_it_stands():
