@@ -50,7 +50,7 @@ def test_a_recording_without_frames_is_refused():
 
 
 def test_a_pixel_of_a_missing_frame_is_refused():
-    late = [SceneObject("late", sphere(0.1), AtPixel(32, 36, frame=99))]
+    late = [SceneObject("late", sphere(0.1), AtPixel(32.0, 36.0, frame=99))]
     with pytest.raises(SceneError, match="late: the recording has no frame"):
         made(FRAMES, late, online=True)
 
