@@ -13,6 +13,7 @@ from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.errors import SceneError
 from roomlight.files import write_atomic
 from roomlight_evaluation.composite_methods import HARMONICS, OURS, TRUE_LIGHT, composites
+from roomlight_evaluation.composite_mitsuba import VIEWS, mitsuba_scene
 from roomlight_evaluation.composite_regions import SHADOW, darker_part
 from roomlight_evaluation.composite_scenes import CompositeScene, scene_for
 from roomlight_evaluation.composite_scores import (
@@ -63,6 +64,22 @@ def evaluate_composites(
         if progress is not None:
             progress(len(done), count, note)
     return CompositeScores(tuple(done[:count]))
+
+
+def evaluate_mitsuba(*, options: SessionOptions | None = None, pictures: Path | None = None) -> CompositeScores:
+    """Score the three views of `composite_mitsuba`, rendered anew; `pictures` as in `evaluate_composites`.
+
+    Raises:
+        ImportError: Mitsuba is not installed.
+    """
+    scored: list[SceneScore] = []
+    for view in range(VIEWS):
+        scene = mitsuba_scene(view, options=options or SessionOptions())
+        images = composites(scene)
+        if pictures is not None:
+            write_scene_picture(pictures / f"{scene.name}.png", scene, images)
+        scored.append(score_scene(view, scene, images))
+    return CompositeScores(tuple(scored))
 
 
 def _score(

@@ -3,7 +3,6 @@
 The directional light of `harmonics_and_directional` is a small disc, so that the compositor casts its shadow.
 """
 
-from collections.abc import Callable
 from typing import Final
 
 import numpy as np
@@ -11,7 +10,8 @@ from jaxtyping import Float, Float32
 
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.compositing.compositor import Compositor
-from roomlight.conventions import panorama_rays, panorama_solid_angles
+from roomlight.compositing.probes import LightAt
+from roomlight.conventions import Position, panorama_rays, panorama_solid_angles
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight_evaluation.composite_scenes import CompositeScene
@@ -53,12 +53,22 @@ def composites(scene: CompositeScene, *, quality: str = "good") -> dict[str, Pic
     for frame in scene.frames:
         warped.push(frame)
         mean.push(frame)
-    lights: dict[str, Callable[..., Float[np.ndarray, "h w 3"]] | None] = {
+
+    def harmonics(position: Position) -> Panorama:
+        return harmonics_and_directional(np.minimum(warped.light_at(position), 1))
+
+    def harmonics_of_ours(position: Position) -> Panorama:
+        return harmonics_and_directional(scene.session.light_at(position).panorama)
+
+    def true_light(_: Position) -> Panorama:
+        return scene.true_light
+
+    lights: dict[str, LightAt | None] = {
         MEAN_COLOUR: mean.light_at,
-        HARMONICS: lambda position: harmonics_and_directional(np.minimum(warped.light_at(position), 1)),
-        HARMONICS_OURS: lambda position: harmonics_and_directional(scene.session.light_at(position).panorama),
+        HARMONICS: harmonics,
+        HARMONICS_OURS: harmonics_of_ours,
         WARPED: warped.light_at,
-        TRUE_LIGHT: lambda _: scene.true_light,
+        TRUE_LIGHT: true_light,
         OURS: None,
     }
     found: dict[str, Picture] = {}

@@ -148,16 +148,15 @@ class _Renderer:
         """Render the light at a point, by six views of 90 degrees."""
         camera = _camera((_FACE_PIXELS, _FACE_PIXELS), 90.0)
         rays = panorama_rays(_ROWS).astype(np.float64)
-        out, largest = np.zeros((len(rays), 3), np.float32), np.full(len(rays), -1.0)
-        for k, axis in enumerate(np.concatenate([np.eye(3), -np.eye(3)])):
+        axes = np.concatenate([np.eye(3), -np.eye(3)])
+        out, nearest = np.zeros((len(rays), 3), np.float32), (rays @ axes.T).argmax(axis=1)
+        for k, axis in enumerate(axes):
             pose = np.eye(4)
             up = np.array([0.0, 0, 1]) if abs(axis[1]) > 0.5 else np.array([0.0, 1, 0])
             pose[:3, :3] = np.stack([np.cross(axis, up), up, -axis], axis=1)
             pose[:3, 3] = position
             image, _ = self.image(scene, camera, pose, samples, seed=1000 + k)
-            cosine = rays @ axis
-            mine = cosine > largest + 1e-9
-            largest[mine] = cosine[mine]
+            mine = nearest == k
             xy, _ = camera.project(rays[mine] @ pose[:3, :3])
             column, row = np.clip(xy.astype(np.int64), 0, _FACE_PIXELS - 1).T
             out[mine] = image[row, column]
@@ -260,7 +259,7 @@ def _frame(
     return Frame(
         index=number,
         image=linear,
-        clipped=(eight_bit >= CLIPPED_SRGB8).any(-1),
+        clipped=np.asarray((eight_bit >= CLIPPED_SRGB8).any(-1)),
         depth_m=depth_m,
         intrinsics=camera,
         camera_to_world=pose,

@@ -55,7 +55,7 @@ def regions(
     noise = 1.5 * float(np.median(far)) if far.size else 0.0  # the deviation, by the median of absolute values
     changed = (outside & near & (change > max(CHANGED, _DEVIATIONS * noise))).astype(np.uint8)
     changed = cv2.morphologyEx(changed, cv2.MORPH_OPEN, _box(1))
-    joined = changed | cv2.dilate(mask, _box(RIM_PX + 1))  # the outline joins the pieces that touch it
+    joined = np.maximum(changed, cv2.dilate(mask, _box(RIM_PX + 1)))  # the outline joins the pieces that touch it
     _, labels = cv2.connectedComponents(joined, connectivity=8)
     own = np.unique(labels[covered])
     shadow = changed.astype(bool) & np.isin(labels, own[own > 0])

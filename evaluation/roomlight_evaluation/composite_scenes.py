@@ -219,7 +219,7 @@ def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator) -> 
         Frame(
             index=k,
             image=linear,
-            clipped=(eight_bit >= CLIPPED_SRGB8).any(-1),
+            clipped=np.asarray((eight_bit >= CLIPPED_SRGB8).any(-1)),
             depth_m=measured_mm[k].astype(np.float32) / np.float32(1000),
             intrinsics=path.intrinsics,
             camera_to_world=path.poses[k],

@@ -5,7 +5,7 @@ the mean squared error in linear light and in sRGB, and the mean absolute differ
 """
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -90,18 +90,18 @@ class CompositeScores:
 
     def mean(self, method: str, region: str, metric: str, material: str | None = None) -> MeanWithInterval:
         """Return the mean over scenes, of one material or all, with its interval."""
-        return _bootstrap([self._values(method, region, metric, material)], lambda means: means[0])
+        return _bootstrap([self._values(method, region, metric, material)], _first)
 
     def ratio(
         self, method: str, region: str, metric: str, material: str | None = None, *, to: str = HARMONICS
     ) -> MeanWithInterval:
         """Return the method's mean over another's, with the interval over the same resampled scenes."""
         pair = [self._values(name, region, metric, material) for name in (method, to)]
-        return _bootstrap(pair, lambda means: means[0] / means[1])
+        return _bootstrap(pair, _ratio)
 
     def darkening(self, method: str) -> MeanWithInterval:
         """Return the mean log change in shadows over scenes: `truth`, or a method's."""
-        return _bootstrap([[one.darkening[method] for one in self.scenes]], lambda means: means[0])
+        return _bootstrap([[one.darkening[method] for one in self.scenes]], _first)
 
     def _values(self, method: str, region: str, metric: str, material: str | None) -> list[float]:
         chosen = [one for one in self.scenes if material in (None, one.material)]
@@ -126,7 +126,15 @@ def worst_methods_first(scores: CompositeScores, region: str, metric: str) -> li
     return sorted(METHODS, key=lambda method: -scores.mean(method, region, metric).mean)
 
 
-def _bootstrap(columns: Sequence[Iterable[float]], figure: Any) -> MeanWithInterval:
+def _first(means: np.ndarray) -> Any:
+    return means[0]
+
+
+def _ratio(means: np.ndarray) -> Any:
+    return means[0] / means[1]
+
+
+def _bootstrap(columns: Sequence[Iterable[float]], figure: Callable[[np.ndarray], Any]) -> MeanWithInterval:
     """Return a figure of the columns' means and its 95 % interval over resampled rows; rows with NaN do not count."""
     table = np.array([list(column) for column in columns], np.float64)
     table = table[:, np.isfinite(table).all(axis=0)]

@@ -10,8 +10,8 @@ from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.files import write_atomic
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
-from roomlight_evaluation.composite_evaluation import evaluate_composites
-from roomlight_evaluation.composite_scores import METRICS
+from roomlight_evaluation.composite_evaluation import evaluate_composites, evaluate_mitsuba
+from roomlight_evaluation.composite_scores import METRICS, write_line
 from roomlight_evaluation.composite_tables import composite_markdown, composite_table, summary
 
 app = single_command_app()
@@ -25,6 +25,9 @@ def eval_composite(
     pictures: Annotated[
         Path | None, typer.Option(help="Also write a PNG of each scene: truth, ours, true panorama, SH + directional.")
     ] = None,
+    mitsuba: Annotated[
+        bool, typer.Option("--mitsuba", help="Score three views rendered by Mitsuba instead (needs mitsuba).")
+    ] = False,
     markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Also write the tables as Markdown.")] = None,
     model: arguments.Model = "auto",
     weights: arguments.Weights = None,
@@ -41,10 +44,16 @@ def eval_composite(
         def show(done: int, total: int, note: str) -> None:
             bars.update(task, description=escape(note), completed=done, total=total)
 
-        scores = evaluate_composites(scenes, out, seed=seed, options=options, pictures=pictures, progress=show)
+        if mitsuba:
+            scores = evaluate_mitsuba(options=options, pictures=pictures)
+        else:
+            scores = evaluate_composites(scenes, out, seed=seed, options=options, pictures=pictures, progress=show)
     for metric in METRICS:
         console.print_table(console.out, composite_table(scores, metric))
     for line in summary(scores):
         console.say(line)
+    if mitsuba:
+        for score in scores.scenes:
+            write_line(out, score)
     if markdown_out:
         write_atomic(markdown_out, composite_markdown(scores).encode())

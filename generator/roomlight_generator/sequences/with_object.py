@@ -126,7 +126,7 @@ def find_resting_place(
 
 def height_above_surface(tracer: Tracer, base: Float[np.ndarray, "3"], *, lift_m: float = 0.1) -> float:
     """Return how far a point lies above the surface under or just over it, in metres; negative below the surface."""
-    start = np.asarray(base, np.float32)[None] + np.float32([[0, lift_m, 0]])
+    start = np.asarray(base, np.float32)[None] + np.array([[0, lift_m, 0]], np.float32)
     return float(tracer.distances(start, _DOWN)[0]) - lift_m
 
 
@@ -140,12 +140,12 @@ def _fits(
     angle = np.arange(_RING) / _RING * 2 * np.pi
     ring = np.stack([np.cos(angle), np.zeros(_RING), np.sin(angle)], axis=1).astype(np.float32)
     foot = np.concatenate([point[None] + share * radius_m * ring for share in (0.5, 1.0)])
-    top = foot + np.float32([0, height_m, 0])
+    top = foot + np.array([0, height_m, 0], np.float32)
     down = tracer.distances(top, np.broadcast_to(_DOWN, top.shape))
     if (np.abs(down - height_m) > _FLAT_M).any():
         return False
     for share in (0.05, 0.35, 0.7, 1.05):
-        middle = np.broadcast_to(point + np.float32([0, share * height_m, 0]), ring.shape)
+        middle = np.broadcast_to(point + np.array([0, share * height_m, 0], np.float32), ring.shape)
         if (tracer.distances(middle, ring) < _SIDE_CLEARANCE * radius_m).any():
             return False
     seen = point + np.outer([0.1, 0.5, 1.0], [0, height_m, 0]).astype(np.float32)
