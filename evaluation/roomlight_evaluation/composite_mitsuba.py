@@ -185,9 +185,9 @@ def _room(mi: Any) -> dict[str, Any]:
     transform = mi.ScalarTransform4f
 
     def wall(at: list[float], toward: list[float], half: tuple[float, float], bsdf: dict[str, Any]) -> dict[str, Any]:
-        up = [0.0, 0, 1] if abs(toward[1]) > 0.5 else [0.0, 1, 0]
+        up = [0.0, 0.0, 1.0] if abs(toward[1]) > 0.5 else [0.0, 1.0, 0.0]
         target = [a + b for a, b in zip(at, toward, strict=True)]
-        to_world = transform().look_at(at, target, up) @ transform().scale([half[0], half[1], 1])
+        to_world = transform().look_at(at, target, up) @ transform().scale([half[0], half[1], 1.0])
         return {"type": "rectangle", "to_world": to_world, "bsdf": bsdf}
 
     def matte(*colour: float) -> dict[str, Any]:
@@ -197,20 +197,20 @@ def _room(mi: Any) -> dict[str, Any]:
         "type": "checkerboard",
         "color0": _rgb(0.55, 0.42, 0.3),
         "color1": _rgb(0.35, 0.25, 0.17),
-        "to_uv": transform().scale([10, 10, 1]),
+        "to_uv": transform().scale([10.0, 10.0, 1.0]),
     }
     floor = {"type": "twosided", "inner": {"type": "diffuse", "reflectance": chequered}}
     black = matte(0.0, 0.0, 0.0)
     return {
-        "floor": wall([0, 0, 0], [0, 1, 0], (2, 2), floor),
-        "ceiling": wall([0, 2.6, 0], [0, -1, 0], (2, 2), matte(0.8, 0.8, 0.8)),
-        "left": wall([-2, 1.3, 0], [1, 0, 0], (2, 1.3), matte(0.6, 0.25, 0.2)),
-        "right": wall([2, 1.3, 0], [-1, 0, 0], (2, 1.3), matte(0.25, 0.35, 0.6)),
-        "back": wall([0, 1.3, -2], [0, 0, 1], (2, 1.3), matte(0.7, 0.68, 0.6)),
-        "front": wall([0, 1.3, 2], [0, 0, -1], (2, 1.3), matte(0.5, 0.55, 0.45)),
-        "lamp": wall([0.7, 2.55, -0.6], [0, -1, 0], (0.25, 0.25), black)
-        | {"emitter": {"type": "area", "radiance": _rgb(30, 26, 20)}},
-        "panel": wall([-1.98, 1.4, 0.2], [1, 0, 0], (0.5, 0.6), black)
+        "floor": wall([0.0, 0.0, 0.0], [0.0, 1.0, 0.0], (2.0, 2.0), floor),
+        "ceiling": wall([0.0, 2.6, 0.0], [0.0, -1.0, 0.0], (2.0, 2.0), matte(0.8, 0.8, 0.8)),
+        "left": wall([-2.0, 1.3, 0.0], [1.0, 0.0, 0.0], (2.0, 1.3), matte(0.6, 0.25, 0.2)),
+        "right": wall([2.0, 1.3, 0.0], [-1.0, 0.0, 0.0], (2.0, 1.3), matte(0.25, 0.35, 0.6)),
+        "back": wall([0.0, 1.3, -2.0], [0.0, 0.0, 1.0], (2.0, 1.3), matte(0.7, 0.68, 0.6)),
+        "front": wall([0.0, 1.3, 2.0], [0.0, 0.0, -1.0], (2.0, 1.3), matte(0.5, 0.55, 0.45)),
+        "lamp": wall([0.7, 2.55, -0.6], [0.0, -1.0, 0.0], (0.25, 0.25), black)
+        | {"emitter": {"type": "area", "radiance": _rgb(30.0, 26.0, 20.0)}},
+        "panel": wall([-1.98, 1.4, 0.2], [1.0, 0.0, 0.0], (0.5, 0.6), black)
         | {"emitter": {"type": "area", "radiance": _rgb(1.5, 1.8, 2.4)}},
         "box": {
             "type": "cube",
