@@ -108,7 +108,7 @@ def run_composite(
     """
     if frames < 1:
         raise OptionError(f"frames must be at least 1, got {frames}")
-    report, size = progress or (lambda _: None), size or CompositeSize()
+    report, size = progress or _ignore, size or CompositeSize()
     report("compiling kernels")
     warm_up()
     report("building the room")
@@ -134,6 +134,10 @@ def run_composite(
         depth=size.depth,
         machine=describe_machine(),
     )
+
+
+def _ignore(_: str) -> None:
+    pass
 
 
 def _session(room: Sequence[Frame], size: CompositeSize) -> Session:

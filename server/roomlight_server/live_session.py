@@ -472,7 +472,7 @@ class LiveSession:
         return SessionState(
             id=self.name,
             status="open" if self._ended is None else "failed",
-            model=cast("Literal['classical', 'single', 'video']", self._model),
+            model=cast("Literal['classical', 'completion', 'single', 'video']", self._model),
             options=self.request,
             frames=self._queue.counts(),
             probes={name: list(named.position) for name, named in self._named.items()},

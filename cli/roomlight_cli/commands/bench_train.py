@@ -12,7 +12,7 @@ from roomlight_bench.training import measure_training
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import choose_device
-from roomlight_model.training.options import TrainOptions, is_video
+from roomlight_model.training.options import TrainingStage, TrainOptions, is_video
 from roomlight_model.training.subsets import TrainingRooms
 
 app = single_command_app()
@@ -21,7 +21,7 @@ app = single_command_app()
 @app.command("train")
 def bench_train(
     data: Annotated[list[Path], typer.Argument(help="Dataset folders (roomlight dataset generate).")],
-    stage: Annotated[arguments.TrainingStage, typer.Option(help="The stage of training.")] = "single-sglv",
+    stage: Annotated[TrainingStage, typer.Option(help="The stage of training.")] = "single-sglv",
     steps: Annotated[int, typer.Option(min=1, max=10_000, help="Steps to measure.")] = 20,
     batch: Annotated[
         int | None, typer.Option(min=1, help="Examples per step; 4, and 2 sequences in video stages.")

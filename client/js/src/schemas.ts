@@ -457,7 +457,7 @@ export interface components {
              * @default auto
              * @enum {string}
              */
-            readonly mode?: "auto" | "classical" | "single" | "video";
+            readonly mode?: "auto" | "classical" | "completion" | "single" | "video";
             /**
              * @description 16 to 512
              * @default 120
@@ -485,7 +485,7 @@ export interface components {
             /** @enum {string} */
             readonly status: "open" | "failed";
             /** @enum {string} */
-            readonly model: "classical" | "single" | "video";
+            readonly model: "classical" | "completion" | "single" | "video";
             readonly options: components["schemas"]["SessionRequest"];
             readonly frames: components["schemas"]["FrameCounts"];
             readonly probes: {

@@ -110,8 +110,8 @@ def main_light(panorama: Float[np.ndarray, "h w 3"]) -> MainLight:
 def find_lights(panorama: Float[np.ndarray, "h w 3"]) -> tuple[MainLight, ...]:
     """Find up to `MAX_LIGHTS` lights, the main light first. Negative radiance counts as black.
 
-    1 to 4 ms for 120 x 240 on one core. Products are computed with einsum, on this thread alone: BLAS uses its own threads,
-    which wait for a core beside a running engine (12 to 16 ms in all, at a load of 8 on two cores).
+    1 to 4 ms for 120 x 240 on one core. Products are computed with einsum, on this thread alone: BLAS uses its own
+    threads, which wait for a core beside a running engine (12 to 16 ms in all, at a load of 8 on two cores).
 
     Raises:
         ValueError: the panorama is not [H, 2H, 3] with 4 to 4096 rows of finite numbers.
