@@ -1,0 +1,22 @@
+"""The Mitsuba scene of the composites' truth: camera, depth and object agree with RoomLight's conventions."""
+
+import numpy as np
+import pytest
+
+from roomlight.engine.session import SessionOptions
+from roomlight_evaluation.composite_methods import OURS, composites
+from roomlight_evaluation.composite_mitsuba import mitsuba_scene
+
+
+@pytest.mark.slow
+def test_the_composite_covers_the_rendered_object():
+    pytest.importorskip("mitsuba")
+    scene = mitsuba_scene(2, options=SessionOptions(model="classical", height=32), samples=4)
+    images = composites(scene, quality="preview")
+    changed = np.abs(images[OURS] - scene.frame.image).max(axis=-1) > 0.02
+    assert scene.covered.sum() > 100
+    assert changed[scene.masks["object"]].mean() > 0.9
+    away = ~scene.covered & ~scene.masks["shadow"]
+    assert changed[away].mean() < 0.02
+    v, u = np.argwhere(scene.covered).mean(axis=0)
+    assert np.hypot(u - 100, v - 75) < 12  # the camera looks at the object
