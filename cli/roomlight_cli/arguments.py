@@ -202,8 +202,8 @@ def session_options(
     """Build the engine's options from the command line's. Raises typer.BadParameter for weights that go unused."""
     if model in ("classical", "completion") and weights is not None:
         raise typer.BadParameter(
-            f"--model {model} does not run the paper's networks: leave out --weights {weights}, or choose another "
-            "--model"
+            f"leave out --weights {weights}: --model {model} does not run the paper's networks; "
+            "or choose another --model"
         )
     return SessionOptions(
         model=model,

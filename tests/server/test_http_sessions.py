@@ -184,7 +184,7 @@ def test_a_full_server_answers_with_retry_after():
 
 
 def test_a_session_that_could_grow_too_large_is_rejected():
-    with RunningServer(max_session_bytes=190 * 2**20) as server:
+    with RunningServer(max_session_bytes=230 * 2**20) as server:
         assert server.open("low").status == 201
         answer = server.call("PUT", "/v1/sessions/high", SMALL | {"height": 512})
         assert (answer.status, answer.json["field"]) == (422, "height")
