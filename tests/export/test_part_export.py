@@ -14,7 +14,7 @@ from roomlight_export.onnx_file import half_rounded
 from roomlight_export.parts import export_part, part_graph
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.completion_network import CompletionNetwork
-from roomlight_model.part_checkpoint import save_part_checkpoint
+from roomlight_model.part_checkpoint import build_part, save_part_checkpoint
 
 FORMS = ("clipping", "completion")
 
@@ -22,8 +22,10 @@ FORMS = ("clipping", "completion")
 def network(form):
     """A network with random weights everywhere: the heads begin near zero."""
     torch.manual_seed(4)
-    built = ClippingNetwork() if form == "clipping" else CompletionNetwork()
-    torch.nn.init.normal_(built.head.weight if form == "clipping" else built.head.conv.weight, std=0.1)
+    built = build_part(form)
+    assert isinstance(built, ClippingNetwork | CompletionNetwork)
+    head = built.head if isinstance(built, ClippingNetwork) else built.head.conv
+    torch.nn.init.normal_(head.weight, std=0.1)
     return built.eval()
 
 

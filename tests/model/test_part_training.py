@@ -12,7 +12,7 @@ from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.errors import DatasetError, ModelError, OptionError, OutputError
 from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork, clipping_input_shape
 from roomlight_model.completion_network import CompletionNetwork
-from roomlight_model.part_checkpoint import is_part_checkpoint, load_part_checkpoint, save_part_checkpoint
+from roomlight_model.part_checkpoint import PartForm, is_part_checkpoint, load_part_checkpoint, save_part_checkpoint
 from roomlight_model.training.clipping_examples import CLIPPED, ClippingFrames, clipping_batch
 from roomlight_model.training.clipping_stage import ClippingStage
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
@@ -26,11 +26,13 @@ SMALL = PartOptions(steps=8, batch=2, learning_rate=0.02, seed=5)
 class SmallStage:
     """The network of clipped radiance on squares of 32 pixels: the trainer's own behaviour costs nothing there."""
 
-    form = "clipping"
-
-    def __init__(self, form="clipping"):
-        self.form = form
+    def __init__(self, form: PartForm = "clipping"):
+        self._form: PartForm = form
         self._planes = torch.from_numpy(np.random.default_rng(0).random((6, 11, 32, 32)).astype(np.float32))
+
+    @property
+    def form(self) -> PartForm:
+        return self._form
 
     def network(self):
         return ClippingNetwork() if self.form == "clipping" else CompletionNetwork()
@@ -182,7 +184,8 @@ def test_options_out_of_range_are_refused(change):
 
 
 def test_checkpoints_keep_form_weights_and_card(tmp_path):
-    for form, network in (("clipping", ClippingNetwork()), ("completion", CompletionNetwork())):
+    networks: dict[PartForm, torch.nn.Module] = {"clipping": ClippingNetwork(), "completion": CompletionNetwork()}
+    for form, network in networks.items():
         path = tmp_path / f"{form}.pt"
         save_part_checkpoint(path, form, network, card={"steps": 3})
         assert is_part_checkpoint(path)
