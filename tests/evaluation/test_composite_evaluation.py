@@ -51,14 +51,14 @@ def score(number, factor, material="mirror"):
         for method in METHODS
         for own in [factor * (0.05 if method in (OURS, TRUE_LIGHT) else 0.1)]
     }
-    darkening = dict.fromkeys(("truth", *METHODS), -0.5)
+    darkening: dict[str, float] = dict.fromkeys(("truth", *METHODS), -0.5)
     return SceneScore(number, f"room-{number}", "cube", material, dict.fromkeys(REGIONS, 9), errors, darkening, 0.001)
 
 
 def test_regions_are_disjoint_and_find_the_shadow():
     picture, covered = drawn()
     masks = regions(picture, FLOOR, covered, np.ones((60, 80), np.float32), radius_m=1.0)
-    total = sum(mask.astype(int) for mask in masks.values())
+    total = np.sum([mask.astype(int) for mask in masks.values()], axis=0)
     assert total.max() == 1
     assert masks[OBJECT].sum() == 16 * 16  # without the rim of two pixels
     assert masks[SHADOW][43:48, 32:48].all()
@@ -76,14 +76,14 @@ def test_noise_far_from_the_object_is_no_shadow():
     picture, covered = drawn()
     rng, distance_m = np.random.default_rng(0), np.full((60, 80), 7.0, np.float32)
     distance_m[15:55, 25:55] = 1
-    noisy = [image * np.exp(rng.normal(0, 0.1, image.shape)).astype(np.float32) for image in (picture, FLOOR)]
-    masks = regions(*noisy, covered, distance_m, radius_m=1.0)
+    noisy, bare = [image * np.exp(rng.normal(0, 0.1, image.shape)).astype(np.float32) for image in (picture, FLOOR)]
+    masks = regions(noisy, bare, covered, distance_m, radius_m=1.0)
     assert masks[SHADOW][43:48, 32:48].mean() > 0.95
     assert masks[SHADOW][:40].sum() < 0.1 * masks[SHADOW].sum()
-    truth = smoothed_truth(FLOOR, noisy[0], tuple(noisy), covered, masks[SHADOW])
+    truth = smoothed_truth(FLOOR, noisy, (noisy, bare), covered, masks[SHADOW])
     assert (truth[masks[ELSEWHERE]] == FLOOR[masks[ELSEWHERE]]).all()
     assert truth[44:47, 34:46].mean() == pytest.approx(0.25, rel=0.06)
-    assert (truth[covered] == noisy[0][covered]).all()
+    assert (truth[covered] == noisy[covered]).all()
 
 
 def test_errors_are_those_of_clipped_light():
@@ -127,14 +127,15 @@ def test_a_compositor_takes_a_light_from_elsewhere():
 
     def red(position):
         asked.append(position)
-        return np.broadcast_to(np.float32([2, 0, 0]), (32, 64, 3)).copy()
+        return np.broadcast_to(np.array([2, 0, 0], np.float32), (32, 64, 3)).copy()
 
     compositor = Compositor(session, [ball], quality="preview", match_camera=False, light=red)
+    made = []
     for number in range(2):
         session.push(room.frame(camera_at((0.2, 1.4, 1.4), 0, -30), index=number + 1))
-        made = compositor.composite(frame)
-    inside = made.alpha > 0.99
-    assert np.abs(made.objects[inside] - [2, 0, 0]).max() < 0.02
+        made.append(compositor.composite(frame))
+    inside = made[-1].alpha > 0.99
+    assert np.abs(made[-1].objects[inside] - [2, 0, 0]).max() < 0.02
     assert asked == [pytest.approx((0.2, 0.2, -0.8), abs=1e-5)]
 
 

@@ -109,7 +109,7 @@ def test_scores_that_are_no_numbers_fail():
 
 def test_errors_that_nobody_sees_are_equal():
     """3e-5 against 1e-5 is no difference."""
-    tiny = {"log_l2": 3e-5, "render_l2": 3e-5}
+    tiny: dict[str, float | list[float]] = {"log_l2": 3e-5, "render_l2": 3e-5}
     scores = scores_of(tiny)
     tracks = tuple(
         one if one.method != "reference" else track("room-0", "reference", {"log_l2": 1e-5, "render_l2": 1e-5},

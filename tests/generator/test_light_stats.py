@@ -141,7 +141,7 @@ def test_hidden_clipped_pixels_are_at_least_white():
 def test_rows_are_alike_within_a_quarter():
     assert LightRow("m", (1.2, 2.0, 3.0), (1.0, 2.0, 3.9)).alike
     assert not LightRow("m", (1.3, 2.0, 3.0), (1.0, 2.0, 3.0)).alike
-    assert not LightRow("m", (np.nan,) * 3, (1.0, 2.0, 3.0)).alike
+    assert not LightRow("m", (np.nan, np.nan, np.nan), (1.0, 2.0, 3.0)).alike
     assert LightRow("m", (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)).alike
 
 

@@ -199,6 +199,7 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
     for number in range(len(data)):
         assert data.read(number).clipped_radiance is None  # not requested
         recording = data.read(number, clipped=True)
+        assert recording.clipped_radiance is not None
         stored = recording.clipped_radiance.max(axis=-1)
         shown = recording.colour.max(axis=-1)
         assert (shown[stored > 0] >= CLIPPED_SRGB8 - 12).all()  # JPEG moves some below the limit

@@ -114,15 +114,14 @@ def test_still_objects_do_not_shimmer(session):
 def test_noise_of_depth_hardly_reaches_the_picture(session):
     rng = np.random.default_rng(4)
     compositor = Compositor(session, [BALL], quality="preview", match_camera=False)
-    images = []
+    made = []
     for index in range(7):
         frame = view(index=index)
         noise = rng.normal(0, 0.006, frame.depth_m.shape).astype(np.float32)
-        made = compositor.composite(replace(frame, depth_m=frame.depth_m + noise))
-        images.append(made.image)
-    near = np.zeros(made.alpha.shape, bool)
-    near[made.crop.slices] = True
-    assert rest_variance(images[3:], near) < (1.0 / 255) ** 2  # under one step of 8 bits
+        made.append(compositor.composite(replace(frame, depth_m=frame.depth_m + noise)))
+    near = np.zeros(made[-1].alpha.shape, bool)
+    near[made[-1].crop.slices] = True
+    assert rest_variance([one.image for one in made[3:]], near) < (1.0 / 255) ** 2  # under one step of 8 bits
 
 
 def test_shadows_keep_still_under_a_moving_camera(session):
@@ -167,11 +166,11 @@ def test_light_is_eased_in_with_its_time_constant():
 def test_depth_is_averaged_where_it_agrees_else_replaced():
     rng = np.random.default_rng(6)
     clean = view()
-    depth_filter = DepthFilter()
+    depth_filter, results = DepthFilter(), []
     for index in range(12):
         noise = rng.normal(0, 0.01, clean.depth_m.shape).astype(np.float32)
-        result = depth_filter.push(replace(clean, index=index, depth_m=clean.depth_m + noise))
-    assert (result - clean.depth_m).std() < 0.5 * 0.01
+        results.append(depth_filter.push(replace(clean, index=index, depth_m=clean.depth_m + noise)))
+    assert (results[-1] - clean.depth_m).std() < 0.5 * 0.01
     nearer = replace(clean, index=12, depth_m=clean.depth_m * 0.7)
     assert depth_filter.push(nearer) == pytest.approx(nearer.depth_m)
     hole = replace(clean, index=13, depth_m=np.zeros_like(clean.depth_m))
@@ -209,9 +208,9 @@ def test_noise_and_blur_of_the_frame_are_measured_and_matched():
 @pytest.mark.parametrize("blur_px", [0.6, 1.0, 1.5])
 def test_blur_is_measured_at_the_sharpest_edges(blur_px):
     fine = np.kron(np.indices((6, 8)).sum(axis=0) % 2, np.ones((192, 192))).astype(np.float32) * 0.6 + 0.2
-    fine = cv2.warpAffine(
-        fine, np.float32([[1, 0.05, 0], [-0.04, 1, 30]]), fine.shape[::-1], borderMode=cv2.BORDER_REFLECT
-    )
+    sheared = np.array([[1, 0.05, 0], [-0.04, 1, 30]], np.float32)
+    rows, columns = fine.shape
+    fine = cv2.warpAffine(fine, sheared, (columns, rows), borderMode=cv2.BORDER_REFLECT)
     image = cv2.resize(cv2.GaussianBlur(fine, (0, 0), 4 * blur_px), (384, 288), interpolation=cv2.INTER_AREA)
     assert measure_camera(np.repeat(image[..., None], 3, axis=-1)).blur_px == pytest.approx(blur_px, abs=0.25)
 

@@ -46,6 +46,7 @@ def test_object_rests_on_the_plane_behind_the_pixel(pitch, target, axis, height,
     gap = corners[:, axis].min() - height if height < 3 else height - corners[:, axis].max()
     assert abs(gap) < 0.005
     assert placed.kind == ("ceiling" if height == 3 else "floor")
+    assert placed.support is not None
     assert placed.support.normal == pytest.approx([0, -1 if height == 3 else 1, 0])
     assert placed.object_to_world[:3, 1] == pytest.approx([0, 1, 0])  # upright, also under a ceiling
     assert placed.support.point[[0, 2]] == pytest.approx(np.array(target)[[0, 2]], abs=0.02)
@@ -73,6 +74,7 @@ def test_near_an_edge_the_pixels_own_surface_is_fitted():
     frame, geometry = view(-25)
     placed = place_at_pixel(geometry, frame, *pixel_of(frame, (0.0, 0.7, -1.06)), BOX)
     assert placed.kind == "floor"
+    assert placed.support is not None
     assert placed.support.point[1] == pytest.approx(0.7, abs=0.005)
 
 
@@ -80,6 +82,7 @@ def test_another_frame_fills_a_hole_behind_the_pixel():
     frame, geometry = view(-35)
     blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
     placed = place_at_pixel(geometry, blind, *pixel_of(frame, (0.9, 0, -0.8)), BOX)
+    assert placed.support is not None
     assert placed.support.point == pytest.approx([0.9, 0, -0.8], abs=0.01)
 
 
@@ -119,6 +122,7 @@ def test_the_anchor_is_put_onto_the_place(anchor, expected):
 def test_support_is_found_under_an_object_placed_by_position():
     _, geometry = view(-35)
     standing = support_below(geometry, place_at(np.array([0.9, 0.0, -0.8]), BOX), BOX)
+    assert standing is not None
     assert standing.normal == pytest.approx([0, 1, 0])
     assert support_below(geometry, place_at(np.array([0.9, 0.3, -0.8]), BOX), BOX) is None
 

@@ -11,6 +11,7 @@ from roomlight.compositing.primitives import cube, plane, sphere
 from roomlight.compositing.rendering import PRESETS, RenderSettings, render_objects
 from roomlight.compositing.tracer import ObjectScene
 from roomlight.errors import ObjectError, OptionError
+from roomlight.spheres import Material as SphereMaterial
 from roomlight.spheres import SphereRenderer
 
 CAMERA = Intrinsics(60.0, 60.0, 32.0, 24.0, 64, 48)
@@ -64,7 +65,8 @@ def test_preview_agrees_with_the_sphere_renderer() -> None:
     pose = look_at((0, 0, 100), (0, 0, 0))
     light = panorama(4, rows=64)
     spheres = SphereRenderer((0.0, 0.0, -1.0), size=64)
-    for material, name in ((diffuse((1.0, 1.0, 1.0)), "diffuse"), (mirror(), "mirror")):
+    cases: list[tuple[Material, SphereMaterial]] = [(diffuse((1.0, 1.0, 1.0)), "diffuse"), (mirror(), "mirror")]
+    for material, name in cases:
         scene = ObjectScene([sphere(32 / 60, material)])
         picture = render_objects(scene, far, pose, ProbeSet.single(light), quality="preview")
         known = spheres.coverage > 0.999

@@ -168,6 +168,8 @@ def test_clipped_radiance_comes_back_where_requested():
     files = sequence_files.encode(before)
     assert sequence_files.decode(files, "here").clipped_radiance is None
     after = sequence_files.decode(files, "here", frames=[2, 0], clipped=True).clipped_radiance
+    assert after is not None
+    assert before.clipped_radiance is not None
     assert after.dtype == np.float16
     np.testing.assert_array_equal(after, before.clipped_radiance[[2, 0]])
 
