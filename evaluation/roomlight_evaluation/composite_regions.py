@@ -4,7 +4,7 @@ The truth is rendered with and without the object, each with path noise of its o
 smoothed. The shadow region is where it differs from 1 by more than `CHANGED` and by more than the noise does far from
 the object, in one piece with the object's outline: light that it takes and light that it reflects. Outside of the
 object the truth is the frame times this ratio in the shadow region, and the frame itself elsewhere, so that noise
-counts as nobody's error.
+is no method's error.
 """
 
 from typing import Final

@@ -28,7 +28,7 @@ TOLERANCE: Final = 1.05
 TARGET: Final = 0.85
 METRICS: Final = {"log_l2": "log-L2", "render_l2": "glossy sphere"}
 _LEAST: Final = 1e-4
-"""Errors below this count as this: a ratio of two errors that nobody can see says nothing."""
+"""Smaller errors count as this one: the ratio of two invisible errors means nothing."""
 
 
 @dataclass(frozen=True)

@@ -107,7 +107,7 @@ def test_scores_that_are_no_numbers_fail():
     assert any(line.startswith("mean over captures: log-L2 is inf") for line in failures)
 
 
-def test_errors_that_nobody_sees_are_equal():
+def test_invisible_errors_count_as_equal():
     """3e-5 against 1e-5 is no difference."""
     tiny: dict[str, float | list[float]] = {"log_l2": 3e-5, "render_l2": 3e-5}
     scores = scores_of(tiny)

@@ -1,4 +1,4 @@
-"""Exploration does no harm: light that nobody observed does not grow by being looked at.
+"""Exploration does no harm: inferred light does not grow when frames look past it.
 
 A dim room has a doorway to a bright one. The camera turns to the doorway, stays there with the small movements of a
 hand, and turns on.
