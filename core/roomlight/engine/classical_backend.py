@@ -40,15 +40,11 @@ class Observed:
     Attributes:
         detail: radiance, where observed.
         known: share observed, 0 to 1.
-        clipped: share of it that was clipped.
-        depth_m: distance, where observed.
         fill: radiance everywhere, spread from the observed.
     """
 
     detail: Float[np.ndarray, "h w 3"]
     known: Float[np.ndarray, "h w"]
-    clipped: Float[np.ndarray, "h w"]
-    depth_m: Float[np.ndarray, "h w"]
     fill: Float[np.ndarray, "h w 3"]
 
 
@@ -97,24 +93,8 @@ class ClassicalBackend:
     ) -> Estimate:
         """Estimate the HDR panorama: observed radiance and, with little weight, the SGLV, spread by push-pull."""
         del depth_max_m
-        seen = self.observe(state, rendered=rendered, transmittance=transmittance, partial=partial)
-        hdr = seen.fill
-        if self.is_later_frame(memory):
-            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
-        return Estimate(hdr, partial.mask.astype(np.float32))
-
-    def observe(
-        self,
-        state: PanoramaState,
-        *,
-        rendered: Float[np.ndarray, "h w 3"],
-        transmittance: Float[np.ndarray, "h w"],
-        partial: PartialPanorama,
-    ) -> "Observed":
-        """Return what the stream has shown a probe up to this frame, and the fill of the rest."""
+        assert isinstance(memory, _Memory)
         detail, known = latest_detail(state, partial.radiance, partial.depth_m, mask=partial.mask)
-        fresh = partial.mask & state.is_closer(partial.depth_m)
-        clipped = state.clipped if partial.clipped is None else np.where(fresh, partial.clipped, state.clipped)
         opaque = 1 - transmittance
         # The edges of the volume's band are half transparent and misleading: hence the fourth power.
         volume_weight = (1 - known) * VOLUME_WEIGHT * opaque**4
@@ -122,10 +102,15 @@ class ClassicalBackend:
         volume = at_most_white(rendered / np.maximum(opaque, 1e-3)[..., None])
         mixed = known[..., None] * at_most_white(detail) + volume_weight[..., None] * volume
         fill = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
-        return Observed(detail, known, clipped, np.where(fresh, partial.depth_m, state.depth_m), fill)
-
-    def is_later_frame(self, memory: ProbeMemory) -> bool:
-        """Count a frame of a probe; return whether it had one before."""
-        assert isinstance(memory, _Memory)
+        hdr = self.completed(Observed(detail, known, fill), state, partial)
+        if memory.frames > 0:
+            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
         memory.frames += 1
-        return memory.frames > 1
+        return Estimate(hdr, partial.mask.astype(np.float32))
+
+    def completed(
+        self, observed: Observed, state: PanoramaState, partial: PartialPanorama
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Return the light of directions that no frame has shown: the fill. Models with a better guess override it."""
+        del state, partial
+        return observed.fill

@@ -17,9 +17,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from roomlight.engine.backend import FILL_UPDATE, Estimate, ProbeMemory
 from roomlight.engine.blend import PanoramaState
-from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.classical_backend import ClassicalBackend, Observed
 from roomlight.engine.graphs import SHIPPED, Graph, load_part
 from roomlight.engine.mesh import PartialPanorama
 from roomlight.engine.providers import Provider
@@ -94,32 +93,21 @@ class CompletionBackend(ClassicalBackend):
         super().__init__()
         self._model = model
 
-    def estimate(
-        self,
-        memory: ProbeMemory,
-        state: PanoramaState,
-        *,
-        rendered: Float[np.ndarray, "h w 3"],
-        transmittance: Float[np.ndarray, "h w"],
-        partial: PartialPanorama,
-        depth_max_m: float,
-    ) -> Estimate:
-        """Estimate the HDR panorama: the classical fill, changed by the network where nothing was observed."""
-        del depth_max_m
-        seen = self.observe(state, rendered=rendered, transmittance=transmittance, partial=partial)
+    def completed(
+        self, observed: Observed, state: PanoramaState, partial: PartialPanorama
+    ) -> Float[np.ndarray, "h w 3"]:
+        """Return the classical fill, changed by the network where nothing was observed."""
+        fresh = partial.mask & state.is_closer(partial.depth_m)
         # as in training: the panorama that the frames make, with the fill only where they show nothing
-        known = seen.known[..., None]
+        known = observed.known[..., None]
         panels = completion_panels(
-            detail=seen.detail,
-            known=seen.known,
-            clipped=seen.clipped,
-            depth_m=seen.depth_m,
-            fill=known * seen.detail + (1 - known) * seen.fill,
+            detail=observed.detail,
+            known=observed.known,
+            clipped=state.clipped if partial.clipped is None else np.where(fresh, partial.clipped, state.clipped),
+            depth_m=np.where(fresh, partial.depth_m, state.depth_m),
+            fill=known * observed.detail + (1 - known) * observed.fill,
         )
-        hdr = self._model.complete(panels, seen.fill, seen.known)
-        if self.is_later_frame(memory):
-            hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
-        return Estimate(hdr, partial.mask.astype(np.float32))
+        return self._model.complete(panels, observed.fill, observed.known)
 
 
 def _resize(
