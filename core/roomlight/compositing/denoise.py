@@ -1,12 +1,22 @@
 """Denoising of rendered objects by Intel Open Image Denoise, where its wheel is installed (`roomlight[denoise]`)."""
 
+from importlib import import_module
 from importlib.util import find_spec
 from threading import Lock
+from typing import Protocol, cast
 
 import numpy as np
 from jaxtyping import Float32
 
 _LOCK = Lock()
+
+
+class _OpenImageDenoise(Protocol):
+    """The part of the module `pyoidn` that is used; the module is optional, so it is not imported by name."""
+
+    def denoise(self, color: np.ndarray, *, albedo: np.ndarray, normal: np.ndarray, hdr: bool) -> np.ndarray:
+        """Return a clean copy of a picture [h, w, 3]."""
+        ...
 
 
 def denoiser_name() -> str:
@@ -27,14 +37,13 @@ def denoise(
     """
     if denoiser_name() == "none":
         return radiance
-    import pyoidn
-
+    oidn = cast(_OpenImageDenoise, import_module("pyoidn"))
     rows, columns = (np.flatnonzero(alpha.any(axis=axis)) for axis in (1, 0))
     if len(rows) == 0:
         return radiance
     box = slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1)
     with _LOCK:
-        clean = pyoidn.denoise(
+        clean = oidn.denoise(
             np.ascontiguousarray(radiance[box]),
             albedo=np.ascontiguousarray(albedo[box]),
             normal=np.ascontiguousarray(normal[box]),
