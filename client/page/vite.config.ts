@@ -1,0 +1,28 @@
+// Two pages: the live page (index.html, served at /) and the phone's camera page (phone.html, served at /phone).
+// The result is committed in server/roomlight_server/page, so that the server needs no Node.
+
+import { fileURLToPath } from "node:url";
+import { defineConfig } from "vite";
+
+const path = (relative: string) => fileURLToPath(new URL(relative, import.meta.url));
+
+export default defineConfig({
+  base: "./", // relative addresses: the server may stand behind a path of a proxy
+  resolve: {
+    dedupe: ["three"], // our client in ../js has a copy of its own for its tests
+    alias: [
+      { find: /^roomlight$/, replacement: path("../js/src/index.ts") },
+      { find: /^roomlight\/(.+)$/, replacement: path("../js/src") + "/$1.ts" },
+    ],
+  },
+  server: { proxy: { "/v1": { target: process.env["ROOMLIGHT_SERVER"] ?? "http://127.0.0.1:8090", ws: true } } },
+  build: {
+    target: "es2022",
+    outDir: process.env["PAGE_OUT"] ?? path("../../server/roomlight_server/page"),
+    emptyOutDir: true,
+    sourcemap: false,
+    modulePreload: { polyfill: false },
+    chunkSizeWarningLimit: 800,
+    rollupOptions: { input: { index: path("index.html"), phone: path("phone.html") } },
+  },
+});
