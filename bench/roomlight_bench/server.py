@@ -24,6 +24,7 @@ from roomlight.frame import Frame
 from roomlight.placement import point_in_view
 from roomlight.sample import sample_capture
 from roomlight.threads import thread_count
+from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
 from roomlight_bench.reporting import describe_machine
@@ -32,7 +33,6 @@ from roomlight_bench.server_process import ServerProcess, polling_health
 from roomlight_bench.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
 from roomlight_bench.timing import ProgressCallback
 from roomlight_client import Client, FrameEncoding, Session
-from roomlight_client.frames import pack_frame
 from roomlight_server.decode_worker import decode_to_box
 from roomlight_server.intake import parse_frame
 

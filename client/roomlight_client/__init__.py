@@ -16,6 +16,7 @@ depth map, `CameraFrame`. Conventions: `roomlight.conventions` (world metres, y 
 `docs/wire.md`. Every error is a `roomlight.errors.RoomLightError`; `errors` shows the classes.
 """
 
+from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight_client.async_client import AsyncClient, AsyncSession
 from roomlight_client.calls import PositionOrName
 from roomlight_client.client import Client, Session
@@ -32,7 +33,6 @@ from roomlight_client.errors import (
     UnauthorizedError,
     UnreachableError,
 )
-from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
 from roomlight_client.retry import Retry, Timeouts
 

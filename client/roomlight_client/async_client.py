@@ -20,12 +20,12 @@ from roomlight.wire.compositing import (
     ObjectInfo,
     ObjectList,
 )
+from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
-from roomlight_client.frames import CameraFrame, FrameEncoding
 from roomlight_client.light import Light, LightFile
 from roomlight_client.retry import NO_RETRY, Retry, Timeouts
 

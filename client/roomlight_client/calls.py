@@ -20,6 +20,7 @@ from roomlight.conventions import Position
 from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.compositing import CompositeRequest, ObjectInfo, ObjectList
+from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
 from roomlight.wire.frame_message import to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
@@ -35,7 +36,6 @@ from roomlight.wire.messages import (
 )
 from roomlight_client.compositing import CompositeFile, parse_composite
 from roomlight_client.errors import RETRIED, BadReplyError, UnreachableError, refusal
-from roomlight_client.frames import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
 from roomlight_client.light import Light, LightFile, parse_lights
 from roomlight_client.retry import Retry, Timeouts, parse_retry_after
 

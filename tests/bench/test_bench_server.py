@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.errors import ModelError, ServerError
 from roomlight.sample import sample_capture
+from roomlight.wire.frame_encoding import pack_frame
 from roomlight_bench.server import ServerBenchOptions, run_server_bench
 from roomlight_bench.server_load import Load, Phones
 from roomlight_bench.server_process import ServerProcess, polling_health
@@ -19,7 +20,6 @@ from roomlight_cli.console import print_table
 from roomlight_cli.main import app
 from roomlight_client import AsyncClient, ConflictError
 from roomlight_client.errors import refusal
-from roomlight_client.frames import pack_frame
 
 TINY = ServerBenchOptions(
     sessions=(2,), seconds=1.0, fps=4.0, points=(1, 3), frames=4, model="classical", height=16, rounds=1, passes=1

@@ -13,8 +13,8 @@ from roomlight.engine.session import WORKING_SIZE
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame
+from roomlight.wire.frame_encoding import EXACT_SIZE, CameraFrame, pack_camera_frame, pack_frame
 from roomlight.wire.frame_message import parse
-from roomlight_client.frames import EXACT_SIZE, CameraFrame, pack_camera_frame, pack_frame
 from rooms import BoxRoom, camera_at
 
 POSE = camera_at((0.2, 1.4, 1.2), yaw_degrees=31.0)
