@@ -5,6 +5,7 @@ waiting in the queue: then it is decoded when the engine takes it.
 """
 
 import hashlib
+from dataclasses import dataclass
 
 from roomlight.engine.session import WORKING_SIZE
 from roomlight.errors import WireError
@@ -12,6 +13,20 @@ from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
 from roomlight_server.decode_processes import DecodeProcesses
 from roomlight_server.decode_worker import decode_to_box
+
+
+@dataclass(frozen=True)
+class LatestFrame:
+    """The last processed frame, as it was received."""
+
+    index: int
+    message: FrameMessage
+
+    @property
+    def size(self) -> int:
+        """Bytes of the message without its header."""
+        parts = (self.message.colour, self.message.depth, self.message.confidence)
+        return sum(part.nbytes for part in parts if part is not None)
 
 
 def parse_frame(body: bytes, limits: FrameLimits) -> tuple[FrameMessage, bytes]:

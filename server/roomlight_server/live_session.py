@@ -8,24 +8,26 @@ request is answered with this error, and its memory is released.
 import asyncio
 import logging
 from collections import OrderedDict
-from collections.abc import AsyncGenerator, Awaitable, Callable, Generator, Sequence
-from contextlib import asynccontextmanager, contextmanager
+from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from contextlib import asynccontextmanager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Final, Literal, TypeVar, cast
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.memory import Footprint
 from roomlight.engine.session import FrameReport, Session
-from roomlight.errors import FrameError, ProbeError, WireError
+from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
 from roomlight.wire.frame_message import FrameLimits, FrameMessage
 from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
 from roomlight_server.frame_queue import Entry, FrameQueue, replayed
-from roomlight_server.intake import decode_to_size, index_of, parse_frame
+from roomlight_server.history import History
+from roomlight_server.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.light_forms import default_panorama, digest_of_light
 from roomlight_server.metrics import Metrics
-from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
+from roomlight_server.problems import INTERNAL_DETAIL, ProblemError, convert_probe_errors
+from roomlight_server.quotas import Quotas
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -42,20 +44,8 @@ class Limits:
     frames_in_flight: int
     max_probes: int
     idle_expiry_s: float
-
-
-@dataclass(frozen=True)
-class LatestFrame:
-    """The last processed frame, as it was received."""
-
-    index: int
-    message: FrameMessage
-
-    @property
-    def size(self) -> int:
-        """Bytes of the message without its header."""
-        parts = (self.message.colour, self.message.depth, self.message.confidence)
-        return sum(part.nbytes for part in parts if part is not None)
+    history_bytes: int
+    quotas: Quotas
 
 
 @dataclass
@@ -105,6 +95,7 @@ class LiveSession:
         self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
         self._light_frame = NO_FRAME
         self._latest: LatestFrame | None = None
+        self.history = History(limits.history_bytes, workers)
         self._compositing = False
         self._ended: ProblemError | None = None
         self._listeners: set[Callable[[], None]] = set()
@@ -202,6 +193,8 @@ class LiveSession:
                     listener()
         finally:
             self._runner = None
+            if self._ended is not None:
+                self._workers.release_memory()  # of the frame that was being processed
 
     async def _push(self, entry: Entry) -> None:
         engine, frame = self._engine, entry.frame
@@ -228,6 +221,8 @@ class LiveSession:
             assert entry.message is not None
             self._latest = LatestFrame(entry.index, entry.message)
             self._metrics.observe_frame(report)
+            handles = {name: named.handle for name, named in self._named.items()}
+            await self.history.add(engine, frame, report, self._queue.counts(), handles)
             self._queue.processed(entry, result)
 
     async def _decoded_late(self, entry: Entry) -> Frame:
@@ -273,16 +268,20 @@ class LiveSession:
                 limit = self._limits.max_probes
                 detail = f"the session already tracks {limit} named probes; delete one first"
                 raise ProblemError("too-many-probes", detail, rule=f"at most {limit} probes")
-            async with self._workers.engine_slot():
-                handle = await _convert_errors(self._workers.run_in_engine_pool(engine.track, position))
-            new = _NamedProbe(position, handle)
-            if self.has_light:
-                new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
-            async with self._state_lock:
-                if old is not None:
-                    self._remove(engine, name)
-                self._named[name] = new
+            with self._limits.quotas.adding_probe(self.rows) if old is None else nullcontext():
+                await self._replace_probe(engine, name, position)
             return old is None
+
+    async def _replace_probe(self, engine: Session, name: str, position: Position) -> None:
+        async with self._workers.engine_slot():
+            handle = await convert_probe_errors(self._workers.run_in_engine_pool(engine.track, position))
+        new = _NamedProbe(position, handle)
+        if self.has_light:
+            new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
+        async with self._state_lock:
+            if name in self._named:
+                self._remove(engine, name)
+            self._named[name] = new
 
     async def untrack(self, name: str) -> None:
         """Stop tracking a named probe.
@@ -306,8 +305,12 @@ class LiveSession:
         Raises:
             ProblemError: A probe name is unknown, a position is unusable, or the session has ended.
         """
-        all_named = all(query.name is not None for query in queries)
-        async with self._state_lock if all_named else self._engine_lock:
+        late = sum(query.name is None for query in queries)
+        with self._limits.quotas.late_probes(late):
+            return await self._lights_after_same_frame(queries, self._engine_lock if late else self._state_lock)
+
+    async def _lights_after_same_frame(self, queries: Sequence[ProbeQuery], lock: asyncio.Lock) -> list[Light]:
+        async with lock:
             engine = self._live_engine()
             if not self.has_light:
                 return [self._default_light(query) for query in queries]
@@ -323,7 +326,7 @@ class LiveSession:
             found = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
         else:
             async with self._workers.engine_slot():
-                found = await _convert_errors(self._workers.run_in_engine_pool(engine.light_at, position))
+                found = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
         tracked = found.tracked_lights
         etag = await self._workers.run_in_decode_pool(digest_of_light, found.panorama, found.observed, tracked)
         light = Light(
@@ -409,6 +412,18 @@ class LiveSession:
         async with self._workers.composite_slot(), self._engine_lock:
             return await self._workers.run_in_composite_pool(work, self._live_engine())
 
+    # --- what the session has seen ----------------------------------------------------------------------------
+
+    @property
+    def latest(self) -> LatestFrame | None:
+        """The last processed frame, as it was received."""
+        return self._latest
+
+    async def read(self, work: Callable[[Session], _R]) -> _R:
+        """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""
+        async with self._state_lock:
+            return await self._workers.run_in_decode_pool(work, self._live_engine())
+
     # --- state and end ----------------------------------------------------------------------------------------
 
     def check_open(self) -> None:
@@ -433,6 +448,7 @@ class LiveSession:
         self._ended = reason
         self._engine = self._latest = None
         self._lights.clear()
+        self.history.clear()
         self._queue.end_all(reason)
         self._workers.release_memory()
         for listener in tuple(self._listeners):
@@ -451,8 +467,18 @@ class LiveSession:
         """Upper bound of the session's memory."""
         keyframes, probes = self._keyframe_capacity, self._limits.max_probes
         return self._footprint.total(keyframes=keyframes, probes=probes, started=True) + (
-            MAX_CACHED_LIGHTS * self.light_bytes + self._limits.frame.max_body_bytes
+            MAX_CACHED_LIGHTS * self.light_bytes + self._limits.frame.max_body_bytes + self._limits.history_bytes
         )
+
+    @property
+    def probe_count(self) -> int:
+        """Number of named probes."""
+        return len(self._named)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the session's panoramas."""
+        return self.request.height
 
     @property
     def light_bytes(self) -> int:
@@ -466,6 +492,7 @@ class LiveSession:
         keyframes = 0 if engine is None else engine.keyframes
         held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=grid is not None)
         kept = held + len(self._lights) * self.light_bytes + (0 if self._latest is None else self._latest.size)
+        kept += self.history.bytes
         volume = None
         if grid is not None:
             volume = Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)
@@ -482,14 +509,3 @@ class LiveSession:
             volume=volume,
             idle_expiry_s=self._limits.idle_expiry_s,
         )
-
-
-async def _convert_errors(work: Awaitable[_R]) -> _R:
-    """Await an engine call for a probe; an unusable position is a client error (422), any other failure a 500."""
-    try:
-        return await work
-    except ProbeError as error:
-        raise ProblemError("invalid", str(error), field="position", rule=str(error)) from error
-    except Exception as error:  # the session is unchanged: it adds a probe only when the probe is complete
-        _log.exception("probe failed")
-        raise ProblemError("engine-failed", f"the light could not be computed: {type(error).__name__}") from error

@@ -2,20 +2,21 @@
 
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Awaitable, Mapping
 from http import HTTPStatus
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 from fastapi import Request, Response
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from starlette.exceptions import HTTPException
 
-from roomlight.errors import WireError
+from roomlight.errors import ProbeError, WireError
 from roomlight.wire.frame_message import rule_text
 from roomlight.wire.messages import Problem
 
 _log = logging.getLogger("roomlight.server")
+_R = TypeVar("_R")
 MEDIA_TYPE: Final = "application/problem+json"
 INTERNAL_DETAIL: Final = "unexpected error; the log of the server has the traceback"
 CLIENT_CLOSED: Final = 499
@@ -29,6 +30,9 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "session-not-found": (404, "Session not found"),
     "probe-not-found": (404, "Probe not found"),
     "object-not-found": (404, "Object not found"),
+    "history-not-found": (404, "Frame is not in the history"),
+    "recording-not-found": (404, "Recording not found"),
+    "page-not-built": (404, "Page is not installed"),
     "method-not-allowed": (405, "Method not allowed"),
     "body-timeout": (408, "Request body timed out"),
     "header-timeout": (408, "Request headers timed out"),
@@ -38,15 +42,22 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "model-not-here": (409, "Model is not available"),
     "too-many-probes": (409, "Probe limit reached"),
     "too-many-objects": (409, "Object limit of the token reached"),
+    "upload-offset": (409, "Piece does not continue the file"),
+    "recording-not-ready": (409, "Recording is not complete"),
+    "recording-playing": (409, "Recording is being played"),
+    "too-many-recordings": (409, "Recording limit of the token reached"),
     "no-frame": (409, "Session has no frame yet"),
     "session-closed": (410, "Session was closed"),
     "too-large": (413, "Message is too large"),
     "bad-request": (400, "Request cannot be parsed"),
     "bad-frame": (422, "Frame is invalid"),
     "bad-object": (422, "Object is invalid"),
+    "bad-recording": (422, "Recording cannot be read"),
     "bad-place": (422, "Object cannot be placed"),
     "invalid": (422, "Request is invalid"),
     "session-full": (429, "Session queue is full"),
+    "owner-quota": (429, "Limit of the token reached"),
+    "owner-busy": (429, "Memory limit of the token's requests and answers reached"),
     "composite-running": (429, "Session is making a composite"),
     "headers-too-large": (431, "Request headers are too large"),
     "engine-failed": (500, "Engine failed"),
@@ -54,6 +65,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "server-full": (503, "Session limit reached"),
     "server-busy": (503, "Memory limit of requests and answers reached"),
     "object-memory": (503, "Object limit of the server reached"),
+    "recording-memory": (503, "Recording limit of the server reached"),
     "too-many-connections": (503, "Connection limit reached"),
     "stopping": (503, "Server is stopping"),
 }
@@ -102,13 +114,18 @@ def problem_response(error: ProblemError) -> JSONResponse:
     return JSONResponse(content, error.problem.status, headers=headers, media_type=MEDIA_TYPE)
 
 
-async def on_problem(_: Request, error: Exception) -> JSONResponse:
-    """Handle `ProblemError` for FastAPI."""
-    assert isinstance(error, ProblemError)
+def _answered(request: Request, error: ProblemError) -> JSONResponse:
+    request.app.state.context.metrics.problems.labels(error.kind).inc()
     return problem_response(error)
 
 
-async def on_invalid(_: Request, error: Exception) -> JSONResponse:
+async def on_problem(request: Request, error: Exception) -> JSONResponse:
+    """Handle `ProblemError` for FastAPI."""
+    assert isinstance(error, ProblemError)
+    return _answered(request, error)
+
+
+async def on_invalid(request: Request, error: Exception) -> JSONResponse:
     """Handle parameters and bodies that fail validation for FastAPI."""
     assert isinstance(error, RequestValidationError)
     first: dict[str, Any] = error.errors()[0]
@@ -116,7 +133,7 @@ async def on_invalid(_: Request, error: Exception) -> JSONResponse:
     field = ".".join(location[1:]) if len(location) > 1 else location[0]
     rule = rule_text(str(first["msg"]))
     value = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
-    return problem_response(ProblemError("invalid", f"{field}: {rule}", field=field, value=value, rule=rule))
+    return _answered(request, ProblemError("invalid", f"{field}: {rule}", field=field, value=value, rule=rule))
 
 
 async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
@@ -126,7 +143,7 @@ async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
         error.status_code, "bad-request"
     )
     detail = str(error.detail) or HTTPStatus(error.status_code).phrase
-    response = problem_response(ProblemError(kind, detail))
+    response = _answered(request, ProblemError(kind, detail))
     response.headers.update(error.headers or {})
     if error.status_code == 405:  # Starlette lists the methods of the first matching route only
         response.headers["Allow"] = ", ".join(sorted(_methods_at(request)))
@@ -150,10 +167,10 @@ async def on_disconnect(request: Request, error: Exception) -> Response:
     return Response(status_code=CLIENT_CLOSED)
 
 
-async def on_error(_: Request, error: Exception) -> JSONResponse:
+async def on_error(request: Request, error: Exception) -> JSONResponse:
     """Handle any other exception: its details go to the log, not to the client."""
     del error
-    return problem_response(ProblemError("internal", INTERNAL_DETAIL))
+    return _answered(request, ProblemError("internal", INTERNAL_DETAIL))
 
 
 def documented(*kinds: str) -> dict[int | str, dict[str, Any]]:
@@ -168,3 +185,14 @@ def documented(*kinds: str) -> dict[int | str, dict[str, Any]]:
             "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
         }
     return responses
+
+
+async def convert_probe_errors(work: Awaitable[_R]) -> _R:
+    """Await an engine call for a probe; an unusable position is a client error (422), any other failure a 500."""
+    try:
+        return await work
+    except ProbeError as error:
+        raise ProblemError("invalid", str(error), field="position", rule=str(error)) from error
+    except Exception as error:  # the session is unchanged: it adds a probe only when the probe is complete
+        _log.exception("probe failed")
+        raise ProblemError("engine-failed", f"the light could not be computed: {type(error).__name__}") from error

@@ -14,6 +14,7 @@ from roomlight.wire.messages import SessionRequest
 from roomlight_server.live_session import Limits, LiveSession
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
+from roomlight_server.quotas import Quotas
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
 
@@ -29,11 +30,14 @@ class Registry:
         """Create an empty registry."""
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
+        self._quotas = Quotas(settings, self._sessions_of)
         self._limits = Limits(
             frame=settings.frame_limits,
             frames_in_flight=settings.frames_in_flight,
             max_probes=settings.max_probes,
             idle_expiry_s=settings.idle_expiry_s,
+            history_bytes=settings.history_bytes,
+            quotas=self._quotas,
         )
         self.stopping = False
         metrics.sessions.set_function(lambda: len(self._sessions))
@@ -85,6 +89,7 @@ class Registry:
             detail = f"a session with these options could need {live.bound_bytes} bytes"
             rule = f"at most {limit} bytes per session; a lower height needs less"
             raise ProblemError("invalid", detail, field="height", value=request.height, rule=rule)
+        self._quotas.check_session(owner, live.bound_bytes, retry_after_s=self._expected_wait_s(owner))
         live.last_used_s = self._clock()
         self._sessions[owner, name] = live
         _log.info("session opened", extra={"session": name, "model": live.state().model})
@@ -107,6 +112,14 @@ class Registry:
         finally:
             live.users -= 1
             live.last_used_s = self._clock()
+
+    def listed(self, owner: str) -> list[tuple[LiveSession, float]]:
+        """Return the sessions of an owner and the seconds since the last use of each, last used first."""
+        self.expire()
+        now_s = self._clock()
+        own = [live for (each, _), live in self._sessions.items() if each == owner]
+        idle = [(live, 0.0 if live.users else now_s - live.last_used_s) for live in own]
+        return sorted(idle, key=lambda each: each[1])
 
     def delete(self, owner: str, name: str) -> None:
         """End a session.
@@ -154,15 +167,21 @@ class Registry:
         limit = self._settings.max_sessions
         if len(self._sessions) < limit:
             return
-        # the earliest time at which a session could expire; it stays longer if it is used
-        oldest = min(live.last_used_s for live in self._sessions.values())
-        wait_s = oldest + self._settings.idle_expiry_s - self._clock()
         raise ProblemError(
             "server-full",
             f"{limit} sessions are open; delete one that is no longer needed, or retry later",
             rule=f"at most {limit} sessions",
-            retry_after_s=max(1, min(60, math.ceil(wait_s))),
+            retry_after_s=self._expected_wait_s(),
         )
+
+    def _sessions_of(self, owner: str) -> list[LiveSession]:
+        return [live for (each, _), live in self._sessions.items() if each == owner]
+
+    def _expected_wait_s(self, owner: str | None = None) -> int:
+        """Return the earliest time in which a session of an owner, or of all, could expire; at most a minute."""
+        used_s = [live.last_used_s for (each, _), live in self._sessions.items() if owner in (None, each)]
+        wait_s = min(used_s, default=self._clock()) + self._settings.idle_expiry_s - self._clock()
+        return max(1, min(60, math.ceil(wait_s)))
 
 
 def _conflict(existing: SessionRequest, request: SessionRequest) -> ProblemError:

@@ -1,6 +1,7 @@
 """Settings of a server: environment variables `ROOMLIGHT_*`, overridden by command-line options."""
 
 import difflib
+import math
 import os
 from ipaddress import ip_address
 from pathlib import Path
@@ -45,7 +46,9 @@ class ServerSettings(BaseSettings):
         body_timeout_s: Time limit for receiving the body of a request.
         engine_threads: Sessions whose frames are processed at once. Each already uses `ROOMLIGHT_THREADS` threads, so
             more than 1 trades latency per frame for less waiting.
-        decode_threads: Images decoded, and light encoded, at once. As many decoding processes are started.
+        decode_threads: Images decoded at once. As many decoding processes are started. With several tokens, one
+            thread is left for the others.
+        encode_threads: Lights encoded at once. With several tokens, one thread is left for the others.
         max_connections: Connections at once; half of the usual limit of 1,024 open files.
         max_connections_per_address: Connections at once from one address. Behind a proxy all share its address.
         max_header_bytes: Largest request line and headers. The WebSocket library limits each line to 8 KiB besides.
@@ -61,6 +64,15 @@ class ServerSettings(BaseSettings):
         object_expiry_s: An object that is not used for this time is deleted.
         object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
         composite_threads: Composites made at once, in different sessions.
+        max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens.
+        max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 256 MiB for each session.
+        max_owner_probes: Named probes of one token, in all sessions.
+        max_owner_rows: Rows of the panoramas of these probes.
+        max_owner_late_probes: Points without a named probe that are being computed or waiting for one token.
+        max_owner_pending_bytes: Share of one token in `max_pending_bytes`. Default: all, or half of it if there are
+            several tokens.
+        drain_s: Time after SIGTERM in which `/readyz` answers 503 and connections are still accepted.
+        history_bytes: Memory of a session's history: pictures and light of its processed frames. 0 keeps none.
     """
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=PREFIX)
@@ -86,6 +98,7 @@ class ServerSettings(BaseSettings):
     max_depth_pixels: Annotated[int, Field(ge=1)] = FrameLimits().max_depth_pixels
     engine_threads: Annotated[int, Field(ge=1, le=64)] = 1
     decode_threads: Annotated[int, Field(ge=1, le=64)] = 2
+    encode_threads: Annotated[int, Field(ge=1, le=64)] = 2
     log_level: Literal["debug", "info", "warning", "error"] = "info"
     access_log: bool = False
     max_connections: Annotated[int, Field(ge=1, le=100_000)] = 512
@@ -102,6 +115,14 @@ class ServerSettings(BaseSettings):
     object_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 3600.0
     object_timeout_s: Annotated[float, Field(gt=0, le=600)] = 20.0
     composite_threads: Annotated[int, Field(ge=1, le=64)] = 1
+    max_owner_sessions: Annotated[int | None, Field(ge=1)] = None
+    max_owner_session_bytes: Annotated[int | None, Field(ge=2**20)] = None
+    max_owner_probes: Annotated[int, Field(ge=1)] = 256
+    max_owner_rows: Annotated[int, Field(ge=8)] = 2**15
+    max_owner_late_probes: Annotated[int, Field(ge=1)] = 128
+    max_owner_pending_bytes: Annotated[int | None, Field(ge=2**26)] = None
+    drain_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    history_bytes: Annotated[int, Field(ge=0, le=2**30)] = 16 * 2**20
 
     @model_validator(mode="before")
     @classmethod
@@ -128,6 +149,23 @@ class ServerSettings(BaseSettings):
     def frame_limits(self) -> FrameLimits:
         """Largest frame accepted."""
         return FrameLimits(self.max_body_bytes, self.max_colour_pixels, self.max_depth_pixels)
+
+    @property
+    def owner_sessions(self) -> int:
+        """Sessions of one token."""
+        half = math.ceil(self.max_sessions / 2) if len(self.tokens) > 1 else self.max_sessions
+        return self.max_owner_sessions or half
+
+    @property
+    def owner_session_bytes(self) -> int:
+        """Memory that the sessions of one token may reach."""
+        return self.max_owner_session_bytes or max(self.max_session_bytes, self.owner_sessions * 256 * 2**20)
+
+    @property
+    def owner_pending_bytes(self) -> int:
+        """Memory of the frames and answers of one token in progress."""
+        half = self.max_pending_bytes // 2 if len(self.tokens) > 1 else self.max_pending_bytes
+        return self.max_owner_pending_bytes or half
 
     @property
     def object_limits(self) -> ObjectLimits:
