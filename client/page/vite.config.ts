@@ -7,7 +7,7 @@ import { defineConfig } from "vite";
 const path = (relative: string) => fileURLToPath(new URL(relative, import.meta.url));
 
 export default defineConfig({
-  base: "./", // relative addresses: the server may stand behind a path of a proxy
+  base: "/",
   resolve: {
     dedupe: ["three"], // our client in ../js has a copy of its own for its tests
     alias: [
@@ -20,6 +20,8 @@ export default defineConfig({
     target: "es2022",
     outDir: process.env["PAGE_OUT"] ?? path("../../server/roomlight_server/page"),
     emptyOutDir: true,
+    assetsDir: "assets",
+    assetsInlineLimit: 0, // the server's Content-Security-Policy allows no inline scripts or styles
     sourcemap: false,
     modulePreload: { polyfill: false },
     chunkSizeWarningLimit: 800,

@@ -1,1 +1,147 @@
-import "./tokens.css";
+// The live page: lists the sessions, joins the selected one, and connects the panels.
+
+import { RoomLightError, type Position } from "roomlight";
+import { Api } from "./lib/api";
+import { LiveSession } from "./live";
+import { PlacedObjects } from "./objects";
+import { cameraPanel, chosen } from "./panels/camera";
+import { askForToken, dialogs } from "./panels/dialogs";
+import { downloadsPanel } from "./panels/downloads";
+import { lightPanel } from "./panels/light";
+import { notify, reportError } from "./panels/notices";
+import { processingPanel } from "./panels/processing";
+import { sessionsPanel } from "./panels/sessions";
+import { timelinePanel } from "./panels/timeline";
+import { uploadsPanel } from "./panels/uploads";
+import { RoomPanel } from "./room/room";
+import type { SurfacePoint } from "./room/surface";
+import { State } from "./state";
+
+const POLL_MS = 2000;
+const PROBE_ABOVE_M = 0.15; // distance of a new probe from the surface that was clicked
+
+const api = new Api();
+const state = new State();
+let live: LiveSession | null = null;
+
+const objects = new PlacedObjects(state, () => live?.session ?? null, reportError);
+
+sessionsPanel(state);
+dialogs(api);
+uploadsPanel(api, (session) => (state.selected.value = session));
+cameraPanel(api, state, objects);
+timelinePanel(api, state);
+processingPanel(state);
+downloadsPanel(api, state, objects);
+lightPanel(state, {
+  onMove: (name, position) => live?.release(name, position),
+  onAdd: () => addProbe(pointAhead()),
+  onRemove: (name) => live?.untrack(name),
+});
+const room = startRoom();
+
+state.selected.watch((id) => {
+  live?.close();
+  live = null;
+  objects.clear();
+  state.clearSession();
+  state.ended.value = null;
+  document.title = id ? `${id} · RoomLight` : "RoomLight";
+  if (id) {
+    live = new LiveSession(api, state, id, reportError);
+    void live.open();
+  }
+});
+void poll();
+document.addEventListener("visibilitychange", () => !document.hidden && void readSessions());
+
+/** The room in 3D; without WebGL the other panels still work. */
+function startRoom(): RoomPanel | null {
+  try {
+    return new RoomPanel(state, objects, {
+      onDrag: (name, position) => live?.preview(name, position),
+      onDrop: (name, position) => live?.release(name, position),
+      onPick: pick,
+    });
+  } catch (error) {
+    document.getElementById("room-waiting")!.textContent = "This browser has no WebGL 2, so the room is not shown.";
+    console.warn(error);
+    return null;
+  }
+}
+
+function pick(tool: "object" | "probe", { point, normal }: SurfacePoint): void {
+  if (tool === "probe") {
+    addProbe(point.clone().addScaledVector(normal, PROBE_ABOVE_M).toArray());
+  } else if (state.shownEntry.value === null) {
+    objects.add({ ...chosen(), place: { position: point.toArray() } });
+  }
+}
+
+/** Track a new probe under the first free name, and select it. */
+function addProbe(position: Position): void {
+  let number = 1;
+  while (state.liveProbes.value.has(`probe-${number}`)) {
+    number++;
+  }
+  live?.track(`probe-${number}`, position);
+  state.selectedProbe.value = `probe-${number}`;
+}
+
+/** A point 1.2 m in front of the camera. */
+function pointAhead(): Position {
+  const pose = state.camera.value?.camera_to_world;
+  return pose ? ([0, 1, 2].map((axis) => pose[12 + axis]! - 1.2 * pose[8 + axis]!) as unknown as Position) : [0, 1, 0];
+}
+
+/** Read the sessions now and then; a page in the background asks nothing. */
+async function poll(): Promise<void> {
+  for (;;) {
+    if (!document.hidden) {
+      await readSessions();
+    }
+    await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+  }
+}
+
+async function readSessions(): Promise<void> {
+  try {
+    const { sessions } = await api.sessions();
+    state.sessions.value = sessions;
+    if (state.selected.value === null || state.ended.value !== null) {
+      state.connection.value = { state: "live", text: "Connected" };
+    }
+    follow(sessions);
+  } catch (error) {
+    if (error instanceof RoomLightError && error.status === 401) {
+      return askForToken(api);
+    }
+    if (error instanceof RoomLightError && error.status === 0) {
+      state.connection.value = { state: "disconnected", text: "Server not reachable" };
+      return;
+    }
+    reportError(error);
+  }
+}
+
+/** Show a session where none is shown; join one again that has ended and is back. */
+function follow(sessions: NonNullable<State["sessions"]["value"]>): void {
+  const { selected, ended } = state;
+  if (selected.value === null && ended.value === null && sessions[0]) {
+    state.selected.value = sessions[0].id;
+  } else if (ended.value !== null && sessions.some(({ id, status }) => id === selected.value && status === "open")) {
+    const back = selected.value;
+    state.selected.value = null;
+    queueMicrotask(() => {
+      state.selected.value = back;
+      notify(`${back} is back`, true);
+    });
+  }
+  const summary = sessions.find(({ id }) => id === selected.value);
+  if (live && summary && summary.frames.processed > 0 && state.history.value.at(-1)?.index !== summary.frames.last_index) {
+    live.refresh(); // frames of a session without probes bring no light message
+  }
+}
+
+// For tests and scripts/measure.mjs: how often the room was drawn.
+Object.defineProperty(globalThis, "roomFrames", { get: () => room?.view.frames ?? 0 });

@@ -1,0 +1,77 @@
+// Answers of the endpoints that only the page uses. Positions in world metres, y up; matrices column by column.
+
+import type { FrameCounts, LightSourceValues, Position, Problem, WireIntrinsics } from "roomlight";
+
+export interface SessionSummary {
+  readonly id: string;
+  readonly status: "open" | "failed";
+  readonly model: string;
+  readonly frames: FrameCounts;
+  readonly probes: readonly string[];
+  readonly keyframes: number;
+  readonly idle_s: number;
+}
+
+export interface SessionList {
+  readonly sessions: readonly SessionSummary[];
+  readonly max_sessions: number;
+  readonly idle_expiry_s: number;
+}
+
+export interface CameraState {
+  readonly frame: number;
+  readonly intrinsics: WireIntrinsics | null;
+  readonly camera_to_world: readonly number[] | null;
+  readonly path: readonly { readonly index: number; readonly seconds: number; readonly camera_to_world: readonly number[] }[];
+  readonly volume: {
+    readonly volume_to_world: readonly number[];
+    readonly lower_m: Position;
+    readonly upper_m: Position;
+  } | null;
+}
+
+export interface HistoryProbe {
+  readonly name: string;
+  readonly position: Position;
+  readonly coverage: number;
+  readonly lights: readonly LightSourceValues[];
+}
+
+/** A processed frame. Counts are totals of the session so far. */
+export interface HistoryEntry {
+  readonly index: number;
+  readonly seconds: number;
+  readonly keyframe: boolean;
+  readonly stage_ms: { readonly [stage: string]: number };
+  readonly superseded: number;
+  readonly gaps: number;
+  readonly skipped: number;
+  readonly refused: number;
+  readonly probes: readonly HistoryProbe[];
+}
+
+export interface History {
+  readonly stride: number;
+  readonly limit_bytes: number;
+  readonly entries: readonly HistoryEntry[];
+}
+
+export interface Recording {
+  readonly id: string;
+  readonly name: string;
+  readonly bytes: number;
+  readonly received: number;
+  readonly status: "uploading" | "ready" | "playing" | "finished" | "failed";
+  readonly session: string | null;
+  readonly frame: number;
+  readonly frames: number | null;
+  readonly unreadable: number;
+  readonly problem: Problem | null;
+}
+
+export interface Pairing {
+  readonly url: string | null;
+  readonly qr_svg: string | null;
+  readonly fingerprint: string | null;
+  readonly advice: string | null;
+}

@@ -1,0 +1,130 @@
+// The endpoints that only the page uses; sessions, light and composites go through our client (`roomlight`).
+
+import { RoomLight, RoomLightError, type Problem } from "roomlight";
+import type { CameraState, History, Pairing, Recording, SessionList } from "./answers";
+
+const TOKEN_KEY = "roomlight-token";
+
+/** A picture or file of the server with what identifies it. */
+export interface Fetched {
+  blob: Blob;
+  etag: string;
+  frame: number;
+}
+
+/** The server that delivered the page. Throws RoomLightError, with status 0 if the server cannot be reached. */
+export class Api {
+  readonly base = new URL("/", location.href);
+  private tokenValue: string | null;
+
+  constructor() {
+    const given = new URLSearchParams(location.hash.slice(1)).get("token");
+    if (given) {
+      sessionStorage.setItem(TOKEN_KEY, given);
+      history.replaceState(null, "", location.pathname + location.search);
+    }
+    this.tokenValue = given ?? sessionStorage.getItem(TOKEN_KEY);
+  }
+
+  set token(token: string) {
+    this.tokenValue = token;
+    sessionStorage.setItem(TOKEN_KEY, token);
+  }
+
+  /** Our client for this server. */
+  client(retries = 1): RoomLight {
+    return new RoomLight(this.base, { retries, timeout_s: 60, ...(this.tokenValue ? { token: this.tokenValue } : {}) });
+  }
+
+  sessions(): Promise<SessionList> {
+    return this.json("v1/sessions");
+  }
+
+  camera(id: string): Promise<CameraState> {
+    return this.json(`${sessionPath(id)}/camera`);
+  }
+
+  history(id: string, after: number): Promise<History> {
+    return this.json(`${sessionPath(id)}/history?after=${after}`);
+  }
+
+  pairing(): Promise<Pairing> {
+    return this.json("v1/pairing");
+  }
+
+  createRecording(name: string, bytes: number, files: number): Promise<Recording> {
+    return this.json("v1/recordings", { method: "POST", ...jsonBody({ name, bytes, files }) });
+  }
+
+  recording(id: string): Promise<Recording> {
+    return this.json(`v1/recordings/${id}`);
+  }
+
+  deleteRecording(id: string): Promise<Response> {
+    return this.send(`v1/recordings/${id}`, { method: "DELETE" });
+  }
+
+  replay(id: string, session: string): Promise<Recording> {
+    return this.json(`v1/recordings/${id}/replay`, { method: "PUT", ...jsonBody({ session }) });
+  }
+
+  /** Send one piece of a file of a recording. */
+  putPiece(id: string, path: string, offset: number, piece: Blob, signal: AbortSignal): Promise<Recording> {
+    const encoded = path.split("/").map(encodeURIComponent).join("/");
+    const headers = { "upload-offset": String(offset), "content-type": "application/octet-stream" };
+    return this.json(`v1/recordings/${id}/files/${encoded}`, { method: "PUT", body: piece, headers, signal });
+  }
+
+  /** A file of the server; null if it still has this ETag. */
+  async file(path: string, etag = ""): Promise<Fetched | null> {
+    const response = await this.send(path, { headers: etag ? { "if-none-match": etag } : {} });
+    if (response.status === 304) {
+      return null;
+    }
+    return {
+      blob: await response.blob(),
+      etag: response.headers.get("etag") ?? "",
+      frame: Number(response.headers.get("roomlight-frame") ?? -1),
+    };
+  }
+
+  private async json<T>(path: string, request: RequestInit = {}): Promise<T> {
+    return (await (await this.send(path, request)).json()) as T;
+  }
+
+  private async send(path: string, request: RequestInit): Promise<Response> {
+    const headers = new Headers(request.headers);
+    if (this.tokenValue) {
+      headers.set("authorization", `Bearer ${this.tokenValue}`);
+    }
+    let response: Response;
+    try {
+      // `no-store`: the page compares ETags itself, and a 304 must reach it. History pictures never change.
+      const cache = path.includes("/history/") ? "default" : "no-store";
+      response = await fetch(new URL(path, this.base), { cache, ...request, headers });
+    } catch (cause) {
+      request.signal?.throwIfAborted();
+      throw new RoomLightError(`no answer from ${this.base.host}`, 0, null, { cause });
+    }
+    if (!response.ok && response.status !== 304) {
+      throw await errorOf(response);
+    }
+    return response;
+  }
+}
+
+export function sessionPath(id: string): string {
+  return `v1/sessions/${encodeURIComponent(id)}`;
+}
+
+function jsonBody(value: object): RequestInit {
+  return { body: JSON.stringify(value), headers: { "content-type": "application/json" } };
+}
+
+async function errorOf(response: Response): Promise<RoomLightError> {
+  const text = await response.text();
+  if (response.headers.get("content-type")?.startsWith("application/problem+json")) {
+    return RoomLightError.fromProblem(JSON.parse(text) as Problem);
+  }
+  return new RoomLightError(`status ${response.status}: ${text.slice(0, 200)}`, response.status);
+}

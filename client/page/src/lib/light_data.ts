@@ -1,0 +1,39 @@
+// The light of a probe as the page needs it, from the forms that it asks for.
+
+import { findForm, Harmonics, parseHdr, type Light, type LightForm, type MainLightValues } from "roomlight";
+import type { ProbeLight } from "../state";
+
+/** The forms of each probe that the page asks for. */
+export const FORMS: readonly LightForm[] = [
+  { format: "hdr" },
+  { format: "confidence" },
+  { format: "main_light" },
+  { format: "sh", basis: "threejs" },
+];
+
+export async function probeLight(name: string, light: Light): Promise<ProbeLight> {
+  const hdr = findForm(light, "hdr")?.data;
+  const confidence = findForm(light, "confidence")?.data;
+  const main = findForm(light, "main_light")?.values as unknown as MainLightValues | undefined;
+  const sh = findForm(light, "sh");
+  return {
+    name,
+    position: light.position,
+    coverage: light.coverage,
+    panorama: hdr ? parseHdr(hdr) : null,
+    seen: confidence ? await greyOf(confidence) : null,
+    harmonics: sh ? Harmonics.of(sh).coefficients.flat() : null,
+    lights: main?.lights ?? (main ? [main] : []),
+  };
+}
+
+/** The first channel of a PNG. */
+async function greyOf(png: Uint8Array<ArrayBuffer>): Promise<Uint8ClampedArray> {
+  const image = await createImageBitmap(new Blob([png], { type: "image/png" }));
+  const canvas = new OffscreenCanvas(image.width, image.height);
+  const context = canvas.getContext("2d", { willReadFrequently: true })!;
+  context.drawImage(image, 0, 0);
+  image.close();
+  const { data } = context.getImageData(0, 0, canvas.width, canvas.height);
+  return data.filter((_, at) => at % 4 === 0);
+}

@@ -1,0 +1,245 @@
+// The selected session: its stream, and what is read again after each frame.
+
+import { RoomLightError, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
+import type { History } from "./lib/answers";
+import { sessionPath, type Api } from "./lib/api";
+import { FORMS, probeLight } from "./lib/light_data";
+import { latestOnly } from "./lib/signal";
+import type { ProbeLight, State } from "./state";
+
+const FIRST_PROBE = "probe-1";
+const MESH_PAUSE_MS = 1500; // a mesh changes with a keyframe, not with each frame
+
+/** Joins a session, keeps the state up to date, and ends with `close`. */
+export class LiveSession {
+  session: Session | null = null;
+  private stream: Stream | null = null;
+  private readonly stopped = new AbortController();
+  private etags = { picture: "", mesh: "" };
+  private held: string | null = null;
+  private pendingMove: { name: string; position: Position } | null = null;
+  private stride = 1;
+
+  constructor(
+    private readonly api: Api,
+    private readonly state: State,
+    readonly id: string,
+    private readonly report: (error: unknown) => void,
+  ) {}
+
+  /** Whether frames, light and errors of this session are no longer wanted. */
+  get closed(): boolean {
+    return this.stopped.signal.aborted;
+  }
+
+  async open(): Promise<void> {
+    try {
+      const session = await this.api.client().join(this.id, { signal: this.stopped.signal });
+      this.session = session;
+      this.refresh();
+      this.stream = await session.stream({
+        signal: this.stopped.signal,
+        onLighting: (update) => void this.receive(update),
+        onProbes: (probes) => this.forgetProbes(Object.keys(probes)),
+        onProblem: (error) => this.report(error),
+        onStatus: (status) => this.showStatus(status),
+        onClose: (error) => this.end(error),
+      });
+      this.stream.subscribe(FORMS);
+    } catch (error) {
+      this.end(error);
+    }
+  }
+
+  close(): void {
+    this.stopped.abort(new DOMException("the page shows another session", "AbortError"));
+    URL.revokeObjectURL(this.state.picture.value?.url ?? "");
+  }
+
+  /** Read the picture, the camera and the history again, and the mesh less often. */
+  refresh(): void {
+    if (!this.closed) {
+      this.refreshFrame();
+      this.refreshMesh();
+    }
+  }
+
+  private readonly refreshFrame = latestOnly(() => this.guarded(() => this.readFrame()));
+  private readonly refreshMesh = latestOnly(() => this.guarded(() => this.readMesh()), MESH_PAUSE_MS);
+
+  /** Add a probe, or move one. */
+  track(name: string, position: Position): void {
+    this.pendingMove = { name, position };
+    this.stream?.track(name, position);
+  }
+
+  untrack(name: string): void {
+    this.stream?.untrack(name);
+  }
+
+  /** The light of a probe while it is dragged: the newest position only, one request at a time. */
+  preview(name: string, position: Position): void {
+    this.held = name;
+    this.pendingMove = { name, position };
+    this.show(name, position);
+    this.requestPreview();
+  }
+
+  /** The end of a drag: the server tracks the probe at its new place. */
+  release(name: string, position: Position): void {
+    this.show(name, position);
+    this.track(name, position);
+    this.held = null;
+  }
+
+  private readonly requestPreview = latestOnly(() =>
+    this.guarded(async () => {
+      const move = this.pendingMove;
+      if (!move || !this.stream) {
+        return;
+      }
+      const { results } = await this.stream.light({ probes: [{ position: move.position }], forms: FORMS });
+      const light = results[0] && (await probeLight(move.name, results[0]));
+      const latest = this.state.liveProbes.value.get(move.name);
+      if (light && latest && this.held === move.name) {
+        this.setProbe({ ...light, position: latest.position });
+      }
+    }),
+  );
+
+  private async receive(update: Lights): Promise<void> {
+    const lights = await Promise.all(update.results.map((light) => probeLight(light.name ?? "", light)));
+    if (this.closed) {
+      return;
+    }
+    const next = new Map(this.state.liveProbes.value);
+    for (const light of lights) {
+      if (light.name && light.name !== this.held) {
+        next.set(light.name, light);
+      }
+    }
+    this.state.liveProbes.value = next;
+    if (!this.state.selectedProbe.value || !next.has(this.state.selectedProbe.value)) {
+      this.state.selectedProbe.value = next.keys().next().value ?? null;
+    }
+    this.refresh();
+  }
+
+  private forgetProbes(names: readonly string[]): void {
+    const kept = new Map([...this.state.liveProbes.value].filter(([name]) => names.includes(name)));
+    if (kept.size !== this.state.liveProbes.value.size) {
+      this.state.liveProbes.value = kept;
+      if (!kept.has(this.state.selectedProbe.value ?? "")) {
+        this.state.selectedProbe.value = kept.keys().next().value ?? null;
+      }
+    }
+    this.stream?.subscribe(FORMS); // sends the light of a new probe at once
+  }
+
+  private show(name: string, position: Position): void {
+    const light = this.state.liveProbes.value.get(name);
+    if (light) {
+      this.setProbe({ ...light, position });
+    }
+  }
+
+  private setProbe(light: ProbeLight): void {
+    this.state.liveProbes.value = new Map(this.state.liveProbes.value).set(light.name, light);
+  }
+
+  private async readFrame(): Promise<void> {
+    const last = this.state.history.value.at(-1)?.index ?? -1;
+    const [camera, history] = await Promise.all([this.api.camera(this.id), this.api.history(this.id, last)]);
+    const picture = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/colour`, this.etags.picture));
+    if (this.closed) {
+      return;
+    }
+    this.state.camera.value = camera;
+    if (picture) {
+      this.etags.picture = picture.etag;
+      URL.revokeObjectURL(this.state.picture.value?.url ?? "");
+      this.state.picture.value = { url: URL.createObjectURL(picture.blob), frame: picture.frame };
+    }
+    await this.addHistory(history);
+    this.addFirstProbe();
+  }
+
+  private async addHistory(update: History): Promise<void> {
+    let { entries } = update;
+    const known = this.state.history.value;
+    if (update.stride !== this.stride && known.length > 0) {
+      ({ entries } = await this.api.history(this.id, -1)); // entries were removed in between
+      this.state.shownEntry.value = null;
+      this.state.history.value = entries;
+    } else if (entries.length > 0) {
+      this.state.history.value = [...known, ...entries];
+    }
+    this.stride = update.stride;
+  }
+
+  /** A session without probes gets one in front of its camera, so that there is light to look at. */
+  private addFirstProbe(): void {
+    const { camera, liveProbes } = this.state;
+    const pose = camera.value?.camera_to_world;
+    const summary = this.state.sessions.value?.find(({ id }) => id === this.id);
+    if (pose && summary && summary.probes.length === 0 && liveProbes.value.size === 0 && !this.pendingMove) {
+      const ahead = [0, 1, 2].map((axis) => pose[12 + axis]! - 1.2 * pose[8 + axis]!);
+      this.track(FIRST_PROBE, ahead as unknown as Position);
+    }
+  }
+
+  private async readMesh(): Promise<void> {
+    const mesh = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/mesh?triangles=60000`, this.etags.mesh));
+    if (mesh && !this.closed) {
+      this.etags.mesh = mesh.etag;
+      this.state.mesh.value = await mesh.blob.arrayBuffer();
+    }
+  }
+
+  private showStatus({ state, delay_s }: StreamStatus): void {
+    if (this.closed) {
+      return;
+    }
+    if (state === "open") {
+      this.state.connection.value = { state: "live", text: "Live" };
+    } else if (state === "reconnecting") {
+      const text = delay_s >= 1 ? `Reconnecting in ${Math.round(delay_s)} s` : "Reconnecting";
+      this.state.connection.value = { state: "reconnecting", text };
+    }
+  }
+
+  private end(error: unknown): void {
+    if (this.closed) {
+      return;
+    }
+    this.close();
+    const gone = error instanceof RoomLightError && (error.status === 404 || /session-(not-found|closed)|4404|4410/.test(error.message));
+    this.state.ended.value = gone
+      ? "It was idle for too long, it was deleted, or the server was started again."
+      : String(error instanceof Error ? error.message : error);
+  }
+
+  /** Errors of a lost connection are shown by the stream's state; others are reported. */
+  private async guarded(work: () => Promise<void>): Promise<void> {
+    try {
+      await work();
+    } catch (error) {
+      const isExpected = error instanceof RoomLightError && (error.status === 0 || error.status === 404);
+      if (!this.closed && !isExpected) {
+        this.report(error);
+      }
+    }
+  }
+}
+
+/** The file, or null if there is no frame yet. */
+async function unlessEmpty<T>(file: Promise<T>): Promise<T | null> {
+  try {
+    return await file;
+  } catch (error) {
+    if (error instanceof RoomLightError && error.kind === "no-frame") {
+      return null;
+    }
+    throw error;
+  }
+}

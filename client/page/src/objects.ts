@@ -1,0 +1,124 @@
+// The virtual objects that the visitor has placed, and the composite that shows them in the camera's picture.
+
+import { RoomLightError, type CompositeObject, type Position, type Session } from "roomlight";
+import type { CameraState } from "./lib/answers";
+import { latestOnly, Signal } from "./lib/signal";
+import type { Picture, State } from "./state";
+
+export type Shape = "sphere" | "cube" | "chair" | "vase";
+export type Surface = "mirror" | "glossy" | "diffuse";
+export type Quality = "preview" | "good" | "final";
+
+export interface PlacedObject {
+  readonly name: string;
+  readonly shape: Shape;
+  readonly material: Surface;
+  readonly size_m: number;
+  /** Where it was clicked: a pixel of the frame, or a point of the room. */
+  readonly place: { readonly pixel: readonly [number, number] } | { readonly position: Position };
+  /** Its pose once the server has placed it, column by column; it then stays there. */
+  readonly pose: readonly number[] | null;
+}
+
+const PAUSE_MS = 400; // a session's frames wait while a composite is made
+const MARGIN = 0.02; // of the picture's width and height
+const BAD_PLACES = new Set(["bad-place", "invalid"]);
+
+export class PlacedObjects {
+  readonly list = new Signal<readonly PlacedObject[]>([]);
+  /** The picture with the objects; null without objects. */
+  readonly composite = new Signal<Picture | null>(null);
+  readonly busy = new Signal(false);
+  quality: Quality = "preview";
+  private placed = 0;
+
+  constructor(
+    private readonly state: State,
+    private readonly session: () => Session | null,
+    private readonly report: (error: unknown) => void,
+  ) {}
+
+  add(object: Omit<PlacedObject, "name" | "pose">): void {
+    const name = `${object.shape}-${++this.placed}`;
+    this.list.value = [...this.list.value, { ...object, name, pose: null }];
+    this.update();
+  }
+
+  remove(name: string): void {
+    this.list.value = this.list.value.filter((object) => object.name !== name);
+    this.update();
+  }
+
+  clear(): void {
+    this.list.value = [];
+    this.showComposite(null);
+  }
+
+  /** Render the newest frame with the objects again. */
+  readonly update = latestOnly(() => this.render(), PAUSE_MS);
+
+  private async render(): Promise<void> {
+    const session = this.session();
+    const shown = this.list.value.filter((object) => isInView(object, this.state.camera.value));
+    if (!session || shown.length === 0) {
+      return this.showComposite(null);
+    }
+    this.busy.value = true;
+    try {
+      const { data, frame, poses } = await session.composite({
+        objects: shown.map(asRequest),
+        quality: this.quality,
+        format: "jpeg",
+      });
+      this.list.value = this.list.value.map((object) => ({ ...object, pose: object.pose ?? poses[object.name] ?? null }));
+      this.showComposite({ url: URL.createObjectURL(data), frame });
+    } catch (error) {
+      this.refused(error);
+    } finally {
+      this.busy.value = false;
+    }
+  }
+
+  /** Take back an object that the server cannot place there. */
+  private refused(error: unknown): void {
+    const isPlace = error instanceof RoomLightError && BAD_PLACES.has(error.kind);
+    if (isPlace) {
+      const kept = this.list.value.filter(({ pose }) => pose !== null);
+      if (kept.length < this.list.value.length) {
+        this.list.value = kept;
+        this.report(error);
+        this.update();
+      }
+      return;
+    }
+    this.report(error);
+  }
+
+  private showComposite(picture: Picture | null): void {
+    URL.revokeObjectURL(this.composite.value?.url ?? "");
+    this.composite.value = picture;
+  }
+}
+
+function asRequest({ name, shape, material, size_m, place, pose }: PlacedObject): CompositeObject {
+  const where = pose ? { pose, anchor: "origin" as const } : place;
+  return { name, shape, size_m, material: { kind: material }, ...where };
+}
+
+/** Whether the middle of a placed object is in the picture; the server refuses objects that are not. */
+function isInView({ pose }: PlacedObject, camera: CameraState | null): boolean {
+  if (!pose || !camera?.camera_to_world || !camera.intrinsics) {
+    return true;
+  }
+  const pixel = pixelOf([pose[12]!, pose[13]!, pose[14]!], camera);
+  return pixel !== null && pixel.every((value) => value > MARGIN && value < 1 - MARGIN);
+}
+
+/** Where a point of the world is in the picture, as fractions of its width and height; null behind the camera. */
+export function pixelOf(point: Position, camera: CameraState): readonly [number, number] | null {
+  const pose = camera.camera_to_world!;
+  const { fx, fy, cx, cy, width, height } = camera.intrinsics!;
+  const offset = point.map((value, axis) => value - pose[12 + axis]!);
+  const [x, y, z] = [0, 1, 2].map((column) => offset.reduce((sum, value, axis) => sum + value * pose[4 * column + axis]!, 0));
+  return z! >= -0.05 ? null : [(cx - (fx * x!) / z!) / width, (cy + (fy * y!) / z!) / height];
+}

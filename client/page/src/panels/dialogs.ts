@@ -1,0 +1,62 @@
+// Dialogs: a recording, a phone, the token.
+
+import type { Api } from "../lib/api";
+import { byId, element } from "../lib/dom";
+import { reportError } from "./notices";
+
+export function dialogs(api: Api): void {
+  const open = (id: string) => {
+    byId<HTMLDialogElement>(id).showModal();
+    if (id === "phone-dialog") {
+      showPairing(api).catch(reportError);
+    }
+  };
+  byId("open-recording").addEventListener("click", () => open("recording-dialog"));
+  byId("open-phone").addEventListener("click", () => open("phone-dialog"));
+  for (const button of document.querySelectorAll<HTMLElement>("[data-opens]")) {
+    button.addEventListener("click", () => open(button.dataset["opens"]!));
+  }
+  for (const button of document.querySelectorAll<HTMLElement>("[data-closes]")) {
+    button.addEventListener("click", () => button.closest("dialog")!.close());
+  }
+}
+
+/** Ask for the token until the visitor gives one. */
+export function askForToken(api: Api): Promise<void> {
+  const dialog = byId<HTMLDialogElement>("token-dialog");
+  const input = byId<HTMLInputElement>("token-input");
+  byId("token-error").textContent = input.value ? "The server does not know this token." : "";
+  dialog.addEventListener("cancel", (event) => event.preventDefault());
+  dialog.showModal();
+  return new Promise((resolve) => {
+    const submit = (event: Event) => {
+      event.preventDefault();
+      api.token = input.value.trim();
+      dialog.close();
+      resolve();
+    };
+    byId("token-form").addEventListener("submit", submit, { once: true });
+  });
+}
+
+async function showPairing(api: Api): Promise<void> {
+  const body = byId("phone-body");
+  body.replaceChildren(element("p", { class: "hint" }, "Loading"));
+  const { url, qr_svg, fingerprint, advice } = await api.pairing();
+  if (!url) {
+    const [command] = /roomlight serve --\S+/.exec(advice ?? "") ?? ["roomlight serve --lan"];
+    return body.replaceChildren(
+      element("p", {}, "This server can be reached from this computer only. Start it for the local network:"),
+      element("p", { class: "address" }, element("code", {}, command)),
+    );
+  }
+  const code = element("img", { alt: "QR code of the address below", width: 220, height: 220 });
+  code.src = `data:image/svg+xml,${encodeURIComponent(qr_svg ?? "")}`;
+  body.replaceChildren(
+    element("p", {}, "Scan this with an Android phone in the same network. Its Chrome sends what the camera sees."),
+    ...(qr_svg ? [code] : []),
+    element("p", { class: "address" }, url),
+    element("p", { class: "hint" }, "The phone warns once, because this server made its own certificate."),
+    ...(fingerprint ? [element("p", { class: "hint address" }, `Certificate ${fingerprint}`)] : []),
+  );
+}

@@ -1,0 +1,70 @@
+// The list of sessions, and which message stands in place of the panels.
+
+import type { SessionSummary } from "../lib/answers";
+import { byId, element } from "../lib/dom";
+import type { State } from "../state";
+
+export function sessionsPanel(state: State): void {
+  const list = byId("sessions");
+  const show = () => {
+    const sessions = state.sessions.value ?? [];
+    const focused = document.activeElement?.getAttribute("data-session");
+    list.replaceChildren(...sessions.map((session) => element("li", {}, button(session, state))));
+    if (focused) {
+      list.querySelector<HTMLElement>(`[data-session="${CSS.escape(focused)}"]`)?.focus();
+    }
+    byId("sessions-none").hidden = sessions.length > 0;
+    showMessage(state);
+  };
+  state.sessions.watch(show);
+  state.selected.watch(show);
+  state.ended.watch(() => showMessage(state));
+  state.connection.watch(({ state: kind, text }) => {
+    const pill = byId("connection");
+    pill.dataset["state"] = kind;
+    pill.textContent = text;
+    showMessage(state);
+  });
+  byId("ended-close").addEventListener("click", () => {
+    state.ended.value = null;
+    state.selected.value = null;
+  });
+}
+
+function button(session: SessionSummary, state: State): HTMLButtonElement {
+  const { id, status, model, frames } = session;
+  const isCurrent = id === state.selected.value;
+  const failed = status === "failed" ? [element("span", { class: "failed" }, "failed")] : [];
+  return element(
+    "button",
+    {
+      class: "session",
+      type: "button",
+      "data-session": id,
+      "aria-current": isCurrent ? "true" : null,
+      click: () => (state.selected.value = id),
+    },
+    element("b", { title: id }, id),
+    ...failed,
+    element("small", {}, `${model} · ${frames.processed} frames · ${activity(session)}`),
+  );
+}
+
+function activity({ idle_s }: SessionSummary): string {
+  return idle_s < 5 ? "active" : idle_s < 90 ? `idle ${Math.round(idle_s)} s` : `idle ${Math.round(idle_s / 60)} min`;
+}
+
+/** Show the panels of a session, or the message that fits. */
+function showMessage(state: State): void {
+  const { sessions, selected, ended, connection } = state;
+  const isLoading = sessions.value === null;
+  const shown = ended.value !== null ? "ended" : isLoading ? "loading" : selected.value !== null ? "workspace" : "empty";
+  for (const id of ["loading", "empty", "ended", "workspace"]) {
+    byId(id).hidden = id !== shown;
+  }
+  byId("ended-text").textContent = ended.value ?? "";
+  const isLost = isLoading && connection.value.state === "disconnected";
+  byId("loading-title").textContent = isLost ? "The server does not answer" : "Loading";
+  const help = `Is roomlight serve still running at ${location.host}? The page connects by itself when it is.`;
+  byId("loading").querySelector("p")!.textContent = isLost ? help : "The page asks the server for its sessions.";
+}

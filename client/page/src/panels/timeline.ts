@@ -1,0 +1,198 @@
+// The timeline: thumbnails, time per frame, lost frames; scrubbing shows an earlier frame in all panels.
+
+import { parseHdr } from "roomlight";
+import type { HistoryEntry } from "../lib/answers";
+import { sessionPath, type Api } from "../lib/api";
+import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
+import { latestOnly } from "../lib/signal";
+import type { ProbeLight, State } from "../state";
+import { reportError } from "./notices";
+
+const THUMBNAIL_PX = 75;
+const SLOWEST_STEP_S = 1; // of playing; longer pauses of a recording are shortened
+const FASTEST_STEP_S = 0.05;
+
+export function timelinePanel(api: Api, state: State): void {
+  const scrub = byId<HTMLInputElement>("scrub");
+  const thumbnails = new Thumbnails(api, state);
+  const player = new Player(state);
+
+  const show = () => {
+    const { history, entry } = state;
+    const last = Math.max(0, history.value.length - 1);
+    const at = state.shownEntry.value ?? last;
+    scrub.max = String(last);
+    scrub.value = String(at);
+    scrub.disabled = last === 0;
+    const text = entry ? `Frame ${entry.index} · ${entry.seconds.toFixed(1)} s` : "No frames yet";
+    scrub.setAttribute("aria-valuetext", text);
+    byId("timeline-text").textContent = text;
+    byId("go-live").setAttribute("aria-pressed", String(state.shownEntry.value === null));
+    drawChart(state, at);
+  };
+  const loadPast = latestOnly(() => loadProbes(api, state));
+  state.history.watch(() => {
+    show();
+    thumbnails.update();
+  });
+  state.shownEntry.watch(() => {
+    show();
+    loadPast();
+  });
+  scrub.addEventListener("input", () => {
+    player.stop();
+    const at = Number(scrub.value);
+    state.shownEntry.value = at === state.history.value.length - 1 ? null : at;
+  });
+  byId("go-live").addEventListener("click", () => {
+    player.stop();
+    state.shownEntry.value = null;
+  });
+  byId("play").addEventListener("click", () => player.toggle());
+  const resized = () => {
+    show();
+    thumbnails.update();
+  };
+  new ResizeObserver(resized).observe(byId("thumbnails"));
+  onThemeChange(show);
+}
+
+/** Plays the history at its own pace. */
+class Player {
+  private timer: ReturnType<typeof setTimeout> | null = null;
+
+  constructor(private readonly state: State) {}
+
+  toggle(): void {
+    if (this.timer !== null) {
+      return this.stop();
+    }
+    const { history, shownEntry } = this.state;
+    if (history.value.length > 1) {
+      const isAtEnd = shownEntry.value === null || shownEntry.value >= history.value.length - 1;
+      this.show(isAtEnd ? 0 : shownEntry.value!);
+    }
+  }
+
+  stop(): void {
+    clearTimeout(this.timer ?? undefined);
+    this.timer = null;
+    this.showButton();
+  }
+
+  private show(at: number): void {
+    const { history, shownEntry } = this.state;
+    shownEntry.value = at;
+    const [here, next] = [history.value[at], history.value[at + 1]];
+    if (!here || !next) {
+      shownEntry.value = null;
+      return this.stop();
+    }
+    const step_s = Math.min(SLOWEST_STEP_S, Math.max(FASTEST_STEP_S, next.seconds - here.seconds));
+    this.timer = setTimeout(() => this.show(at + 1), 1000 * step_s);
+    this.showButton();
+  }
+
+  private showButton(): void {
+    const button = byId("play");
+    button.textContent = this.timer === null ? "Play" : "Pause";
+    button.setAttribute("aria-pressed", String(this.timer !== null));
+  }
+}
+
+/** As many thumbnails as fit, evenly from the history. */
+class Thumbnails {
+  private readonly urls = new Map<string, string>();
+  private readonly load = latestOnly(() => this.show());
+
+  constructor(
+    private readonly api: Api,
+    private readonly state: State,
+  ) {}
+
+  update(): void {
+    this.load();
+  }
+
+  private async show(): Promise<void> {
+    const box = byId("thumbnails");
+    const { history, selected } = this.state;
+    const entries = history.value;
+    const count = Math.min(entries.length, Math.floor(box.clientWidth / THUMBNAIL_PX));
+    const shown = Array.from({ length: count }, (_, at) => entries[Math.floor(((at + 0.5) * entries.length) / count)]!);
+    const keys = shown.map(({ index }) => `${selected.value}/${index}`);
+    for (const [key, url] of [...this.urls]) {
+      if (!keys.includes(key)) {
+        URL.revokeObjectURL(url);
+        this.urls.delete(key);
+      }
+    }
+    await Promise.all(shown.map(({ index }, at) => this.fetch(keys[at]!, selected.value!, index)));
+    const pictures = keys.map((key) => {
+      const picture = element("span");
+      picture.style.backgroundImage = this.urls.has(key) ? `url("${this.urls.get(key)}")` : "";
+      return picture;
+    });
+    box.replaceChildren(...pictures);
+  }
+
+  private async fetch(key: string, session: string, index: number): Promise<void> {
+    if (!this.urls.has(key)) {
+      const file = await this.api.file(`${sessionPath(session)}/history/${index}/colour`).catch(() => null);
+      if (file) {
+        this.urls.set(key, URL.createObjectURL(file.blob));
+      }
+    }
+  }
+}
+
+/** Load the light of the shown entry; live shows the newest light again. */
+async function loadProbes(api: Api, state: State): Promise<void> {
+  const [id, entry] = [state.selected.value, state.shownEntry.value === null ? null : state.entry];
+  if (!id || !entry) {
+    state.pastProbes.value = null;
+    return;
+  }
+  try {
+    const lights = await Promise.all(entry.probes.map((probe) => pastLight(api, id, entry.index, probe)));
+    if (state.shownEntry.value !== null && state.selected.value === id) {
+      state.pastProbes.value = new Map(lights.map((light) => [light.name, light]));
+    }
+  } catch (error) {
+    reportError(error);
+  }
+}
+
+async function pastLight(api: Api, id: string, index: number, probe: HistoryEntry["probes"][number]): Promise<ProbeLight> {
+  const file = await api.file(`${sessionPath(id)}/history/${index}/probes/${encodeURIComponent(probe.name)}`);
+  const panorama = parseHdr(new Uint8Array(await file!.blob.arrayBuffer()));
+  return { ...probe, panorama, seen: null, harmonics: null };
+}
+
+/** Columns of the time per frame; a mark above where frames were lost; a line at the shown one. */
+function drawChart(state: State, shown: number): void {
+  const { context, width, height } = fitCanvas(byId<HTMLCanvasElement>("timeline-chart"));
+  const entries = state.history.value;
+  const slowest = Math.max(1, ...entries.map(totalMs));
+  const step = width / Math.max(1, entries.length);
+  const top = 6;
+  entries.forEach((entry, at) => {
+    const tall = ((height - top) * totalMs(entry)) / slowest;
+    context.fillStyle = themeColour(at === shown ? "--accent" : "--control-line");
+    context.fillRect(at * step, height - tall, Math.max(1, step - 1), tall);
+    if (at > 0 && lostFrames(entry) > lostFrames(entries[at - 1]!)) {
+      context.fillStyle = themeColour("--bad");
+      context.fillRect(at * step, 0, Math.max(2, step - 1), 3);
+    }
+  });
+}
+
+/** Time of all stages of a frame. */
+export function totalMs({ stage_ms }: HistoryEntry): number {
+  return Object.values(stage_ms).reduce((sum, value) => sum + value, 0);
+}
+
+/** Frames up to this one that the light does not include. */
+export function lostFrames({ superseded, gaps, skipped, refused }: HistoryEntry): number {
+  return superseded + gaps + skipped + refused;
+}

@@ -1,0 +1,84 @@
+// Recordings in the list of sessions, with progress and a button to cancel; dropping and choosing them.
+
+import type { Api } from "../lib/api";
+import { byId, element } from "../lib/dom";
+import { chosenFiles, droppedFiles, RecordingUpload, type NamedFile, type Upload } from "../recordings";
+import { notify, reportError } from "./notices";
+
+export function uploadsPanel(api: Api, opened: (session: string) => void): void {
+  const start = (found: { name: string; files: NamedFile[] } | null) => {
+    byId<HTMLDialogElement>("recording-dialog").close();
+    if (!found || found.files.length === 0) {
+      return notify("There are no files in what was chosen.");
+    }
+    const upload = new RecordingUpload(api, found.name, found.files);
+    const item = element("li", { class: "upload" });
+    byId("uploads").append(item);
+    upload.state.watch((state) => showUpload(item, state, upload));
+    void upload.run(opened);
+  };
+  for (const [button, input] of [["choose-file", "file-input"], ["choose-folder", "folder-input"]] as const) {
+    const files = byId<HTMLInputElement>(input);
+    byId(button).addEventListener("click", () => files.click());
+    files.addEventListener("change", () => {
+      start(files.files && chosenFiles(files.files));
+      files.value = "";
+    });
+  }
+  listenToDrops((transfer) => void droppedFiles(transfer).then(start, reportError));
+}
+
+function showUpload(item: HTMLElement, state: Upload, upload: RecordingUpload): void {
+  const { name, recording, error } = state;
+  const remove = () => {
+    item.remove();
+    if (!upload.isDone || recording) {
+      upload.cancel().catch(reportError);
+    }
+  };
+  const isPlaying = recording !== null && ["playing", "finished"].includes(recording.status);
+  const [done, all] = isPlaying ? [recording.frame, recording.frames ?? 0] : [state.sent, state.bytes];
+  const bar = element("progress", { max: Math.max(1, all), value: Math.min(done, Math.max(1, all)), "aria-label": name });
+  const text = error ?? (recording?.status === "finished" ? finishedText(state) : isPlaying ? `Frame ${done} of ${all || "?"}` : uploadText(state));
+  const label = upload.isDone ? "Clear" : "Cancel";
+  const button = element("button", { class: "button quiet", type: "button", "aria-label": `${label} ${name}`, click: remove }, label);
+  const hadFocus = item.contains(document.activeElement);
+  item.replaceChildren(
+    element("b", {}, name),
+    ...(upload.isDone ? [] : [bar]),
+    element("div", { class: "row" }, element("span", { class: error ? "error" : "hint" }, text), button),
+  );
+  if (hadFocus) {
+    button.focus();
+  }
+}
+
+function uploadText({ sent, bytes }: Upload): string {
+  return `Uploading ${(sent / 2 ** 20).toFixed(1)} of ${(bytes / 2 ** 20).toFixed(1)} MB`;
+}
+
+function finishedText({ recording }: Upload): string {
+  const bad = recording!.unreadable > 0 ? `, ${recording!.unreadable} unreadable` : "";
+  return `Played ${recording!.frame} frames${bad}`;
+}
+
+function listenToDrops(dropped: (transfer: DataTransfer) => void): void {
+  const target = byId("drop");
+  let depth = 0; // dragenter and dragleave also come from the children
+  const show = (change: number) => {
+    depth = Math.max(0, depth + change);
+    target.hidden = depth === 0;
+  };
+  const hasFiles = (event: DragEvent) => event.dataTransfer?.types.includes("Files") ?? false;
+  addEventListener("dragenter", (event) => hasFiles(event) && show(1));
+  addEventListener("dragleave", (event) => hasFiles(event) && show(-1));
+  addEventListener("dragover", (event) => hasFiles(event) && event.preventDefault());
+  addEventListener("drop", (event) => {
+    depth = 0;
+    show(0);
+    if (event.dataTransfer && hasFiles(event)) {
+      event.preventDefault();
+      dropped(event.dataTransfer);
+    }
+  });
+}

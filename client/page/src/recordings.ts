@@ -1,0 +1,164 @@
+// Recordings that the visitor drops or chooses: uploaded in pieces, then played by the server into a session.
+
+import { RoomLightError } from "roomlight";
+import type { Recording } from "./lib/answers";
+import type { Api } from "./lib/api";
+import { Signal } from "./lib/signal";
+
+export interface NamedFile {
+  /** Folder names and file name, joined by `/`, below the dropped folder. */
+  readonly path: string;
+  readonly file: Blob;
+}
+
+export interface Upload {
+  readonly name: string;
+  readonly bytes: number;
+  readonly sent: number;
+  readonly recording: Recording | null;
+  readonly error: string | null;
+}
+
+const PIECE_BYTES = 4 * 2 ** 20;
+const PARALLEL_FILES = 4;
+const POLL_MS = 500;
+const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/;
+
+/** One recording on its way: watch `state`; `cancel` stops it and deletes it on the server. */
+export class RecordingUpload {
+  readonly state: Signal<Upload>;
+  private readonly files: readonly NamedFile[];
+  private readonly stopped = new AbortController();
+
+  constructor(
+    private readonly api: Api,
+    name: string,
+    files: readonly NamedFile[],
+  ) {
+    this.files = files.filter(({ path }) => !IGNORED.test(path));
+    const bytes = this.files.reduce((sum, { file }) => sum + file.size, 0);
+    this.state = new Signal<Upload>({ name, bytes, sent: 0, recording: null, error: null });
+  }
+
+  get isDone(): boolean {
+    const { recording, error } = this.state.value;
+    return error !== null || recording?.status === "finished" || recording?.status === "failed";
+  }
+
+  /** Upload and play; `playing` is called with the session once the server plays it. */
+  async run(playing: (session: string) => void): Promise<void> {
+    const { name, bytes } = this.state.value;
+    try {
+      let recording = await this.api.createRecording(name, bytes, this.files.length);
+      this.show({ recording });
+      await this.send(recording.id);
+      recording = await this.api.replay(recording.id, sessionName(name));
+      this.show({ recording });
+      playing(recording.session ?? sessionName(name));
+      await this.follow(recording.id);
+    } catch (error) {
+      if (!this.stopped.signal.aborted) {
+        this.show({ error: error instanceof Error ? error.message : String(error) });
+      }
+    }
+  }
+
+  /** Stop the upload or the replay, and delete the files on the server. The session stays. */
+  async cancel(): Promise<void> {
+    this.stopped.abort();
+    const { recording } = this.state.value;
+    if (recording) {
+      await this.api.deleteRecording(recording.id);
+    }
+  }
+
+  private async send(id: string): Promise<void> {
+    const waiting = [...this.files];
+    const worker = async () => {
+      for (let next = waiting.shift(); next; next = waiting.shift()) {
+        await this.sendFile(id, next);
+      }
+    };
+    await Promise.all(Array.from({ length: PARALLEL_FILES }, worker));
+  }
+
+  private async sendFile(id: string, { path, file }: NamedFile): Promise<void> {
+    let offset = 0;
+    do {
+      const piece = file.slice(offset, offset + PIECE_BYTES);
+      await this.api.putPiece(id, path, offset, piece, this.stopped.signal);
+      offset += piece.size;
+      this.show({ sent: this.state.value.sent + piece.size });
+    } while (offset < file.size);
+  }
+
+  private async follow(id: string): Promise<void> {
+    while (!this.stopped.signal.aborted && !this.isDone) {
+      await new Promise((resolve) => setTimeout(resolve, POLL_MS));
+      const recording = await this.api.recording(id);
+      this.show({ recording });
+      if (recording.problem) {
+        throw RoomLightError.fromProblem(recording.problem);
+      }
+    }
+  }
+
+  private show(change: Partial<Upload>): void {
+    this.state.value = { ...this.state.value, ...change };
+  }
+}
+
+/** The files of a drop: of the dropped folder, or the dropped files themselves. */
+export async function droppedFiles(transfer: DataTransfer): Promise<{ name: string; files: NamedFile[] } | null> {
+  const entries = [...transfer.items].map((item) => item.webkitGetAsEntry()).filter((entry) => entry !== null);
+  const [first] = entries;
+  if (!first) {
+    return null;
+  }
+  if (entries.length === 1 && first.isDirectory) {
+    return { name: first.name, files: await filesOf(first as FileSystemDirectoryEntry, "") };
+  }
+  const files = await Promise.all(
+    entries.map((entry) =>
+      entry.isDirectory
+        ? filesOf(entry as FileSystemDirectoryEntry, `${entry.name}/`)
+        : fileOf(entry as FileSystemFileEntry).then((file) => [{ path: file.name, file }]),
+    ),
+  );
+  return { name: first.name, files: files.flat() };
+}
+
+/** The files of a file input; those of a folder without the folder's own name. */
+export function chosenFiles(list: FileList): { name: string; files: NamedFile[] } | null {
+  const files = [...list].map((file) => ({ path: file.webkitRelativePath.split("/").slice(1).join("/") || file.name, file }));
+  const name = list[0]?.webkitRelativePath.split("/")[0] || list[0]?.name;
+  return name ? { name, files } : null;
+}
+
+async function filesOf(folder: FileSystemDirectoryEntry, prefix: string): Promise<NamedFile[]> {
+  const reader = folder.createReader();
+  const found: NamedFile[] = [];
+  for (;;) {
+    const entries = await new Promise<FileSystemEntry[]>((resolve, reject) => reader.readEntries(resolve, reject));
+    if (entries.length === 0) {
+      return found; // a reader gives at most 100 entries at a time
+    }
+    for (const entry of entries) {
+      if (entry.isDirectory) {
+        found.push(...(await filesOf(entry as FileSystemDirectoryEntry, `${prefix}${entry.name}/`)));
+      } else {
+        found.push({ path: prefix + entry.name, file: await fileOf(entry as FileSystemFileEntry) });
+      }
+    }
+  }
+}
+
+function fileOf(entry: FileSystemFileEntry): Promise<File> {
+  return new Promise((resolve, reject) => entry.file(resolve, reject));
+}
+
+/** A session's id for a recording: its name with letters that an id may have, and a number that makes it new. */
+function sessionName(name: string): string {
+  const plain = name.replace(/\.r3d$/i, "").replace(/[^A-Za-z0-9_-]+/g, "-").replace(/^-+|-+$/g, "");
+  return `${plain.slice(0, 48) || "recording"}-${Date.now().toString(36).slice(-4)}`;
+}

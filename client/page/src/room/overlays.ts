@@ -1,0 +1,146 @@
+// What is drawn over the room: the camera and its path, the box of the volume, main lights as arrows.
+
+import {
+  BoxGeometry,
+  BufferGeometry,
+  Color,
+  ConeGeometry,
+  CylinderGeometry,
+  EdgesGeometry,
+  Group,
+  Line,
+  LineBasicMaterial,
+  LineSegments,
+  LinearSRGBColorSpace,
+  Matrix4,
+  Mesh,
+  MeshBasicMaterial,
+  Quaternion,
+  Vector3,
+} from "three";
+import type { LightSourceValues } from "roomlight";
+import { onThemeChange, themeColour } from "../lib/dom";
+import type { CameraState } from "../lib/answers";
+import type { State } from "../state";
+import type { RoomView } from "./view";
+
+const FRUSTUM_M = 0.28;
+const ARROW_M = 0.75; // of the strongest light
+const UP = new Vector3(0, 1, 0);
+
+export class RoomOverlays {
+  readonly path = new Group();
+  readonly volume = new Group();
+  readonly lights = new Group();
+  private readonly lines = new LineBasicMaterial();
+  private readonly faint = new LineBasicMaterial({ transparent: true, opacity: 0.8 });
+
+  constructor(
+    private readonly view: RoomView,
+    private readonly state: State,
+  ) {
+    view.scene.add(this.path, this.volume, this.lights);
+    const recolour = () => {
+      this.lines.color.setStyle(themeColour("--accent"));
+      this.faint.color.setStyle(themeColour("--control-line"));
+      view.draw();
+    };
+    recolour();
+    onThemeChange(recolour);
+  }
+
+  /** Show the camera: of the shown entry of the timeline, or the newest. */
+  updateCamera(): void {
+    const { camera, entry } = { camera: this.state.camera.value, entry: this.state.entry };
+    clear(this.path);
+    clear(this.volume);
+    if (camera && camera.path.length > 0) {
+      const points = camera.path.map(({ camera_to_world: pose }) => new Vector3(pose[12], pose[13], pose[14]));
+      this.path.add(new Line(new BufferGeometry().setFromPoints(points), this.lines));
+      const isPast = this.state.shownEntry.value !== null;
+      const past = isPast ? camera.path.find(({ index }) => index === entry?.index) : undefined;
+      const pose = past?.camera_to_world ?? camera.camera_to_world;
+      if (pose && camera.intrinsics) {
+        this.path.add(this.frustum(camera.intrinsics, new Matrix4().fromArray([...pose])));
+      }
+    }
+    if (camera?.volume) {
+      this.volume.add(this.box(camera.volume));
+    }
+    this.view.draw();
+  }
+
+  /** Show the main lights at the selected probe: arrows that end at it. */
+  updateLights(): void {
+    clear(this.lights);
+    const probe = this.state.probe;
+    const strongest = Math.max(0, ...(probe?.lights ?? []).map(strengthOf));
+    for (const light of probe?.lights ?? []) {
+      const length = ARROW_M * Math.sqrt(strengthOf(light) / (strongest || 1));
+      if (length > 0.12) {
+        this.lights.add(arrow(new Vector3(...probe!.position), light, length));
+      }
+    }
+    this.view.draw();
+  }
+
+  private frustum({ fx, fy, cx, cy, width, height }: NonNullable<CameraState["intrinsics"]>, pose: Matrix4): LineSegments {
+    const corner = (u: number, v: number) =>
+      new Vector3(((u - cx) / fx) * FRUSTUM_M, (-(v - cy) / fy) * FRUSTUM_M, -FRUSTUM_M);
+    const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
+    const points = corners.flatMap((here, at) => [new Vector3(), here, here, corners[(at + 1) % 4]!]);
+    const lines = new LineSegments(new BufferGeometry().setFromPoints(points), this.lines);
+    lines.applyMatrix4(pose);
+    return lines;
+  }
+
+  private box({ volume_to_world, lower_m, upper_m }: NonNullable<CameraState["volume"]>): LineSegments {
+    const [lower, upper] = [new Vector3(...lower_m), new Vector3(...upper_m)];
+    const size = upper.clone().sub(lower);
+    const geometry = new BoxGeometry(size.x, size.y, size.z);
+    const lines = new LineSegments(new EdgesGeometry(geometry), this.faint);
+    geometry.dispose();
+    lines.position.copy(lower.add(upper).multiplyScalar(0.5));
+    lines.updateMatrix();
+    lines.applyMatrix4(new Matrix4().fromArray([...volume_to_world]));
+    return lines;
+  }
+}
+
+/** The largest channel of a light's irradiance. */
+export function strengthOf(light: LightSourceValues): number {
+  return Math.max(...light.intensity);
+}
+
+/** The hue of a light, at full brightness, in sRGB. */
+export function hueOf(light: LightSourceValues): Color {
+  const strength = strengthOf(light) || 1;
+  const [red, green, blue] = light.intensity.map((value) => value / strength) as [number, number, number];
+  return new Color().setRGB(red, green, blue, LinearSRGBColorSpace);
+}
+
+function arrow(probe: Vector3, light: LightSourceValues, length: number): Group {
+  const material = new MeshBasicMaterial({ color: hueOf(light) });
+  const group = new Group();
+  const shaft = new Mesh(new CylinderGeometry(0.012, 0.012, length, 12), material);
+  shaft.position.y = 0.29 + length / 2;
+  const head = new Mesh(new ConeGeometry(0.045, 0.12, 20), material);
+  head.rotation.x = Math.PI; // points at the probe
+  head.position.y = 0.23;
+  group.add(shaft, head);
+  group.position.copy(probe);
+  group.setRotationFromQuaternion(new Quaternion().setFromUnitVectors(UP, new Vector3(...light.direction).normalize()));
+  return group;
+}
+
+function clear(group: Group): void {
+  group.traverse((node) => {
+    if (node instanceof Mesh || node instanceof Line) {
+      node.geometry.dispose();
+      if (node.material instanceof MeshBasicMaterial) {
+        node.material.dispose();
+      }
+    }
+  });
+  group.clear();
+}

@@ -1,0 +1,115 @@
+// The panel of the room in 3D: surface, probes, overlays and objects, and what clicks and buttons do there.
+
+import { Box3, Matrix4, Vector3 } from "three";
+import type { Position } from "roomlight";
+import { byId } from "../lib/dom";
+import type { PlacedObjects } from "../objects";
+import type { State } from "../state";
+import { RoomObjects } from "./objects";
+import { RoomOverlays } from "./overlays";
+import { RoomProbes, type DragMode } from "./probes";
+import { RoomSurface, type SurfacePoint } from "./surface";
+import { RoomView } from "./view";
+
+const CLICK_PX = 5; // a shorter movement is a click
+
+export interface RoomEvents {
+  onDrag: (name: string, position: Position) => void;
+  onDrop: (name: string, position: Position) => void;
+  /** A click on a surface with a tool. */
+  onPick: (tool: "object" | "probe", at: SurfacePoint) => void;
+}
+
+export class RoomPanel {
+  readonly view: RoomView;
+  readonly probes: RoomProbes;
+  private readonly surface: RoomSurface;
+  private readonly overlays: RoomOverlays;
+  private readonly objects: RoomObjects;
+  private hasView = false;
+
+  constructor(
+    private readonly state: State,
+    objects: PlacedObjects,
+    private readonly events: RoomEvents,
+  ) {
+    const canvas = byId<HTMLCanvasElement>("room-canvas");
+    this.view = new RoomView(canvas);
+    this.surface = new RoomSurface(this.view.scene);
+    this.overlays = new RoomOverlays(this.view, state);
+    this.objects = new RoomObjects(this.view, state, objects);
+    this.probes = new RoomProbes(this.view, this.surface, state, canvas, {
+      mode: () => checked("drag") as DragMode,
+      ...events,
+    });
+    this.listen(canvas);
+    this.watch(objects);
+  }
+
+  private watch(objects: PlacedObjects): void {
+    const { state } = this;
+    state.mesh.watch((glb) => void this.showMesh(glb));
+    const light = () => {
+      this.probes.update();
+      this.overlays.updateLights();
+      this.objects.relight();
+    };
+    state.watchProbes(light);
+    state.exposureEv.watch(light);
+    state.coverageTint.watch(light);
+    const camera = () => this.overlays.updateCamera();
+    state.camera.watch(camera);
+    state.shownEntry.watch(camera);
+    objects.list.watch(() => this.objects.update());
+    state.selected.watch(() => (this.hasView = false));
+  }
+
+  private async showMesh(glb: ArrayBuffer | null): Promise<void> {
+    await this.surface.show(glb);
+    byId("room-waiting").hidden = this.surface.mesh !== null;
+    if (this.surface.mesh && !this.hasView) {
+      this.hasView = true;
+      this.overview();
+    }
+    this.view.draw();
+  }
+
+  private overview(): void {
+    const box = this.surface.box.isEmpty() ? new Box3(new Vector3(-1, 0, -1), new Vector3(1, 2, 1)) : this.surface.box;
+    const pose = this.state.camera.value?.camera_to_world;
+    this.view.lookAtBox(box, pose ? new Vector3(pose[12], pose[13], pose[14]) : new Vector3(1, 1, 1));
+  }
+
+  private listen(canvas: HTMLCanvasElement): void {
+    let down: { x: number; y: number } | null = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      const onProbe = this.probes.at(this.view.rayAt(event.clientX, event.clientY)) !== null;
+      down = event.button === 0 && !onProbe ? { x: event.clientX, y: event.clientY } : null;
+    });
+    canvas.addEventListener("pointerup", (event) => {
+      const isClick = down && Math.hypot(event.clientX - down.x, event.clientY - down.y) < CLICK_PX;
+      down = null;
+      const hit = isClick && this.surface.hit(this.view.rayAt(event.clientX, event.clientY));
+      if (hit) {
+        this.events.onPick(checked("tool") as "object" | "probe", hit);
+      }
+    });
+    byId("view-reset").addEventListener("click", () => this.overview());
+    byId("view-camera").addEventListener("click", () => {
+      const pose = this.state.camera.value?.camera_to_world;
+      if (pose) {
+        this.view.lookFrom(new Matrix4().fromArray([...pose]));
+      }
+    });
+    for (const name of ["path", "volume", "lights"] as const) {
+      byId<HTMLInputElement>(`show-${name}`).addEventListener("change", ({ target }) => {
+        this.overlays[name].visible = (target as HTMLInputElement).checked;
+        this.view.draw();
+      });
+    }
+  }
+}
+
+function checked(name: string): string {
+  return document.querySelector<HTMLInputElement>(`input[name="${name}"]:checked`)!.value;
+}

@@ -1,0 +1,57 @@
+// The room's fused mesh: unlit, with the colours of the frames, and the surface that clicks and drags meet.
+
+import { Box3, FrontSide, Mesh, MeshBasicMaterial, Vector3, type Raycaster, type Scene } from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+
+export interface SurfacePoint {
+  readonly point: Vector3;
+  readonly normal: Vector3;
+}
+
+export class RoomSurface {
+  mesh: Mesh | null = null;
+  readonly box = new Box3();
+  private readonly loader = new GLTFLoader();
+
+  constructor(private readonly scene: Scene) {}
+
+  /** Show the mesh of a GLB file; null shows nothing. */
+  async show(glb: ArrayBuffer | null): Promise<void> {
+    const loaded = glb ? await this.loader.parseAsync(glb, "") : null;
+    let next: Mesh | null = null;
+    loaded?.scene.traverse((node) => {
+      if (node instanceof Mesh && !next) {
+        next = node;
+      }
+    });
+    this.replace(next);
+  }
+
+  /** The first point of the surface along a ray, with the normal toward the ray's origin. */
+  hit(ray: Raycaster): SurfacePoint | null {
+    const hit = this.mesh ? ray.intersectObject(this.mesh, false)[0] : undefined;
+    if (!hit?.face) {
+      return null;
+    }
+    const normal = hit.face.normal.clone();
+    return { point: hit.point, normal: normal.dot(ray.ray.direction) > 0 ? normal.negate() : normal };
+  }
+
+  private replace(next: Mesh | null): void {
+    if (this.mesh) {
+      this.scene.remove(this.mesh);
+      this.mesh.geometry.dispose();
+      (this.mesh.material as MeshBasicMaterial).dispose();
+    }
+    this.mesh = next;
+    this.box.makeEmpty();
+    if (next) {
+      next.removeFromParent();
+      // The faces look at the camera that saw them: without their backs one looks into the room from outside.
+      const material = next.material as MeshBasicMaterial;
+      material.side = FrontSide;
+      this.scene.add(next);
+      this.box.setFromObject(next);
+    }
+  }
+}

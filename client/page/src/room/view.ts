@@ -1,0 +1,117 @@
+// The 3D view: renderer, camera and turning it. It draws only when something has changed.
+
+import { Box3, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer, type Matrix4 } from "three";
+import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+
+const TURN_STEP = Math.PI / 24; // of an arrow key
+
+export class RoomView {
+  readonly scene = new Scene();
+  readonly camera = new PerspectiveCamera(50, 1, 0.02, 200);
+  readonly controls: OrbitControls;
+  /** Called before each drawing, e.g. to keep the size of markers. */
+  readonly beforeDrawing: (() => void)[] = [];
+  frames = 0;
+  private readonly renderer: WebGLRenderer;
+  private requested = false;
+
+  /** Throws an Error if the browser has no WebGL 2. */
+  constructor(private readonly canvas: HTMLCanvasElement) {
+    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    this.renderer.setClearAlpha(0);
+    this.camera.position.set(3, 3, 4);
+    this.controls = new OrbitControls(this.camera, canvas);
+    this.controls.enableDamping = false;
+    this.controls.addEventListener("change", () => this.draw());
+    new ResizeObserver(() => this.resize()).observe(canvas);
+    canvas.addEventListener("keydown", (event) => this.onKey(event));
+    this.resize();
+  }
+
+  /** Draw once, with the next frame of the screen. */
+  draw(): void {
+    if (!this.requested) {
+      this.requested = true;
+      requestAnimationFrame(() => {
+        this.requested = false;
+        this.beforeDrawing.forEach((prepare) => prepare());
+        this.renderer.render(this.scene, this.camera);
+        this.frames++;
+      });
+    }
+  }
+
+  /** A ray through a point of the window. */
+  rayAt(clientX: number, clientY: number): Raycaster {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const ray = new Raycaster();
+    const point = new Vector2((2 * (clientX - left)) / width - 1, 1 - (2 * (clientY - top)) / height);
+    ray.setFromCamera(point, this.camera);
+    return ray;
+  }
+
+  /** Where a point of the world is in the window. */
+  project(point: Vector3): { x: number; y: number } {
+    const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    const { x, y } = point.clone().project(this.camera);
+    return { x: left + ((x + 1) / 2) * width, y: top + ((1 - y) / 2) * height };
+  }
+
+  /** Look at a box from above, from the side where `from` is. */
+  lookAtBox(box: Box3, from: Vector3): void {
+    const centre = box.getCenter(new Vector3());
+    const radius = Math.max(box.getSize(new Vector3()).length() / 2, 0.5);
+    const aside = from.clone().sub(centre).setY(0);
+    if (aside.length() < 0.2) {
+      aside.set(0.6, 0, 1);
+    }
+    const distance = (1.05 * radius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180));
+    const away = aside.normalize().setY(0.75).normalize().multiplyScalar(distance);
+    this.camera.position.copy(centre).add(away);
+    this.controls.target.copy(centre);
+    this.controls.update();
+    this.draw();
+  }
+
+  /** Look through the camera at `pose`. */
+  lookFrom(pose: Matrix4): void {
+    this.camera.position.setFromMatrixPosition(pose);
+    const forward = new Vector3().setFromMatrixColumn(pose, 2).negate();
+    this.controls.target.copy(this.camera.position).addScaledVector(forward, 1.5);
+    this.controls.update();
+    this.draw();
+  }
+
+  private resize(): void {
+    const { clientWidth: width, clientHeight: height } = this.canvas;
+    if (width > 0 && height > 0) {
+      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      this.renderer.setSize(width, height, false);
+      this.camera.aspect = width / height;
+      this.camera.updateProjectionMatrix();
+      this.draw();
+    }
+  }
+
+  private onKey(event: KeyboardEvent): void {
+    const offset = this.camera.position.clone().sub(this.controls.target);
+    const up = new Vector3(0, 1, 0);
+    const right = new Vector3().crossVectors(up, offset).normalize();
+    const turns: Record<string, () => void> = {
+      ArrowLeft: () => offset.applyAxisAngle(up, -TURN_STEP),
+      ArrowRight: () => offset.applyAxisAngle(up, TURN_STEP),
+      ArrowUp: () => offset.angleTo(up) > 0.15 && offset.applyAxisAngle(right, -TURN_STEP),
+      ArrowDown: () => offset.angleTo(up) < Math.PI - 0.15 && offset.applyAxisAngle(right, TURN_STEP),
+      "+": () => offset.multiplyScalar(0.9),
+      "-": () => offset.multiplyScalar(1 / 0.9),
+    };
+    const turn = turns[event.key];
+    if (turn) {
+      event.preventDefault();
+      turn();
+      this.camera.position.copy(this.controls.target).add(offset);
+      this.controls.update();
+      this.draw();
+    }
+  }
+}
