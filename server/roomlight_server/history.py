@@ -6,6 +6,7 @@ always covers the whole stream at equal steps.
 
 import asyncio
 import logging
+import secrets
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -66,16 +67,13 @@ class History:
         self._limit_bytes, self._workers, self._clock = limit_bytes, workers, clock
         self._moments: list[_Moment] = []
         self._stride, self._frames, self._start_s = 1, 0, 0.0
+        self.key = secrets.token_hex(4)
+        """Differs between sessions of the same id, for ETags."""
 
     @property
     def bytes(self) -> int:
         """Memory of all entries."""
         return sum(moment.size for moment in self._moments)
-
-    @property
-    def version(self) -> str:
-        """Changes with every frame: their number and the stride."""
-        return f"{self._frames}-{self._stride}"
 
     async def add(
         self, engine: Session, frame: Frame, report: FrameReport, counts: FrameCounts, handles: dict[str, int]

@@ -1,0 +1,277 @@
+"""What a session has seen: list, picture, camera, room mesh, history, USDZ; over real sockets."""
+
+import io
+import json
+import struct
+import zipfile
+
+import cv2
+import numpy as np
+import pytest
+
+from http_servers import RunningServer, box_shot, frame, header_of
+from roomlight.conventions import panorama_directions
+from roomlight.engine.mesh import FrameMesh
+from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
+from roomlight_server.room_mesh import room_mesh, to_glb
+
+TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
+ROOM = "/v1/sessions/room"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        running.open()
+        assert running.call("PUT", f"{ROOM}/probes/table", {"position": [0.2, 1.0, -0.5]}).status == 201
+        for index, yaw in ((0, 0), (2, 60), (3, 120)):
+            assert running.push(index, frame(yaw)).status == 200
+        yield running
+
+
+def glb_arrays(data):
+    magic, version, length = struct.unpack_from("<4sII", data)
+    assert (magic, version, length) == (b"glTF", 2, len(data))
+    text_bytes = struct.unpack_from("<I", data, 12)[0]
+    document = json.loads(data[20 : 20 + text_bytes])
+    binary = data[20 + text_bytes + 8 :]
+    kinds = {5126: "<f4", 5123: "<u2", 5125: "<u4"}
+    arrays = []
+    for accessor in document["accessors"]:
+        view = document["bufferViews"][accessor["bufferView"]]
+        values = np.frombuffer(
+            binary[view["byteOffset"] : view["byteOffset"] + view["byteLength"]], kinds[accessor["componentType"]]
+        )
+        arrays.append(values.reshape(accessor["count"], -1))
+    return document, arrays
+
+
+def test_a_token_lists_its_own_sessions():
+    with RunningServer(tokens=(TOKEN, OTHER)) as server:
+        server.open("first", token=TOKEN)
+        server.open("second", token=TOKEN)
+        server.open("hidden", token=OTHER)
+        server.push(4, name="first", token=TOKEN)
+        listed = server.call("GET", "/v1/sessions", token=TOKEN).json
+        assert [each["id"] for each in listed["sessions"]] == ["first", "second"]  # last used first
+        first = listed["sessions"][0]
+        assert (first["frames"]["processed"], first["frames"]["last_index"], first["model"]) == (1, 4, "classical")
+        assert listed["max_sessions"] == server.settings.max_sessions
+        assert [each["id"] for each in server.call("GET", "/v1/sessions", token=OTHER).json["sessions"]] == ["hidden"]
+
+
+def test_the_picture_is_the_last_frame_as_it_was_sent():
+    shot = box_shot(0)
+    jpeg = cv2.imencode(".jpg", np.full((36, 48, 3), 120, np.uint8))[1].tobytes()
+    body = pack_camera_frame(CameraFrame(jpeg, shot.depth_m.astype(np.float32), shot.intrinsics, shot.camera_to_world))
+    with RunningServer() as server:
+        server.open()
+        assert server.call("GET", f"{ROOM}/colour").kind == "no-frame"
+        server.push(0, body)
+        answer = server.call("GET", f"{ROOM}/colour")
+        assert (answer.body, answer.headers["content-type"]) == (jpeg, "image/jpeg")
+        assert answer.headers["roomlight-frame"] == "0"
+        etag = answer.headers["etag"]
+        assert server.call("GET", f"{ROOM}/colour", headers={"If-None-Match": etag}).status == 304
+        server.push(1, body)
+        assert server.call("GET", f"{ROOM}/colour", headers={"If-None-Match": etag}).status == 200
+
+
+def test_a_raw_picture_is_sent_as_jpeg(server):
+    answer = server.call("GET", f"{ROOM}/colour")
+    shown = cv2.imdecode(np.frombuffer(answer.body, np.uint8), cv2.IMREAD_COLOR)
+    assert answer.headers["content-type"] == "image/jpeg"
+    assert shown.shape == (36, 48, 3)
+
+
+def test_the_camera_has_path_and_volume(server):
+    view = server.call("GET", f"{ROOM}/camera").json
+    sent = header_of(box_shot(120))
+    assert view["frame"] == 3
+    assert view["camera_to_world"] == pytest.approx(sent["camera_to_world"])
+    assert view["intrinsics"] == sent["intrinsics"]
+    assert [each["index"] for each in view["path"]] == [0, 2, 3]
+    for each, yaw in zip(view["path"], (0, 60, 120), strict=True):
+        assert each["camera_to_world"] == pytest.approx(header_of(box_shot(yaw))["camera_to_world"])
+    assert view["volume"]["volume_to_world"] == pytest.approx(header_of(box_shot(0))["camera_to_world"])
+    size = np.subtract(view["volume"]["upper_m"], view["volume"]["lower_m"])
+    depth_max_m = server.state()["volume"]["depth_max_m"]
+    assert size == pytest.approx(depth_max_m * np.array([2.2, 1.6, 1.7]))
+
+
+def test_a_session_without_a_frame_has_no_camera():
+    with RunningServer() as server:
+        server.open()
+        view = server.call("GET", f"{ROOM}/camera").json
+        assert view == {"frame": -1, "intrinsics": None, "camera_to_world": None, "path": [], "volume": None}
+        assert server.call("GET", f"{ROOM}/mesh").kind == "no-frame"
+        assert server.call("GET", f"{ROOM}/history").json["entries"] == []
+
+
+def test_the_mesh_shows_the_walls_of_the_room(server):
+    answer = server.call("GET", f"{ROOM}/mesh")
+    assert answer.headers["content-type"] == "model/gltf-binary"
+    assert answer.headers["roomlight-keyframes"] == "3"
+    document, (positions, colours, faces) = glb_arrays(answer.body)
+    assert document["materials"][0]["doubleSided"] is True
+    assert faces.size > 1000
+    assert faces.max() < len(positions) == len(colours)
+    on_wall = np.minimum(abs(abs(positions[:, 0]) - 2.0), abs(abs(positions[:, 2]) - 1.8))
+    height = np.minimum(abs(positions[:, 1]), abs(positions[:, 1] - 2.6))
+    assert np.minimum(on_wall, height).max() < 0.03  # vertices of one 2 cm cell are averaged
+    assert (colours[:, 3] == 65535).all()
+    assert colours[:, :3].max() > 1000
+
+
+def test_the_mesh_changes_with_the_keyframes_only():
+    with RunningServer() as server:
+        server.open()
+        server.push(0, frame(0))
+        etag = server.call("GET", f"{ROOM}/mesh").headers["etag"]
+        server.push(1, frame(0))  # shows nothing new
+        assert server.call("GET", f"{ROOM}/mesh", headers={"If-None-Match": etag}).status == 304
+        server.push(2, frame(90))
+        assert server.call("GET", f"{ROOM}/mesh", headers={"If-None-Match": etag}).status == 200
+
+
+def test_the_mesh_keeps_to_its_bound(server):
+    answer = server.call("GET", f"{ROOM}/mesh?triangles=1000")
+    faces = glb_arrays(answer.body)[1][2]
+    assert 0 < faces.size // 3 <= 1000
+    assert server.call("GET", f"{ROOM}/mesh?triangles=999").kind == "invalid"
+    assert server.call("GET", f"{ROOM}/mesh?triangles=100001").kind == "invalid"
+
+
+def test_merging_equal_meshes_gives_each_triangle_once():
+    mesh = FrameMesh(box_shot(0))
+    once, twice = room_mesh([(0, mesh)]), room_mesh([(0, mesh), (1, mesh)])
+    assert len(twice.faces) == len(once.faces)
+    np.testing.assert_allclose(twice.vertices, once.vertices, atol=1e-5)
+    np.testing.assert_allclose(twice.colours, once.colours, atol=1e-5)
+    assert twice.keyframes == (0, 1)
+
+
+def test_vertices_have_the_colour_of_their_pixel():
+    shot = box_shot(0)
+    mesh = FrameMesh(shot)
+    merged = room_mesh([(0, mesh)])
+    assert merged.cell_m == 0.02
+    glb = glb_arrays(to_glb(merged))[1]
+    assert np.abs(glb[1][:, :3].mean(axis=0) / 65535 - np.clip(shot.image, 0, 1).mean(axis=(0, 1))).max() < 0.05
+
+
+def test_the_history_tells_each_frame(server):
+    listed = server.call("GET", f"{ROOM}/history").json
+    assert listed["stride"] == 1
+    assert 0 < listed["bytes"] <= listed["limit_bytes"] == 16 * 2**20
+    first, second, third = listed["entries"]
+    assert [each["index"] for each in (first, second, third)] == [0, 2, 3]
+    assert first["seconds"] == 0.0 <= second["seconds"] <= third["seconds"]
+    assert (first["gaps"], second["gaps"]) == (0, 1)
+    assert {"volume", "mesh", "blend"} <= third["stage_ms"].keys()
+    (probe,) = third["probes"]
+    assert (probe["name"], probe["position"]) == ("table", [0.2, 1.0, -0.5])
+    assert first["probes"][0]["coverage"] < probe["coverage"] <= 1
+    now = server.call("GET", f"{ROOM}/probes/table?format=main_light").json
+    assert probe["lights"] == now["lights"]
+    later = server.call("GET", f"{ROOM}/history?after=2").json["entries"]
+    assert [each["index"] for each in later] == [3]
+
+
+def test_the_history_has_pictures_and_panoramas(server):
+    picture = server.call("GET", f"{ROOM}/history/2/colour")
+    shown = cv2.imdecode(np.frombuffer(picture.body, np.uint8), cv2.IMREAD_COLOR)
+    assert shown.shape == (36, 48, 3)
+    panorama = server.call("GET", f"{ROOM}/history/3/probes/table")
+    assert panorama.headers["content-type"] == "image/vnd.radiance"
+    recorded = cv2.imdecode(np.frombuffer(panorama.body, np.uint8), cv2.IMREAD_UNCHANGED)[..., ::-1]
+    body = server.call("GET", f"{ROOM}/probes/table?format=npy").body
+    np.testing.assert_allclose(recorded, np.load(io.BytesIO(body)), rtol=0.02, atol=0.02)
+    again = server.call("GET", f"{ROOM}/history/2/colour", headers={"If-None-Match": picture.headers["etag"]})
+    assert again.status == 304
+
+
+@pytest.mark.parametrize("path", ["1/colour", "9/colour", "2/probes/none"])
+def test_what_the_history_lacks_is_not_found(server, path):
+    answer = server.call("GET", f"{ROOM}/history/{path}")
+    assert (answer.status, answer.kind) == (404, "history-not-found")
+
+
+def test_a_full_history_keeps_every_second_frame():
+    with RunningServer(history_bytes=60_000) as server:
+        server.open()
+        server.call("PUT", f"{ROOM}/probes/table", {"position": [0.2, 1.0, -0.5]})
+        for index in range(24):
+            assert server.push(index, frame(15 * index)).status == 200
+        assert server.call("GET", f"{ROOM}/history/0/colour").status == 200  # waits for pictures
+        listed = server.call("GET", f"{ROOM}/history").json
+        assert listed["bytes"] <= listed["limit_bytes"] == 60_000
+        stride = listed["stride"]
+        assert stride in (2, 4, 8)
+        assert [each["index"] for each in listed["entries"]] == list(range(0, 24, stride))
+        assert server.call("GET", f"{ROOM}/history/1/colour").kind == "history-not-found"
+        assert server.state()["memory"]["bytes"] <= server.state()["memory"]["bound_bytes"]
+
+
+def test_a_history_of_no_bytes_keeps_nothing():
+    with RunningServer(history_bytes=0) as server:
+        server.open()
+        server.push(0)
+        assert server.call("GET", f"{ROOM}/history").json == {
+            "stride": 1, "bytes": 0, "limit_bytes": 0, "entries": [],
+        }  # fmt: skip
+
+
+def test_a_session_goes_on_when_a_frame_is_not_recorded(monkeypatch):
+    from roomlight_server import history
+
+    def fail(*_):
+        raise RuntimeError("no memory")
+
+    monkeypatch.setattr(history, "_lights", fail)
+    with RunningServer() as server:
+        server.open()
+        assert server.push(0).json["status"] == "processed"
+        assert server.push(1).json["status"] == "processed"
+        assert server.call("GET", f"{ROOM}/history").json["entries"] == []
+
+
+def test_usdz_is_aligned_and_holds_the_panorama(server):
+    answer = server.call("GET", f"{ROOM}/usdz?name=table")
+    assert answer.headers["content-type"] == "model/vnd.usdz+zip"
+    assert answer.headers["content-disposition"] == 'attachment; filename="table.usdz"'
+    archive = zipfile.ZipFile(io.BytesIO(answer.body))
+    assert archive.testzip() is None
+    assert archive.namelist() == ["light.usda", "light.exr"]
+    for info in archive.infolist():
+        assert info.compress_type == zipfile.ZIP_STORED
+        name_bytes, extra_bytes = struct.unpack_from("<HH", answer.body, info.header_offset + 26)
+        assert (info.header_offset + 30 + name_bytes + extra_bytes) % 64 == 0
+    assert archive.read("light.usda").startswith(b"#usda 1.0\n")
+    assert archive.read("light.exr") == server.call("GET", f"{ROOM}/probes/table?format=exr").body
+    again = server.call("GET", f"{ROOM}/usdz?name=table", headers={"If-None-Match": answer.headers["etag"]})
+    assert again.status == 304
+
+
+def test_the_dome_is_turned_from_openexr_to_our_axes():
+    """OpenEXR: longitude is pi at the left edge and -pi at the right; 0 is +z, pi/2 is +x. `rotateY = 90`."""
+    rows = 8
+    longitude = np.pi - (np.arange(2 * rows) + 0.5) / (2 * rows) * 2 * np.pi
+    latitude = np.pi / 2 - (np.arange(rows) + 0.5) / rows * np.pi
+    longitude, latitude = np.meshgrid(longitude, latitude)
+    local = np.stack([np.sin(longitude) * np.cos(latitude), np.sin(latitude), np.cos(longitude) * np.cos(latitude)], -1)
+    turn = np.array([[0, 0, 1], [0, 1, 0], [-1, 0, 0]])  # 90 degrees about y: z becomes x, x becomes -z
+    np.testing.assert_allclose(local @ turn.T, panorama_directions(rows), atol=1e-6)
+
+
+@pytest.mark.parametrize("query", ["", "?name=table&x=1&y=1&z=1", "?x=1&y=1", "?name=a/b"])
+def test_usdz_needs_one_point(server, query):
+    assert server.call("GET", f"{ROOM}/usdz{query}").kind == "invalid"
+
+
+def test_usdz_is_made_for_any_point(server):
+    answer = server.call("GET", f"{ROOM}/usdz?x=0&y=1&z=0")
+    stored = zipfile.ZipFile(io.BytesIO(answer.body)).read("light.exr")
+    assert stored[:4] == b"\x76\x2f\x31\x01"
+    assert b"(0, 1, 0)" in zipfile.ZipFile(io.BytesIO(answer.body)).read("light.usda")
+    assert server.call("GET", f"{ROOM}/usdz?name=none").kind == "probe-not-found"
