@@ -1,6 +1,8 @@
 // HTTP requests with retries, Retry-After, a time limit and AbortSignal. All requests of the interface are idempotent.
 
 import { RoomLightError } from "./errors.js";
+import type { BufferOptions } from "./memory.js";
+import { delay, type ReconnectOptions } from "./reconnect.js";
 import type { Problem } from "./wire.js";
 
 /** How a client connects to its server. */
@@ -13,6 +15,10 @@ export interface ClientOptions {
   timeout_s?: number;
   /** Longest Retry-After to wait for; default 10 s. After a longer one the request fails at once. */
   maxRetryAfter_s?: number;
+  /** When streams and `push` connect again after the server was lost; false: never. */
+  reconnect?: ReconnectOptions | false;
+  /** Bounds of the frames that are kept to be sent again. */
+  buffer?: BufferOptions;
   /** Replaces the global `fetch`. */
   fetch?: typeof fetch;
   /** Replaces the global `WebSocket`. */
@@ -25,6 +31,10 @@ export interface HttpRequest {
   body?: Uint8Array<ArrayBuffer> | string;
   headers?: Record<string, string>;
   signal?: AbortSignal | undefined;
+  /** Replaces the client's `retries`. */
+  retries?: number;
+  /** Called before each further attempt, with the reason for it. What it throws ends the attempts. */
+  beforeRetry?: (error: RoomLightError) => Promise<void>;
 }
 
 const RETRIED: ReadonlySet<number> = new Set([429, 502, 503, 504]);
@@ -53,7 +63,8 @@ export class Http {
 
   /** Send a request. Throws RoomLightError for a status of 400 and above, the signal's reason once it is aborted. */
   async send(request: HttpRequest): Promise<Response> {
-    const { retries = 3, maxRetryAfter_s = 10 } = this.options;
+    const { maxRetryAfter_s = 10 } = this.options;
+    const retries = request.retries ?? this.options.retries ?? 3;
     for (let attempt = 0; ; attempt++) {
       const outcome = await this.attempt(request);
       if (outcome instanceof Response) {
@@ -68,6 +79,7 @@ export class Http {
         throw error;
       }
       await delay(delay_s, request.signal);
+      await request.beforeRetry?.(error);
     }
   }
 
@@ -128,19 +140,4 @@ function parseRetryAfter_s(response: Response): number | null {
   }
   const delay_s = /^\s*\d+(\.\d+)?\s*$/.test(header) ? Number(header) : (Date.parse(header) - Date.now()) / 1000;
   return Number.isNaN(delay_s) ? null : Math.max(delay_s, 0);
-}
-
-function delay(seconds: number, signal: AbortSignal | undefined): Promise<void> {
-  return new Promise((resolve, reject) => {
-    signal?.throwIfAborted();
-    const stop = () => {
-      clearTimeout(timer);
-      reject(signal?.reason);
-    };
-    const timer = setTimeout(() => {
-      signal?.removeEventListener("abort", stop);
-      resolve();
-    }, seconds * 1000);
-    signal?.addEventListener("abort", stop, { once: true });
-  });
 }

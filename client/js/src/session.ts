@@ -3,9 +3,10 @@
 import { packFrame, type Frame } from "./frame.js";
 import { Http, type ClientOptions, type HttpRequest } from "./http.js";
 import { decodeLights, parseLights, type Light, type LightData, type Lights } from "./light.js";
-import { Stream, type StreamOptions } from "./stream.js";
+import { SessionMemory } from "./memory.js";
+import { SessionRequests } from "./session_link.js";
+import { Stream, type SessionLink, type StreamOptions } from "./stream.js";
 import {
-  FRAME_MEDIA_TYPE,
   LIGHT_MEDIA_TYPE,
   type CompositeRequest,
   type FrameResult,
@@ -68,7 +69,7 @@ export class RoomLight {
     const { id = randomId(), signal, model, ...others } = options;
     const request: SessionRequest = model === undefined ? others : { mode: model, ...others };
     const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
-    return new Session(this.http, id, (await response.json()) as SessionState);
+    return new Session(this.http, id, (await response.json()) as SessionState, request);
   }
 
   /** Store an object (GLB, glTF, OBJ or PLY) for composites; its id is the SHA-256 of the file. */
@@ -105,22 +106,32 @@ export class RoomLight {
   }
 }
 
-/** One room on a server, made by `RoomLight.open` or `RoomLight.join`. Its methods throw RoomLightError. */
+/**
+ * One room on a server, made by `RoomLight.open` or `RoomLight.join`. Its methods throw RoomLightError.
+ *
+ * A session made by `open` survives a server that was started again or let it expire: it is opened again with the same
+ * options, its points are tracked, and its last frames are sent again.
+ */
 export class Session {
   /** Index of the next frame that has none of its own: one above all indices sent. */
   nextIndex: number;
   /** The model that estimates the light. */
   readonly model: SessionState["model"];
   private readonly path: string;
+  private readonly memory: SessionMemory;
+  private readonly requests: SessionRequests;
 
   constructor(
     private readonly http: Http,
     readonly id: string,
     state: SessionState,
+    request: SessionRequest | null = null,
   ) {
     this.path = pathOf(id);
     this.model = state.model;
     this.nextIndex = (state.frames.last_index ?? -1) + 1;
+    this.memory = new SessionMemory(request, http.options.buffer);
+    this.requests = new SessionRequests(http, this.path, this.memory);
   }
 
   /**
@@ -131,14 +142,8 @@ export class Session {
    */
   async push(frame: Frame, options: CallOptions & { wait?: boolean } = {}): Promise<FrameResult> {
     const indexed = withIndex(frame, this);
-    const request: HttpRequest = {
-      method: "PUT",
-      path: `${this.path}/frames/${indexed.index}`,
-      body: await packFrame(indexed),
-      headers: { "content-type": FRAME_MEDIA_TYPE, ...(options.wait === false ? { prefer: "respond-async" } : {}) },
-      signal: options.signal,
-    };
-    return (await (await this.http.send(request)).json()) as FrameResult;
+    const headers: Record<string, string> = options.wait === false ? { prefer: "respond-async" } : {};
+    return this.requests.push(indexed.index, await packFrame(indexed), { headers, signal: options.signal });
   }
 
   /** Light at one point (a position or the name of a tracked point) in some forms. */
@@ -152,7 +157,7 @@ export class Session {
   async light(request: LightRequest, options: CallOptions = {}): Promise<Lights> {
     const headers = { accept: `${LIGHT_MEDIA_TYPE}, application/json;q=0.9` };
     const http: HttpRequest = { method: "POST", path: `${this.path}/probes`, headers, signal: options.signal };
-    const response = await sendJson(this.http, http, request);
+    const response = await sendJson(this.requests, http, request);
     if (response.headers.get("content-type")?.startsWith(LIGHT_MEDIA_TYPE)) {
       return parseLights<LightResponse>(await response.arrayBuffer());
     }
@@ -172,9 +177,9 @@ export class Session {
         query.set(name, String(value));
       }
     }
-    const path = `${typeof point === "string" ? this.probePath(point) : `${this.path}/probe`}?${query}`;
+    const path = `${typeof point === "string" ? this.requests.probePath(point) : `${this.path}/probe`}?${query}`;
     const headers: Record<string, string> = options.etag ? { "if-none-match": options.etag } : {};
-    const response = await this.http.send({ method: "GET", path, headers, signal: options.signal });
+    const response = await this.requests.send({ method: "GET", path, headers, signal: options.signal });
     if (response.status === 304) {
       return null;
     }
@@ -194,7 +199,7 @@ export class Session {
   /** The last processed frame with objects in it: lit by the room, with shadows, behind real things in front. */
   async composite(request: CompositeRequest, options: CallOptions = {}): Promise<CompositeFile> {
     const http: HttpRequest = { method: "POST", path: `${this.path}/composite`, signal: options.signal };
-    const response = await sendJson(this.http, http, request);
+    const response = await sendJson(this.requests, http, request);
     return {
       data: await response.blob(),
       frame: Number(response.headers.get("roomlight-frame")),
@@ -204,34 +209,44 @@ export class Session {
 
   /** Track a point under a name; an existing name moves to the position. */
   async track(name: string, position: Position, options: CallOptions = {}): Promise<void> {
-    await sendJson(this.http, { method: "PUT", path: this.probePath(name), signal: options.signal }, { position });
+    await this.requests.send({ ...this.requests.trackRequest(name, position), signal: options.signal });
+    this.memory.track(name, position);
   }
 
   /** Stop tracking a point. */
   async untrack(name: string, options: CallOptions = {}): Promise<void> {
-    await this.http.send({ method: "DELETE", path: this.probePath(name), signal: options.signal });
+    await this.requests.send({ method: "DELETE", path: this.requests.probePath(name), signal: options.signal });
+    this.memory.untrack(name);
   }
 
   /** Counts of frames, tracked points with their coverage, memory and the lighting volume. */
   async state(options: CallOptions = {}): Promise<SessionState> {
-    const response = await this.http.send({ method: "GET", path: this.path, signal: options.signal });
+    const response = await this.requests.send({ method: "GET", path: this.path, signal: options.signal });
     return (await response.json()) as SessionState;
   }
 
   /** Delete the session and everything that the server stores for it. */
   async delete(options: CallOptions = {}): Promise<void> {
+    this.memory.deleted = true; // streams end with it
     await this.http.send({ method: "DELETE", path: this.path, signal: options.signal });
   }
 
-  /** Open the session's WebSocket. It shares the session's frame index. */
+  /**
+   * Open the session's WebSocket. It shares the session's frame index, and connects again when the connection is lost.
+   *
+   * Throws RoomLightError: with status 404 if the session is missing.
+   */
   stream(options: StreamOptions = {}): Promise<Stream> {
     const address = this.http.address(`${this.path}/stream`);
     address.protocol = address.protocol === "https:" ? "wss:" : "ws:";
-    return Stream.open(address, this.http.options, options, (frame) => withIndex(frame, this));
-  }
-
-  private probePath(name: string): string {
-    return `${this.path}/probes/${encodeURIComponent(name)}`;
+    const link: SessionLink = {
+      address,
+      client: this.http.options,
+      memory: this.memory,
+      withIndex: (frame) => withIndex(frame, this),
+      resume: (reopen, signal) => this.requests.resume(reopen, signal),
+    };
+    return Stream.open(link, options);
   }
 }
 
@@ -248,7 +263,7 @@ function withIndex(frame: Frame, session: Session): Frame & { index: number } {
   return { ...frame, index };
 }
 
-function sendJson(http: Http, request: HttpRequest, json: object): Promise<Response> {
+function sendJson(http: Http | SessionRequests, request: HttpRequest, json: object): Promise<Response> {
   return http.send({
     ...request,
     body: JSON.stringify(json),

@@ -1,9 +1,12 @@
-// A session over its WebSocket: send frames, receive their results and the light of the tracked points.
+// A session over its WebSocket: send frames, receive their results and the light of the tracked points. A lost
+// connection is opened again: the server says which frames it has, and gets the others.
 
 import { RoomLightError } from "./errors.js";
 import { packFrame, type Frame } from "./frame.js";
 import type { ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
+import type { KeptFrame, SessionMemory } from "./memory.js";
+import { Backoff, isSessionGone, isTemporary } from "./reconnect.js";
 import type {
   ClientMessage,
   FrameResult,
@@ -14,7 +17,24 @@ import type {
   Position,
   ProbesEvent,
   ServerMessage,
+  SessionState,
 } from "./wire.js";
+
+/** State of a stream's connection. */
+export interface StreamStatus {
+  /** `closed` is final; after `reconnecting` comes `open` or `closed`. */
+  readonly state: "connecting" | "open" | "reconnecting" | "closed";
+  /** `reconnecting`: the number of the next attempt, from 1. */
+  readonly attempt: number;
+  /** `reconnecting`: the seconds until that attempt. */
+  readonly delay_s: number;
+  /** `reconnecting` and `closed`: why the connection ended. */
+  readonly error: RoomLightError | null;
+  /** `open`: the server had lost the session, so that its light starts again from the frames that are sent again. */
+  readonly reopened: boolean;
+  /** `open`: the server lost frames that are no longer kept here: its light differs from the light before. */
+  readonly incomplete: boolean;
+}
 
 /** Handlers of messages that answer no call. */
 export interface StreamOptions {
@@ -24,126 +44,224 @@ export interface StreamOptions {
   onProbes?: (probes: ProbesEvent["probes"]) => void;
   /** The server refused a message. A call that waits for its answer is rejected as well. */
   onProblem?: (error: RoomLightError) => void;
-  /** The connection was closed. */
+  /** The state of the connection has changed. */
+  onStatus?: (status: StreamStatus) => void;
+  /** The stream has ended and does not connect again. */
   onClose?: (error: RoomLightError) => void;
   /** Closes the stream. */
   signal?: AbortSignal;
+}
+
+/** What a stream needs of its session. */
+export interface SessionLink {
+  readonly address: URL;
+  readonly client: ClientOptions;
+  readonly memory: SessionMemory;
+  withIndex(frame: Frame): Frame & { index: number };
+  /** One request for the session's state; with `reopen` it opens a missing session again. */
+  resume(reopen: boolean, signal: AbortSignal): Promise<{ state: SessionState; reopened: boolean }>;
 }
 
 /** A call that waits for its answer. */
 interface PendingCall {
   resolve: (answer: never) => void;
   reject: (error: unknown) => void;
-  timer: ReturnType<typeof setTimeout>;
+  /** The message, for a call that is repeated on a new connection; frames are in the session's memory. */
+  message?: ClientMessage;
+  timer?: ReturnType<typeof setTimeout> | undefined;
 }
 
 type WithLights<T> = Omit<T, "results"> & Lights;
 type DecodedMessage =
   Exclude<ServerMessage, LightAnswer | LightingUpdate> | WithLights<LightAnswer> | WithLights<LightingUpdate>;
 
-/** An open WebSocket. It does not reconnect: `onClose` reports the end, and `session.stream()` opens a new one. */
+const QUIET = { attempt: 0, delay_s: 0, error: null, reopened: false, incomplete: false } as const;
+const MAX_SENDS = 3; // a frame that ends three connections is the reason for it
+const TOO_BIG = 1009; // close code of RFC 6455: a message is too big
+
+/** A session's WebSocket. It connects again by itself; `onStatus` reports when, `onClose` that it gave up. */
 export class Stream {
+  private socket: WebSocket | null = null;
+  private current: StreamStatus = { ...QUIET, state: "connecting" };
   private readonly pending = new Map<string, PendingCall>();
   private requests = 0;
   private lastPush: Promise<unknown> = Promise.resolve();
   private closedWith: RoomLightError | null = null;
+  private backlogTop = -1; // frames up to this index are sent one by one: a newer one would supersede a waiting one
+  private readonly backoff: Backoff;
+  private readonly ended = new AbortController();
 
   private constructor(
-    private readonly socket: WebSocket,
+    private readonly link: SessionLink,
     private readonly options: StreamOptions,
-    private readonly withIndex: (frame: Frame) => Frame & { index: number },
-    private readonly timeout_s: number,
-  ) {}
+  ) {
+    this.backoff = new Backoff(link.client.reconnect);
+  }
 
-  /** Connect. Rejects if the server does not accept the connection. */
-  static open(
-    address: URL,
-    client: ClientOptions,
-    options: StreamOptions,
-    withIndex: (frame: Frame) => Frame & { index: number },
-  ): Promise<Stream> {
+  /** Connect. Rejects if the session is missing or the server does not accept the connection. */
+  static async open(link: SessionLink, options: StreamOptions): Promise<Stream> {
     const { signal } = options;
-    return new Promise((resolve, reject) => {
-      signal?.throwIfAborted();
-      const SocketClass = client.WebSocket ?? WebSocket;
-      // Browsers cannot set headers here: the token is sent as a second subprotocol, and the server accepts the first.
-      const protocols = ["roomlight.v1", ...(client.token ? [`bearer.${client.token}`] : [])];
-      const socket = new SocketClass(address, protocols);
-      socket.binaryType = "arraybuffer";
-      const stream = new Stream(socket, options, withIndex, client.timeout_s ?? 30);
-      const abort = () => socket.close();
-      signal?.addEventListener("abort", abort, { once: true });
-      socket.onopen = () => resolve(stream);
-      socket.onmessage = (event) => stream.receive(event.data as string | ArrayBuffer);
-      const end = (reason: string) => {
-        signal?.removeEventListener("abort", abort);
-        const error = new RoomLightError(`${address}: ${reason}`, 0);
-        reject(signal?.aborted ? signal.reason : error); // has no effect after `resolve`
-        stream.finish(error);
-      };
-      socket.onerror = () => end("no connection"); // Node 20 gives no reason for a failed connection
-      socket.onclose = ({ code, reason }) => end(`closed (${code}${reason && `: ${reason}`})`);
-    });
+    signal?.throwIfAborted();
+    const stream = new Stream(link, options);
+    signal?.addEventListener("abort", () => stream.close(), { once: true, signal: stream.ended.signal });
+    options.onStatus?.(stream.current);
+    try {
+      await stream.connect(false);
+    } catch (cause) {
+      const error = signal?.aborted ? signal.reason : cause;
+      stream.finish(asError(error));
+      throw error;
+    }
+    return stream;
+  }
+
+  /** The state of the connection. */
+  get status(): StreamStatus {
+    return this.current;
   }
 
   /** Bytes that are not yet on the network. If they grow, skip frames. */
   get bufferedAmount(): number {
-    return this.socket.bufferedAmount;
+    const waiting = [...this.link.memory.frames].filter(({ state }) => state === "waiting");
+    return waiting.reduce((sum, { message }) => sum + message.length, this.socket?.bufferedAmount ?? 0);
   }
 
-  /** Send a frame, in the order of the calls. Resolves when the frame is processed or dropped. */
+  /**
+   * Send a frame, in the order of the calls. Resolves when the frame is processed or dropped.
+   *
+   * Without a connection the frame waits for the next one. The status is `queued` if the server has the frame but its
+   * result was lost with the connection.
+   */
   push(frame: Frame): Promise<FrameResult> {
-    const indexed = this.withIndex(frame);
+    const indexed = this.link.withIndex(frame);
     const packed = packFrame(indexed);
     // A frame with a Blob takes longer to pack, but the server refuses an index below the last one.
     const inOrder = this.lastPush.then(() => packed);
     this.lastPush = inOrder.catch(() => undefined);
-    return handled(inOrder.then((message) => this.request<FrameResult>(`frame ${indexed.index}`, message)));
+    return handled(inOrder.then((message) => this.enqueue(indexed.index, message)));
   }
 
   /** Request light now; see `Session.light`. */
   light(request: LightRequest): Promise<Lights> {
     const name = `r${++this.requests}`;
-    return handled(this.request<Lights>(`light ${name}`, { type: "light", request: name, ...request }));
+    const message: ClientMessage = { type: "light", request: name, ...request };
+    const answer = this.expect<Lights>(`light ${name}`, message);
+    if (this.socket) {
+      this.send(message);
+      this.startTimer(`light ${name}`);
+    }
+    return handled(answer);
   }
 
   /** Receive the light of the tracked points in `onLighting`, now and after each frame. No forms: unsubscribe. */
   subscribe(forms: readonly LightForm[]): void {
+    this.link.memory.forms = forms;
     this.send({ type: "subscribe", forms });
   }
 
   /** Track a point under a name; an existing name moves to the position. */
   track(name: string, position: Position): void {
+    this.link.memory.track(name, position);
     this.send({ type: "track", name, position });
   }
 
   /** Stop tracking a point. */
   untrack(name: string): void {
+    this.link.memory.untrack(name);
     this.send({ type: "untrack", name });
   }
 
   /** Close the connection and reject the pending calls. The session continues to exist. */
   close(): void {
-    this.socket.close();
     this.finish(new RoomLightError("the stream was closed", 0));
   }
 
-  private request<T>(name: string, message: ClientMessage | Uint8Array<ArrayBuffer>): Promise<T> {
-    return new Promise<T>((resolve, reject) => {
-      this.send(message);
-      this.takePending(name)?.reject(new RoomLightError(`${name} was sent again`, 0));
-      const timeout = () =>
-        this.takePending(name)?.reject(new RoomLightError(`${name}: no answer in ${this.timeout_s} s`, 0));
-      this.pending.set(name, { resolve, reject, timer: setTimeout(timeout, this.timeout_s * 1000) });
-    });
+  // --- calls ---------------------------------------------------------------------------------------------------
+
+  private enqueue(index: number, message: Uint8Array<ArrayBuffer>): Promise<FrameResult> {
+    const result = this.expect<FrameResult>(`frame ${index}`);
+    for (const dropped of this.link.memory.frames.add(index, message)) {
+      if (dropped.state === "waiting") {
+        const reason = `frame ${dropped.index} was dropped: the buffer of frames without a connection is full`;
+        this.take(`frame ${dropped.index}`)?.reject(new RoomLightError(reason, 0));
+      }
+    }
+    this.pump();
+    return result;
   }
 
-  private send(message: ClientMessage | Uint8Array<ArrayBuffer>): void {
+  private expect<T>(name: string, message?: ClientMessage): Promise<T> {
     if (this.closedWith) {
       throw this.closedWith;
     }
-    this.socket.send(message instanceof Uint8Array ? message : JSON.stringify(message));
+    this.take(name)?.reject(new RoomLightError(`${name} was sent again`, 0));
+    return new Promise<T>((resolve, reject) => this.pending.set(name, { resolve, reject, ...(message && { message }) }));
   }
+
+  /** Start the time limit of a call that was sent now. */
+  private startTimer(name: string): void {
+    const call = this.pending.get(name);
+    if (!call) {
+      return;
+    }
+    const { timeout_s = 30 } = this.link.client;
+    clearTimeout(call.timer);
+    call.timer = setTimeout(() => {
+      const error = new RoomLightError(`${name}: no answer in ${timeout_s} s`, 0);
+      this.take(name)?.reject(error);
+      if (name.startsWith("frame ")) {
+        this.link.memory.frames.remove(Number(name.slice("frame ".length)));
+      }
+      this.drop(error); // a connection that lost its network says nothing either
+    }, timeout_s * 1000);
+  }
+
+  /** Send the frames that wait, in order. */
+  private pump(): void {
+    let underway = false;
+    for (const frame of this.link.memory.frames) {
+      if (!this.socket || (frame.index <= this.backlogTop && underway)) {
+        return;
+      }
+      if (frame.state === "waiting") {
+        this.sendFrame(frame);
+      }
+      underway ||= frame.state === "sent";
+      if (underway && frame.index <= this.backlogTop) {
+        return;
+      }
+    }
+  }
+
+  private sendFrame(frame: KeptFrame): void {
+    if (frame.sends >= MAX_SENDS) {
+      const error = new RoomLightError(`frame ${frame.index}: the connection ended ${frame.sends} times after it`, 0);
+      this.link.memory.frames.remove(frame.index);
+      return void this.take(`frame ${frame.index}`)?.reject(error);
+    }
+    frame.state = "sent";
+    frame.sends++;
+    this.socket?.send(frame.message);
+    this.startTimer(`frame ${frame.index}`);
+  }
+
+  /** Send a message on an open connection; a later connection restores what it would have changed. */
+  private send(message: ClientMessage): void {
+    if (this.closedWith) {
+      throw this.closedWith;
+    }
+    this.socket?.send(JSON.stringify(message));
+  }
+
+  /** Remove a pending call and return it. */
+  private take(name: string): PendingCall | undefined {
+    const call = this.pending.get(name);
+    this.pending.delete(name);
+    clearTimeout(call?.timer);
+    return call;
+  }
+
+  // --- messages ------------------------------------------------------------------------------------------------
 
   private receive(data: string | ArrayBuffer): void {
     let message: DecodedMessage;
@@ -152,30 +270,143 @@ export class Stream {
     } catch (cause) {
       return this.options.onProblem?.(new RoomLightError("malformed message from the server", 0, null, { cause }));
     }
+    if (message.type !== "problem") {
+      this.backoff.reset(); // only now: a proxy may accept connections without a server behind it
+    }
     switch (message.type) {
       case "frame":
-        return this.takePending(`frame ${message.index}`)?.resolve(message as never);
+        this.link.memory.frames.settle(message);
+        this.take(`frame ${message.index}`)?.resolve(message as never);
+        return this.pump();
       case "light":
-        return this.takePending(`light ${message.request}`)?.resolve(message as never);
+        return this.take(`light ${message.request}`)?.resolve(message as never);
       case "lighting":
         return this.options.onLighting?.(message);
       case "probes":
         return this.options.onProbes?.(message.probes);
-      case "problem": {
-        const error = RoomLightError.fromProblem(message.problem);
-        const call = message.index != null ? `frame ${message.index}` : `light ${message.request}`;
-        this.takePending(call)?.reject(error);
-        return this.options.onProblem?.(error);
+      case "problem":
+        return this.refused(RoomLightError.fromProblem(message.problem), message.index ?? null, message.request ?? null);
+    }
+  }
+
+  private refused(error: RoomLightError, index: number | null, request: string | null): void {
+    const { frames, canReopen } = this.link.memory;
+    if (isSessionGone(error) && canReopen && this.link.client.reconnect !== false) {
+      return this.drop(error); // what was sent is sent again to the session that is opened for it
+    }
+    const frame = index === null ? undefined : frames.find(index);
+    if (index !== null && frame && frame.sends > 1 && error.kind === "frame-conflict") {
+      frame.state = "done"; // it had arrived over the previous connection
+      this.take(`frame ${index}`)?.resolve(outcomeLost(index) as never);
+      return this.pump();
+    }
+    if (index !== null) {
+      frames.remove(index);
+    }
+    this.take(index === null ? `light ${request}` : `frame ${index}`)?.reject(error);
+    this.options.onProblem?.(error);
+    this.pump();
+  }
+
+  // --- connection ----------------------------------------------------------------------------------------------
+
+  private async connect(again: boolean): Promise<void> {
+    const { signal } = this.ended;
+    const { state, reopened } = await this.link.resume(again && this.link.memory.canReopen, signal);
+    if (state.status === "failed") {
+      throw new RoomLightError("the session has failed on the server: delete it and open a new one", 409);
+    }
+    const socket = await openSocket(this.link, signal);
+    this.socket = socket;
+    socket.onmessage = (event) => this.socket === socket && this.receive(event.data as string | ArrayBuffer);
+    socket.onerror = null;
+    socket.onclose = ({ code, reason }) => {
+      if (this.socket === socket) {
+        this.lost(new RoomLightError(`${this.link.address}: closed (${code}${reason && `: ${reason}`})`, 0), code, reason);
+      }
+    };
+    const incomplete = this.link.memory.frames.lacks(state.frames.last_index ?? -1);
+    this.show({ ...QUIET, state: "open", reopened, incomplete });
+    this.restore(state);
+  }
+
+  /** Bring the session up to date: frames above its last index, points, subscription, waiting requests. */
+  private restore(state: SessionState): void {
+    const { memory } = this.link;
+    const last = state.frames.last_index ?? -1;
+    for (const frame of [...memory.frames]) {
+      if (frame.index > last) {
+        frame.state = "waiting";
+        this.backlogTop = Math.max(this.backlogTop, frame.index);
+      } else if (frame.state === "sent") {
+        frame.state = "done";
+        this.take(`frame ${frame.index}`)?.resolve(outcomeLost(frame.index) as never);
+      }
+    }
+    const probes = memory.probesToRestore(state);
+    probes.untrack.forEach((name) => this.send({ type: "untrack", name }));
+    probes.track.forEach(([name, position]) => this.send({ type: "track", name, position }));
+    if (memory.forms.length > 0) {
+      this.send({ type: "subscribe", forms: memory.forms });
+    }
+    for (const [name, call] of [...this.pending]) {
+      if (call.message) {
+        this.send(call.message);
+        this.startTimer(name);
+      } else if (!memory.frames.find(Number(name.slice("frame ".length)))) {
+        this.take(name)?.reject(new RoomLightError(`${name}: lost with its connection, and no longer in the buffer`, 0));
+      }
+    }
+    this.pump();
+  }
+
+  /** Leave a connection that is of no use any more. */
+  private drop(error: RoomLightError): void {
+    this.socket?.close();
+    this.lost(error, 0, "");
+  }
+
+  private lost(error: RoomLightError, code: number, reason: string): void {
+    if (this.closedWith || !this.socket) {
+      return;
+    }
+    this.socket = null;
+    this.pending.forEach(({ timer }) => clearTimeout(timer));
+    if (code === TOO_BIG) {
+      for (const { index } of [...this.link.memory.frames].filter(({ state }) => state === "sent")) {
+        this.link.memory.frames.remove(index);
+        this.take(`frame ${index}`)?.reject(error);
+      }
+    }
+    const isGone = reason === "session-not-found" || reason === "session-closed";
+    if (reason === "session-failed" || code === 4422 || (isGone && !this.link.memory.canReopen)) {
+      return this.finish(error);
+    }
+    void this.reconnect(error);
+  }
+
+  private async reconnect(error: RoomLightError): Promise<void> {
+    for (;;) {
+      const delay_s = this.backoff.next();
+      if (delay_s === null) {
+        return this.finish(error);
+      }
+      this.show({ ...QUIET, state: "reconnecting", attempt: this.backoff.attempt, delay_s, error });
+      try {
+        await this.backoff.wait(delay_s, this.ended.signal);
+        return await this.connect(true);
+      } catch (cause) {
+        error = asError(cause);
+        if (this.closedWith || !isTemporary(error)) {
+          return this.finish(error);
+        }
       }
     }
   }
 
-  /** Remove a pending call and return it. */
-  private takePending(name: string): PendingCall | undefined {
-    const call = this.pending.get(name);
-    this.pending.delete(name);
-    clearTimeout(call?.timer);
-    return call;
+  private show(status: StreamStatus): void {
+    this.current = status;
+    this.options.onStatus?.(status);
   }
 
   private finish(error: RoomLightError): void {
@@ -183,11 +414,44 @@ export class Stream {
       return;
     }
     this.closedWith = error;
+    this.ended.abort(error);
+    this.socket?.close();
+    this.socket = null;
     for (const name of [...this.pending.keys()]) {
-      this.takePending(name)?.reject(error);
+      this.take(name)?.reject(error);
     }
+    this.show({ ...QUIET, state: "closed", error });
     this.options.onClose?.(error);
   }
+}
+
+/** An open WebSocket. Rejects if there is no connection within the client's time limit. */
+function openSocket({ address, client }: SessionLink, signal: AbortSignal): Promise<WebSocket> {
+  return new Promise((resolve, reject) => {
+    signal.throwIfAborted();
+    const SocketClass = client.WebSocket ?? WebSocket;
+    // Browsers cannot set headers here: the token is sent as a second subprotocol, and the server accepts the first.
+    const protocols = ["roomlight.v1", ...(client.token ? [`bearer.${client.token}`] : [])];
+    const socket = new SocketClass(address, protocols);
+    socket.binaryType = "arraybuffer";
+    const stop = () => fail("closed by the app");
+    const end = () => {
+      clearTimeout(timer);
+      signal.removeEventListener("abort", stop);
+    };
+    const fail = (reason: string) => {
+      end();
+      socket.onopen = socket.onerror = socket.onclose = null; // closing calls them again
+      socket.close();
+      reject(new RoomLightError(`${address}: ${reason}`, 0));
+    };
+    const { timeout_s = 30 } = client;
+    const timer = setTimeout(() => fail(`no connection in ${timeout_s} s`), timeout_s * 1000);
+    signal.addEventListener("abort", stop, { once: true });
+    socket.onopen = () => (end(), resolve(socket));
+    socket.onerror = () => fail("no connection"); // Node 20 gives no reason for a failed connection
+    socket.onclose = ({ code, reason }) => fail(`closed (${code}${reason && `: ${reason}`})`);
+  });
 }
 
 function decode(data: string | ArrayBuffer): DecodedMessage {
@@ -196,6 +460,15 @@ function decode(data: string | ArrayBuffer): DecodedMessage {
   }
   const message = JSON.parse(data) as ServerMessage;
   return message.type === "light" || message.type === "lighting" ? (decodeLights(message) as DecodedMessage) : message;
+}
+
+/** The result of a frame that arrived, but whose own result was lost with the connection. */
+function outcomeLost(index: number): FrameResult {
+  return { index, status: "queued", replay: true, stage_ms: {}, coverage: {} };
+}
+
+function asError(cause: unknown): RoomLightError {
+  return cause instanceof RoomLightError ? cause : new RoomLightError(String(cause), 0, null, { cause });
 }
 
 /** Mark a promise as handled: if the caller ignores it, an error reaches `onClose` or `onProblem` only. */

@@ -32,8 +32,10 @@ async function streamTo(
         reply(message).forEach((one) => socket.send(one instanceof Uint8Array ? one : JSON.stringify(one)));
       }),
   );
-  const session = await new RoomLight(server.url, client).open();
-  return { server, session, received, stream: await session.stream(options) };
+  const session = await new RoomLight(server.url, { reconnect: false, ...client }).open();
+  const stream = await session.stream(options);
+  context.after(() => stream.close());
+  return { server, session, received, stream };
 }
 
 const indexOf = (message: Buffer) =>
@@ -149,7 +151,8 @@ test("malformed messages are reported, invalid frames are not sent", async (cont
 });
 
 test("a call without an answer times out", async (context) => {
-  const { stream } = await streamTo(context, () => [], {}, { timeout_s: 0.05 });
+  const client = { timeout_s: 0.05, reconnect: { wait: async () => undefined } };
+  const { stream } = await streamTo(context, () => [], {}, client);
   await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.05 s/);
   const twice = stream.push({ ...plainFrame(), index: 4 });
   await Promise.all([
@@ -184,6 +187,7 @@ test("a stream closes by a call or a signal, or fails to open", async (context) 
   aborted.abort();
   await assert.rejects(second.push(plainFrame()));
   await assert.rejects(session.stream({ signal: aborted.signal }));
+  assert.equal(second.status.state, "closed");
   const silent = await new RoomLight("http://127.0.0.1:1", {
     fetch: async () => new Response(JSON.stringify(STATE)),
   }).open();

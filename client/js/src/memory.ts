@@ -1,0 +1,133 @@
+// What a client keeps of its session, to bring a server up to date that was started again: the options, the tracked
+// points and the last frames.
+
+import type { FrameResult, LightForm, Position, SessionRequest, SessionState } from "./wire.js";
+
+/** Bounds of the frames that a client keeps. */
+export interface BufferOptions {
+  /** Number of frames; default 128. A server with a state directory writes them down within 5 s. */
+  frames?: number;
+  /** Bytes of their messages; default 64,000,000. The newest frame is kept whatever its size. */
+  bytes?: number;
+}
+
+/**
+ * A frame that may have to be sent again.
+ *
+ * waiting: to be sent. sent: on the way, without an answer. done: in the light of the server, unless it loses it.
+ */
+export interface KeptFrame {
+  readonly index: number;
+  readonly message: Uint8Array<ArrayBuffer>;
+  state: "waiting" | "sent" | "done";
+  /** How often it was sent. */
+  sends: number;
+}
+
+/** The last frames of a session, in the order of their indices. */
+export class FrameBuffer {
+  private kept: KeptFrame[] = [];
+  private forgottenTop = -1;
+
+  constructor(private readonly options: BufferOptions = {}) {}
+
+  /** Add a frame. Returns the frames that are dropped for it: first the oldest in the light, then the oldest. */
+  add(index: number, message: Uint8Array<ArrayBuffer>, state: KeptFrame["state"] = "waiting"): KeptFrame[] {
+    const { frames = 128, bytes = 64e6 } = this.options;
+    const added: KeptFrame = { index, message, state, sends: state === "sent" ? 1 : 0 };
+    const others = this.kept.filter((frame) => frame.index !== index);
+    this.kept = [...others, added].sort((a, b) => a.index - b.index);
+    const dropped: KeptFrame[] = [];
+    while (this.kept.length > 1 && (this.kept.length > frames || this.bytes > bytes)) {
+      const candidates = this.kept.filter((frame) => frame !== added);
+      const frame = candidates.find(({ state }) => state === "done") ?? candidates[0]!;
+      dropped.push(frame);
+      this.forget(frame);
+    }
+    return dropped;
+  }
+
+  find(index: number): KeptFrame | undefined {
+    return this.kept.find((frame) => frame.index === index);
+  }
+
+  remove(index: number): void {
+    this.kept = this.kept.filter((frame) => frame.index !== index);
+  }
+
+  /** Record the result of a frame. Only frames in the light are kept, until the server has written them down. */
+  settle(result: Pick<FrameResult, "index" | "status"> & { durable_index?: number | null }): void {
+    const frame = this.find(result.index);
+    if (frame && (result.status === "processed" || result.status === "queued")) {
+      frame.state = "done";
+    } else {
+      this.remove(result.index);
+    }
+    const durable = result.durable_index ?? -1;
+    this.kept.filter(({ index, state }) => state === "done" && index <= durable).forEach((one) => this.forget(one));
+  }
+
+  /** Whether a session that has the frames up to this index lacks some that are no longer kept. */
+  lacks(lastIndex: number): boolean {
+    return this.forgottenTop > lastIndex;
+  }
+
+  get bytes(): number {
+    return this.kept.reduce((sum, { message }) => sum + message.length, 0);
+  }
+
+  [Symbol.iterator](): IterableIterator<KeptFrame> {
+    return this.kept[Symbol.iterator]();
+  }
+
+  private forget({ index, state }: KeptFrame): void {
+    this.remove(index);
+    if (state !== "waiting") {
+      this.forgottenTop = Math.max(this.forgottenTop, index);
+    }
+  }
+}
+
+/** The memory of one session. */
+export class SessionMemory {
+  readonly frames: FrameBuffer;
+  readonly probes = new Map<string, Position>();
+  /** Points that were removed while no connection was open. */
+  readonly untracked = new Set<string>();
+  /** Forms of the stream's subscription. */
+  forms: readonly LightForm[] = [];
+  /** The app has deleted the session: it must not be opened again. */
+  deleted = false;
+
+  /** `request`: the options of a session that this client opened; null for one that it joined. */
+  constructor(
+    readonly request: SessionRequest | null,
+    buffer: BufferOptions | undefined,
+  ) {
+    this.frames = new FrameBuffer(buffer);
+  }
+
+  /** Whether a missing session may be opened again. */
+  get canReopen(): boolean {
+    return this.request !== null && !this.deleted;
+  }
+
+  track(name: string, position: Position): void {
+    this.probes.set(name, position);
+    this.untracked.delete(name);
+  }
+
+  untrack(name: string): void {
+    this.probes.delete(name);
+    this.untracked.add(name);
+  }
+
+  /** What the session's points lack or have too much: points to track, names to remove. */
+  probesToRestore({ probes }: SessionState): { track: [string, Position][]; untrack: string[] } {
+    const differs = ([name, position]: [string, Position]) =>
+      !probes[name] || position.some((value, axis) => value !== probes[name]![axis]);
+    const untrack = [...this.untracked].filter((name) => name in probes);
+    this.untracked.clear();
+    return { track: [...this.probes].filter(differs), untrack };
+  }
+}

@@ -1,0 +1,74 @@
+// How long a client waits before it connects again, and which failures are worth another attempt.
+
+import type { RoomLightError } from "./errors.js";
+
+/** When a client connects again. Half of each delay is random, so that phones do not return all at once. */
+export interface ReconnectOptions {
+  /** Attempts in a row without success; default 60, which is about eight minutes. */
+  attempts?: number;
+  /** Delay before the first attempt; it doubles from one attempt to the next. Default 0.25 s. */
+  firstDelay_s?: number;
+  /** Longest delay; default 10 s. */
+  maxDelay_s?: number;
+  /** Replaces `Math.random`. */
+  random?: () => number;
+  /** Replaces the timer. Rejects with the signal's reason once the signal is aborted. */
+  wait?: (seconds: number, signal?: AbortSignal) => Promise<void>;
+}
+
+/** The delays of one series of attempts. */
+export class Backoff {
+  private failed = 0;
+
+  constructor(private readonly options: ReconnectOptions | false = {}) {}
+
+  /** Attempts since the last success. */
+  get attempt(): number {
+    return this.failed;
+  }
+
+  /** Count a failure. The delay until the next attempt, or null if no attempt is left. */
+  next(): number | null {
+    const { attempts = 60, firstDelay_s = 0.25, maxDelay_s = 10, random = Math.random } = this.options || { attempts: 0 };
+    this.failed++;
+    if (this.failed > attempts) {
+      return null;
+    }
+    return Math.min(maxDelay_s, firstDelay_s * 2 ** Math.min(this.failed - 1, 60)) * (0.5 + 0.5 * random());
+  }
+
+  wait(seconds: number, signal?: AbortSignal): Promise<void> {
+    return ((this.options && this.options.wait) || delay)(seconds, signal);
+  }
+
+  /** Start again with the first delay. */
+  reset(): void {
+    this.failed = 0;
+  }
+}
+
+/** Whether the same request may succeed later: no answer, a busy server, a proxy without its server. */
+export function isTemporary({ status }: RoomLightError): boolean {
+  return status === 0 || status === 408 || status === 429 || status >= 500;
+}
+
+/** Whether the server no longer has the session: it expired, was deleted, or the server was started again. */
+export function isSessionGone({ kind }: RoomLightError): boolean {
+  return kind === "session-not-found" || kind === "session-closed";
+}
+
+/** Resolve after some seconds; reject with the signal's reason once it is aborted. */
+export function delay(seconds: number, signal: AbortSignal | undefined): Promise<void> {
+  return new Promise((resolve, reject) => {
+    signal?.throwIfAborted();
+    const stop = () => {
+      clearTimeout(timer);
+      reject(signal?.reason);
+    };
+    const timer = setTimeout(() => {
+      signal?.removeEventListener("abort", stop);
+      resolve();
+    }, seconds * 1000);
+    signal?.addEventListener("abort", stop, { once: true });
+  });
+}
