@@ -1,0 +1,83 @@
+"""Messages of uploaded recordings: `/v1/recordings`. A recording is a folder of files, or one `.r3d` file."""
+
+from typing import Annotated, Literal
+
+from pydantic import Field, StringConstraints
+
+from roomlight.wire.frame_header import WHOLE_NUMBER, FiniteNumber, WireModel
+from roomlight.wire.messages import Id, ModelName, Problem, WirePosition
+
+RecordingStatus = Literal["uploading", "ready", "playing", "finished", "failed"]
+RecordingId = Annotated[str, StringConstraints(pattern=r"^r-[0-9a-f]{16}$")]
+
+
+class RecordingRequest(WireModel):
+    """Announcement of an upload.
+
+    Attributes:
+        name: shown in lists, for example the name of the folder.
+        bytes: of all files together.
+        files: number of files.
+    """
+
+    name: Annotated[str, StringConstraints(min_length=1, max_length=200)]
+    bytes: Annotated[int, Field(ge=1), WHOLE_NUMBER]
+    files: Annotated[int, Field(ge=1), WHOLE_NUMBER]
+
+
+class Recording(WireModel):
+    """An uploaded recording and its replay.
+
+    Attributes:
+        bytes: announced.
+        received: bytes so far.
+        files: announced.
+        files_received: files that have begun.
+        status: uploading, then ready, playing, finished; failed: it cannot be read, see `problem`.
+        session: the session that it is played into.
+        frame: frames sent to the session so far.
+        frames: frames of the recording that are played; null before the first replay.
+        unreadable: frames that could not be read or used so far.
+        expires_in_s: it is deleted after this time without a request.
+    """
+
+    id: RecordingId
+    name: str
+    bytes: int
+    received: int
+    files: int
+    files_received: int
+    status: RecordingStatus
+    session: Id | None
+    frame: int
+    frames: int | None
+    unreadable: int
+    problem: Problem | None
+    expires_in_s: FiniteNumber
+
+
+class RecordingList(WireModel):
+    """The recordings of a token, the newest first, the bytes that they take or announced, and their limit."""
+
+    recordings: list[Recording]
+    bytes: int
+    limit_bytes: int
+
+
+class ReplayRequest(WireModel):
+    """Start of a replay into a new session, at the pace of the recording.
+
+    Attributes:
+        session: id of the session, which has no frame yet.
+        mode: the session's model.
+        height: rows of the session's panoramas.
+        fps: frames per second at most: every n-th frame is played. Null: 10 of a recording with timestamps, 3 of one
+            without.
+        probes: named probes; null: the probes of the recording, and `view` in front of the first camera.
+    """
+
+    session: Id
+    mode: ModelName = "auto"
+    height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
+    fps: Annotated[float, Field(ge=0.01, le=60, allow_inf_nan=False)] | None = None
+    probes: Annotated[dict[Id, WirePosition], Field(max_length=64)] | None = None
