@@ -5,10 +5,14 @@ threads enter a parallel region at once, as in a server.
 """
 
 import os
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Generator
 from concurrent.futures import ThreadPoolExecutor, wait
+from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
+
+_pauses = threading.local()
 
 
 def thread_count() -> int:
@@ -24,12 +28,29 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(thread_count(), thread_name_prefix="roomlight")
 
 
+@contextmanager
+def pausing(pause: Callable[[], object]) -> Generator[None]:
+    """Call `pause` on this thread before each parallel loop inside the context, so that long work can give way.
+
+    An exception of `pause` ends the work.
+    """
+    before = getattr(_pauses, "pause", None)
+    _pauses.pause = pause
+    try:
+        yield
+    finally:
+        _pauses.pause = before
+
+
 def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4) -> None:
     """Call `work(start, stop)` for pieces of range(count) on the pool; return when all have ended.
 
     More pieces than threads balance rays of unequal length. An exception in a piece is raised here after the other
     pieces have ended, so that none still writes to the caller's buffers.
     """
+    pause = getattr(_pauses, "pause", None)
+    if pause is not None:
+        pause()
     threads = thread_count()
     if threads == 1 or count < 2 * threads:
         work(0, count)

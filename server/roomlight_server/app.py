@@ -24,18 +24,24 @@ from roomlight_server import (
     light_forms,
     light_routes,
     object_routes,
+    page_routes,
+    pairing_routes,
     problems,
+    recording_routes,
+    room_routes,
     session_routes,
     stream,
 )
-from roomlight_server.auth import DOCS_ASSETS, AuthMiddleware, Tokens
+from roomlight_server.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
 from roomlight_server.bodies import BodyMiddleware
 from roomlight_server.byte_budget import ByteBudget
 from roomlight_server.connections import ConnectionGuard
 from roomlight_server.context import Context, ContextDep
 from roomlight_server.metrics import CONTENT_TYPE, Metrics
 from roomlight_server.object_store import ObjectStore
+from roomlight_server.recording_store import RecordingStore
 from roomlight_server.registry import Clock, Registry
+from roomlight_server.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
 
@@ -74,13 +80,14 @@ def create_app(
         when_ready: Called once when kernels are compiled and weights loaded.
     """
     metrics = Metrics()
-    workers = Workers(settings)
+    workers = Workers(settings, metrics)
     registry = Registry(settings, workers, metrics, clock)
     guard = ConnectionGuard(settings, metrics)
-    budget = ByteBudget(settings.max_pending_bytes, lambda: guard.unsent_bytes)
+    budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
     metrics.pending_bytes.set_function(lambda: budget.used)
     objects = ObjectStore(settings, metrics, clock)
-    context = Context(settings, metrics, workers, registry, guard, budget, objects)
+    recordings = RecordingStore(settings, registry, clock)
+    context = Context(settings, metrics, workers, registry, guard, budget, objects, recordings)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
@@ -91,11 +98,11 @@ def create_app(
         try:
             yield
         finally:
-            context.ready = False
-            registry.stopping = True
+            context.begin_stop()
             for task in tasks:
                 task.cancel()
             await asyncio.wait(tasks)
+            await recordings.close()
             registry.close()
             await asyncio.to_thread(workers.stop)
 
@@ -123,6 +130,10 @@ def create_app(
     app.include_router(object_routes.router)
     app.include_router(composite_routes.router)
     app.include_router(stream.router)
+    app.include_router(room_routes.router)
+    app.include_router(recording_routes.router)
+    app.include_router(page_routes.router)
+    app.include_router(pairing_routes.router)
     _add_health(app)
     app.add_middleware(
         BodyMiddleware,
@@ -135,21 +146,30 @@ def create_app(
         AuthMiddleware,
         tokens=Tokens(settings.tokens),
         origins=settings.allow_origins,
-        loopback=not settings.tokens,
+        hosts=settings.allow_hosts if settings.tokens else LOOPBACK_HOSTS,
         metrics=metrics,
         wrong_token_delay_s=settings.wrong_token_delay_s,
+        guard=guard,
     )
     if settings.allow_origins:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.allow_origins,
             allow_methods=["GET", "PUT", "POST", "DELETE"],
-            allow_headers=["Authorization", "Content-Type", "If-None-Match", "Prefer", "X-Session-Id"],
+            allow_headers=[
+                "Authorization",
+                "Content-Type",
+                "If-None-Match",
+                "Prefer",
+                "X-Session-Id",
+                REQUEST_ID_HEADER,
+            ],
             expose_headers=[
-                *("ETag", "Retry-After", light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER),
+                *("ETag", "Retry-After", REQUEST_ID_HEADER, light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER),
                 composite_routes.POSES_HEADER,
             ],
         )
+    app.add_middleware(RequestIdMiddleware)  # the outermost: answers of all others carry the id
     app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
     return app
 
@@ -162,7 +182,7 @@ async def _prepare(context: Context, when_ready: Callable[[], object] | None) ->
     """Load weights and compile kernels in the background; `/healthz` is answered meanwhile."""
     try:
         await context.workers.start()
-        await context.workers.run_in_decode_pool(light_forms.warm_up)
+        await context.workers.run_in_encode_pool(light_forms.warm_up)
     except RoomLightError as error:
         _log.error("server cannot become ready: %s", error)
     except Exception:
@@ -179,6 +199,7 @@ async def _expire(context: Context, *, every_s: float) -> None:
         await asyncio.sleep(every_s)
         context.registry.expire()
         context.objects.expire()
+        context.recordings.expire()
 
 
 def _add_health(app: FastAPI) -> None:
@@ -196,7 +217,7 @@ def _add_health(app: FastAPI) -> None:
     async def readyz(context: ContextDep, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
         """Return 200 once kernels are compiled and weights loaded."""
         response.status_code = 200 if context.ready else 503
-        return {"status": "ready" if context.ready else "loading"}
+        return {"status": "stopping" if context.registry.stopping else "ready" if context.ready else "loading"}
 
     @app.get("/metrics", tags=["server"], summary="Metrics for Prometheus", response_class=Response)
     async def metrics(context: ContextDep) -> Response:  # pyright: ignore[reportUnusedFunction]

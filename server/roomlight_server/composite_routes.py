@@ -50,7 +50,7 @@ _EXAMPLES: Final[dict[str, Any]] = {
     responses=_OK
     | documented(
         *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed", "object-not-found"),
-        *("no-frame", "invalid", "bad-place", "composite-running", "engine-failed", "server-busy"),
+        *("no-frame", "invalid", "bad-place", "composite-running", "owner-busy", "engine-failed", "server-busy"),
     ),
 )
 async def composite(
@@ -84,7 +84,7 @@ async def composite(
             detail = f"the composite could not be made: {type(error).__name__}"
             raise ProblemError("engine-failed", detail) from error
         context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
-        data = await context.workers.run_in_decode_pool(encode, made.picture, body.format)
+        data = await context.workers.run_in_encode_pool(encode, made.picture, body.format)
     poses = {name: [round(value, 6) for value in pose] for name, pose in made.poses.items()}
     headers = {FRAME_HEADER: str(latest.index), POSES_HEADER: json.dumps(poses, separators=(",", ":"))}
     return Response(data, media_type=MEDIA_TYPES[body.format], headers=headers)

@@ -19,6 +19,8 @@ from roomlight_server.problems import MEDIA_TYPE, ProblemError
 from roomlight_server.settings import ServerSettings
 
 _log = logging.getLogger("roomlight.server")
+TRANSPORT: Final = "transport"
+"""Key of a request's connection in the state of its scope."""
 LINGER_S: Final = 2.0
 """Time for which the rest of a refused request is read, so that the client receives the answer instead of a reset."""
 
@@ -47,12 +49,29 @@ class ConnectionGuard:
         self.settings, self._metrics = settings, metrics
         self._addresses: dict[Transport, str] = {}
         self._counts: Counter[str] = Counter()
+        self._owners: dict[Transport, str] = {}
+        self._transports_of: dict[str, set[Transport]] = {}
         metrics.connections.set_function(lambda: len(self._addresses))
 
-    @property
-    def unsent_bytes(self) -> int:
-        """Bytes of answers that clients have not received yet."""
-        return sum(transport.get_write_buffer_size() for transport in tuple(self._addresses))
+    def unsent_bytes(self, owner: str | None = None) -> int:
+        """Bytes of answers that clients of an owner, or all, have not received yet."""
+        transports = tuple(self._addresses) if owner is None else tuple(self._transports_of.get(owner, ()))
+        return sum(transport.get_write_buffer_size() for transport in transports)
+
+    def assign(self, transport: Transport, owner: str) -> None:
+        """Record the owner of the current request of a connection."""
+        before = self._owners.get(transport)
+        if before != owner and transport in self._addresses:
+            self._forget_owner(transport)
+            self._owners[transport] = owner
+            self._transports_of.setdefault(owner, set()).add(transport)
+
+    def _forget_owner(self, transport: Transport) -> None:
+        owner = self._owners.pop(transport, None)
+        if owner is not None:
+            self._transports_of[owner].discard(transport)
+            if not self._transports_of[owner]:
+                del self._transports_of[owner]
 
     def admit(self, transport: Transport, address: str) -> ProblemError | None:
         """Count a new connection, or return the reason to refuse it."""
@@ -69,6 +88,7 @@ class ConnectionGuard:
 
     def release(self, transport: Transport) -> None:
         """Remove a closed connection, if it was admitted."""
+        self._forget_owner(transport)
         address = self._addresses.pop(transport, None)
         if address is not None:
             self._counts[address] -= 1
@@ -174,6 +194,7 @@ class HttpProtocol(HttpToolsProtocol):
     def on_message_begin(self) -> None:
         """Begin a request."""
         super().on_message_begin()
+        self.scope["state"][TRANSPORT] = self.transport
         self._header_bytes = self._unparsed_bytes = self._discarded_bytes = 0
         self._follows_another = self._cycle is not None
         self._reading_headers = True
@@ -296,6 +317,12 @@ class StreamProtocol(WebSocketsSansIOProtocol):
         """Take over an admitted connection."""
         super().connection_made(transport)
         self._watch = _WriteWatch(self.transport, self._guard, self.client[0] if self.client else "")
+
+    async def run_asgi(self) -> None:
+        """Run the application with the connection in the scope's state."""
+        state: dict[str, Any] = self.scope.setdefault("state", {})
+        state[TRANSPORT] = self.transport
+        await super().run_asgi()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """Release the connection."""

@@ -12,6 +12,7 @@ from roomlight_server.connections import ConnectionGuard
 from roomlight_server.live_session import LiveSession
 from roomlight_server.metrics import Metrics
 from roomlight_server.object_store import ObjectStore
+from roomlight_server.recording_store import RecordingStore
 from roomlight_server.registry import Registry
 from roomlight_server.settings import ServerSettings
 from roomlight_server.workers import Workers
@@ -28,7 +29,15 @@ class Context:
     guard: ConnectionGuard
     budget: ByteBudget
     objects: ObjectStore
+    recordings: RecordingStore
     ready: bool = False
+    public_url: str | None = None
+
+    def begin_stop(self) -> None:
+        """Refuse new sessions and frames, and let paused work end; `/readyz` answers 503 from now on."""
+        self.ready = False
+        self.registry.stopping = True
+        self.workers.release_paused()
 
 
 _SCHEMA_PATTERN: Final = ID_PATTERN.removesuffix(r"\Z") + "$"  # JSON schema has no \Z

@@ -4,12 +4,14 @@ At most one frame waits; a newer frame replaces it. All methods run on the event
 """
 
 import asyncio
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameMessage
 from roomlight.wire.messages import FrameCounts, FrameResult
 from roomlight_server.problems import ProblemError
+from roomlight_server.request_context import request_id
 
 
 @dataclass
@@ -18,12 +20,14 @@ class Entry:
 
     A frame that replaced a waiting one is stored undecoded (`frame` is None), because on a busy server most of these
     are replaced too. A frame with neither `frame` nor `message` is skipped because of its tracking state.
+    `request_id` is that of the request or WebSocket that sent it.
     """
 
     index: int
     digest: bytes
     frame: Frame | None = None
     message: FrameMessage | None = None
+    request_id: str = field(default_factory=request_id.get)
     outcome: "asyncio.Future[FrameResult]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
 
     def settle(self, result: FrameResult) -> None:
@@ -41,7 +45,9 @@ class Entry:
 class FrameQueue:
     """Indices, counts and the waiting frame of one session."""
 
-    def __init__(self) -> None:
+    def __init__(self, counted: Callable[[str], object] = lambda _: None) -> None:
+        """Create an empty queue; `counted` is called with the status of each frame that is not processed."""
+        self._counted = counted
         self._last: Entry | None = None
         self._before_last: Entry | None = None
         self._waiting: Entry | None = None
@@ -72,10 +78,12 @@ class FrameQueue:
         self._last = entry
         if entry.frame is None and entry.message is None:
             self._counts["skipped"] += 1
+            self._counted("skipped")
             entry.settle(FrameResult(index=entry.index, status="skipped"))
             return
         if self._waiting is not None:
             self._counts["superseded"] += 1
+            self._counted("superseded")
             self._waiting.settle(FrameResult(index=self._waiting.index, status="superseded"))
             self._waiting.frame = self._waiting.message = None
         self._waiting = entry

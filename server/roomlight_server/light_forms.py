@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any, Final, get_args
@@ -38,6 +39,7 @@ MEDIA_TYPES: Final[dict[str, str]] = {
 }
 _WARM_FACE_SIZES: Final = (16, 32, 64)
 """Face widths that are prepared at the start: ARCore's, the default, and a usual one for reflections."""
+_SMALL_FACE: Final = 64
 _PIXEL_BYTES: Final = {"exr": 6, "hdr": 4, "png": 3, "npy": 12, "confidence": 1}
 _BASES: Final[dict[HarmonicsBasis, tuple[CoefficientOrder, Phase]]] = {
     "arcore": ("interleaved", "condon-shortley"),
@@ -92,17 +94,35 @@ def encode(light: Light, form: LightForm) -> LightPayload:
     return LightPayload(form, data=light.file(form.format, size=form.size, exposure_ev=form.exposure_ev))
 
 
-def encode_all(light: Light, forms: list[LightForm]) -> tuple[ProbeLight, list[bytes]]:
-    """Encode a light in several forms; return its entry in a response, and the data of its binary forms in order."""
-    payloads = [encode(light, form) for form in forms]
-    entry = ProbeLight(
+def encode_all(light: Light, forms: Sequence[LightForm]) -> list[LightPayload]:
+    """Encode a light in several forms."""
+    return [encode(light, form) for form in forms]
+
+
+def grouped_forms(forms: Sequence[LightForm]) -> list[list[LightForm]]:
+    """Return the forms in order, in groups that take up to 0.1 s together."""
+    groups: list[list[LightForm]] = []
+    for form in forms:
+        if not groups or _is_large(form) or _is_large(groups[-1][-1]):
+            groups.append([form])
+        else:
+            groups[-1].append(form)
+    return groups
+
+
+def _is_large(form: LightForm) -> bool:
+    return form.format in CUBE_FORMATS and (form.size or DEFAULT_SIZE) > _SMALL_FACE
+
+
+def entry_of(light: Light, payloads: Sequence[LightPayload]) -> ProbeLight:
+    """Return the entry of a light in a response."""
+    return ProbeLight(
         position=list(light.position),
         name=light.name,
         coverage=light.coverage,
         etag=light.etag or "",
         forms=[payload.entry() for payload in payloads],
     )
-    return entry, [payload.data for payload in payloads if payload.data is not None]
 
 
 def warm_up() -> None:

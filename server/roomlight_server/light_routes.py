@@ -22,7 +22,17 @@ from roomlight.wire.messages import (
     ProbeQuery,
 )
 from roomlight_server.context import ContextDep, ProbeName, ReservationDep, SessionDep
-from roomlight_server.light_forms import MEDIA_TYPES, encode, encode_all, http_etag, max_bytes
+from roomlight_server.disconnects import until_gone
+from roomlight_server.light_forms import (
+    MEDIA_TYPES,
+    LightPayload,
+    encode,
+    encode_all,
+    entry_of,
+    grouped_forms,
+    http_etag,
+    max_bytes,
+)
 from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import BODY_PROBLEMS, ProblemError, documented
 from roomlight_server.workers import Workers
@@ -75,7 +85,7 @@ _Ev = Annotated[float, Query(ge=-16, le=16, allow_inf_nan=False, description="pn
     "/probe",
     summary="Light at a point",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "engine-failed", "server-busy"),
+    responses=_ONE | documented(*_PROBLEMS, "owner-quota", "owner-busy", "engine-failed", "server-busy"),
 )
 async def probe(
     live: SessionDep,
@@ -97,14 +107,15 @@ async def probe(
     """
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
     held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
-    return await _answer_one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
+    answer = _answer_one(live, context.workers, request, ProbeQuery(position=[x, y, z]), form)
+    return await until_gone(request, answer)
 
 
 @router.get(
     "/probes/{name}",
     summary="Light at a named probe",
     response_class=Response,
-    responses=_ONE | documented(*_PROBLEMS, "probe-not-found", "server-busy"),
+    responses=_ONE | documented(*_PROBLEMS, "probe-not-found", "owner-busy", "server-busy"),
 )
 async def named_probe(
     live: SessionDep,
@@ -121,7 +132,7 @@ async def named_probe(
     """Return the light at a named probe. It is updated with every frame, so this is the best light, without delay."""
     form = _form(format=format, size=size, kind=kind, basis=basis, exposure_ev=exposure_ev)
     held.add(memory_of(live, 1, max_bytes(form, live.request.height)))
-    return await _answer_one(live, context.workers, request, ProbeQuery(name=name), form)
+    return await until_gone(request, _answer_one(live, context.workers, request, ProbeQuery(name=name), form))
 
 
 @router.put(
@@ -130,7 +141,7 @@ async def named_probe(
     responses={201: {"model": ProbeBody, "description": "A new probe is tracked"}}
     | documented(
         *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed"),
-        *("too-many-probes", "invalid", "engine-failed"),
+        *("too-many-probes", "owner-quota", "invalid", "engine-failed"),
     ),
 )
 async def put_probe(
@@ -163,7 +174,9 @@ async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     summary="Light at many points",
     response_model=LightResponse,
     responses={200: {"description": "The light in the order of the request", "content": {MEDIA_TYPE: {}}}}
-    | documented(*BODY_PROBLEMS, *_PROBLEMS, "probe-not-found", "engine-failed", "server-busy"),
+    | documented(
+        *(*BODY_PROBLEMS, *_PROBLEMS, "probe-not-found", "owner-quota", "owner-busy", "engine-failed", "server-busy")
+    ),
 )
 async def probes(
     live: SessionDep,
@@ -178,12 +191,16 @@ async def probes(
     check_size(size)
     held.add(memory_of(live, len(body.probes), size))
     with context.metrics.light_seconds.time():
-        lights = await live.lights(body.probes)
-        results, parts = await encode_lights(context.workers, lights, body.forms)
+        return await until_gone(request, _answer_many(live, context.workers, body, binary=binary))
+
+
+async def _answer_many(live: LiveSession, workers: Workers, body: LightRequest, *, binary: bool) -> Response:
+    lights = await live.lights(body.probes)
+    results, parts = await encode_lights(workers, lights, body.forms)
     response = LightResponse(frame=lights[0].frame, results=results)
     if binary:
         return Response(pack_light(response, parts), media_type=MEDIA_TYPE)
-    text = await context.workers.run_in_decode_pool(_to_json, response, parts)
+    text = await workers.run_in_encode_pool(_to_json, response, parts)
     return Response(text, media_type="application/json")
 
 
@@ -213,13 +230,19 @@ def memory_of(live: LiveSession, probes: int, size: int) -> int:
 async def encode_lights(
     workers: Workers, lights: list[Light], forms: list[LightForm]
 ) -> tuple[list[ProbeLight], list[bytes]]:
-    """Encode every light in every form; return the entries of a response, and the data of binary forms in order."""
+    """Encode every light in every form; return the entries of a response, and the data of binary forms in order.
+
+    Forms of large cube maps take up to a second each, so each waits for a thread of its own. All others of a light are
+    encoded in one turn.
+    """
     results: list[ProbeLight] = []
     parts: list[bytes] = []
     for light in lights:
-        result, data = await workers.run_in_decode_pool(encode_all, light, forms)
-        results.append(result)
-        parts += data
+        payloads: list[LightPayload] = []
+        for group in grouped_forms(forms):
+            payloads += await workers.run_in_encode_pool(encode_all, light, group)
+        results.append(entry_of(light, payloads))
+        parts += [payload.data for payload in payloads if payload.data is not None]
     return results, parts
 
 
@@ -234,15 +257,16 @@ async def _answer_one(
         COVERAGE_HEADER: f"{light.coverage:.4f}",
         FRAME_HEADER: str(light.frame),
     }
-    if _matches(request.headers.get("if-none-match", ""), etag):
+    if etag_matches(request.headers.get("if-none-match", ""), etag):
         return Response(status_code=304, headers=headers)
-    payload = await workers.run_in_decode_pool(encode, light, form)
+    payload = await workers.run_in_encode_pool(encode, light, form)
     if payload.data is not None:
         return Response(payload.data, media_type=MEDIA_TYPES[form.format], headers=headers)
     return JSONResponse((payload.values or {}) | {"coverage": light.coverage}, headers=headers)
 
 
-def _matches(if_none_match: str, etag: str) -> bool:
+def etag_matches(if_none_match: str, etag: str) -> bool:
+    """Return whether the header `If-None-Match` names an ETag."""
     known = [each.strip().removeprefix("W/") for each in if_none_match.split(",")]
     return etag in known or "*" in known
 

@@ -28,6 +28,7 @@ from roomlight_server.light_forms import default_panorama, digest_of_light
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError, convert_probe_errors
 from roomlight_server.quotas import Quotas
+from roomlight_server.request_context import request_id
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -88,7 +89,8 @@ class LiveSession:
         # _ingest_lock: frames enter the queue in the order of arrival, although parsing and decoding run on threads.
         self._ingest_lock = asyncio.Lock()
         self._frame_slots = asyncio.Semaphore(limits.frames_in_flight)
-        self._queue = FrameQueue()
+        self._in_flight = 0
+        self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc())
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
         self._named: dict[str, _NamedProbe] = {}
@@ -115,7 +117,11 @@ class LiveSession:
             detail = f"{limit} frames of this session are in flight; retry with a newer frame"
             raise ProblemError("session-full", detail, rule=f"at most {limit} frames in flight", retry_after_s=1)
         async with self._frame_slots:
-            yield
+            self._in_flight += 1
+            try:
+                yield
+            finally:
+                self._in_flight -= 1
 
     async def acquire_frame_slot(self) -> None:
         """Wait for a slot for a frame in flight; `release_frame_slot` frees it.
@@ -125,9 +131,11 @@ class LiveSession:
         """
         self.check_open()
         await self._frame_slots.acquire()
+        self._in_flight += 1
 
     def release_frame_slot(self) -> None:
         """Free the slot of a frame."""
+        self._in_flight -= 1
         self._frame_slots.release()
 
     async def accept(self, body: bytes, index: int | None) -> Entry:
@@ -177,7 +185,12 @@ class LiveSession:
         reference = self._reference or message.header.exposure
         least = self.request.min_confidence
         processes = self._workers.decode_processes
-        frame = await self._workers.run_in_decode_pool(decode_to_size, message, index, reference, least, processes)
+
+        def decode() -> Frame:
+            with self._metrics.decode_seconds.time():
+                return decode_to_size(message, index, reference, least, processes)
+
+        frame = await self._workers.run_in_decode_pool(decode)
         self._reference = reference
         return frame
 
@@ -197,6 +210,7 @@ class LiveSession:
                 self._workers.release_memory()  # of the frame that was being processed
 
     async def _push(self, entry: Entry) -> None:
+        request_id.set(entry.request_id)  # the task was started by an earlier frame
         engine, frame = self._engine, entry.frame
         if engine is None:
             return  # the session has ended, and the entry has its outcome
@@ -469,6 +483,11 @@ class LiveSession:
         return self._footprint.total(keyframes=keyframes, probes=probes, started=True) + (
             MAX_CACHED_LIGHTS * self.light_bytes + self._limits.frame.max_body_bytes + self._limits.history_bytes
         )
+
+    @property
+    def frames_in_flight(self) -> int:
+        """Frames that are being received, decoded or processed, or whose outcome is being sent."""
+        return self._in_flight + self._queue.counts().queued
 
     @property
     def probe_count(self) -> int:

@@ -10,12 +10,14 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from typing import Final
 
+from roomlight_server.request_context import request_id
+
 _STANDARD: Final = frozenset(logging.makeLogRecord({}).__dict__) | {"message", "asctime", "color_message", "taskName"}
 _native = logging.getLogger("roomlight.native")
 
 
 class JsonLines(logging.Formatter):
-    """Formats a record as one line of JSON: time, level, event, and the fields passed as `extra`."""
+    """Formats a record as one line of JSON: time, level, event, id of the request, and the fields passed as `extra`."""
 
     def format(self, record: logging.LogRecord) -> str:
         """Return one line; JSON escapes line breaks."""
@@ -25,6 +27,8 @@ class JsonLines(logging.Formatter):
             "level": record.levelname.lower(),
             "event": record.getMessage(),
         }
+        if request_id.get():
+            line["request"] = request_id.get()
         line |= {key: value for key, value in record.__dict__.items() if key not in _STANDARD}
         if record.exc_info:
             line["traceback"] = self.formatException(record.exc_info)

@@ -2,7 +2,7 @@
 
 from typing import Final
 
-from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, generate_latest
+from prometheus_client import CollectorRegistry, Counter, Gauge, Histogram, ProcessCollector, generate_latest
 from prometheus_client.exposition import CONTENT_TYPE_LATEST
 
 from roomlight.engine.session import FrameReport
@@ -16,6 +16,7 @@ class Metrics:
 
     def __init__(self) -> None:
         self.registry = registry = CollectorRegistry()
+        ProcessCollector(registry=registry)  # memory, CPU time and open files of the process, on Linux
         self.sessions = Gauge("roomlight_sessions", "Open sessions.", registry=registry)
         self.session_bytes = Gauge("roomlight_session_bytes", "Memory of all sessions.", registry=registry)
         self.sessions_ended = Counter(
@@ -57,6 +58,30 @@ class Metrics:
             ["method", "route", "status"],
             buckets=_SECONDS,
             registry=registry,
+        )
+        self.queued = Gauge("roomlight_queued_jobs", "Jobs waiting for a thread, by pool.", ["pool"], registry=registry)
+        self.queue_seconds = Histogram(
+            "roomlight_queue_seconds",
+            "Waiting time for a thread, by pool.",
+            ["pool"],
+            buckets=_SECONDS,
+            registry=registry,
+        )
+        self.decode_seconds = Histogram(
+            "roomlight_decode_seconds",
+            "Time to decode a frame, without its waiting.",
+            buckets=_SECONDS,
+            registry=registry,
+        )
+        self.problems = Counter("roomlight_problems", "Problems sent to clients, by kind.", ["kind"], registry=registry)
+        self.messages = Counter(
+            "roomlight_stream_messages",
+            "WebSocket messages, by direction and type.",
+            ["direction", "type"],
+            registry=registry,
+        )
+        self.abandoned = Counter(
+            "roomlight_requests_abandoned", "Requests whose client was gone before the answer.", registry=registry
         )
         self.connections = Gauge("roomlight_connections", "Open connections.", registry=registry)
         self.pending_bytes = Gauge(

@@ -14,6 +14,7 @@ from starlette.exceptions import HTTPException
 from roomlight.errors import ProbeError, WireError
 from roomlight.wire.frame_message import rule_text
 from roomlight.wire.messages import Problem
+from roomlight_server.request_context import REQUEST_ID_HEADER, request_id
 
 _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
@@ -170,7 +171,9 @@ async def on_disconnect(request: Request, error: Exception) -> Response:
 async def on_error(request: Request, error: Exception) -> JSONResponse:
     """Handle any other exception: its details go to the log, not to the client."""
     del error
-    return _answered(request, ProblemError("internal", INTERNAL_DETAIL))
+    response = _answered(request, ProblemError("internal", INTERNAL_DETAIL))
+    response.headers[REQUEST_ID_HEADER] = request_id.get()  # Starlette answers outside of all middleware
+    return response
 
 
 def documented(*kinds: str) -> dict[int | str, dict[str, Any]]:

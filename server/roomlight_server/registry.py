@@ -68,6 +68,7 @@ class Registry:
         if existing is not None:
             return self._reopen(existing, request), False
         self._check_capacity()
+        self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
         base = self._workers.base_options
         options = replace(
             base,
@@ -132,6 +133,11 @@ class Registry:
             live.close()
             self._record_end(name, "deleted")
 
+    @property
+    def frames_in_flight(self) -> int:
+        """Frames that are being received, decoded or processed, or whose outcome is being sent."""
+        return sum(live.frames_in_flight for live in self._sessions.values())
+
     def expire(self) -> None:
         """End all sessions that are idle for too long."""
         limit = self._clock() - self._settings.idle_expiry_s
@@ -162,8 +168,7 @@ class Registry:
         return live
 
     def _check_capacity(self) -> None:
-        if self.stopping:
-            raise ProblemError("stopping", "the server is stopping", retry_after_s=5)
+        self.check_not_stopping()
         limit = self._settings.max_sessions
         if len(self._sessions) < limit:
             return
@@ -173,6 +178,11 @@ class Registry:
             rule=f"at most {limit} sessions",
             retry_after_s=self._expected_wait_s(),
         )
+
+    def check_not_stopping(self) -> None:
+        """Check that new sessions and frames are accepted. Raises ProblemError if the server is stopping (503)."""
+        if self.stopping:
+            raise ProblemError("stopping", "the server is stopping; connect again in a few seconds", retry_after_s=5)
 
     def _sessions_of(self, owner: str) -> list[LiveSession]:
         return [live for (each, _), live in self._sessions.items() if each == owner]

@@ -1,12 +1,15 @@
 """Running a server: uvicorn, its options, a graceful stop."""
 
+import asyncio
 import gc
 import logging
 import os
+import signal
 import socket
 import sys
 from collections.abc import Callable
-from typing import Final
+from contextlib import ExitStack
+from typing import Any, Final
 
 import uvicorn
 from fastapi import FastAPI
@@ -19,8 +22,11 @@ from roomlight_server.logs import configure_logging, native_lines_logged
 from roomlight_server.settings import ServerSettings
 
 _log = logging.getLogger("roomlight.server")
-GRACE_S: Final = 20
-"""Time to finish running requests when the server stops; a frame takes a tenth of a second."""
+STOP_S: Final = 10.0
+"""Time after SIGTERM by which the process has ended: frames in progress have 5 of it, open answers 1, threads 3."""
+DRAIN_LIMIT_S: Final = 5.0
+GRACE_S: Final = 1
+"""Time to finish answers after the listening socket is closed."""
 KEEP_ALIVE_S: Final = 75
 """Time that an idle connection is kept open, so that a phone that pauses need not reconnect."""
 SWITCH_S: Final = 0.001
@@ -29,9 +35,32 @@ SWITCH_S: Final = 0.001
 frame stays the same."""
 
 
+class GracefulServer(uvicorn.Server):
+    """A uvicorn server that stops in steps.
+
+    First `/readyz` answers 503, so that a load balancer sends no more; new sessions and frames are refused, and those
+    in progress are finished. Then it stops listening, and sessions are saved if the server keeps them.
+    """
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        """Stop; at most `STOP_S`."""
+        app: Any = self.config.app
+        context: Context = app.state.context
+        context.begin_stop()
+        _log.info("stopping")
+        loop = asyncio.get_running_loop()
+        began_s = loop.time()
+        notice_s = context.settings.drain_s if signal.SIGTERM in self._captured_signals else 0.0
+        while loop.time() - began_s < notice_s or context.registry.frames_in_flight:
+            if loop.time() - began_s >= max(notice_s, DRAIN_LIMIT_S) or self.force_exit:
+                break
+            await asyncio.sleep(0.02)
+        await super().shutdown(sockets)
+
+
 def make_server(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
     """Return a uvicorn server that is not started yet."""
-    return uvicorn.Server(
+    return GracefulServer(
         uvicorn.Config(
             app,
             host=settings.host.strip("[]"),
@@ -44,6 +73,8 @@ def make_server(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
             ws_max_queue=settings.frames_in_flight,
             ws_per_message_deflate=False,  # 6.9 MB on the wire became 3.8 GB; frames are compressed already
             server_header=False,
+            ssl_certfile=settings.tls_cert,
+            ssl_keyfile=settings.tls_key,
             timeout_keep_alive=KEEP_ALIVE_S,
             timeout_graceful_shutdown=GRACE_S,
         )
@@ -77,6 +108,14 @@ def listen(settings: ServerSettings) -> socket.socket:
     return bound
 
 
+def _listen_locally(settings: ServerSettings, bound: socket.socket) -> list[socket.socket]:
+    """Return a socket on loopback, with the port of `bound`, of a server on the local network."""
+    if not settings.on_lan or settings.is_loopback:
+        return []
+    port = bound.getsockname()[1]
+    return [listen(settings.model_copy(update={"host": "127.0.0.1", "port": port}))]
+
+
 def freeze_garbage_collector() -> None:
     """Exclude permanent objects (kernels, models, routes) from garbage collection.
 
@@ -89,7 +128,8 @@ def freeze_garbage_collector() -> None:
 def address_of(settings: ServerSettings, bound: socket.socket) -> str:
     """Return the URL of the server for clients on this machine."""
     host = settings.host.strip("[]")
-    return f"http://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
+    scheme = "http" if settings.tls_cert is None else "https"
+    return f"{scheme}://{f'[{host}]' if ':' in host else host}:{bound.getsockname()[1]}"
 
 
 def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> None:
@@ -112,8 +152,12 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
         if "*" in settings.allow_origins and not settings.tokens:
             _log.warning("allow_origins is * and there is no token: any web page on this machine can use the server")
         try:
-            with listen(settings) as bound:
-                listening(address_of(settings, bound))
-                make_server(settings, app).run(sockets=[bound])
+            with ExitStack() as sockets:
+                bound = sockets.enter_context(listen(settings))
+                local = [sockets.enter_context(each) for each in _listen_locally(settings, bound)]
+                address = address_of(settings, bound)
+                context.public_url = settings.public_url or (address if settings.on_lan else None)
+                listening(address)
+                make_server(settings, app).run(sockets=[bound, *local])
         finally:
             context.workers.decode_processes.stop()  # also if it cannot listen

@@ -9,6 +9,8 @@ from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.messages import FrameResult, SessionRequest, SessionState
 from roomlight_server.bodies import read_frame
 from roomlight_server.context import ContextDep, OwnerDep, ReservationDep, SessionDep, SessionId
+from roomlight_server.disconnects import until_gone
+from roomlight_server.frame_queue import Entry
 from roomlight_server.problems import BODY_PROBLEMS, documented
 
 FRAME_MEDIA_TYPE: Final = "application/vnd.roomlight.frame"
@@ -71,7 +73,14 @@ _PROCESSED: Final[dict[str, Any]] = {
     response_model=SessionState,
     responses={201: {"model": SessionState, "description": "A new session is open"}}
     | documented(
-        *BODY_PROBLEMS, "unauthorized", "session-conflict", "model-not-here", "invalid", "server-full", "stopping"
+        *BODY_PROBLEMS,
+        "unauthorized",
+        "session-conflict",
+        "model-not-here",
+        "invalid",
+        "owner-quota",
+        "server-full",
+        "stopping",
     ),
 )
 async def open_session(
@@ -132,11 +141,12 @@ async def delete_session(session_id: SessionId, context: ContextDep, owner: Owne
     }
     | documented(
         *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "frame-conflict", "session-failed", "session-closed"),
-        *("bad-frame", "invalid", "session-full", "engine-failed", "server-busy"),
+        *("bad-frame", "invalid", "session-full", "owner-busy", "engine-failed", "server-busy", "stopping"),
     ),
 )
 async def put_frame(
     live: SessionDep,
+    context: ContextDep,
     held: ReservationDep,
     index: Annotated[int, Path(ge=0, le=MAX_INDEX)],
     request: Request,
@@ -148,9 +158,14 @@ async def put_frame(
     Repeating the last index with the same bytes is a replay (200). An older index, or the last one with other bytes, is
     a conflict (409). Indices may leave gaps.
     """
+    context.registry.check_not_stopping()
     async with live.frame_slot():
-        entry = await live.accept(await read_frame(request, held), index)
+        entry = await until_gone(request, live.accept(await read_frame(request, held), index))
         if "respond-async" in prefer.lower() and not entry.outcome.done():
             response.status_code = 202
             return FrameResult(index=index, status="queued")
-        return await asyncio.shield(entry.outcome)
+        return await until_gone(request, _outcome(entry))
+
+
+async def _outcome(entry: Entry) -> FrameResult:
+    return await asyncio.shield(entry.outcome)  # the frame is processed, whether or not its client waits

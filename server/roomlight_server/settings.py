@@ -16,11 +16,12 @@ from roomlight.engine.providers import Provider
 from roomlight.engine.session import ModelName
 from roomlight.errors import ServerError
 from roomlight.wire.frame_message import FrameLimits, rule_text
+from roomlight_server.tls import check_certificate
 
 PREFIX: Final = "ROOMLIGHT_"
 OTHER_VARIABLES: Final = ("ROOMLIGHT_THREADS", "ROOMLIGHT_FURNITURE", "ROOMLIGHT_TOKEN", "ROOMLIGHT_SERVER")
 """Variables with the same prefix that belong to the engine, the generator and clients."""
-_LISTS: Final = ("tokens", "allow_origins")
+_LISTS: Final = ("tokens", "allow_origins", "allow_hosts")
 
 WordList = Annotated[tuple[str, ...], NoDecode]
 """Words separated by spaces or commas in the environment, instead of JSON."""
@@ -33,6 +34,12 @@ class ServerSettings(BaseSettings):
         tokens: Bearer tokens. A session belongs to the token that opened it. Without tokens: loopback only.
         token_file: File with more tokens, one per line; `#` starts a comment.
         allow_origins: Web origins whose pages may use the server (CORS and WebSocket), or `*`.
+        allow_hosts: Names and addresses that the header `Host` may have; empty allows all. Without a token they are
+            those of loopback.
+        tls_cert: Certificate chain in PEM; the server then speaks HTTPS.
+        tls_key: Private key of the certificate in PEM.
+        public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
+        on_lan: The host is the address by which phones reach the server; listen on loopback besides.
         model: Meaning of `mode: auto`.
         weights: Folder or file of trained weights; see `roomlight.engine`.
         provider: Where networks run.
@@ -73,6 +80,12 @@ class ServerSettings(BaseSettings):
             several tokens.
         drain_s: Time after SIGTERM in which `/readyz` answers 503 and connections are still accepted.
         history_bytes: Memory of a session's history: pictures and light of its processed frames. 0 keeps none.
+        max_recording_bytes: Largest uploaded recording.
+        max_owner_recording_bytes: Uploaded recordings of one token, as announced.
+        max_all_recording_bytes: Uploaded recordings of all tokens, as announced.
+        recording_expiry_s: A recording that is not used for this time is deleted.
+        recordings_folder: Folder in which uploads are stored until they are deleted. Default: the system's for
+            temporary files.
     """
 
     model_config = SettingsConfigDict(frozen=True, extra="forbid", env_prefix=PREFIX)
@@ -82,6 +95,11 @@ class ServerSettings(BaseSettings):
     tokens: WordList = ()
     token_file: Path | None = None
     allow_origins: WordList = ()
+    allow_hosts: WordList = ()
+    tls_cert: Path | None = None
+    tls_key: Path | None = None
+    public_url: str | None = None
+    on_lan: bool = False
     model: ModelName = "auto"
     weights: Path | None = None
     provider: Provider = "auto"
@@ -123,6 +141,11 @@ class ServerSettings(BaseSettings):
     max_owner_pending_bytes: Annotated[int | None, Field(ge=2**26)] = None
     drain_s: Annotated[float, Field(ge=0, le=60)] = 1.0
     history_bytes: Annotated[int, Field(ge=0, le=2**30)] = 16 * 2**20
+    max_recording_bytes: Annotated[int, Field(ge=2**10)] = 2**30
+    max_owner_recording_bytes: Annotated[int, Field(ge=2**10)] = 2**31
+    max_all_recording_bytes: Annotated[int, Field(ge=2**10)] = 2**32
+    recording_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 3600.0
+    recordings_folder: Path | None = None
 
     @model_validator(mode="before")
     @classmethod
@@ -192,7 +215,7 @@ def load_settings(**options: Any) -> ServerSettings:
 
     Raises:
         ServerError: A value is invalid, an environment variable `ROOMLIGHT_*` is unknown, the token file cannot be
-            read, or the address is not loopback and there is no token.
+            read, the certificate cannot be used, or the address is not loopback and there is no token.
     """
     _check_variables()
     given = {name: value for name, value in options.items() if value not in (None, ())}
@@ -205,6 +228,10 @@ def load_settings(**options: Any) -> ServerSettings:
             f"host {settings.host} can be reached from other machines, but there is no token: anyone could use the "
             f"server and see the room; set {PREFIX}TOKENS or --token-file, or use the host 127.0.0.1"
         )
+    if settings.tls_cert is not None:
+        check_certificate(settings.tls_cert, settings.tls_key)
+    elif settings.tls_key is not None:
+        raise ServerError(f"tls_key: {settings.tls_key} needs a certificate; set {PREFIX}TLS_CERT or --tls-cert too")
     return settings
 
 

@@ -13,6 +13,7 @@ from typing import Final, NoReturn
 
 from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from pydantic import TypeAdapter, ValidationError
+from starlette.types import Message
 
 from roomlight.wire.frame_message import stated_index, to_wire_error
 from roomlight.wire.light_message import pack_light
@@ -29,7 +30,6 @@ from roomlight.wire.messages import (
     ProblemEvent,
     Subscribe,
     Track,
-    WireModel,
     is_id,
 )
 from roomlight_server.auth import SUBPROTOCOL
@@ -42,6 +42,7 @@ from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
 _log = logging.getLogger("roomlight.server")
 router = APIRouter()
 _MESSAGES: Final[TypeAdapter[ClientMessage]] = TypeAdapter(ClientMessage)
+_Answer = FrameEvent | LightAnswer | LightingUpdate | ProbesEvent | ProblemEvent
 _CLOSE_CODES: Final = {"session-not-found": 4404, "invalid": 4422}
 """Close codes: 4000 + the HTTP status of the problem."""
 _SESSION_ENDED: Final = 4410
@@ -82,24 +83,32 @@ class _Connection:
         self._send_lock = asyncio.Lock()  # one message at a time; never held together with a lock of the session
         self._tasks = asyncio.TaskGroup()
         self._frame_tasks: set[asyncio.Task[None]] = set()
+        self._received: asyncio.Queue[Message] = asyncio.Queue(maxsize=1)
 
     async def run(self) -> None:
         """Run until the client disconnects or the session ends; then all tasks have ended."""
         remove_listener = self._live.listen(self._update_due.set)
         try:
             async with self._tasks:
-                self._tasks.create_task(self._read_messages())
+                self._tasks.create_task(self._receive_messages())
+                self._tasks.create_task(self._handle_messages())
                 self._tasks.create_task(self._send_updates())
         except* _ConnectionEndedError:
             pass
         finally:
             remove_listener()
 
-    async def _read_messages(self) -> None:
+    async def _receive_messages(self) -> None:
+        """Read one message ahead, so that a disconnect cancels the message that is being handled."""
         while True:
             message = await self._websocket.receive()
             if message["type"] == "websocket.disconnect":
                 raise _ConnectionEndedError
+            await self._received.put(message)
+
+    async def _handle_messages(self) -> None:
+        while True:
+            message = await self._received.get()
             data, text = message.get("bytes"), message.get("text")
             async with self._answering_errors(frame=data):
                 with self._context.registry.use(self._owner, self._live.name) as live:
@@ -131,11 +140,14 @@ class _Connection:
             problem = ProblemError("internal", INTERNAL_DETAIL)
         else:
             return
+        self._context.metrics.problems.labels(problem.kind).inc()
         index = None if frame is None else stated_index(frame)
         await self._send(ProblemEvent(problem=problem.problem, index=index, request=request))
 
     async def _start_frame(self, data: bytes) -> None:
         """Start the task of a frame. Waiting here for a free slot stops the reading of further messages."""
+        self._count("received", "frame")
+        self._context.registry.check_not_stopping()
         limit = self._context.settings.max_body_bytes
         if len(data) > limit:
             raise ProblemError("too-large", f"the frame has {len(data)} bytes", rule=f"at most {limit} bytes")
@@ -167,6 +179,7 @@ class _Connection:
             message = _MESSAGES.validate_json(text)
         except ValidationError as error:
             raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
+        self._count("received", message.type)
         if isinstance(message, LightCall):
             async with self._answering_errors(request=message.request):
                 with self._context.budget.reservation() as held:
@@ -231,14 +244,18 @@ class _Connection:
         except ProblemError:
             return  # a probe was deleted, the memory budget is used up, or the session has ended: the next event
 
-    async def _send(self, message: WireModel, parts: Sequence[bytes] = ()) -> None:
+    async def _send(self, message: _Answer, parts: Sequence[bytes] = ()) -> None:
         """Send a message as text, or as binary if it has data, and wait until the client accepts it."""
+        self._count("sent", message.type)
         async with self._send_lock:
             with _ending_when_closed():
                 if parts and isinstance(message, LightAnswer | LightingUpdate):
                     await self._websocket.send_bytes(pack_light(message, parts))
                 else:
                     await self._websocket.send_text(message.model_dump_json(exclude_none=True))
+
+    def _count(self, direction: str, kind: str) -> None:
+        self._context.metrics.messages.labels(direction, kind).inc()
 
     async def _close(self, code: int, reason: str) -> NoReturn:
         with _ending_when_closed():

@@ -1,40 +1,68 @@
-"""Thread pools of a server: for the engine, for composites, for decoding and encoding. The event loop awaits them.
+"""Thread pools of a server: for the engine, for composites, for decoding, for encoding. The event loop awaits them.
 
-The event loop assigns engine threads to sessions in the order of their requests, and only when a thread is free: a
-session then chooses its newest frame as late as possible.
+The threads of each pool are shared by time between owners and sessions (`fair_share`). A session waits for an engine
+thread before it chooses its frame, so that it chooses the newest one as late as possible.
 """
 
 import asyncio
+import threading
+import time
 from collections.abc import AsyncGenerator, Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, suppress
+from contextvars import ContextVar, copy_context
 from dataclasses import replace
-from typing import ParamSpec, TypeVar
+from functools import partial
+from typing import Final, ParamSpec, TypeVar
 
 from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.memory import release_free_memory
 from roomlight.engine.session import ModelName, SessionOptions, choose_graphs, warm_up
+from roomlight.threads import pausing
 from roomlight_server.decode_processes import DecodeProcesses
+from roomlight_server.fair_share import MAX_PAUSED, FairShare, Turn
+from roomlight_server.metrics import Metrics
 from roomlight_server.settings import ServerSettings
 
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
+_engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
+STOP_S: Final = 3.0
+"""Time for running work to end when the server stops."""
 
 
 class Workers:
     """The thread pools, and the network graphs that sessions share."""
 
-    def __init__(self, settings: ServerSettings) -> None:
+    def __init__(self, settings: ServerSettings, metrics: Metrics) -> None:
         """Create the pools; threads start when they are first used."""
-        self._engine = ThreadPoolExecutor(settings.engine_threads, thread_name_prefix="engine")
-        self._decode = ThreadPoolExecutor(settings.decode_threads, thread_name_prefix="decode")
+        self._threads: list[threading.Thread] = []
+
+        def pool(name: str, threads: int) -> ThreadPoolExecutor:
+            note = partial(_note_thread, self._threads)
+            return ThreadPoolExecutor(threads, thread_name_prefix=name, initializer=note)
+
+        self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
+        self._decode = pool("decode", settings.decode_threads)
+        self._encode = pool("encode", settings.encode_threads)
+        self._composite = pool("composite", settings.composite_threads)
+
+        def share(pool: str, slots: int, slots_per_owner: int | None = None) -> FairShare:
+            waited = metrics.queue_seconds.labels(pool).observe
+            made = FairShare(slots, slots_per_owner=slots_per_owner, waited=waited)
+            metrics.queued.labels(pool).set_function(lambda: made.waiting)
+            return made
+
+        # one thread is left for other owners: a job of these pools is not paused, and may take seconds
+        several = len(settings.tokens) > 1
+        self._engine_share = share("engine", settings.engine_threads)
+        self._decode_share = share("decode", settings.decode_threads, _all_but_one(settings.decode_threads, several))
+        self._encode_share = share("encode", settings.encode_threads, _all_but_one(settings.encode_threads, several))
+        self._composite_share = share("composite", settings.composite_threads)
         self.decode_processes = DecodeProcesses(
             settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
         )
         self._decode_threads = settings.decode_threads
-        self._composite = ThreadPoolExecutor(settings.composite_threads, thread_name_prefix="composite")
-        self._composite_slots = asyncio.Semaphore(settings.composite_threads)
-        self._engine_slots = asyncio.Semaphore(settings.engine_threads)
         self._base = SessionOptions(
             model=settings.model,
             weights=settings.weights,
@@ -64,11 +92,18 @@ class Workers:
         await asyncio.get_running_loop().run_in_executor(self._engine, warm_up, graphs)
 
     def stop(self) -> None:
-        """Finish running work and drop work that has not started; images that are being decoded are dropped too."""
+        """Drop work that has not started, and wait up to `STOP_S` for the rest; images being decoded are dropped."""
         self.decode_processes.stop()
-        self._engine.shutdown(wait=True, cancel_futures=True)
-        self._composite.shutdown(wait=True, cancel_futures=True)
-        self._decode.shutdown(wait=True, cancel_futures=True)
+        deadline_s = time.monotonic() + STOP_S
+        pools = (self._engine, self._composite, self._decode, self._encode)
+        for pool in pools:
+            pool.shutdown(wait=False, cancel_futures=True)
+        for thread in self._threads:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+
+    def release_paused(self) -> None:
+        """Let paused work of the engine continue, so that it ends before the server stops."""
+        self._engine_share.close()
 
     @property
     def base_options(self) -> SessionOptions:
@@ -97,17 +132,28 @@ class Workers:
     @asynccontextmanager
     async def engine_slot(self) -> AsyncGenerator[None]:
         """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately."""
-        async with self._engine_slots:
-            yield
+        async with self._engine_share.slot() as turn:
+            token = _engine_turn.set(turn)
+            try:
+                yield
+            finally:
+                _engine_turn.reset(token)
 
     async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run on an engine thread; requires an `engine_slot`."""
-        return await _run_to_end(self._engine, lambda: work(*args, **kwargs))
+        """Run on an engine thread; requires an `engine_slot`. Long work is paused for other sessions."""
+        turn = _engine_turn.get()
+        return await _run_to_end(self._engine, lambda: _run_paused(turn, lambda: work(*args, **kwargs)))
+
+    async def read_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run work that changes nothing, as `run_in_engine_pool`; a cancelled caller ends it at its next pause."""
+        turn = _engine_turn.get()
+        run = partial(_run_paused, turn, lambda: work(*args, **kwargs))
+        return await _run_to_end(self._engine, run, cancelled=turn.abandon)
 
     @asynccontextmanager
     async def composite_slot(self) -> AsyncGenerator[None]:
         """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately."""
-        async with self._composite_slots:
+        async with self._composite_share.slot():
             yield
 
     async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
@@ -115,15 +161,45 @@ class Workers:
         return await _run_to_end(self._composite, lambda: work(*args, **kwargs))
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run on a decoding thread."""
-        return await _run_to_end(self._decode, lambda: work(*args, **kwargs))
+        """Wait for a decoding thread and run on it."""
+        async with self._decode_share.slot():
+            return await _run_to_end(self._decode, lambda: work(*args, **kwargs))
+
+    async def run_in_encode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Wait for an encoding thread and run on it."""
+        async with self._encode_share.slot():
+            return await _run_to_end(self._encode, lambda: work(*args, **kwargs))
 
 
-async def _run_to_end(pool: ThreadPoolExecutor, work: Callable[[], _R]) -> _R:
-    """Return the result. A cancelled caller still waits for the thread, because the work uses its session."""
-    future = asyncio.get_running_loop().run_in_executor(pool, work)
+def _note_thread(threads: list[threading.Thread]) -> None:
+    threads.append(threading.current_thread())
+
+
+def _run_paused(turn: Turn, work: Callable[[], _R]) -> _R:
+    with pausing(turn.pause):
+        return work()
+
+
+def _all_but_one(threads: int, several_owners: bool) -> int | None:
+    return max(1, threads - 1) if several_owners else None
+
+
+async def _run_to_end(
+    pool: ThreadPoolExecutor, work: Callable[[], _R], cancelled: Callable[[], object] | None = None
+) -> _R:
+    """Return the result. A cancelled caller still waits for the thread, because the work uses its session.
+
+    `cancelled` is called when the caller is cancelled.
+    """
+    future = asyncio.get_running_loop().run_in_executor(pool, copy_context().run, work)
     try:
         return await asyncio.shield(future)
     except asyncio.CancelledError:
-        await asyncio.wait([future])
+        if cancelled is not None:
+            cancelled()
+        while not future.done():
+            with suppress(asyncio.CancelledError):  # cancelled again
+                await asyncio.wait([future])
+        with suppress(asyncio.CancelledError):
+            future.exception()  # marks it as retrieved
         raise

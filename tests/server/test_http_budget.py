@@ -83,7 +83,10 @@ def test_unread_answers_are_bounded():
 
 
 def test_frames_in_flight_are_bounded(monkeypatch):
-    monkeypatch.setattr("roomlight_server.app.ByteBudget", lambda _, unsent_bytes: ByteBudget(1000, unsent_bytes))
+    def tiny_budget(_, unsent_bytes, owner_limit):
+        return ByteBudget(1000, unsent_bytes, owner_limit=owner_limit)
+
+    monkeypatch.setattr("roomlight_server.app.ByteBudget", tiny_budget)
     with RunningServer() as server:
         server.open()
         answer = server.push(0)

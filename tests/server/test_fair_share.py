@@ -1,0 +1,214 @@
+"""Sharing of slots by time, with a clock that the tests set."""
+
+import asyncio
+import threading
+
+import pytest
+
+from roomlight_server import fair_share
+from roomlight_server.fair_share import AbandonedError, FairShare
+from roomlight_server.request_context import Flow, current_flow
+
+
+class Clock:
+    """A clock that only `advance` moves."""
+
+    def __init__(self):
+        self.now_s = 0.0
+
+    def __call__(self):
+        return self.now_s
+
+    def advance(self, seconds):
+        self.now_s += seconds
+
+
+@pytest.fixture
+def clock():
+    return Clock()
+
+
+class Jobs:
+    """Jobs on a FairShare: `add` queues one, `run` lets queued jobs run to their end, each for its time."""
+
+    def __init__(self, share, clock):
+        self._share, self._clock = share, clock
+        self.order: list[str] = []
+        self.tasks: list[asyncio.Task[None]] = []
+
+    async def add(self, name, seconds, *, owner="a", session="s", gate=None):
+        async def job():
+            current_flow.set(Flow(owner, session))
+            async with self._share.slot():
+                self.order.append(name)
+                if gate is not None:
+                    await gate.wait()
+                self._clock.advance(seconds)
+
+        self.tasks.append(asyncio.create_task(job()))
+        await asyncio.sleep(0)
+        return self.tasks[-1]
+
+    async def run(self):
+        await asyncio.gather(*self.tasks)
+
+
+def test_the_owner_with_the_least_time_is_served(clock):
+    async def scenario():
+        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+        await jobs.add("a0", 1.0, gate=gate)
+        for number in range(1, 4):
+            await jobs.add(f"a{number}", 1.0)
+        for number in range(4):
+            await jobs.add(f"b{number}", 0.25, owner="b")
+        gate.set()
+        await jobs.run()
+        return jobs.order
+
+    order = asyncio.run(scenario())
+    assert order == ["a0", "b0", "b1", "b2", "b3", "a1", "a2", "a3"]
+
+
+def test_the_session_with_the_least_time_is_served(clock):
+    async def scenario():
+        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+        await jobs.add("large0", 1.0, session="large", gate=gate)
+        await jobs.add("large1", 1.0, session="large")
+        await jobs.add("small0", 0.1, session="small")
+        await jobs.add("small1", 0.1, session="small")
+        gate.set()
+        await jobs.run()
+        return jobs.order
+
+    assert asyncio.run(scenario()) == ["large0", "small0", "small1", "large1"]
+
+
+def test_an_idle_owner_saves_no_time_up(clock):
+    async def scenario():
+        jobs = Jobs(FairShare(1, clock=clock), clock)
+        for number in range(10):  # b is idle for ten seconds
+            await jobs.add(f"a{number}", 1.0)
+            await jobs.run()
+        jobs.order.clear()
+        gate = asyncio.Event()
+        await jobs.add("a", 1.0, gate=gate)
+        for number in range(4):
+            await jobs.add(f"b{number}", 1.0, owner="b")
+            await jobs.add(f"a{number}", 1.0)
+        gate.set()
+        await jobs.run()
+        return jobs.order
+
+    order = asyncio.run(scenario())
+    for end in range(1, len(order)):  # alternating, not all of b first
+        assert abs(sum(1 if name[0] == "a" else -1 for name in order[:end])) <= 2
+
+
+def test_one_slot_is_left_for_other_owners(clock):
+    async def scenario():
+        jobs, gate = Jobs(FairShare(2, slots_per_owner=1, clock=clock), clock), asyncio.Event()
+        for number in range(3):
+            await jobs.add(f"a{number}", 1.0, gate=gate)
+        await (await jobs.add("b", 1.0, owner="b"))
+        assert jobs.order == ["a0", "b"]
+        gate.set()
+        await jobs.run()
+
+    asyncio.run(scenario())
+
+
+def test_a_cancelled_job_leaves_the_queue(clock):
+    async def scenario():
+        share = FairShare(1, clock=clock)
+        jobs, gate = Jobs(share, clock), asyncio.Event()
+        await jobs.add("a", 1.0, gate=gate)
+        waiting = await jobs.add("b", 1.0)
+        running = jobs.tasks.pop(0)
+        jobs.tasks.clear()
+        assert share.waiting == 1
+        waiting.cancel()
+        await asyncio.wait([waiting])
+        assert share.waiting == 0
+        running.cancel()  # its slot is free again
+        await asyncio.wait([running])
+        await jobs.add("c", 1.0)
+        await jobs.run()
+        return jobs.order
+
+    assert asyncio.run(scenario()) == ["a", "c"]
+
+
+def test_a_slot_granted_to_a_cancelled_job_is_free_again(clock):
+    async def scenario():
+        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+        first = await jobs.add("a", 1.0, gate=gate)
+        second = await jobs.add("b", 1.0)
+        first.add_done_callback(lambda _: second.cancel())  # after the slot was granted, before the job runs
+        gate.set()
+        await asyncio.wait([first, second])
+        jobs.tasks.clear()
+        await jobs.add("c", 1.0)
+        await jobs.run()
+        return jobs.order
+
+    assert asyncio.run(scenario())[-1] == "c"
+
+
+async def paused_job(share, *, owner, steps, entered):
+    """Run a job on a thread that pauses until `steps` is set."""
+    current_flow.set(Flow(owner, "s"))
+    async with share.slot() as turn:
+
+        def work():
+            entered.set()
+            while not steps.is_set():
+                turn.pause()
+
+        try:
+            await asyncio.shield(asyncio.get_running_loop().run_in_executor(None, work))
+        except asyncio.CancelledError:
+            turn.abandon()
+            raise
+
+
+def test_a_long_job_gives_way_and_continues(monkeypatch):
+    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
+
+    async def scenario():
+        share, steps, entered = FairShare(1), threading.Event(), threading.Event()
+        long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
+        await asyncio.to_thread(entered.wait)
+        current_flow.set(Flow("b", "s"))
+        async with share.slot():  # not before the long job has given its slot up
+            assert not long.done()
+        steps.set()
+        await long
+
+    asyncio.run(scenario())
+
+
+def test_closing_lets_paused_jobs_finish(monkeypatch):
+    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
+
+    async def scenario():
+        share, steps, entered = FairShare(1), threading.Event(), threading.Event()
+        long = asyncio.create_task(paused_job(share, owner="a", steps=steps, entered=entered))
+        await asyncio.to_thread(entered.wait)
+        current_flow.set(Flow("b", "s"))
+        async with share.slot():
+            steps.set()
+            share.close()
+            await long
+
+    asyncio.run(scenario())
+
+
+def test_an_abandoned_job_ends_at_its_next_pause(clock):
+    async def scenario():
+        async with FairShare(1, clock=clock).slot() as turn:
+            turn.pause()
+            turn.abandon()
+            with pytest.raises(AbandonedError):
+                turn.pause()
+
+    asyncio.run(scenario())

@@ -1,0 +1,362 @@
+"""Fairness over real sockets: what one client does, or leaves behind, does not stop the others."""
+
+import json
+import socket
+import threading
+from typing import Any
+
+import pytest
+from websockets.sync.client import connect
+
+from http_servers import SMALL, InThread, RunningServer, frame
+from roomlight.engine.session import Session
+from roomlight.threads import parallel_for
+from roomlight.wire.light_message import MEDIA_TYPE
+from roomlight_server import fair_share, light_routes, live_session
+
+A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
+TALL = SMALL | {"height": 512}
+LATE = "/v1/sessions/room/probes"
+
+
+def late(count, *, form="sh", **form_options) -> dict[str, Any]:
+    return {
+        "probes": [{"position": [0.2, 1.2, -0.01 * number]} for number in range(count)],
+        "forms": [{"format": form} | form_options],
+    }
+
+
+def post(server, body, path=LATE, token=None):
+    """Send a POST on a new connection and return it without reading the answer."""
+    data = json.dumps(body)
+    access = "" if token is None else f"Authorization: Bearer {token}\r\n"
+    connection = socket.create_connection(("127.0.0.1", server.port), timeout=60)
+    connection.sendall(
+        f"POST {path} HTTP/1.1\r\nHost: localhost\r\n{access}Accept: {MEDIA_TYPE}\r\n"
+        f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
+    )
+    return connection
+
+
+def wait_until(server, condition):
+    """Wait on the server's event loop, one request after the other."""
+    for _ in range(100_000):
+        if condition():
+            return
+        assert server.call("GET", "/healthz").status == 200
+    raise AssertionError("the condition did not become true")
+
+
+class HeldLight:
+    """Replaces a function: calls of it wait for `gate`, and are counted."""
+
+    def __init__(self, work):
+        self._work = work
+        self.entered, self.gate = threading.Semaphore(0), threading.Semaphore(0)
+        self.calls = 0
+
+    def __get__(self, instance, owner=None):
+        return lambda *args, **kwargs: self(instance, *args, **kwargs)
+
+    def __call__(self, *args, **kwargs):
+        self.calls += 1
+        self.entered.release()
+        assert self.gate.acquire(timeout=60)
+        return self._work(*args, **kwargs)
+
+    def wait_entered(self):
+        assert self.entered.acquire(timeout=60)
+
+
+@pytest.fixture
+def held_light(monkeypatch):
+    held = HeldLight(Session.light_at)
+    monkeypatch.setattr(Session, "light_at", held)
+    yield held
+    held.gate.release(1000)
+
+
+def abandoned(server):
+    return server.app.state.context.metrics.abandoned._value.get()
+
+
+def idle(server):
+    """Whether no late probe is being computed or waiting."""
+    return not server.registry._quotas._late
+
+
+def test_the_rest_of_a_hung_up_post_is_not_computed(held_light):
+    """The 64 points of a client that is gone were all computed."""
+    with RunningServer() as server:
+        server.open()
+        server.push(0)
+        connection = post(server, late(64))
+        held_light.wait_entered()
+        connection.close()
+        wait_until(server, lambda: abandoned(server) == 1)
+        held_light.gate.release(64)
+        wait_until(server, lambda: idle(server))
+        assert held_light.calls == 1
+        assert server.push(1, frame(1)).json["status"] == "processed"
+
+
+def test_a_waiting_post_leaves_the_queue_when_it_hangs_up(held_light):
+    with RunningServer() as server:
+        server.open()
+        server.push(0)
+        first, second = post(server, late(1)), None
+        held_light.wait_entered()
+        second = post(server, late(64))
+        wait_until(server, lambda: server.registry._quotas._late.total() == 65)
+        second.close()
+        wait_until(server, lambda: server.registry._quotas._late.total() == 1)  # at once, without the engine
+        held_light.gate.release(1)
+        assert first.recv(12) == b"HTTP/1.1 200"
+        first.close()
+        assert held_light.calls == 1
+
+
+def test_a_closed_stream_cancels_its_light(held_light):
+    with RunningServer() as server:
+        server.open()
+        server.push(0)
+        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+            stream.send(json.dumps({"type": "light", "request": "r"} | late(64)))
+            held_light.wait_entered()
+            stream.socket.shutdown(socket.SHUT_RDWR)
+            streams = server.app.state.context.guard
+            wait_until(server, lambda: len(streams._addresses) == 1)  # the connection of this request
+        held_light.gate.release(64)
+        wait_until(server, lambda: idle(server))
+        assert held_light.calls == 1
+
+
+def test_late_probes_of_an_owner_are_bounded(held_light):
+    """Twenty posts of 64 points waited in the queue."""
+    with RunningServer(max_owner_late_probes=128) as server:
+        server.open()
+        server.push(0)
+        waiting = [post(server, late(64)) for _ in range(2)]
+        held_light.wait_entered()
+        wait_until(server, lambda: server.registry._quotas._late.total() == 128)
+        for _ in range(18):
+            refused = server.call("POST", LATE, late(64))
+            assert (refused.status, refused.kind, refused.headers["retry-after"]) == (429, "owner-quota", "1")
+            assert (refused.json["field"], "128 points" in refused.json["rule"]) == ("probes", True)
+        for connection in waiting:
+            connection.close()
+        held_light.gate.release(128)
+        wait_until(server, lambda: idle(server))
+        assert server.call("POST", LATE, late(64)).status == 200
+
+
+def one_piece(*_):
+    """A piece of a parallel loop."""
+
+
+def endless(running, ended):
+    """Return an engine call that computes until `ended` is set, as a late probe of 512 rows does for seconds."""
+
+    def light_at(self, position):
+        running.set()
+        while not ended.is_set():
+            parallel_for(one_piece, 1)
+        return compute(self, position)
+
+    compute = Session.light_at
+    return light_at
+
+
+@pytest.mark.parametrize("tokens", [(A, B), ()])
+def test_a_long_computation_is_paused_for_a_neighbour(tokens, monkeypatch):
+    """Engine threads were given by turns: a neighbour waited for whole requests of another client."""
+    hostile, neighbour = tokens or (None, None)
+    running, ended = threading.Event(), threading.Event()
+    monkeypatch.setattr(fair_share, "SLICE_S", 0.0)
+    monkeypatch.setattr(Session, "light_at", endless(running, ended))
+    with RunningServer(tokens=tokens) as server:
+        for name, token in (("room", hostile), ("home", neighbour)):
+            server.open(name, token=token)
+            server.push(0, name=name, token=token)
+        connection = post(server, late(1), token=hostile)
+        assert running.wait(60)
+        for index in range(1, 4):
+            answer = server.push(index, frame(index), name="home", token=neighbour)
+            assert answer.json["status"] == "processed"
+        ended.set()
+        assert connection.recv(12) == b"HTTP/1.1 200"
+        connection.close()
+
+
+def test_a_paused_computation_ends_when_its_client_is_gone(monkeypatch):
+    running, never = threading.Event(), threading.Event()
+    monkeypatch.setattr(Session, "light_at", endless(running, never))
+    with RunningServer() as server:
+        server.open()
+        server.push(0)
+        connection = post(server, late(1))
+        assert running.wait(60)
+        connection.close()
+        wait_until(server, lambda: idle(server))
+        assert server.push(1, frame(1)).json["status"] == "processed"
+
+
+def test_slow_decoding_of_one_owner_leaves_a_thread(monkeypatch):
+    """Two frames that took seconds to decode held the frames of all others."""
+    held, work = threading.Semaphore(0), live_session.decode_to_size
+    entered = threading.Semaphore(0)
+
+    def decode(message, index, *args, **kwargs):
+        if index >= 100:
+            entered.release()
+            assert held.acquire(timeout=60)
+        return work(message, index, *args, **kwargs)
+
+    monkeypatch.setattr(live_session, "decode_to_size", decode)
+    with RunningServer(tokens=(A, B), decode_threads=2) as server:
+        for number in range(3):
+            server.open(f"bomb{number}", token=A)
+        server.open(token=B)
+        bombs = [InThread(server.push, 100, name=f"bomb{number}", token=A) for number in range(3)]
+        assert entered.acquire(timeout=60)
+        for index in range(3):
+            assert server.push(index, frame(index), token=B).json["status"] == "processed"
+        held.release(3)
+        assert [bomb.result().status for bomb in bombs] == [200, 200, 200]
+
+
+def test_encoding_holds_neither_frames_nor_neighbours(monkeypatch):
+    """Forty answers of `specular` 256 held the threads that decode frames."""
+    held, entered, work = threading.Semaphore(0), threading.Semaphore(0), light_routes.encode_all
+
+    def encode(light, forms):
+        if forms[0].format == "specular":
+            entered.release()
+            assert held.acquire(timeout=60)
+        return work(light, forms)
+
+    monkeypatch.setattr(light_routes, "encode_all", encode)
+    with RunningServer(tokens=(A, B), encode_threads=2) as server:
+        for token in (A, B):
+            server.open(token=token)
+            server.push(0, token=token)
+        hostile = [post(server, late(1, form="specular", size=16), token=A) for _ in range(40)]
+        assert entered.acquire(timeout=60)
+        assert server.push(1, frame(1), token=A).json["status"] == "processed"
+        assert server.push(1, frame(1), token=B).json["status"] == "processed"
+        assert server.call("POST", LATE, late(1), token=B).status == 200
+        for connection in hostile:
+            connection.close()
+        held.release(40)
+
+
+def test_sessions_of_an_owner_are_bounded():
+    """One client opened all sessions of the server."""
+    with RunningServer(tokens=(A, B), max_sessions=4) as server:
+        answers = [server.call("PUT", f"/v1/sessions/s{number}", SMALL, token=A) for number in range(100)]
+        assert [answer.status for answer in answers[:2]] == [201, 201]
+        for answer in answers[2:]:
+            assert (answer.status, answer.kind, answer.json["field"]) == (429, "owner-quota", "session")
+            assert 1 <= int(answer.headers["retry-after"]) <= 60
+        assert [server.open(f"s{number}", token=B).status for number in range(2)] == [201, 201]
+        server.call("DELETE", "/v1/sessions/s0", token=A)
+        assert server.open("s9", token=A).status == 201
+
+
+def test_memory_of_an_owners_sessions_is_bounded():
+    with RunningServer(max_owner_session_bytes=2**30) as server:
+        opened = 0
+        while (answer := server.call("PUT", f"/v1/sessions/s{opened}", TALL)).status == 201:
+            opened += 1
+        assert (answer.status, answer.kind, answer.json["field"]) == (429, "owner-quota", "height")
+        assert sum(server.state(f"s{number}")["memory"]["bound_bytes"] for number in range(opened)) <= 2**30
+        assert 1 <= opened < 16
+        server.call("DELETE", "/v1/sessions/s0")
+        assert server.open("again", TALL).status == 201
+
+
+def track(server, number, session, token=None):
+    path = f"/v1/sessions/{session}/probes/p{number}"
+    return server.call("PUT", path, {"position": [0.0, 0.0, -1.0]}, token=token)
+
+
+def test_probes_of_an_owner_are_bounded():
+    with RunningServer(tokens=(A, B), max_owner_probes=3) as server:
+        for name, token in (("one", A), ("two", A), ("three", B)):
+            server.open(name, token=token)
+        statuses = [track(server, number, name, A).status for number in range(2) for name in ("one", "two")]
+        assert statuses == [201, 201, 201, 429]
+        refused = track(server, 7, "one", A)
+        assert (refused.kind, refused.json["field"], refused.headers["retry-after"]) == ("owner-quota", "name", "1")
+        assert track(server, 0, "one", A).status == 200  # an existing one
+        assert track(server, 0, "three", B).status == 201
+        server.call("DELETE", "/v1/sessions/one/probes/p0", token=A)
+        assert track(server, 7, "two", A).status == 201
+
+
+def test_rows_of_an_owners_probes_are_bounded():
+    """Sixteen probes of 512 rows in each session."""
+    with RunningServer(max_owner_rows=1200) as server:
+        server.open("tall", TALL)
+        server.open("small")
+        assert [track(server, number, "tall").status for number in range(3)] == [201, 201, 429]
+        assert [track(server, number, "small").status for number in range(11)] == [201] * 11
+        refused = track(server, 11, "small")
+        assert (refused.kind, "1200 rows" in refused.json["rule"]) == ("owner-quota", True)
+
+
+def test_unread_answers_of_one_owner_leave_memory_for_others():
+    """Unread answers of one client filled the memory budget of all."""
+    with RunningServer(tokens=(A, B), max_pending_bytes=2**28, max_owner_pending_bytes=2**26) as server:
+        for token in (A, B):
+            server.open(options=TALL, token=token)
+        unread = []
+        for _ in range(20):
+            connection = socket.socket()
+            connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            connection.connect(("127.0.0.1", server.port))
+            unread.append(connection)
+            data = json.dumps(late(2, form="npy"))
+            connection.sendall(
+                f"POST {LATE} HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer {A}\r\nAccept: {MEDIA_TYPE}\r\n"
+                f"Content-Type: application/json\r\nContent-Length: {len(data)}\r\n\r\n{data}".encode()
+            )
+        heads = [connection.recv(12) for connection in unread]
+        assert {b"HTTP/1.1 200", b"HTTP/1.1 429"} == set(heads)
+        assert server.app.state.context.budget.used <= 2**27
+        assert server.call("POST", LATE, late(2, form="npy"), token=B).status == 200
+        for connection in unread:
+            connection.close()
+
+
+def test_unread_messages_stop_the_reading_of_a_stream():
+    """15,000 messages whose answers nobody reads: the server stops reading, and others are served."""
+    with RunningServer(tokens=(A, B)) as server:
+        for token in (A, B):
+            server.open(token=token)
+        raw = socket.socket()
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4096)
+        raw.connect(("127.0.0.1", server.port))
+        access = {"Authorization": f"Bearer {A}"}
+        url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
+        message = json.dumps({"type": "light", "request": "r"} | late(4, form="npy"))
+        with connect(url, sock=raw, additional_headers=access, close_timeout=0) as stream:
+            raw.settimeout(None)
+            sent = threading.Thread(target=_send_all, args=(stream, message, 15_000), daemon=True)
+            sent.start()
+            guard = server.app.state.context.guard
+            wait_until(server, lambda: guard.unsent_bytes() > 0)
+            for index in range(3):
+                assert server.push(index, frame(index), token=B).json["status"] == "processed"
+            assert server.app.state.context.budget.used < 2**24
+            raw.shutdown(socket.SHUT_RDWR)
+            sent.join(60)
+
+
+def _send_all(stream, message, count):
+    try:
+        for _ in range(count):
+            stream.send(message)
+    except Exception:  # the connection is closed in the middle
+        return
