@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         RoomLightError,
         SceneError,
         ServerError,
+        StateError,
         UnknownFormatError,
         WireError,
     )
@@ -88,6 +89,7 @@ __all__ = [
     "Session",
     "SessionOptions",
     "SphericalHarmonics",
+    "StateError",
     "UnknownFormatError",
     "WireError",
     "__version__",

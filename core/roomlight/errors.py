@@ -11,6 +11,7 @@ RoomLightError
 ├── FurnitureError        a furniture library or its cache is unusable (names file and model)
 ├── ObjectError           a virtual object or its file cannot be used (names the file and the rule)
 ├── SceneError            a scene, a place or a motion of virtual objects is refused (names the field)
+├── StateError            a saved session is damaged, of another version or of other weights (names the file)
 ├── DatasetError          a dataset or one of its sequences cannot be read, continued or made
 ├── WireError             a message from the network is refused (names field, value and rule)
 ├── ServerError           a server cannot start with these settings (names the setting)
@@ -66,6 +67,10 @@ class ObjectError(RoomLightError):
 
 class SceneError(RoomLightError):
     """A scene of virtual objects, a place in it or a motion is refused; session and compositor are unchanged."""
+
+
+class StateError(RoomLightError):
+    """A saved session is damaged, or was made by another version, with other options or other weights."""
 
 
 class DatasetError(RoomLightError):

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,38 @@ def write_atomic(path: Path, data: bytes) -> None:
         with contextlib.suppress(OSError):  # the temporary file may not exist
             temporary.unlink()
         raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def write_durable(path: Path, data: bytes) -> None:
+    """Write bytes that survive a loss of power, readable by this user only (0600); otherwise as `write_atomic`.
+
+    The folder must exist.
+
+    Raises:
+        OutputError: the file cannot be written; a file that was there is unchanged.
+    """
+    temporary = path.with_name(f".{path.name}.part")
+    try:
+        temporary.unlink(missing_ok=True)
+        with os.fdopen(os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "wb") as file:
+            file.write(data)
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        with contextlib.suppress(OSError):  # the temporary file may not exist
+            temporary.unlink()
+        raise OutputError(f"{path}: cannot be written ({error.strerror or error})") from error
+
+
+def sync_folder(folder: Path) -> None:
+    """Write a folder's list of names to the disk."""
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:

@@ -30,6 +30,8 @@ FILL_UPDATE: Final = 0.5
 Against 1, on three path-traced rooms: smoothness 0.48 instead of 0.72 (1e-3) and log-L2 0.0709 instead of 0.0707
 with the classical model, 0.33 instead of 0.82 and 0.0676 instead of 0.0672 with the single-view networks."""
 
+Arrays = dict[str, np.ndarray]
+"""Arrays of a saved state, by name; shapes and types differ."""
 ProbeMemory = object
 """A backend's state of one probe (2D hidden states); opaque to the session."""
 
@@ -39,6 +41,8 @@ class Backend(Protocol):
     """One session's lighting model."""
 
     name: str
+    digest: str
+    """Identity of the networks' weights; empty without networks."""
     far: Far
     """What a ray gets where it leaves the volume (see `roomlight.engine.sglv`)."""
 
@@ -57,8 +61,24 @@ class Backend(Protocol):
         """
         ...
 
+    def save(self) -> Arrays:
+        """Return copies of the state between frames, after at least one frame."""
+        ...
+
+    def restore(self, grid: VolumeGrid, saved: Arrays) -> Sglv:
+        """Continue from a saved state instead of `start`; return the SGLV after its last frame."""
+        ...
+
     def new_probe(self) -> ProbeMemory:
         """Return the state of a probe that has observed nothing."""
+        ...
+
+    def save_probe(self, memory: ProbeMemory) -> Arrays:
+        """Return copies of the state of a probe."""
+        ...
+
+    def restore_probe(self, saved: Arrays) -> ProbeMemory:
+        """Return the state of a probe from a saved one."""
         ...
 
     def estimate(

@@ -9,7 +9,7 @@ Addition to the paper's conservative rule: a clipped observation is replaced by 
 radiance only falls and its lower bound only rises by this, so that no two frames replace each other in turn.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final
 
 import numpy as np
@@ -68,6 +68,10 @@ class PanoramaState:
             np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32),
             *(np.zeros(shape, np.float32) for _ in range(3)),
         )
+
+    def copy(self) -> "PanoramaState":
+        """Return a copy that later frames do not change."""
+        return PanoramaState(*(getattr(self, one.name).copy() for one in fields(self)))
 
     def is_closer(self, depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
         """Return where a surface is closer by `CLOSER_M` than the accumulated one: the conservative rule."""

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
-from roomlight.engine.backend import FILL_UPDATE, Estimate, ProbeMemory
+from roomlight.engine.backend import FILL_UPDATE, Arrays, Estimate, ProbeMemory
 from roomlight.engine.blend import PanoramaState, latest_detail
 from roomlight.engine.fill import at_most_white, push_pull
 from roomlight.engine.fusion import FusedVolume
@@ -52,6 +52,7 @@ class ClassicalBackend:
     """The classical model of one session; see the module docstring."""
 
     name = "classical"
+    digest = ""
     far: Far = "none"
 
     def __init__(self) -> None:
@@ -70,16 +71,38 @@ class ClassicalBackend:
 
     def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> Sglv:
         """Add the volume to the average: alpha over the frames that observed a voxel, colour weighted by alpha."""
+        self._fused.add(self._volume, clipping)
+        return self._mean(self._volume[3] > 0)
+
+    def _mean(self, touched: Bool[np.ndarray, "z y x"]) -> Sglv:
+        """Write the means into the SGLV; colour only where `touched`, because the rest has not changed."""
         fused = self._fused
-        fused.add(self._volume, clipping)
         np.divide(fused.opacity, fused.count, out=self._sglv.alpha, where=fused.count > 0)
-        touched = self._volume[3] > 0
         self._sglv.lobes[touched, :3] = fused.colour[touched] / fused.opacity[touched, None]
         return self._sglv
+
+    def save(self) -> Arrays:
+        """Return copies of the sums over frames; the SGLV follows from them."""
+        return self._fused.save()
+
+    def restore(self, grid: VolumeGrid, saved: Arrays) -> Sglv:
+        """Continue from saved sums."""
+        self.start(grid)
+        self._fused.restore(saved)
+        return self._mean(self._fused.opacity > 0)
 
     def new_probe(self) -> ProbeMemory:
         """Return the state of a probe besides its panorama."""
         return _Memory()
+
+    def save_probe(self, memory: ProbeMemory) -> Arrays:
+        """Return the number of frames of a probe."""
+        assert isinstance(memory, _Memory)
+        return {"frames": np.array(memory.frames)}
+
+    def restore_probe(self, saved: Arrays) -> ProbeMemory:
+        """Return the state of a probe from a saved one."""
+        return _Memory(int(saved["frames"]))
 
     def estimate(
         self,

@@ -67,6 +67,7 @@ class ClippingModel:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
+        self.digest = graph.digest
 
     def log_radiance(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "h w 3"]:
         """Estimate the logarithm of each pixel's radiance in units of the frame's white, if it is clipped.
@@ -105,9 +106,12 @@ def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model:
     if model is None:
         return restore_by_constants(frame, depth_m)
     white = white_of(frame)
-    estimate = np.exp(model.log_radiance(frame, depth_m)) * white
-    saturated = frame.clipped[..., None] & (frame.image >= np.float32(_SATURATED) * white)
-    image = np.where(saturated, np.maximum(estimate, frame.image), frame.image)
+    where = np.flatnonzero(frame.clipped)
+    measured = frame.image.reshape(-1, 3)[where]
+    estimate = np.exp(model.log_radiance(frame, depth_m).reshape(-1, 3)[where]) * np.float32(white)
+    saturated = measured >= np.float32(_SATURATED) * white
+    image = frame.image.copy()
+    image.reshape(-1, 3)[where] = np.where(saturated, np.maximum(estimate, measured), measured)
     return replace(frame, image=image, depth_m=depth_m)
 
 
@@ -141,8 +145,7 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     size = (place.width, place.height)
     white = white_of(frame) if frame.clipped.any() else 1.0
     heading = _heading(frame.camera_to_world)
-    completed = replace(frame, depth_m=depth_m)
-    normals = surface_normals(completed) @ heading
+    reduced = replace(frame, depth_m=cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
     rays = frame.intrinsics.resized(*size).rays()
     rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
     square = np.zeros((SIDE, SIDE, CHANNELS), np.float32)
@@ -151,8 +154,8 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     view[..., 3] = _area(frame.clipped.astype(np.float32), size)
     view[..., 4] = 1
     view[..., 5] = _area((frame.depth_m > 0).astype(np.float32), size)
-    view[..., 6] = np.log1p(cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
-    view[..., 7:10] = cv2.resize(np.ascontiguousarray(normals, np.float32), size, interpolation=cv2.INTER_LINEAR)
+    view[..., 6] = np.log1p(reduced.depth_m)
+    view[..., 7:10] = surface_normals(reduced) @ heading
     view[..., 10] = rays @ frame.camera_to_world[1, :3]
     return np.ascontiguousarray(np.moveaxis(square, -1, 0))
 

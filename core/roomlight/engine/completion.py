@@ -37,6 +37,7 @@ class CompletionModel:
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
+        self.digest = graph.digest
 
     def complete(
         self, panels: Float32[np.ndarray, "9 ph pw"], fill: Float[np.ndarray, "h w 3"], known: Float[np.ndarray, "h w"]
@@ -92,6 +93,7 @@ class CompletionBackend(ClassicalBackend):
     def __init__(self, model: CompletionModel) -> None:
         super().__init__()
         self._model = model
+        self.digest = model.digest
 
     def completed(
         self, observed: Observed, state: PanoramaState, partial: PartialPanorama

@@ -4,7 +4,7 @@ Clipped observations of a voxel are not averaged with better ones: of the sum so
 knows less takes the colour of the other (`roomlight.engine.blend.better_share`), whatever the order.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -33,6 +33,15 @@ class FusedVolume:
     def fresh(cls, shape: tuple[int, int, int]) -> "FusedVolume":
         """Return empty sums; `shape` is (z, y, x)."""
         return cls(*(np.zeros(size, np.float32) for size in ((*shape, 3), shape, shape, (2, *shape))))
+
+    def save(self) -> dict[str, np.ndarray]:
+        """Return copies of the sums, by name."""
+        return {one.name: getattr(self, one.name).copy() for one in fields(self)}
+
+    def restore(self, saved: dict[str, np.ndarray]) -> None:
+        """Take over saved sums."""
+        for one in fields(self):
+            getattr(self, one.name)[:] = saved[one.name]
 
     def add(self, volume: Float[np.ndarray, "5 z y x"], clipping: Float[np.ndarray, "2 z y x"] | None = None) -> None:
         """Add the initial volume of one more frame.

@@ -48,14 +48,16 @@ SHIPPED: Final = Path(__file__).parent / "weights"
 class Graph:
     """A loaded graph, run on fixed buffers."""
 
-    def __init__(self, session: ort.InferenceSession, name: str) -> None:
+    def __init__(self, session: ort.InferenceSession, name: str, digest: str = "") -> None:
         """Read the static shapes of inputs and outputs.
+
+        digest:  SHA-256 of the graph's file.
 
         Raises:
             ModelError: a shape is dynamic.
         """
         self._session = session
-        self.name = name
+        self.name, self.digest = name, digest
         self.inputs = {node.name: tuple(node.shape) for node in session.get_inputs()}
         self.outputs = {node.name: tuple(node.shape) for node in session.get_outputs()}
         for key, shape in (self.inputs | self.outputs).items():
@@ -120,6 +122,11 @@ class LightingGraphs:
         return z, y, x
 
     @property
+    def digest(self) -> str:
+        """Identity of the weights, of all graphs together."""
+        return hashlib.sha256("".join(graph.digest for graph in self.graphs.values()).encode()).hexdigest()
+
+    @property
     def panorama_height(self) -> int:
         """Rows of the panoramas that the blending graphs take."""
         return self.graphs["single_blend_encoder"].inputs["panels"][-2]
@@ -169,9 +176,10 @@ def _checked_graph(path: Path, name: str, entries: dict[str, Any], provider: Lit
     file, entry = path / f"{name}.onnx", entries.get(name)
     if not isinstance(entry, dict) or not file.is_file():
         raise ModelError(f"{file}: missing; export the checkpoint again")
-    if hashlib.sha256(file.read_bytes()).hexdigest() != entry.get("sha256"):
+    digest = hashlib.sha256(file.read_bytes()).hexdigest()
+    if digest != entry.get("sha256"):
         raise ModelError(f"{file}: is not the graph that {DESCRIPTION} names (digest differs); export again")
-    return Graph(open_graph(file, provider), name)
+    return Graph(open_graph(file, provider), name, digest)
 
 
 def read_description(path: Path) -> dict[str, Any]:

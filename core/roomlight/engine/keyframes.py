@@ -71,6 +71,12 @@ class KeyframeStore:
             return dropped is not offered
         return True
 
+    def restore(self, index: int, mesh: FrameMesh) -> None:
+        """Add a frame that was kept before the state was saved."""
+        cells = self._cells_of(mesh.vertices[mesh.known])
+        self._keyframes.append(Keyframe(index, mesh, cells))
+        self._counts += cells
+
     def covered_cells(self) -> int:
         """Return the number of cells that at least one keyframe shows."""
         return int((self._counts > 0).sum())

@@ -16,7 +16,7 @@ degrees, 2 to 5 frames and ratios of 1.2 to 1.5.
 """
 
 from dataclasses import dataclass, field, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from jaxtyping import Float
@@ -62,6 +62,31 @@ class LightTracker:
         self._choose_main(ordered, settled=settled)
         self.lights = TrackedLights(self._turned_main(settled=settled), tuple(ordered[:MAX_LIGHTS]))
         self.frames += 1
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the state as plain JSON values; float64 keeps its bits in JSON."""
+        return {
+            "frames": self.frames,
+            "main_light": self.lights.main.to_json(),
+            "sources": [light.to_json() for light in self.lights.sources],
+            "tracks": [[number, one.missed, one.light.to_json()] for number, one in self._tracks.items()],
+            "next_number": self._next_number,
+            "main": self._main,
+            "challenged_frames": self._challenged_frames,
+        }
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "LightTracker":
+        """Return a tracker in the state that `to_json` returned."""
+        sources = tuple(MainLight.from_json(light) for light in values["sources"])
+        return cls(
+            lights=TrackedLights(MainLight.from_json(values["main_light"]), sources),
+            frames=values["frames"],
+            _tracks={number: _Track(MainLight.from_json(light), missed) for number, missed, light in values["tracks"]},
+            _next_number=values["next_number"],
+            _main=values["main"],
+            _challenged_frames=values["challenged_frames"],
+        )
 
     def _match(self, found: tuple[MainLight, ...], follow: float, limit_deg: float) -> None:
         """Move each tracked light toward the one found near it; fade the others in and out."""

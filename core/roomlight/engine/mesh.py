@@ -49,6 +49,39 @@ class PartialPanorama:
         return replace(self, depth_m=np.minimum(self.depth_m, np.float32(farthest_m)))
 
 
+@dataclass(frozen=True)
+class MeshGrid:
+    """The depth samples that are vertices of a mesh.
+
+    Attributes:
+        depth_m: [gh, gw] z-depth, 0 = unknown.
+        measured: [gh, gw] where the sensor measured it; elsewhere it is completed.
+        depth_shape: rows and columns of the depth image that the samples were taken from.
+    """
+
+    depth_m: Float[np.ndarray, "gh gw"]
+    measured: Bool[np.ndarray, "gh gw"]
+    depth_shape: tuple[int, int]
+
+    @classmethod
+    def of(
+        cls, depth_m: Float[np.ndarray, "h w"], sensor_depth_m: Float[np.ndarray, "h w"], max_vertices: int
+    ) -> "MeshGrid":
+        """Take every n-th sample of a depth image, the smallest n with at most `max_vertices` (a mean would lie between
+        two surfaces)."""
+        height, width = depth_m.shape
+        rows, columns = _samples(height, width, _stride(height, width, max_vertices))
+        where = np.ix_(rows, columns)
+        return cls(np.ascontiguousarray(depth_m[where]), sensor_depth_m[where] > 0, (height, width))
+
+    def uv(self) -> Float[np.ndarray, "gh gw 2"]:
+        """Return (u, v) of each vertex in the image, 0 to 1; float32."""
+        height, width = self.depth_shape
+        rows, columns = _samples(height, width, _stride(height, width, self.depth_m.size))
+        u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
+        return np.stack([u, v], axis=-1).astype(np.float32)
+
+
 class FrameMesh:
     """A frame's depth as a textured triangle mesh, ready to be ray traced from any point."""
 
@@ -57,31 +90,61 @@ class FrameMesh:
         frame: Frame,
         *,
         sensor_depth_m: Float[np.ndarray, "dh dw"] | None = None,
+        sensor_clipped: Bool[np.ndarray, "h w"] | None = None,
         max_vertices: int = MAX_VERTICES,
     ) -> None:
         """Triangulate. A frame without depth has no triangle, and is seen from nowhere.
 
         sensor_depth_m:  depth before it was completed, of the same size; default: the frame's depth.
+        sensor_clipped:  clipped pixels before any was taken from other frames; default: the frame's.
         """
-        self.texture = Texture.of(frame)
-        depth, uv = _vertex_grid(frame.depth_m, max_vertices)
-        k = frame.intrinsics
+        sensor_depth_m = frame.depth_m if sensor_depth_m is None else sensor_depth_m
+        clipped = frame.clipped if sensor_clipped is None else sensor_clipped
+        grid = MeshGrid.of(frame.depth_m, sensor_depth_m, max_vertices)
+        self._triangulate(Texture.of(frame), frame.intrinsics, frame.camera_to_world, grid)
+        self.sensor_clipped = clipped if clipped.any() else None
+
+    @classmethod
+    def of_grid(
+        cls,
+        texture: Texture,
+        image_camera: Intrinsics,
+        camera_to_world: Float[np.ndarray, "4 4"],
+        grid: MeshGrid,
+        *,
+        sensor_clipped: Bool[np.ndarray, "h w"] | None = None,
+    ) -> "FrameMesh":
+        """Make a mesh again from what another mesh kept: equal to the bit."""
+        mesh = cls.__new__(cls)
+        mesh._triangulate(texture, image_camera, camera_to_world, grid)
+        mesh.sensor_clipped = sensor_clipped
+        return mesh
+
+    def _triangulate(
+        self, texture: Texture, k: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], grid: MeshGrid
+    ) -> None:
+        depth, uv = grid.depth_m, grid.uv()
+        self.texture = texture
         self._focal_px = (k.fx + k.fy) / 2
         self._depth_m = depth.reshape(-1)
         points = np.empty((*depth.shape, 3), np.float32)
         points[..., 0] = (uv[..., 0] * k.width - k.cx) / k.fx * depth
         points[..., 1] = -(uv[..., 1] * k.height - k.cy) / k.fy * depth
         points[..., 2] = -depth
-        self.vertices = transform_points(frame.camera_to_world, points.reshape(-1, 3))
+        self.vertices = transform_points(camera_to_world, points.reshape(-1, 3))
         self.known = depth.reshape(-1) > 0
-        sensor, _ = _vertex_grid(frame.depth_m if sensor_depth_m is None else sensor_depth_m, max_vertices)
-        self.camera_to_world = frame.camera_to_world
-        self.image_camera, self._depth_shape = k, (frame.depth_m.shape[0], frame.depth_m.shape[1])
+        self.camera_to_world = camera_to_world
+        self.image_camera, self._depth_shape = k, grid.depth_shape
         self.grid_depth_m = depth
-        self.measured = sensor > 0  # [gh, gw]; elsewhere depth is completed
+        self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
         self.faces = grid_faces(depth)
         self._pixel = (uv.reshape(-1, 2) * [k.width, k.height] - 0.5).astype(np.float32)
         self._scene: EmbreeScene | None = None
+
+    @property
+    def grid(self) -> MeshGrid:
+        """The depth samples of the vertices."""
+        return MeshGrid(self.grid_depth_m, self.measured, self._depth_shape)
 
     @property
     def grid_camera(self) -> Intrinsics:
@@ -89,7 +152,7 @@ class FrameMesh:
         height, width = self.grid_depth_m.shape
         stride = _stride(*self._depth_shape, height * width)
         k = self.image_camera.resized(self._depth_shape[1], self._depth_shape[0])
-        first = 0.5 + stride // 2  # `_vertex_grid` takes every n-th sample from n // 2 on
+        first = 0.5 + stride // 2  # `_samples` takes every n-th sample from n // 2 on
         cx, cy = (k.cx - first) / stride + 0.5, (k.cy - first) / stride + 0.5
         return Intrinsics(k.fx / stride, k.fy / stride, cx, cy, width, height)
 
@@ -181,12 +244,6 @@ def _stride(height: int, width: int, max_vertices: int) -> int:
     return stride
 
 
-def _vertex_grid(
-    depth_m: Float[np.ndarray, "h w"], max_vertices: int
-) -> tuple[Float[np.ndarray, "gh gw"], Float[np.ndarray, "gh gw 2"]]:
-    """Take every n-th depth sample (a mean would lie between two surfaces), with its (u, v) in the image."""
-    height, width = depth_m.shape
-    stride = _stride(height, width, max_vertices)
-    rows, columns = np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride)
-    u, v = np.meshgrid((columns + 0.5) / width, (rows + 0.5) / height)
-    return np.ascontiguousarray(depth_m[np.ix_(rows, columns)]), np.stack([u, v], axis=-1).astype(np.float32)
+def _samples(height: int, width: int, stride: int) -> tuple[Int[np.ndarray, " gh"], Int[np.ndarray, " gw"]]:
+    """Return the rows and columns of the depth samples that are vertices."""
+    return np.arange(stride // 2, height, stride), np.arange(stride // 2, width, stride)

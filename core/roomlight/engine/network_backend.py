@@ -17,10 +17,10 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.backend import FILL_UPDATE, Estimate, ProbeMemory
+from roomlight.engine.backend import FILL_UPDATE, Arrays, Estimate, ProbeMemory
 from roomlight.engine.blend import PanoramaState, fill_in, filled_detail
 from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.graphs import BoundGraph, LightingGraphs
+from roomlight.engine.graphs import BoundGraph, Buffers, LightingGraphs
 from roomlight.engine.mesh import PartialPanorama
 from roomlight.engine.sglv import Far, Sglv
 from roomlight.engine.units import mean_colour
@@ -36,6 +36,7 @@ class NetworkBackend:
     def __init__(self, graphs: LightingGraphs) -> None:
         self._graphs = graphs
         self.name = graphs.form
+        self.digest = graphs.digest
 
     def start(self, grid: VolumeGrid) -> None:
         """Allocate and bind the 3D states.
@@ -62,8 +63,9 @@ class NetworkBackend:
             g["single_sg_decoder"].bind({**features, "volume": self._volume}, sglv[0]),
         ]
         self._next: list[list[BoundGraph]] = []
+        self._hidden: list[Buffers] = []
         if self._graphs.form == "video":
-            hidden = [{"h0": features["f0"], "h1": features["f1"]}]  # after the first frame, h = f
+            hidden = self._hidden = [{"h0": features["f0"], "h1": features["f1"]}]  # after the first frame, h = f
             hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
             fresh = g["video_sg_encoder"].new_outputs()
             self._units = [np.ones((1, 3, 1, 1, 1), np.float32) for _ in hidden]
@@ -115,9 +117,49 @@ class NetworkBackend:
             values[empty] = 0
         return kept
 
+    def save(self) -> Arrays:
+        """Return copies of the SGLV, and of the sums over frames (single view) or the hidden states (video)."""
+        sglv = self._sglv[self._latest]
+        saved: Arrays = {"frames": np.array(self._frames), "alpha": sglv.alpha.copy(), "lobes": sglv.lobes.copy()}
+        if self._fused is not None:
+            return saved | self._fused.save()
+        saved |= {f"unit{number}": unit.copy() for number, unit in enumerate(self._units)}
+        return saved | {key: array.copy() for key, array in self._hidden[self._latest].items()}
+
+    def restore(self, grid: VolumeGrid, saved: Arrays) -> Sglv:
+        """Continue from a saved state."""
+        self.start(grid)
+        self._frames = int(saved["frames"])
+        sglv = self._sglv[self._latest]
+        sglv.alpha[:], sglv.lobes[:] = saved["alpha"], saved["lobes"]
+        if self._fused is not None:
+            self._fused.restore(saved)
+            return sglv
+        for number, unit in enumerate(self._units):
+            unit[:] = saved[f"unit{number}"]
+        for key, array in self._hidden[self._latest].items():
+            array[:] = saved[key]
+        return sglv
+
+    @property
+    def _latest(self) -> int:
+        """Number of the buffers that hold the states after the last frame."""
+        return 1 if self._fused is not None else (self._frames - 1) % 2
+
     def new_probe(self) -> ProbeMemory:
         """Return the 2D hidden states of one probe, bound to the graphs."""
         return _ProbeNetworks(self._graphs)
+
+    def save_probe(self, memory: ProbeMemory) -> Arrays:
+        """Return copies of the 2D hidden states of one probe; single-view networks keep none."""
+        assert isinstance(memory, _ProbeNetworks)
+        return memory.save()
+
+    def restore_probe(self, saved: Arrays) -> ProbeMemory:
+        """Return the 2D hidden states of one probe from saved ones."""
+        memory = _ProbeNetworks(self._graphs)
+        memory.restore(saved)
+        return memory
 
     def estimate(
         self,
@@ -165,9 +207,10 @@ class _ProbeNetworks:
             g["single_blend_decoder"].bind({**features, "mask": self._mask}, {"weight": self._weight}),
         ]
         self._next: list[list[BoundGraph]] = []
+        self._hidden: list[Buffers] = []
         if self.graphs.form == "video":
             self._panels13 = np.zeros((1, 13, *shape), np.float32)
-            hidden = [{"h0": features["f0"], "h1": features["f1"]}]
+            hidden = self._hidden = [{"h0": features["f0"], "h1": features["f1"]}]
             hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
             fresh = g["video_blend_encoder"].new_outputs()
             encode = g["video_blend_encoder"].bind({"panels": self._panels13}, fresh)
@@ -180,6 +223,18 @@ class _ProbeNetworks:
                         g["video_blend_decoder"].bind({**hidden[new], "mask": self._mask}, {"weight": self._weight}),
                     ]
                 )
+
+    def save(self) -> Arrays:
+        """Return copies of the hidden states after the last frame, and the number of frames."""
+        hidden = self._hidden[(self.frames - 1) % 2] if self._hidden and self.frames else {}
+        return {"frames": np.array(self.frames)} | {key: array.copy() for key, array in hidden.items()}
+
+    def restore(self, saved: Arrays) -> None:
+        """Take over saved hidden states."""
+        self.frames = int(saved["frames"])
+        if self._hidden and self.frames:
+            for key, array in self._hidden[(self.frames - 1) % 2].items():
+                array[:] = saved[key]
 
     def weigh(
         self,

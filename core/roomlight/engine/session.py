@@ -14,14 +14,13 @@ from collections.abc import Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal, get_args
 
 import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
-from roomlight.depth import UnknownDepth, complete_depth
+from roomlight.depth import complete_depth
 from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.bracket import restored, update_keyframes
@@ -29,73 +28,20 @@ from roomlight.engine.classical_backend import ClassicalBackend
 from roomlight.engine.clipping import shipped_clipping
 from roomlight.engine.completion import CompletionBackend, shipped_completion
 from roomlight.engine.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
-from roomlight.engine.keyframes import DEFAULT_KEYFRAMES, KeyframeStore
+from roomlight.engine.keyframes import KeyframeStore
 from roomlight.engine.light_tracking import LightTracker
 from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.network_backend import NetworkBackend
-from roomlight.engine.providers import Provider
+from roomlight.engine.options import WORKING_SIZE, SessionOptions
+from roomlight.engine.options import ClippingName as ClippingName
+from roomlight.engine.options import ModelName as ModelName
 from roomlight.engine.sglv import Sglv, check_position, render_panorama
+from roomlight.engine.state.snapshot import KeptFrame, ProbeSnapshot, SessionSnapshot
 from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, clipping_buffer, initial_volume
-from roomlight.errors import ModelError, OptionError, ProbeError
+from roomlight.errors import ModelError, OptionError, ProbeError, StateError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
 from roomlight.light.main_light import find_lights
-
-ModelName = Literal["auto", "classical", "completion", "single", "video"]
-"""`SessionOptions.model`."""
-ClippingName = Literal["learned", "constants"]
-"""`SessionOptions.clipping`."""
-
-WORKING_SIZE = (320, 240)
-"""Frames are reduced to this size (width, height; swapped for upright images), the paper's: eight pixels for one of a
-panorama of 120 rows."""
-
-
-@dataclass(frozen=True)
-class SessionOptions:
-    """Options of a session.
-
-    Attributes:
-        model: classical (no networks), completion (classical, with learned light where no frame looked), single or
-            video (the paper's networks), or auto: the network form of `weights`, and without `weights` classical. On
-            streams of 35 captures that no choice was made with, the networks inside the package had 1.0 to 1.2 of
-            warp-and-fill's log-L2, classical 0.82 to 0.94.
-        weights: a model directory of `roomlight export`, instead of the weights inside the package.
-        clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
-        parts: a folder with the model directories `clipping` and `completion`, instead of those inside the package.
-        provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
-        allow_untrained: accept weights that were never trained, for tests.
-        height: rows of the panoramas, 16 to 2048; they have twice as many columns.
-        keyframes: most frames kept for positions that are requested later, 1 or more.
-        unknown_depth: where pixels without depth are placed (`roomlight.depth`).
-
-    Raises:
-        OptionError: a value is out of range, or a name is unknown.
-    """
-
-    model: ModelName = "auto"
-    weights: Path | None = None
-    clipping: ClippingName = "learned"
-    parts: Path | None = None
-    provider: Provider = "auto"
-    allow_untrained: bool = False
-    height: int = 120
-    keyframes: int = DEFAULT_KEYFRAMES
-    unknown_depth: UnknownDepth = "rim"
-
-    def __post_init__(self) -> None:
-        for name, allowed in (
-            ("model", ModelName),
-            ("clipping", ClippingName),
-            ("provider", Provider),
-            ("unknown_depth", UnknownDepth),
-        ):
-            if getattr(self, name) not in get_args(allowed):
-                raise OptionError(f"{name} must be one of {', '.join(get_args(allowed))}; got {getattr(self, name)!r}")
-        if not 16 <= self.height <= 2048:
-            raise OptionError(f"height must be 16 to 2048 rows of the panorama, got {self.height}")
-        if self.keyframes < 1:
-            raise OptionError(f"keyframes must be 1 or more, got {self.keyframes}")
 
 
 @dataclass(frozen=True)
@@ -272,6 +218,7 @@ class Session:
             sensor_depth_m = frame.depth_m
             rim = self.options.unknown_depth == "rim"
             depth_m = complete_depth(frame.depth_m) if rim else frame.depth_m
+            sensor_clipped = frame.clipped
             frame = restored(frame, depth_m, [mesh for _, mesh in self.meshes], model=self._clipping)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
         if self._grid is None:
@@ -286,7 +233,7 @@ class Session:
         with clock.stage("sglv"):
             self._sglv = self._backend.update(clipping)
         with clock.stage("mesh"):
-            self._latest = FrameMesh(frame, sensor_depth_m=sensor_depth_m)
+            self._latest = FrameMesh(frame, sensor_depth_m=sensor_depth_m, sensor_clipped=sensor_clipped)
             self._latest.build()
         with clock.stage("keyframes"):
             update_keyframes(self._latest, [key.mesh for key in self._keyframes])
@@ -340,6 +287,120 @@ class Session:
     def lights(self) -> Sequence[Light]:
         """Return the light at every tracked position, in the order of `handles`."""
         return [self._light_of(probe) for probe in self._probes.values()]
+
+    @property
+    def networks(self) -> dict[str, str]:
+        """The model in use, and the identity of the weights of its networks and of the one for clipped pixels."""
+        clipping = "" if self._clipping is None else self._clipping.digest
+        return {"model": self.model, "weights": self._backend.digest, "clipping": clipping}
+
+    def snapshot(self) -> SessionSnapshot:
+        """Return the state after the last frame. Later frames do not change it."""
+        keyframes = tuple(KeptFrame(key.index, key.mesh, key.mesh.texture) for key in self._keyframes or ())
+        latest = None
+        if self._latest is not None and not self._latest_is_keyframe:
+            latest = KeptFrame(self._last_index, self._latest, self._latest.texture)
+        return SessionSnapshot(
+            options=self.options,
+            networks=self.networks,
+            frames=self.frames,
+            last_index=self._last_index,
+            next_handle=self._next_handle,
+            grid=self._grid,
+            backend={} if self._grid is None else self._backend.save(),
+            pending=dict(self._pending),
+            probes=tuple(
+                ProbeSnapshot(
+                    handle,
+                    probe.position,
+                    probe.state.copy(),
+                    self._backend.save_probe(probe.memory),
+                    replace(probe.tracker),
+                )
+                for handle, probe in self._probes.items()
+            ),
+            keyframes=keyframes,
+            latest=latest,
+        )
+
+    @classmethod
+    def from_snapshot(
+        cls, snapshot: SessionSnapshot, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None
+    ) -> "Session":
+        """Return a session that continues from a snapshot, and use the snapshot's arrays as its own.
+
+        Args:
+            snapshot: the state; make each session from a snapshot of its own.
+            options: default: the saved ones. Others may differ in weights, parts, provider and allow_untrained.
+            graphs: as in `Session`.
+
+        Raises:
+            StateError: the options or the weights differ from those of the saved session.
+            ModelError: the weights cannot be used (see `choose_graphs`).
+        """
+        session = cls(options or snapshot.options, graphs=graphs)
+        for name in ("clipping", "height", "keyframes", "unknown_depth"):
+            saved, given = getattr(snapshot.options, name), getattr(session.options, name)
+            if saved != given:
+                raise StateError(f"the session was saved with {name}={saved!r}, not {given!r}")
+        for name, given in session.networks.items():
+            saved = snapshot.networks.get(name)
+            if saved != given:
+                what = {"model": "the model", "weights": "weights", "clipping": "a network for clipped pixels"}[name]
+                shown = [(digest or "none")[:16] for digest in (saved or "", given)]
+                raise StateError(f"the session was saved with {what} {shown[0]}, and here is {shown[1]}")
+        session._restore(snapshot)
+        return session
+
+    def _restore(self, snapshot: SessionSnapshot) -> None:
+        self.frames, self._last_index, self._next_handle = snapshot.frames, snapshot.last_index, snapshot.next_handle
+        self._pending = dict(snapshot.pending)
+        if snapshot.grid is None:
+            return
+        self._grid = snapshot.grid
+        self._sglv = self._backend.restore(snapshot.grid, snapshot.backend)
+        self._keyframes = KeyframeStore(snapshot.grid, self.options.keyframes)
+        for key in snapshot.keyframes:
+            self._keyframes.restore(key.index, key.mesh)
+        self._latest_is_keyframe = snapshot.latest is None
+        self._latest = snapshot.kept[-1].mesh
+        for one in snapshot.probes:
+            memory = self._backend.restore_probe(one.memory)
+            self._probes[one.handle] = _Probe(one.position, one.panorama, memory, replace(one.tracker))
+
+    def save(self, path: Path | str) -> None:
+        """Save the session, with the pixels of its keyframes, to one file that only this user can read.
+
+        `Session.load` continues from it with the same bits. 31 frames and two tracked probes take 15 MB.
+
+        Raises:
+            OutputError: the file cannot be written; a file that was there is unchanged.
+        """
+        from roomlight.engine.state.session_file import write_session  # pydantic takes 0.1 s to import
+
+        write_session(Path(path), self.snapshot())
+
+    @classmethod
+    def load(
+        cls, path: Path | str, options: SessionOptions | None = None, *, graphs: LightingGraphs | None = None
+    ) -> "Session":
+        """Return a session that continues where `save` was called.
+
+        Args:
+            path: the saved file.
+            options: default: the saved ones. Others may differ in weights, parts, provider and allow_untrained.
+            graphs: as in `Session`.
+
+        Raises:
+            StateError: the file is missing, damaged, of another version, or was saved with other options or weights.
+            ModelError: the weights cannot be used (see `choose_graphs`).
+        """
+        from roomlight.engine.state.session_file import read_session
+
+        try:
+            return cls.from_snapshot(read_session(Path(path)), options, graphs=graphs)
+        except StateError as error:
+            raise error if str(path) in str(error) else StateError(f"{path}: {error}") from error
 
     def _probe(self, handle: int, wanted: str) -> _Probe:
         if handle not in self._probes:

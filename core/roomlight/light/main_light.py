@@ -83,6 +83,12 @@ class MainLight:
             "number": self.number,
         }
 
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "MainLight":
+        """Return the light of which `to_json` returned these values."""
+        vectors = {name: np.array(values[name], np.float64) for name in ("direction", "intensity")}
+        return cls(**(values | vectors))
+
 
 @dataclass(frozen=True)
 class TrackedLights:

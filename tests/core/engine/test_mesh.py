@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
-from roomlight.engine.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, _vertex_grid, grid_faces
+from roomlight.engine.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, MeshGrid, grid_faces
 from rooms import BoxRoom, camera_at, rotation_about_y
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))
@@ -148,7 +148,8 @@ def test_a_frame_without_depth_is_seen_from_nowhere():
 @settings(deadline=None)
 def test_the_vertex_limit_is_kept_by_skipping_samples(height, width, budget):
     depth = np.arange(1, height * width + 1, dtype=np.float32).reshape(height, width)
-    vertices, uv = _vertex_grid(depth, budget)
+    grid = MeshGrid.of(depth, depth, budget)
+    vertices, uv = grid.depth_m, grid.uv()
     assert vertices.size <= budget
     rows, columns = uv[..., 1] * height - 0.5, uv[..., 0] * width - 0.5
     found = depth[np.rint(rows).astype(int), np.rint(columns).astype(int)]

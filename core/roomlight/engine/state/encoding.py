@@ -1,0 +1,223 @@
+"""Snapshots as records of a file, and back.
+
+The pixels of a kept frame can be stored elsewhere: `records_of_snapshot` leaves out the bases of the frames in
+`elsewhere`, and `SavedSession.snapshot` takes them from `bases` (`roomlight.engine.state.kept_frames`).
+"""
+
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, ValidationError
+
+from roomlight import __version__
+from roomlight.conventions import Position
+from roomlight.depth import UnknownDepth
+from roomlight.engine.backend import Arrays
+from roomlight.engine.blend import PanoramaState
+from roomlight.engine.light_tracking import LightTracker
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.options import ClippingName, ModelName, SessionOptions
+from roomlight.engine.providers import Provider
+from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values, change_arrays, changed
+from roomlight.engine.state.records import Record, array_records, arrays_of, unpack_records
+from roomlight.engine.state.snapshot import KeptFrame, ProbeSnapshot, SessionSnapshot
+from roomlight.engine.volume import VolumeGrid
+from roomlight.errors import RoomLightError, StateError
+
+_ROLES = ("keyframe", "latest")
+_PLANES = ("radiance", "depth_m", "seen", "clipped", "guessed")
+
+
+class _Values(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True, arbitrary_types_allowed=True)
+
+
+class _Options(_Values):
+    model: ModelName
+    weights: Path | None
+    clipping: ClippingName
+    parts: Path | None
+    provider: Provider
+    allow_untrained: bool
+    height: int
+    keyframes: int
+    unknown_depth: UnknownDepth
+
+
+class _Grid(_Values):
+    volume_to_world: list[list[float]]
+    depth_max_m: float
+    shape: tuple[int, int, int]
+
+
+class _Probe(_Values):
+    handle: int
+    position: Position
+    tracker: dict[str, Any]
+
+
+class _Kept(_Values):
+    index: int
+    role: Literal["keyframe", "latest"]
+    checksum: int
+    base: dict[str, Any] | None
+    """None: the base is elsewhere."""
+
+
+class _Session(_Values):
+    version: str
+    options: _Options
+    networks: dict[str, str]
+    frames: int
+    last_index: int
+    next_handle: int
+    grid: _Grid | None
+    pending: dict[int, Position]
+    probes: list[_Probe]
+    kept: list[_Kept]
+
+
+@dataclass(frozen=True)
+class SavedSession:
+    """A saved session, read and checked; its kept frames are not made yet."""
+
+    source: str
+    values: _Session
+    arrays: Arrays
+
+    @property
+    def options(self) -> SessionOptions:
+        """Options of the saved session."""
+        return SessionOptions(**self.values.options.model_dump())
+
+    @property
+    def elsewhere(self) -> tuple[int, ...]:
+        """Indices of the kept frames whose bases are stored elsewhere."""
+        return tuple(kept.index for kept in self.values.kept if kept.base is None)
+
+    def snapshot(self, bases: Mapping[int, FrameMesh] | None = None) -> SessionSnapshot:
+        """Return the snapshot.
+
+        Args:
+            bases: Bases of the frames in `elsewhere`, by index; they become part of the snapshot.
+
+        Raises:
+            StateError: A kept frame is missing or differs from the saved one, or the values do not fit each other.
+        """
+        try:
+            return self._snapshot(bases or {})
+        except StateError:
+            raise
+        except (KeyError, ValueError, TypeError, RoomLightError) as error:
+            raise StateError(f"{self.source}: its values do not fit each other ({error!r})") from error
+
+    def _snapshot(self, bases: Mapping[int, FrameMesh]) -> SessionSnapshot:
+        values = self.values
+        kept = {role: [self._kept(one, bases) for one in values.kept if one.role == role] for role in _ROLES}
+        grid = None
+        if values.grid is not None:
+            pose = np.array(values.grid.volume_to_world, np.float64)
+            grid = VolumeGrid(pose, values.grid.depth_max_m, values.grid.shape)
+        return SessionSnapshot(
+            options=self.options,
+            networks=values.networks,
+            frames=values.frames,
+            last_index=values.last_index,
+            next_handle=values.next_handle,
+            grid=grid,
+            backend=_under("backend", self.arrays),
+            pending=values.pending,
+            probes=tuple(self._probe(one) for one in values.probes),
+            keyframes=tuple(kept["keyframe"]),
+            latest=kept["latest"][0] if kept["latest"] else None,
+        )
+
+    def _kept(self, one: _Kept, bases: Mapping[int, FrameMesh]) -> KeptFrame:
+        arrays = _under(f"kept/{one.index}", self.arrays)
+        source = f"{self.source}: frame {one.index}"
+        if one.base is None and one.index not in bases:
+            raise StateError(f"{source}: is missing")
+        base = bases[one.index] if one.base is None else base_of(one.base, arrays)
+        mesh = changed(base, arrays, one.checksum, source)
+        return KeptFrame(one.index, mesh, mesh.texture)
+
+    def _probe(self, one: _Probe) -> ProbeSnapshot:
+        planes = _under(f"probe/{one.handle}/panorama", self.arrays)
+        memory = _under(f"probe/{one.handle}/memory", self.arrays)
+        panorama = PanoramaState(**{name: planes[name] for name in _PLANES})
+        return ProbeSnapshot(one.handle, one.position, panorama, memory, LightTracker.from_json(one.tracker))
+
+
+def records_of_snapshot(snapshot: SessionSnapshot, *, elsewhere: Collection[int] = ()) -> list[Record]:
+    """Return the records of a snapshot; `elsewhere`: indices of kept frames whose bases are stored elsewhere."""
+    arrays: Arrays = {f"backend/{name}": array for name, array in snapshot.backend.items()}
+    for probe in snapshot.probes:
+        arrays |= {f"probe/{probe.handle}/panorama/{name}": getattr(probe.panorama, name) for name in _PLANES}
+        arrays |= {f"probe/{probe.handle}/memory/{name}": array for name, array in probe.memory.items()}
+    for kept in snapshot.kept:
+        parts = change_arrays(kept) | ({} if kept.index in elsewhere else base_arrays(kept))
+        arrays |= {f"kept/{kept.index}/{name}": array for name, array in parts.items()}
+    return [Record("SESS", _values_of(snapshot, elsewhere).model_dump(mode="json")), *array_records(arrays)]
+
+
+def _values_of(snapshot: SessionSnapshot, elsewhere: Collection[int]) -> _Session:
+    grid = snapshot.grid
+    return _Session(
+        version=__version__,
+        options=_Options(**asdict(snapshot.options)),
+        networks=snapshot.networks,
+        frames=snapshot.frames,
+        last_index=snapshot.last_index,
+        next_handle=snapshot.next_handle,
+        grid=None
+        if grid is None
+        else _Grid(volume_to_world=grid.volume_to_world.tolist(), depth_max_m=grid.depth_max_m, shape=grid.shape),
+        pending=snapshot.pending,
+        probes=[
+            _Probe(handle=one.handle, position=one.position, tracker=one.tracker.to_json()) for one in snapshot.probes
+        ],
+        kept=[
+            _Kept(
+                index=one.index,
+                role="latest" if one is snapshot.latest else "keyframe",
+                checksum=one.texture.checksum,
+                base=None if one.index in elsewhere else base_values(one.mesh),
+            )
+            for one in snapshot.kept
+        ],
+    )
+
+
+def session_of_records(records: Iterable[Record], source: str) -> SavedSession:
+    """Return the saved session among the records of a file.
+
+    Raises:
+        StateError: There is none, or its values are invalid.
+    """
+    records = list(records)
+    found = [record for record in records if record.tag == "SESS"]
+    if len(found) != 1:
+        raise StateError(f"{source}: holds {len(found)} saved sessions instead of one")
+    try:
+        values = _Session.model_validate(found[0].values)
+    except ValidationError as error:
+        first = error.errors(include_url=False, include_context=False)[0]
+        where = ".".join(str(part) for part in first["loc"])
+        raise StateError(f"{source}: its values are invalid ({where}: {first['msg']})") from error
+    return SavedSession(source, values, arrays_of(records, source))
+
+
+def saved_session(file: bytes, source: str) -> SavedSession:
+    """Return the saved session of a file's bytes; `source` names it in messages.
+
+    Raises:
+        StateError: The bytes are no saved session, or a damaged one, or one of another version.
+    """
+    return session_of_records(unpack_records(file, source), source)
+
+
+def _under(prefix: str, arrays: Arrays) -> Arrays:
+    return {name[len(prefix) + 1 :]: array for name, array in arrays.items() if name.startswith(f"{prefix}/")}

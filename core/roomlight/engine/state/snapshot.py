@@ -1,0 +1,72 @@
+"""A session between two frames, as plain data that the session no longer changes.
+
+Arrays that the next frame overwrites are copied (9 MB with the classical model, 3 ms). The kept frames are shared:
+a session replaces their textures and never writes into them.
+"""
+
+from dataclasses import dataclass
+
+from roomlight.conventions import Position
+from roomlight.engine.backend import Arrays
+from roomlight.engine.blend import PanoramaState
+from roomlight.engine.light_tracking import LightTracker
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.texture import Texture
+from roomlight.engine.volume import VolumeGrid
+
+
+@dataclass(frozen=True)
+class KeptFrame:
+    """A keyframe or the last frame, with its texture at the time of the snapshot."""
+
+    index: int
+    mesh: FrameMesh
+    texture: Texture
+
+
+@dataclass(frozen=True)
+class ProbeSnapshot:
+    """A tracked probe: its panorama, the model's state of it, its lights."""
+
+    handle: int
+    position: Position
+    panorama: PanoramaState
+    memory: Arrays
+    tracker: LightTracker
+
+
+@dataclass(frozen=True)
+class SessionSnapshot:
+    """The state of a session.
+
+    Attributes:
+        options: of the session.
+        networks: the model in use and the identity of the weights; see `Session.networks`.
+        frames: number of frames so far.
+        last_index: index of the last frame; `NO_FRAME` before the first.
+        next_handle: of the next tracked probe.
+        grid: pose and size of the volume; None before the first frame.
+        backend: the model's state; empty before the first frame.
+        pending: positions tracked before the first frame, by handle.
+        probes: the tracked probes, in the order of their handles in the session.
+        keyframes: in order of time.
+        latest: the last frame, if it is no keyframe.
+    """
+
+    options: SessionOptions
+    networks: dict[str, str]
+    frames: int
+    last_index: int
+    next_handle: int
+    grid: VolumeGrid | None
+    backend: Arrays
+    pending: dict[int, Position]
+    probes: tuple[ProbeSnapshot, ...]
+    keyframes: tuple[KeptFrame, ...]
+    latest: KeptFrame | None
+
+    @property
+    def kept(self) -> tuple[KeptFrame, ...]:
+        """The keyframes, and the last frame if it is no keyframe."""
+        return self.keyframes if self.latest is None else (*self.keyframes, self.latest)
