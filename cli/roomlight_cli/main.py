@@ -54,6 +54,12 @@ COMMANDS: Final = (
         _MEASURE,
     ),
     CommandEntry(
+        "eval-walks",
+        "roomlight_cli.commands.eval_walks",
+        "Score the recurrent networks on walks through rooms that no network was trained on.",
+        _MEASURE,
+    ),
+    CommandEntry(
         "eval-composite",
         "roomlight_cli.commands.eval_composite",
         "Compare virtual objects in pictures with the same rooms with the object really in them.",

@@ -5,7 +5,8 @@ is resized to the truth's height and compared. Spheres are seen from the first c
 the whole sequence: what changes in them is the light.
 """
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
-from roomlight.metrics import SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
+from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.capture_scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.estimators import EngineEstimator, Estimator, PredictionFolder
@@ -149,9 +150,42 @@ def evaluate_capture(
             f"{capture.path}: there is no ground truth to compare with; an evaluation needs probes with panoramas "
             "(probes: [{position, file_path}] in transforms.json)"
         )
+    total = capture.frame_count - len(capture.skipped)
+
+    def show(done: int) -> None:
+        if progress is not None:
+            progress(name, done, total)
+
+    indices, tracks = score_frames(name, capture, probes, estimators, progress=show)
+    summary = CaptureSummary(
+        name=name,
+        path=str(capture.path),
+        frames=len(indices),
+        skipped=len(capture.skipped),
+        probes=len(probes),
+    )
+    return summary, tracks
+
+
+def score_frames(
+    name: str,
+    frames: Iterable[Frame],
+    probes: Sequence[tuple[int, Position, Float[np.ndarray, "h w 3"]]],
+    estimators: Sequence[Estimator],
+    *,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[list[int], list[Track]]:
+    """Give each frame to every estimator, then score its light at every probe (number, world position, truth).
+
+    Returns:
+        The indices of the frames, and the tracks, which are labelled with `name`.
+
+    Raises:
+        ModelError: An estimator returned something else than a finite panorama.
+    """
     scorers: list[_ProbeScorer] = []
     indices: list[int] = []
-    for frame in capture:
+    for frame in frames:
         if not scorers:
             spheres = {
                 position: SphereRenderer(view_toward(frame.camera_to_world, position)) for _, position, _ in probes
@@ -168,15 +202,8 @@ def evaluate_capture(
                     scorer.add(estimator.light_at(scorer.position), frame)
         indices.append(frame.index)
         if progress is not None:
-            progress(name, len(indices), capture.frame_count - len(capture.skipped))
-    summary = CaptureSummary(
-        name=name,
-        path=str(capture.path),
-        frames=len(indices),
-        skipped=len(capture.skipped),
-        probes=len(probes),
-    )
-    return summary, [scorer.track(name, indices) for scorer in scorers]
+            progress(len(indices))
+    return indices, [scorer.track(name, indices) for scorer in scorers]
 
 
 class _ProbeScorer:
@@ -197,9 +224,13 @@ class _ProbeScorer:
         self._judge = judge
         self._previous: Float[np.ndarray, "h w 3"] | None = None
         self._scores: dict[str, list[float]] = {}
+        self._missing = 0
 
-    def add(self, panorama: Float[np.ndarray, "h w 3"], frame: Frame) -> None:
-        """Score the panorama after one frame. Raises ModelError if it is not one."""
+    def add(self, panorama: Float[np.ndarray, "h w 3"] | None, frame: Frame) -> None:
+        """Score the panorama after one frame; None scores NaN. Raises ModelError if it is not a panorama."""
+        if panorama is None:
+            self._missing += 1
+            return
         if panorama.shape[1] != 2 * panorama.shape[0] or not np.isfinite(panorama).all():
             raise ModelError(
                 f"{self.method}: returned an invalid panorama at {self.position} after frame {frame.index} "
@@ -217,7 +248,10 @@ class _ProbeScorer:
 
     def track(self, capture: str, indices: Sequence[int]) -> Track:
         """Return all scores; `indices` are those of the frames scored."""
-        scores = {"smoothness": (), **{key: tuple(values) for key, values in self._scores.items()}}
+        missing = (math.nan,) * self._missing
+        known = self._scores or {metric.key: list[float]() for metric in METRICS}
+        scores = {key: (*missing, *values) for key, values in known.items()}
+        scores["smoothness"] = (*missing, *known.get("smoothness", ()))[: max(0, len(indices) - 1)]
         return Track(capture, self._probe, self.method, tuple(indices), scores)
 
 

@@ -77,8 +77,8 @@ def evaluate_dataset(
         raise OptionError(f"methods need different names, got {names}")
     if len(dataset) == 0:
         raise DatasetError(f"{dataset.folder}: has no finished sequence of this split; generate some first")
-    numbers = _evenly_spread(len(dataset), limit)
-    in_picture = {numbers[k] for k in _evenly_spread(len(numbers), picture_rows)} if picture_rows else set[int]()
+    numbers = evenly_spread(len(dataset), limit)
+    in_picture = {numbers[k] for k in evenly_spread(len(numbers), picture_rows)} if picture_rows else set[int]()
     scored: list[SequenceScores] = []
     skipped: list[str] = []
     rows: list[PictureRow] = []
@@ -174,7 +174,7 @@ def _checked_lights(
             yield name, lights[name]
 
 
-def _evenly_spread(count: int, wanted: int | None) -> list[int]:
+def evenly_spread(count: int, wanted: int | None) -> list[int]:
     """Return `wanted` of the numbers below `count`, evenly spread, or all."""
     if wanted is None or wanted >= count:
         return list(range(count))

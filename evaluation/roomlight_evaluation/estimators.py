@@ -31,8 +31,8 @@ class Estimator(Protocol):
         """Take the next frame."""
         ...
 
-    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
-        """Estimate the panorama [h, 2h, 3] at a point after the frames so far."""
+    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"] | None:
+        """Estimate the panorama [h, 2h, 3] at a point after the frames so far; None: it has no estimate yet."""
         ...
 
 

@@ -38,6 +38,7 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
         "serve",
         "eval",
         "eval-dataset",
+        "eval-walks",
         "eval-composite",
         "bench",
         "dataset",

@@ -15,6 +15,7 @@ from torch import Tensor
 from roomlight.depth import complete_depth
 from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
 from roomlight.engine.bracket import restored, update_keyframes
+from roomlight.engine.clipping import shipped_clipping
 from roomlight.engine.fusion import FusedVolume
 from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.volume import VolumeGrid, clipping_buffer, initial_volume
@@ -98,14 +99,16 @@ def collate(examples: list[Example], *, volume_shape: tuple[int, int, int], pano
 def restored_frames(example: Example) -> list[Frame]:
     """Return the frames of an example with completed depth and restored clipped light, as in the serving engine.
 
-    Clipped pixels are taken from earlier frames of shorter exposure, as if all of these were keyframes.
+    Clipped pixels are taken from earlier frames of shorter exposure, as if all of these were keyframes; the shipped
+    network estimates the others.
     """
-    frames = [restored(example.frame, example.depth_m)]
+    model = shipped_clipping("cpu")
+    frames = [restored(example.frame, example.depth_m, model=model)]
     meshes: list[FrameMesh] = []
     for frame in example.later:
         meshes.append(FrameMesh(frames[-1]))
         update_keyframes(meshes[-1], meshes[:-1])
-        frames.append(restored(frame, complete_depth(frame.depth_m), meshes))
+        frames.append(restored(frame, complete_depth(frame.depth_m), meshes, model=model))
     return frames
 
 
