@@ -1,4 +1,4 @@
-"""`roomlight demo`: replay the sample room that comes with the package."""
+"""`roomlight demo`: stream the sample room into the live page, or write pictures of it."""
 
 from pathlib import Path
 from typing import Annotated, Final
@@ -12,6 +12,7 @@ from roomlight_cli.compositing import Output, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.demo_scene import demo_scene
 from roomlight_cli.lazy import single_command_app
+from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
 from roomlight_cli.replay_options import ReplayOptions
 from roomlight_cli.replay_run import run_replay
 from roomlight_evaluation.capture_evaluation import evaluate_predictions
@@ -22,18 +23,46 @@ FILM_RATE: Final = 6.0
 """Frames a second: the sample's 31 frames take five seconds."""
 
 
+DEFAULT_OUT: Final = Path("roomlight-demo")
+
+
 @app.command()
 def demo(
-    out: Annotated[Path, typer.Option(help="Folder for the results; an earlier demo there is replaced.")] = Path(
-        "roomlight-demo"
-    ),
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the live page, or write pictures.", show_default=False)
+    ] = True,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write pictures to this folder (without a browser: roomlight-demo); an earlier demo is replaced.",
+            show_default=False,
+        ),
+    ] = None,
+    port: Annotated[
+        int | None,
+        typer.Option(min=0, max=65535, help="Port of the page (default: 8090, or a free one).", show_default=False),
+    ] = None,
 ) -> None:
-    """Light the sample room and write pictures of it.
+    """Show the light of the sample room in a browser.
 
-    The room comes with the package: no arguments and no network are needed. At the end there is a film of the room
-    with virtual objects. It takes about a minute, and a little longer the first time, when the kernels are compiled.
+    The room comes with the package: no network is needed. A server on this machine streams it to a page, with a mirror
+    sphere at each probe, until Ctrl-C. The first time, the kernels are compiled, which takes about a minute.
+
+    With --no-browser or --out, and on a machine without a browser, it writes pictures, a report, and a film of the room
+    with virtual objects instead, which takes about a minute.
     """
     capture = sample_capture()
+    if browser and out is None:
+        found = find_browser() if page_is_built() else None
+        if found is not None:
+            run_live_demo(capture, found, port=port)
+            return
+        say(f"No browser for the live page here: writing pictures to {DEFAULT_OUT} instead (as with --no-browser).")
+    write_pictures(capture, out or DEFAULT_OUT)
+
+
+def write_pictures(capture: Path, out: Path) -> None:
+    """Light the sample room and write pictures, a report and a film with virtual objects."""
     run_replay(capture, out, ReplayOptions(probes_from_capture=True, overwrite=True))
     say(score_line(capture, out))
     film = Output(out / FILM, overwrite=True)

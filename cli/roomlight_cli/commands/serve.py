@@ -8,8 +8,10 @@ import typer
 from roomlight_cli import arguments
 from roomlight_cli.console import err
 from roomlight_cli.lazy import single_command_app
+from roomlight_server.lan import lan_options, phone_url, qr_text
 from roomlight_server.serving import serve as run_server
-from roomlight_server.settings import load_settings
+from roomlight_server.settings import ServerSettings, load_settings
+from roomlight_server.tls import fingerprint
 
 app = single_command_app()
 
@@ -34,6 +36,26 @@ def serve(
     ] = None,
     allow_origins: Annotated[
         list[str] | None, _flag(_ACCESS, "Web origin whose pages may use the server, or *. Repeatable.")
+    ] = None,
+    allow_hosts: Annotated[
+        list[str] | None,
+        _flag(_ACCESS, "Name of this server; others are refused (default with a token: any). Repeatable."),
+    ] = None,
+    lan: Annotated[
+        bool,
+        _flag(
+            _ACCESS,
+            "Serve the local network over HTTPS, with a token, and print a QR code that opens the page of a phone.",
+            "--lan",
+        ),
+    ] = False,
+    tls_cert: Annotated[
+        Path | None, _flag(_ACCESS, "Certificate chain in PEM, for HTTPS (default with --lan: made and kept).")
+    ] = None,
+    tls_key: Annotated[Path | None, _flag(_ACCESS, "Private key of the certificate in PEM.")] = None,
+    state: Annotated[
+        Path | None,
+        _flag(_ACCESS, "Folder for certificate and token of --lan (default: ~/.local/state/roomlight)."),
     ] = None,
     model: Annotated[
         str | None,
@@ -69,28 +91,59 @@ def serve(
     max_colour_pixels, max_depth_pixels, decode_threads, decode_timeout_s, max_connections,
     max_connections_per_address, max_header_bytes, header_timeout_s, send_timeout_s, max_pending_bytes,
     wrong_token_delay_s, max_object_file_bytes, max_owner_object_bytes, max_object_bytes, object_expiry_s,
-    object_timeout_s and composite_threads.
+    object_timeout_s, composite_threads, public_url, history_bytes, max_recording_bytes, max_owner_recording_bytes,
+    max_all_recording_bytes, recording_expiry_s and recordings_folder.
     """
-    settings = load_settings(
+    options: dict[str, Any] = {
+        "host": host,
+        "port": port,
+        "token_file": token_file,
+        "allow_origins": tuple(allow_origins or ()),
+        "model": model,
+        "weights": weights,
+        "provider": provider,
+        "allow_untrained": allow_untrained or None,
+        "keyframes": keyframes,
+        "max_sessions": max_sessions,
+        "max_probes": max_probes,
+        "idle_expiry_s": idle_expiry_s,
+        "max_body_bytes": max_body_bytes,
+        "engine_threads": engine_threads,
+        "log_level": log_level,
+        "access_log": access_log or None,
+        "allow_hosts": tuple(allow_hosts or ()),
+        "tls_cert": tls_cert,
+        "tls_key": tls_key,
+    }
+    if not lan:
+        run_server(load_settings(**options), listening=_print_address)
+        return
+    before = load_settings(**options | {"host": None})
+    found = lan_options(
         host=host,
-        port=port,
-        token_file=token_file,
-        allow_origins=tuple(allow_origins or ()),
-        model=model,
-        weights=weights,
-        provider=provider,
-        allow_untrained=allow_untrained or None,
-        keyframes=keyframes,
-        max_sessions=max_sessions,
-        max_probes=max_probes,
-        idle_expiry_s=idle_expiry_s,
-        max_body_bytes=max_body_bytes,
-        engine_threads=engine_threads,
-        log_level=log_level,
-        access_log=access_log or None,
+        tokens=before.tokens,
+        tls=(before.tls_cert, before.tls_key),
+        folder=state,
+        allow_hosts=before.allow_hosts,
     )
-    run_server(settings, listening=_print_address)
+    settings = load_settings(**options | found)
+    run_server(settings, listening=lambda address: _print_lan(address, settings))
 
 
 def _print_address(address: str) -> None:
     err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True, markup=False)
+
+
+def _print_lan(address: str, settings: ServerSettings) -> None:
+    """Print the addresses, the fingerprint of the certificate, and on a terminal the QR code for a phone."""
+    token = settings.tokens[0]
+    phone = phone_url(address, token)
+    if err.is_terminal:
+        err.file.write(qr_text(phone))
+    lines = [f"On this network: {address}/#token={token}", f"On a phone: {phone}"]
+    if settings.tls_cert is not None:
+        lines.append(f"Fingerprint (SHA-256) of the certificate: {fingerprint(settings.tls_cert)}")
+        lines.append("A browser warns once of a certificate that no authority has signed: compare the fingerprint.")
+    for line in lines:
+        err.print(line, soft_wrap=True, markup=False)
+    _print_address(address)

@@ -1,0 +1,157 @@
+"""A certificate for a server on the local network, made on the spot, and its fingerprint.
+
+Browsers give a page the camera only over HTTPS, and no certificate authority signs addresses of a local network. The
+key stays in the state folder, readable by its owner alone, so that a browser that trusts the certificate once keeps
+trusting it. The certificate is made again shortly before it expires, and when an address is new.
+"""
+
+import datetime
+import os
+import ssl
+from collections.abc import Iterable
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Final
+
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+
+from roomlight.errors import ServerError
+
+KEY, CERTIFICATE = "lan-key.pem", "lan-certificate.pem"
+DAYS: Final = 397
+"""Longest life of a certificate that browsers accept (CA/Browser Forum, ballot SC31)."""
+RENEWAL_DAYS: Final = 30
+_SKEW: Final = datetime.timedelta(days=1)  # a phone's clock may be behind
+
+
+def write_private(file: Path, data: bytes) -> None:
+    """Write a file that only its owner can read, whole or not at all.
+
+    Raises:
+        ServerError: The folder cannot be made or written.
+    """
+    try:
+        file.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
+        temporary = file.with_name(f".{file.name}.{os.getpid()}")
+        descriptor = os.open(temporary, os.O_WRONLY | os.O_CREAT | os.O_TRUNC, 0o600)
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(data)
+        temporary.replace(file)
+    except OSError as error:
+        advice = "choose another folder with --state"
+        raise ServerError(f"{file}: cannot be written ({error.strerror}); {advice}") from error
+
+
+def ensure_certificate(
+    folder: Path, names: Iterable[str], *, now: datetime.datetime | None = None
+) -> tuple[Path, Path]:
+    """Return the files of a certificate for these names and addresses, and of its key; make them if necessary.
+
+    Raises:
+        ServerError: A file in the folder is damaged or cannot be written.
+    """
+    now = now or datetime.datetime.now(datetime.UTC)
+    wanted = list(dict.fromkeys(names))
+    key_file, certificate_file = folder / KEY, folder / CERTIFICATE
+    key = _read_key(key_file)
+    if key is None:
+        key = ec.generate_private_key(ec.SECP256R1())
+        unencrypted = serialization.NoEncryption()
+        pem = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, unencrypted)
+        write_private(key_file, pem)
+    elif key_file.stat().st_mode & 0o077:
+        key_file.chmod(0o600)
+    if not _is_usable(certificate_file, key, wanted, now):
+        certificate = _signed(key, wanted, now)
+        write_private(certificate_file, certificate.public_bytes(serialization.Encoding.PEM))
+    return certificate_file, key_file
+
+
+def _read_key(file: Path) -> ec.EllipticCurvePrivateKey | None:
+    try:
+        key = serialization.load_pem_private_key(file.read_bytes(), password=None)
+    except FileNotFoundError:
+        return None
+    except (OSError, ValueError, TypeError) as error:
+        raise ServerError(f"{file}: is not a readable private key ({error}); delete it to make a new one") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise ServerError(f"{file}: is not an elliptic-curve key; delete it to make a new one")
+    return key
+
+
+def _is_usable(file: Path, key: ec.EllipticCurvePrivateKey, names: list[str], now: datetime.datetime) -> bool:
+    try:
+        certificate = x509.load_pem_x509_certificate(file.read_bytes())
+        stated = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    except (OSError, ValueError, x509.ExtensionNotFound):
+        return False
+    lasts = certificate.not_valid_after_utc - now > datetime.timedelta(days=RENEWAL_DAYS)
+    began = certificate.not_valid_before_utc <= now
+    same_key = certificate.public_key() == key.public_key()
+    return lasts and began and same_key and {_general_name(name) for name in names} <= set(stated)
+
+
+def _signed(key: ec.EllipticCurvePrivateKey, names: list[str], now: datetime.datetime) -> x509.Certificate:
+    subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "RoomLight on the local network")])
+    usage = x509.KeyUsage(
+        digital_signature=True,
+        **dict.fromkeys(
+            (
+                *("content_commitment", "key_encipherment", "data_encipherment", "key_agreement", "key_cert_sign"),
+                *("crl_sign", "encipher_only", "decipher_only"),
+            ),
+            False,
+        ),
+    )
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(subject)
+        .public_key(key.public_key())
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(now - _SKEW)
+        .not_valid_after(now - _SKEW + datetime.timedelta(days=DAYS))
+        .add_extension(x509.SubjectAlternativeName([_general_name(name) for name in names]), critical=False)
+        .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+        .add_extension(usage, critical=True)
+        .add_extension(x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH]), critical=False)
+        .sign(key, hashes.SHA256())
+    )
+
+
+def _general_name(name: str) -> x509.GeneralName:
+    try:
+        return x509.IPAddress(ip_address(name))
+    except ValueError:
+        return x509.DNSName(name)
+
+
+def fingerprint(certificate: Path) -> str:
+    """Return the SHA-256 of the first certificate of a PEM file, as browsers show it.
+
+    Raises:
+        ServerError: The file is not a certificate.
+    """
+    try:
+        found = x509.load_pem_x509_certificate(certificate.read_bytes())
+    except (OSError, ValueError) as error:
+        raise ServerError(f"tls_cert: {certificate} is not a readable certificate ({error})") from error
+    return found.fingerprint(hashes.SHA256()).hex(":").upper()
+
+
+def check_certificate(certificate: Path, key: Path | None) -> None:
+    """Check that a server can use a certificate with its key.
+
+    Raises:
+        ServerError: A file is missing or damaged, or they do not belong together.
+    """
+    try:
+        ssl.create_default_context(ssl.Purpose.CLIENT_AUTH).load_cert_chain(certificate, key, password="")
+    except (OSError, ValueError) as error:  # SSLError is an OSError
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None) or error
+        files = f"tls_cert {certificate} with tls_key {key or certificate}"
+        rule = "both must be PEM files, the key not encrypted"
+        raise ServerError(f"{files}: cannot be used ({reason}); {rule}") from error

@@ -1,0 +1,299 @@
+"""A server on the local network: real TLS over real sockets, certificate, token, pairing and QR codes."""
+
+import datetime
+import http.client
+import json
+import re
+import socket
+import ssl
+import xml.etree.ElementTree as ElementTree
+
+import cv2
+import numpy as np
+import pytest
+from cryptography import x509
+from websockets.exceptions import InvalidStatus
+from websockets.sync.client import connect
+
+from http_servers import RunningServer
+from roomlight.errors import ServerError
+from roomlight_server import lan, serving, tls
+from roomlight_server.settings import ServerSettings, load_settings
+
+TOKEN = "a-token-of-sixteen-or-more"
+NAMES = ("127.0.0.1", "room.local", "::1")
+NOW = datetime.datetime(2026, 5, 1, tzinfo=datetime.UTC)
+URL = "https://192.168.1.7:8090/phone#token=" + TOKEN
+
+
+@pytest.fixture(scope="module")
+def files(tmp_path_factory):
+    """A certificate and its key."""
+    return tls.ensure_certificate(tmp_path_factory.mktemp("state"), NAMES)
+
+
+@pytest.fixture(scope="module")
+def server(files):
+    certificate, key = files
+    with RunningServer(
+        tokens=(TOKEN,), tls_cert=certificate, tls_key=key, allow_hosts=NAMES, public_url="https://192.168.1.7:8090"
+    ) as running:
+        yield running
+
+
+def trusting(certificate):
+    return ssl.create_default_context(cafile=certificate)
+
+
+def call(server, path, *, host="127.0.0.1", token=TOKEN, method="GET", **headers):
+    connection = http.client.HTTPSConnection(
+        "127.0.0.1", server.port, timeout=60, context=trusting(server.settings.tls_cert)
+    )
+    try:
+        given = {"Host": f"{host}:{server.port}", "Authorization": f"Bearer {token}", **headers}
+        connection.request(method, path, headers=given)
+        response = connection.getresponse()
+        return response.status, json.loads(response.read() or b"null")
+    finally:
+        connection.close()
+
+
+def certificate_of(files):
+    return x509.load_pem_x509_certificate(files[0].read_bytes())
+
+
+def test_answers_come_over_verified_tls(server):
+    assert call(server, "/v1/sessions") == (200, {"sessions": [], "max_sessions": 16, "idle_expiry_s": 600.0})
+    assert call(server, "/v1/sessions", token="another-token-here")[0] == 401
+
+
+def test_the_fingerprint_is_that_of_the_connection(server):
+    with (
+        socket.create_connection(("127.0.0.1", server.port), timeout=60) as plain,
+        trusting(server.settings.tls_cert).wrap_socket(plain, server_hostname="room.local") as secure,
+    ):
+        assert secure.version() == "TLSv1.3"
+        sent = secure.getpeercert(binary_form=True)
+    digest = tls.fingerprint(server.settings.tls_cert)
+    assert re.fullmatch(r"([0-9A-F]{2}:){31}[0-9A-F]{2}", digest)
+    assert x509.load_der_x509_certificate(sent) == certificate_of((server.settings.tls_cert,))
+
+
+def test_another_name_does_not_fit_the_certificate(server):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as plain:
+        context = trusting(server.settings.tls_cert)
+        with pytest.raises(ssl.SSLCertVerificationError, match=r"not valid for 'evil\.example'"):
+            context.wrap_socket(plain, server_hostname="evil.example")
+
+
+def test_plain_http_gets_no_answer_from_a_tls_server(server):
+    with pytest.raises((ConnectionError, http.client.HTTPException)):
+        server.call("GET", "/healthz")
+
+
+@pytest.mark.parametrize(("host", "status"), [("room.local", 200), ("evil.example", 403), ("192.168.1.8", 403)])
+def test_only_names_of_the_server_are_answered(server, host, status):
+    assert call(server, "/v1/sessions", host=host)[0] == status
+
+
+@pytest.mark.parametrize("method", ["GET", "PUT", "POST", "DELETE"])
+def test_pages_of_other_sites_are_refused_over_tls(server, method):
+    status, problem = call(server, "/v1/sessions/room", method=method, Origin="https://evil.example")
+    assert (status, problem["field"]) == (403, "Origin")
+
+
+def test_websockets_over_tls_check_origin_and_token(server):
+    call(server, "/v1/sessions/room", method="PUT", Origin=f"https://127.0.0.1:{server.port}")
+
+    def dial(origin, token):
+        return connect(
+            f"wss://127.0.0.1:{server.port}/v1/sessions/room/stream",
+            ssl=trusting(server.settings.tls_cert),
+            origin=origin,
+            subprotocols=["roomlight.v1", f"bearer.{token}"],
+            compression=None,
+        )
+
+    own = f"https://127.0.0.1:{server.port}"
+    with dial(own, TOKEN) as stream:
+        stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 1, 0]}))
+        assert json.loads(stream.recv(timeout=60)) == {"type": "probes", "probes": {"table": [0.0, 1.0, 0.0]}}
+    for origin, token, status in (("https://evil.example", TOKEN, 403), (own, "another-token-here", 401)):
+        with pytest.raises(InvalidStatus) as refused:
+            dial(origin, token)
+        assert refused.value.response.status_code == status
+
+
+def test_pairing_names_address_token_and_fingerprint(server):
+    status, pairing = call(server, "/v1/pairing")
+    assert (status, pairing["url"], pairing["advice"]) == (200, URL, None)
+    assert pairing["fingerprint"] == tls.fingerprint(server.settings.tls_cert)
+    assert read_svg(pairing["qr_svg"]) == URL
+    assert call(server, "/v1/pairing", token="another-token-here")[0] == 401
+
+
+def test_a_local_server_says_how_a_phone_reaches_it():
+    with RunningServer() as local:
+        pairing = local.call("GET", "/v1/pairing").json
+    assert (pairing["url"], pairing["qr_svg"], pairing["fingerprint"]) == (None, None, None)
+    assert "roomlight serve --lan" in pairing["advice"]
+
+
+def read_svg(svg):
+    """Draw the modules of a QR code and read them."""
+    root = ElementTree.fromstring(svg)
+    size = int(root.get("viewBox").split()[2])
+    modules = np.full((size, size), 255, np.uint8)
+    path = root.findall("{http://www.w3.org/2000/svg}path")[-1].get("d")
+    x = y = 0.0
+    for command, first, second in re.findall(r"([Mmh])(-?[\d.]+)(?:[ ,]?(-?[\d.]+))?", path):
+        if command == "h":
+            modules[int(y), int(x) : int(x) + int(first)] = 0
+            x += int(first)
+        else:
+            x, y = (x if command == "m" else 0) + float(first), (y if command == "m" else 0) + float(second)
+    return read_modules(modules)
+
+
+def read_modules(modules):
+    return cv2.QRCodeDetector().detectAndDecode(np.kron(modules, np.ones((6, 6), np.uint8)))[0]
+
+
+def test_the_qr_code_of_the_terminal_is_readable():
+    lines = re.sub(r"\x1b\[[\d;]*m", "", lan.qr_text(URL)).splitlines()
+    light = {"█": (255, 255), "▀": (255, 0), "▄": (0, 255), " ": (0, 0)}
+    rows = [[light[letter][half] for letter in line] for line in lines for half in (0, 1)]
+    assert read_modules(np.array(rows, np.uint8)) == URL
+    assert all(line.startswith("\x1b[97;40m") for line in lan.qr_text(URL).splitlines())  # white on black everywhere
+
+
+def test_certificate_and_key_are_kept(tmp_path):
+    first = tls.ensure_certificate(tmp_path / "state", NAMES, now=NOW)
+    before = [file.read_bytes() for file in first]
+    assert tls.ensure_certificate(tmp_path / "state", NAMES[:1], now=NOW + datetime.timedelta(days=300)) == first
+    assert [file.read_bytes() for file in first] == before
+    key = first[1]
+    assert key.stat().st_mode & 0o777 == 0o600
+    assert key.parent.stat().st_mode & 0o777 == 0o700
+    assert certificate_of(first).not_valid_after_utc - NOW == datetime.timedelta(days=396)
+
+
+@pytest.mark.parametrize(
+    ("names", "days"), [((*NAMES, "192.168.1.9"), 0), (NAMES, 367), (NAMES, -10)], ids=["new name", "old", "clock"]
+)
+def test_a_certificate_that_does_not_fit_is_renewed(tmp_path, names, days):
+    first = tls.ensure_certificate(tmp_path, NAMES, now=NOW)
+    old = certificate_of(first)
+    later = NOW + datetime.timedelta(days=days)
+    new = certificate_of(tls.ensure_certificate(tmp_path, names, now=later))
+    assert new.serial_number != old.serial_number
+    assert new.public_key() == old.public_key()  # the key stays
+    assert new.not_valid_before_utc <= later < new.not_valid_after_utc
+    stated = new.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    assert len(stated) == len(names)
+
+
+def test_a_readable_key_is_made_private(tmp_path):
+    _, key = tls.ensure_certificate(tmp_path, NAMES)
+    key.chmod(0o644)
+    tls.ensure_certificate(tmp_path, NAMES)
+    assert key.stat().st_mode & 0o777 == 0o600
+
+
+def test_a_damaged_key_is_not_replaced_silently(tmp_path):
+    _, key = tls.ensure_certificate(tmp_path, NAMES)
+    key.write_text("damaged")
+    with pytest.raises(ServerError, match="delete it to make a new one"):
+        tls.ensure_certificate(tmp_path, NAMES)
+    assert key.read_text() == "damaged"
+
+
+def test_a_folder_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ServerError, match="choose another folder with --state"):
+        tls.ensure_certificate(tmp_path / "file", NAMES)
+
+
+def test_the_token_is_kept_and_private(tmp_path):
+    token = lan.ensure_token(tmp_path / "state")
+    assert len(token) >= 32
+    assert lan.ensure_token(tmp_path / "state") == token
+    file = tmp_path / "state" / lan.TOKEN
+    assert file.stat().st_mode & 0o777 == 0o600
+    file.write_text("short\n")
+    with pytest.raises(ServerError, match="delete it to make a new one"):
+        lan.ensure_token(tmp_path / "state")
+
+
+def test_lan_options_make_what_is_missing(tmp_path, files):
+    made = lan.lan_options(host="127.0.0.1", tokens=(), folder=tmp_path)
+    settings = load_settings(**made, port=0)
+    assert settings.host == "127.0.0.1"
+    assert settings.tokens == (lan.ensure_token(tmp_path),)
+    assert settings.tls_cert == tmp_path / tls.CERTIFICATE
+    assert {"127.0.0.1", "localhost"} <= set(settings.allow_hosts)
+    given = lan.lan_options(host="127.0.0.1", tokens=(TOKEN,), tls=files, folder=tmp_path, allow_hosts=("a.example",))
+    assert given["tokens"] == (TOKEN,)
+    assert (given["tls_cert"], given["tls_key"]) == files
+    assert "a.example" in given["allow_hosts"]
+
+
+@pytest.mark.parametrize(("host", "reason"), [("0.0.0.0", "every address"), ("room.local", "must be an address")])
+def test_the_address_of_the_network_must_be_one(host, reason):
+    with pytest.raises(ServerError, match=reason):
+        lan.find_lan(host)
+
+
+def test_the_names_of_the_machine_are_hosts(monkeypatch):
+    monkeypatch.setattr(lan.socket, "gethostname", lambda: "Desk.example")
+    found = lan.find_lan("192.168.1.7")
+    assert found.names == ("192.168.1.7", "desk.example", "desk.local", "localhost", "127.0.0.1", "::1")
+
+
+def test_a_machine_without_a_network_is_told(monkeypatch):
+    class Unreachable(socket.socket):
+        def connect(self, _):
+            raise OSError(101, "Network is unreachable")
+
+    monkeypatch.setattr(lan.socket, "socket", Unreachable)
+    with pytest.raises(ServerError, match="--host"):
+        lan.local_address()
+
+
+def test_the_state_folder_follows_the_xdg_variable(monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    assert lan.state_folder() == tmp_path / "roomlight"
+    monkeypatch.delenv("XDG_STATE_HOME")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    assert lan.state_folder() == tmp_path / ".local" / "state" / "roomlight"
+
+
+def test_certificates_are_checked_at_the_start(files, tmp_path):
+    other, _ = tls.ensure_certificate(tmp_path, NAMES)
+    with pytest.raises(ServerError, match="cannot be used"):
+        load_settings(tls_cert=other, tls_key=files[1])
+    with pytest.raises(ServerError, match="cannot be used"):
+        load_settings(tls_cert=tmp_path / "none.pem")
+    with pytest.raises(ServerError, match="needs a certificate"):
+        load_settings(tls_key=files[1])
+    with pytest.raises(ServerError, match="not a readable certificate"):
+        tls.fingerprint(files[1])
+
+
+def test_a_server_on_the_network_listens_on_loopback_too(monkeypatch, files):
+    """The desktop's browser opens https://localhost:PORT, a phone the address of the network."""
+    bound, addresses = [], []
+
+    class Stopped(serving.GracefulServer):
+        def run(self, sockets=None):
+            bound.extend(each.getsockname() for each in sockets)
+
+    monkeypatch.setattr(serving, "GracefulServer", Stopped)
+    monkeypatch.setattr(ServerSettings, "is_loopback", False)
+    settings = ServerSettings(
+        host="127.0.0.2", port=0, tokens=(TOKEN,), tls_cert=files[0], tls_key=files[1], on_lan=True
+    )
+    serving.serve(settings, listening=addresses.append)
+    (first, port), second = bound
+    assert (first, second) == ("127.0.0.2", ("127.0.0.1", port))
+    assert addresses == [f"https://127.0.0.2:{port}"]
