@@ -44,9 +44,9 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
       "aria-current": isCurrent ? "true" : null,
       click: () => (state.selected.value = id),
     },
-    element("b", { title: id }, id),
+    element("b", { title: `${id}, model ${model}` }, id),
     ...failed,
-    element("small", {}, `${model} · ${frames.processed} frames · ${activity(session)}`),
+    element("small", {}, `${frames.processed} frames · ${activity(session)}`),
   );
 }
 

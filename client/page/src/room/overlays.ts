@@ -1,6 +1,7 @@
 // What is drawn over the room: the camera and its path, the box of the volume, main lights as arrows.
 
 import {
+  BackSide,
   BoxGeometry,
   BufferGeometry,
   Color,
@@ -33,7 +34,7 @@ export class RoomOverlays {
   readonly volume = new Group();
   readonly lights = new Group();
   private readonly lines = new LineBasicMaterial();
-  private readonly faint = new LineBasicMaterial({ transparent: true, opacity: 0.8 });
+  private readonly faint = new LineBasicMaterial({ transparent: true, opacity: 0.5 });
 
   constructor(
     private readonly view: RoomView,
@@ -119,15 +120,21 @@ export function hueOf(light: LightSourceValues): Color {
   return new Color().setRGB(red, green, blue, LinearSRGBColorSpace);
 }
 
+/** An arrow that ends at the probe, with a dark outline so that it shows before bright walls. */
 function arrow(probe: Vector3, light: LightSourceValues, length: number): Group {
-  const material = new MeshBasicMaterial({ color: hueOf(light) });
   const group = new Group();
-  const shaft = new Mesh(new CylinderGeometry(0.012, 0.012, length, 12), material);
-  shaft.position.y = 0.29 + length / 2;
-  const head = new Mesh(new ConeGeometry(0.045, 0.12, 20), material);
-  head.rotation.x = Math.PI; // points at the probe
-  head.position.y = 0.23;
-  group.add(shaft, head);
+  const paints = [
+    [new MeshBasicMaterial({ color: hueOf(light) }), 0],
+    [new MeshBasicMaterial({ color: 0x1d1c19, side: BackSide }), 0.007],
+  ] as const;
+  for (const [material, outline] of paints) {
+    const shaft = new Mesh(new CylinderGeometry(0.014 + outline, 0.014 + outline, length + 2 * outline, 12), material);
+    shaft.position.y = 0.29 + length / 2;
+    const head = new Mesh(new ConeGeometry(0.05 + 1.6 * outline, 0.13 + 3 * outline, 20), material);
+    head.rotation.x = Math.PI; // points at the probe
+    head.position.y = 0.23;
+    group.add(shaft, head);
+  }
   group.position.copy(probe);
   group.setRotationFromQuaternion(new Quaternion().setFromUnitVectors(UP, new Vector3(...light.direction).normalize()));
   return group;

@@ -26,7 +26,7 @@ export class RoomPanel {
   private readonly surface: RoomSurface;
   private readonly overlays: RoomOverlays;
   private readonly objects: RoomObjects;
-  private hasView = false;
+  private hasView = false; // whether the visitor has chosen it
 
   constructor(
     private readonly state: State,
@@ -68,8 +68,7 @@ export class RoomPanel {
     await this.surface.show(glb);
     byId("room-waiting").hidden = this.surface.mesh !== null;
     if (this.surface.mesh && !this.hasView) {
-      this.hasView = true;
-      this.overview();
+      this.overview(); // again with each larger mesh, until the visitor turns the view
     }
     this.view.draw();
   }
@@ -94,8 +93,14 @@ export class RoomPanel {
         this.events.onPick(checked("tool") as "object" | "probe", hit);
       }
     });
-    byId("view-reset").addEventListener("click", () => this.overview());
+    this.view.controls.addEventListener("start", () => (this.hasView = true));
+    canvas.addEventListener("keydown", () => (this.hasView = true));
+    byId("view-reset").addEventListener("click", () => {
+      this.hasView = false;
+      this.overview();
+    });
     byId("view-camera").addEventListener("click", () => {
+      this.hasView = true;
       const pose = this.state.camera.value?.camera_to_world;
       if (pose) {
         this.view.lookFrom(new Matrix4().fromArray([...pose]));

@@ -3,6 +3,9 @@
 import { Box3, FrontSide, Mesh, MeshBasicMaterial, Vector3, type Raycaster, type Scene } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
+const SAMPLES = 4000;
+const OUTER = 0.01; // share of the vertices on each side
+
 export interface SurfacePoint {
   readonly point: Vector3;
   readonly normal: Vector3;
@@ -51,7 +54,25 @@ export class RoomSurface {
       const material = next.material as MeshBasicMaterial;
       material.side = FrontSide;
       this.scene.add(next);
-      this.box.setFromObject(next);
+      this.box.copy(extentOf(next));
     }
   }
+}
+
+/** The box of a mesh without its outermost vertices, which are often noise. */
+function extentOf(mesh: Mesh): Box3 {
+  const positions = mesh.geometry.getAttribute("position");
+  const step = Math.max(1, Math.floor(positions.count / SAMPLES));
+  const box = new Box3();
+  for (const axis of ["x", "y", "z"] as const) {
+    const read = { x: "getX", y: "getY", z: "getZ" } as const;
+    const values: number[] = [];
+    for (let vertex = 0; vertex < positions.count; vertex += step) {
+      values.push(positions[read[axis]](vertex));
+    }
+    values.sort((a, b) => a - b);
+    box.min[axis] = values[Math.floor(OUTER * values.length)]!;
+    box.max[axis] = values[Math.ceil((1 - OUTER) * values.length) - 1]!;
+  }
+  return box;
 }

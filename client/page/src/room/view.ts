@@ -57,17 +57,28 @@ export class RoomView {
     return { x: left + ((x + 1) / 2) * width, y: top + ((1 - y) / 2) * height };
   }
 
-  /** Look at a box from above, from the side where `from` is. */
+  /** Look at a box from above, from the side where `from` is, so that it fills the view. */
   lookAtBox(box: Box3, from: Vector3): void {
     const centre = box.getCenter(new Vector3());
-    const radius = Math.max(box.getSize(new Vector3()).length() / 2, 0.5);
-    const aside = from.clone().sub(centre).setY(0);
-    if (aside.length() < 0.2) {
-      aside.set(0.6, 0, 1);
+    const away = from.clone().sub(centre).setY(0);
+    if (away.length() < 0.2) {
+      away.set(0.6, 0, 1);
     }
-    const distance = (1.05 * radius) / Math.sin((this.camera.fov / 2) * (Math.PI / 180));
-    const away = aside.normalize().setY(0.75).normalize().multiplyScalar(distance);
-    this.camera.position.copy(centre).add(away);
+    away.normalize().setY(0.6).normalize();
+    const right = new Vector3().crossVectors(new Vector3(0, 1, 0), away).normalize();
+    const up = new Vector3().crossVectors(away, right);
+    const tangent = 0.92 * Math.tan((this.camera.fov * Math.PI) / 360);
+    let distance = 0.5;
+    for (let corner = 0; corner < 8; corner++) {
+      const at = new Vector3(
+        corner & 1 ? box.max.x : box.min.x,
+        corner & 2 ? box.max.y : box.min.y,
+        corner & 4 ? box.max.z : box.min.z,
+      ).sub(centre);
+      const aside = Math.max(Math.abs(at.dot(right)) / this.camera.aspect, Math.abs(at.dot(up))) / tangent;
+      distance = Math.max(distance, at.dot(away) + aside);
+    }
+    this.camera.position.copy(centre).addScaledVector(away, distance);
     this.controls.target.copy(centre);
     this.controls.update();
     this.draw();
