@@ -41,12 +41,12 @@ def trained(request, tmp_path_factory):
 
 
 def walk():
-    """Five unclipped frames whose mean colour changes, in the engine's working size."""
+    """Five unclipped frames whose mean colour changes by less than a stop, in the engine's working size."""
     recording = BoxRecordings(1).read(0, frames=[0, 4, 8, 12, 16])
     example = example_of(recording, np.random.default_rng(0), depth="exact")
     resized = [frame.resized(*WORKING_SIZE) for frame in (example.frame, *example.later)]
     frames = [
-        replace(frame, index=k, image=frame.image * np.float32(0.6 - 0.1 * k), clipped=np.zeros_like(frame.clipped))
+        replace(frame, index=k, image=frame.image * np.float32(0.6 - 0.06 * k), clipped=np.zeros_like(frame.clipped))
         for k, frame in enumerate(resized)
     ]
     example = Example(

@@ -32,6 +32,7 @@ def _state(seed):
         (rng.random(SHAPE) * (rng.random(SHAPE) < 0.7)).astype(np.float32),
         (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5)).astype(np.float32),
         rng.uniform(0, 0.2, SHAPE).astype(np.float32),
+        rng.integers(0, 2, SHAPE).astype(np.float32),
     )
 
 
@@ -238,9 +239,9 @@ def test_clipped_yields_only_to_what_knows_more(first, second, wanted):
 def test_the_clipped_share_only_falls_on_a_surface(seed):
     rng = np.random.default_rng(seed)
     state = PanoramaState.fresh(HEIGHT, 3.0)
-    bound = None
+    bound, light = None, rng.uniform(2, 10)
     for white in 2.0 ** rng.integers(0, 6, 8):
-        true = rng.uniform(0.2, 1.2) * 8 * np.ones(SHAPE)
+        true = rng.uniform(0.9, 1.1) * light * np.ones(SHAPE)
         clipped = (true >= white).astype(np.float32)
         shown = np.where(clipped > 0, 2 * white, true)
         view = _constant(depth_m=2.0) | {
@@ -263,3 +264,47 @@ def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
         accumulate(without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight")})
     for name in ("radiance", "depth_m", "seen"):
         np.testing.assert_array_equal(getattr(with_planes, name), getattr(without, name))
+
+
+LIT, DARK_AGAIN = {"detail": 3.0, "clipped": 1.0, "guessed": 2.0}, {"detail": 0.2}
+"""A lamp that is on and clips, with an estimate of three times white; the lamp switched off."""
+
+
+@pytest.mark.parametrize(("before", "after", "wanted"), [(LIT, DARK_AGAIN, 0.2), (DARK_AGAIN, LIT, 3.0)])
+def test_switched_light_is_taken_up_in_two_frames(before, after, wanted):
+    assert (_after(before, before, before, after).radiance == _after(before).radiance).all()
+    state = _after(before, before, before, after, after)
+    np.testing.assert_allclose(state.radiance, wanted, rtol=1e-6)
+    assert (state.changed == 0).all()
+
+
+def test_a_flash_of_one_frame_is_no_change():
+    state = _after(DARK_AGAIN, LIT, DARK_AGAIN, LIT, DARK_AGAIN)
+    np.testing.assert_allclose(state.radiance, 0.2, rtol=1e-6)
+
+
+@pytest.mark.parametrize("second", [0.8, 1.9, 0.26])
+def test_light_that_varies_by_less_than_a_stop_stays(second):
+    first = {"detail": 0.5 if second < 0.5 else 1.0}
+    state = _after(first, *3 * [{"detail": second}])
+    np.testing.assert_allclose(state.radiance, first["detail"], rtol=1e-6)
+
+
+def test_dark_noise_is_no_change():
+    state = _after({"detail": 0.004}, *3 * [{"detail": 0.04}])
+    np.testing.assert_allclose(state.radiance, 0.004, rtol=1e-4)
+
+
+def test_an_edge_shifted_by_a_pixel_is_no_change():
+    edge = _constant(depth_m=2.0)
+    edge["detail"][:, HEIGHT:] = 0.1
+    shifted = edge | {"detail": np.roll(edge["detail"], 1, axis=1)}
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for view in (edge, shifted, shifted, shifted):
+        accumulate(state, **view)
+    np.testing.assert_allclose(state.radiance[:, 1:-1], edge["detail"][:, 1:-1], rtol=1e-6)
+
+
+def test_a_change_behind_or_before_the_surface_does_not_count():
+    state = _after({"detail": 1.0, "depth_m": 2.0}, *3 * [{"detail": 0.1, "depth_m": 2.5}])
+    np.testing.assert_allclose(state.radiance, 1.0)

@@ -225,7 +225,7 @@ def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
         hdr, held = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
         before = random.uniform(1, 9, shape).astype(np.float32)
         seen = np.ones(shape, np.float32)
-        unclipped = np.zeros((2, *shape), np.float32)
+        unclipped = np.zeros((3, *shape), np.float32)
         small = coarse.weigh(
             PanoramaState(held, before, seen, *unclipped),
             hdr,

@@ -11,6 +11,12 @@ HIGHER: Final = np.float32(1.2)
 """A lower bound of the radiance counts as higher from this ratio on: a quarter of a stop."""
 NOISE: Final = np.float32(0.1)
 """Relative noise of a radiance at which it still agrees with a lower bound."""
+CHANGED: Final = np.float32(2)
+"""A surface's light has changed if it shows this many times more or less than before: one stop."""
+LEAST_CHANGE: Final = np.float32(0.05)
+"""Smallest change of luminance, relative to white: the noise of dark places is no change."""
+CHANGED_FRAMES: Final = np.float32(2)
+"""Consecutive frames that must show a change before it is taken over."""
 
 
 class StateArrays(NamedTuple):
@@ -21,6 +27,7 @@ class StateArrays(NamedTuple):
     seen: Float32[np.ndarray, "h w"]
     clipped: Float32[np.ndarray, "h w"]
     guessed: Float32[np.ndarray, "h w"]
+    changed: Float32[np.ndarray, "h w"]
 
 
 class DetailArrays(NamedTuple):
@@ -31,6 +38,8 @@ class DetailArrays(NamedTuple):
     clipped: Float32[np.ndarray, "h w"]
     guessed: Float32[np.ndarray, "h w"]
     weight: Float32[np.ndarray, "h w"]
+    lowest: Float32[np.ndarray, "h w"]
+    highest: Float32[np.ndarray, "h w"]
 
 
 @njit(nogil=True, cache=True)
@@ -66,13 +75,20 @@ def accumulate_rows(state, hdr, detail, closer_m, start, stop):
             nearer = state.depth[row, column] - detail.depth[row, column]
             if nearer < closer_m:
                 weight, blend = blend, max(blend - one, zero)
-                if clipped > zero and nearer > -closer_m and weight > zero:
-                    bound = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
-                    new_bound = luminance(new[row, column, 0], new[row, column, 1], new[row, column, 2])
-                    bound -= state.guessed[row, column]
-                    new_bound -= detail.guessed[row, column]
-                    better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
-                    blend = max(blend, better * min(weight, one))
+                if nearer > -closer_m and weight > zero and before > zero:
+                    shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
+                    bound = shown - state.guessed[row, column]
+                    if clipped > zero:
+                        new_bound = luminance(new[row, column, 0], new[row, column, 1], new[row, column, 2])
+                        new_bound -= detail.guessed[row, column]
+                        better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
+                        blend = max(blend, better * min(weight, one))
+                    brighter = detail.lowest[row, column] > CHANGED * shown + LEAST_CHANGE
+                    darker = CHANGED * detail.highest[row, column] + LEAST_CHANGE < bound
+                    count = state.changed[row, column] + one if brighter or darker else zero
+                    if count >= CHANGED_FRAMES:
+                        blend, count = max(blend, min(weight, one)), zero
+                    state.changed[row, column] = count
             for c in range(3):
                 held = (one - before) * hdr[row, column, c] + before * radiance[row, column, c]
                 radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * held
