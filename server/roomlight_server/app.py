@@ -43,6 +43,7 @@ from roomlight_server.recording_store import RecordingStore
 from roomlight_server.registry import Clock, Registry
 from roomlight_server.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
 from roomlight_server.settings import ServerSettings
+from roomlight_server.state.store import StateStore
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -81,13 +82,17 @@ def create_app(
     """
     metrics = Metrics()
     workers = Workers(settings, metrics)
-    registry = Registry(settings, workers, metrics, clock)
+    states = None
+    if settings.state_dir is not None:
+        interval_s, expiry_s = settings.state_interval_s, settings.state_expiry_s
+        states = StateStore(settings.state_dir, interval_s=interval_s, expiry_s=expiry_s, metrics=metrics, clock=clock)
+    registry = Registry(settings, workers, metrics, clock, states)
     guard = ConnectionGuard(settings, metrics)
     budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
     metrics.pending_bytes.set_function(lambda: budget.used)
     objects = ObjectStore(settings, metrics, clock)
     recordings = RecordingStore(settings, registry, clock)
-    context = Context(settings, metrics, workers, registry, guard, budget, objects, recordings)
+    context = Context(settings, metrics, workers, registry, guard, budget, objects, recordings, states)
 
     @asynccontextmanager
     async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
@@ -95,6 +100,8 @@ def create_app(
             asyncio.create_task(_prepare(context, when_ready)),
             asyncio.create_task(_expire(context, every_s=min(5.0, settings.idle_expiry_s / 4))),
         ]
+        if states is not None:
+            tasks.append(asyncio.create_task(states.run(registry.items)))
         try:
             yield
         finally:
@@ -103,6 +110,8 @@ def create_app(
                 task.cancel()
             await asyncio.wait(tasks)
             await recordings.close()
+            if states is not None:
+                await states.close(registry.items)
             registry.close()
             await asyncio.to_thread(workers.stop)
 
@@ -215,9 +224,13 @@ def _add_health(app: FastAPI) -> None:
         responses={503: {"description": "The server is compiling kernels, loading weights or stopping"}},
     )
     async def readyz(context: ContextDep, response: Response) -> dict[str, str]:  # pyright: ignore[reportUnusedFunction]
-        """Return 200 once kernels are compiled and weights loaded."""
+        """Return 200 once kernels are compiled and weights loaded. `state` says whether sessions can be saved."""
         response.status_code = 200 if context.ready else 503
-        return {"status": "stopping" if context.registry.stopping else "ready" if context.ready else "loading"}
+        status = "stopping" if context.registry.stopping else "ready" if context.ready else "loading"
+        if context.states is None:
+            return {"status": status}
+        failing = context.states.failing
+        return {"status": status, "state": "saved" if failing is None else f"not saved: {failing}"}
 
     @app.get("/metrics", tags=["server"], summary="Metrics for Prometheus", response_class=Response)
     async def metrics(context: ContextDep) -> Response:  # pyright: ignore[reportUnusedFunction]

@@ -15,6 +15,7 @@ from roomlight_server.object_store import ObjectStore
 from roomlight_server.recording_store import RecordingStore
 from roomlight_server.registry import Registry
 from roomlight_server.settings import ServerSettings
+from roomlight_server.state.store import StateStore
 from roomlight_server.workers import Workers
 
 
@@ -30,6 +31,7 @@ class Context:
     budget: ByteBudget
     objects: ObjectStore
     recordings: RecordingStore
+    states: StateStore | None = None
     ready: bool = False
     public_url: str | None = None
 
@@ -66,6 +68,7 @@ async def live_session(
     Raises:
         ProblemError: The session does not exist (404).
     """
+    await context.registry.recall(owner, session_id)
     with context.registry.use(owner, session_id) as live:
         yield live
 

@@ -12,6 +12,7 @@ from roomlight.wire.frame_message import FrameMessage
 from roomlight.wire.messages import FrameCounts, FrameResult
 from roomlight_server.problems import ProblemError
 from roomlight_server.request_context import request_id
+from roomlight_server.state.live_state import SavedQueue
 
 
 @dataclass
@@ -45,12 +46,21 @@ class Entry:
 class FrameQueue:
     """Indices, counts and the waiting frame of one session."""
 
-    def __init__(self, counted: Callable[[str], object] = lambda _: None) -> None:
-        """Create an empty queue; `counted` is called with the status of each frame that is not processed."""
-        self._counted = counted
+    def __init__(
+        self, counted: Callable[[str], object] = lambda _: None, durable: Callable[[], int | None] = lambda: None
+    ) -> None:
+        """Create an empty queue.
+
+        Args:
+            counted: Called with the status of each frame that is not processed.
+            durable: Returns the index up to which frames are on disk.
+        """
+        self._counted, self._durable = counted, durable
         self._last: Entry | None = None
         self._before_last: Entry | None = None
         self._waiting: Entry | None = None
+        self._before_waiting: Entry | None = None
+        self._skipped_after_waiting = 0
         self._processing: Entry | None = None
         self._counts = dict.fromkeys(("processed", "superseded", "skipped", "gaps", "replayed", "refused"), 0)
 
@@ -79,14 +89,16 @@ class FrameQueue:
         if entry.frame is None and entry.message is None:
             self._counts["skipped"] += 1
             self._counted("skipped")
-            entry.settle(FrameResult(index=entry.index, status="skipped"))
+            self._skipped_after_waiting += self._waiting is not None
+            entry.settle(FrameResult(index=entry.index, status="skipped", durable_index=self._durable()))
             return
         if self._waiting is not None:
             self._counts["superseded"] += 1
             self._counted("superseded")
-            self._waiting.settle(FrameResult(index=self._waiting.index, status="superseded"))
+            superseded = FrameResult(index=self._waiting.index, status="superseded", durable_index=self._durable())
+            self._waiting.settle(superseded)
             self._waiting.frame = self._waiting.message = None
-        self._waiting = entry
+        self._waiting, self._before_waiting, self._skipped_after_waiting = entry, self._before_last, 0
 
     def take(self) -> Entry | None:
         """Remove and return the waiting frame for processing, or None."""
@@ -134,7 +146,36 @@ class FrameQueue:
         queued = (self._waiting is not None) + (self._processing is not None)
         used = sum(self._counts[name] for name in ("processed", "superseded", "skipped"))
         last = None if self._last is None else self._last.index
-        return FrameCounts(accepted=used + queued, queued=queued, last_index=last, **self._counts)
+        return FrameCounts(
+            accepted=used + queued, queued=queued, last_index=last, durable_index=self._durable(), **self._counts
+        )
+
+    def saved(self) -> SavedQueue:
+        """Return the order of frames up to the last one whose outcome is certain; call it while none is processed.
+
+        A waiting frame and those after it are left out: they are sent again after a restart.
+        """
+        counts, last = dict(self._counts), self._last
+        if self._waiting is not None and last is not None:
+            skipped, before = self._skipped_after_waiting, self._before_waiting
+            gaps = 0 if before is None else last.index - before.index
+            counts["skipped"] -= skipped
+            counts["gaps"] -= max(0, gaps - 1 - skipped)
+            last = before
+        if last is None:
+            return SavedQueue(last_index=None, digest="", result=None, counts=counts)
+        rejected = not last.outcome.done() or last.outcome.exception() is not None
+        result = None if rejected else last.outcome.result()
+        return SavedQueue(last_index=last.index, digest=last.digest.hex(), result=result, counts=counts)
+
+    def restore(self, saved: SavedQueue) -> None:
+        """Continue after the last frame of a saved queue. A frame that was rejected has no replay."""
+        self._counts |= saved.counts
+        if saved.last_index is not None:
+            digest = b"" if saved.result is None else bytes.fromhex(saved.digest)
+            self._last = Entry(saved.last_index, digest)
+            if saved.result is not None:
+                self._last.settle(saved.result)
 
     def _done(self, entry: Entry) -> None:
         entry.frame = entry.message = None  # a replay needs only the outcome

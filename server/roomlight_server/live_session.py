@@ -9,6 +9,7 @@ import asyncio
 import logging
 from collections import OrderedDict
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Final, Literal, TypeVar, cast
@@ -29,6 +30,8 @@ from roomlight_server.metrics import Metrics
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError, convert_probe_errors
 from roomlight_server.quotas import Quotas
 from roomlight_server.request_context import request_id
+from roomlight_server.state.journal import Journal
+from roomlight_server.state.live_state import LiveState, SavedProbe
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -50,7 +53,9 @@ class Limits:
 
 
 @dataclass
-class _NamedProbe:
+class NamedProbe:
+    """A named probe; `handle` is that of the engine."""
+
     position: Position
     handle: int
     coverage: float = 0.0
@@ -90,10 +95,11 @@ class LiveSession:
         self._ingest_lock = asyncio.Lock()
         self._frame_slots = asyncio.Semaphore(limits.frames_in_flight)
         self._in_flight = 0
-        self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc())
+        self.journal: Journal | None = None
+        self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
-        self._named: dict[str, _NamedProbe] = {}
+        self._named: dict[str, NamedProbe] = {}
         self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
         self._light_frame = NO_FRAME
         self._latest: LatestFrame | None = None
@@ -179,6 +185,7 @@ class LiveSession:
                 entry.frame = await self._decoded(message, index)
         self.check_open()
         self._queue.accept(entry)
+        self._changed()
         return entry
 
     async def _decoded(self, message: FrameMessage, index: int) -> Frame:
@@ -234,6 +241,8 @@ class LiveSession:
             self._light_frame = entry.index
             assert entry.message is not None
             self._latest = LatestFrame(entry.index, entry.message)
+            if self.journal is not None:
+                self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
             self._metrics.observe_frame(report)
             handles = {name: named.handle for name, named in self._named.items()}
             await self.history.add(engine, frame, report, self._queue.counts(), handles)
@@ -264,6 +273,7 @@ class LiveSession:
             keyframe=report.keyframe,
             stage_ms={stage: round(ms, 2) for stage, ms in report.stage_ms.items()},
             coverage=self._coverage(),
+            durable_index=self.durable_index,
         )
 
     # --- probes and light -------------------------------------------------------------------------------------
@@ -289,13 +299,14 @@ class LiveSession:
     async def _replace_probe(self, engine: Session, name: str, position: Position) -> None:
         async with self._workers.engine_slot():
             handle = await convert_probe_errors(self._workers.run_in_engine_pool(engine.track, position))
-        new = _NamedProbe(position, handle)
+        new = NamedProbe(position, handle)
         if self.has_light:
             new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
         async with self._state_lock:
             if name in self._named:
                 self._remove(engine, name)
             self._named[name] = new
+            self._changed(urgent=True)
 
     async def untrack(self, name: str) -> None:
         """Stop tracking a named probe.
@@ -307,6 +318,7 @@ class LiveSession:
             engine = self._live_engine()
             self._named_probe(name)
             self._remove(engine, name)
+            self._changed(urgent=True)
 
     def _remove(self, engine: Session, name: str) -> None:
         named = self._named.pop(name)
@@ -364,7 +376,7 @@ class LiveSession:
         x, y, z = query.position
         return x, y, z
 
-    def _named_probe(self, name: str) -> _NamedProbe:
+    def _named_probe(self, name: str) -> NamedProbe:
         named = self._named.get(name)
         if named is None:
             raise ProblemError("probe-not-found", f"the session has no probe {name!r}", field="name", value=name)
@@ -437,6 +449,35 @@ class LiveSession:
         """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""
         async with self._state_lock:
             return await self._workers.run_in_decode_pool(work, self._live_engine())
+
+    # --- on disk ----------------------------------------------------------------------------------------------
+
+    @property
+    def durable_index(self) -> int | None:
+        """Index up to which frames are on disk; None: none are."""
+        return None if self.journal is None else self.journal.durable_index
+
+    def _changed(self, *, urgent: bool = False) -> None:
+        if self.journal is not None:
+            self.journal.changed(urgent=urgent)
+
+    async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
+        """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
+        async with self._engine_lock:
+            if self._engine is None:
+                return None
+            snapshot = await asyncio.get_running_loop().run_in_executor(pool, self._engine.snapshot)
+            probes = {
+                name: SavedProbe(position=one.position, handle=one.handle, coverage=one.coverage)
+                for name, one in self._named.items()
+            }
+            return LiveState(snapshot, self._reference, probes, self._queue.saved(), self._light_frame, self._latest)
+
+    def resume(self, state: LiveState) -> None:
+        """Continue from a saved state, with the engine that was made from its snapshot."""
+        self._reference, self._light_frame, self._latest = state.reference, state.light_frame, state.latest
+        self._named = {name: NamedProbe(one.position, one.handle, one.coverage) for name, one in state.probes.items()}
+        self._queue.restore(state.queue)
 
     # --- state and end ----------------------------------------------------------------------------------------
 

@@ -22,6 +22,24 @@ class Metrics:
         self.sessions_ended = Counter(
             "roomlight_sessions_ended", "Ended sessions, by reason.", ["reason"], registry=registry
         )
+        self.state_writes = Counter(
+            "roomlight_state_writes",
+            "Sessions written to the state directory, by outcome.",
+            ["outcome"],
+            registry=registry,
+        )
+        self.state_write_seconds = Histogram(
+            "roomlight_state_write_seconds", "Time for writing a session.", buckets=_SECONDS, registry=registry
+        )
+        self.state_session_bytes = Histogram(
+            "roomlight_state_session_bytes",
+            "Size of a session on disk.",
+            buckets=tuple(2.0**power for power in range(16, 28)),
+            registry=registry,
+        )
+        self.state_unsaved_seconds = Gauge(
+            "roomlight_state_unsaved_seconds", "Age of the oldest change that is not on disk.", registry=registry
+        )
         self.frames = Counter("roomlight_frames", "Accepted frames, by status.", ["status"], registry=registry)
         self.refused = Counter(
             "roomlight_frames_refused", "Rejected frames, by kind of problem.", ["kind"], registry=registry

@@ -39,6 +39,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "header-timeout": (408, "Request headers timed out"),
     "frame-conflict": (409, "Frame index was already used"),
     "session-conflict": (409, "Session exists with other options"),
+    "state-refused": (409, "Saved session cannot be used"),
     "session-failed": (409, "Session has failed"),
     "model-not-here": (409, "Model is not available"),
     "too-many-probes": (409, "Probe limit reached"),
@@ -68,6 +69,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "object-memory": (503, "Object limit of the server reached"),
     "recording-memory": (503, "Recording limit of the server reached"),
     "too-many-connections": (503, "Connection limit reached"),
+    "state-unavailable": (503, "Saved session cannot be read or removed now"),
     "stopping": (503, "Server is stopping"),
 }
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""

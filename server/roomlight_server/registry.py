@@ -7,6 +7,7 @@ from collections.abc import Callable, Generator
 from contextlib import contextmanager
 from dataclasses import replace
 
+from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.memory import Footprint
 from roomlight.engine.session import Session
 from roomlight.errors import ModelError, OptionError
@@ -16,6 +17,8 @@ from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
 from roomlight_server.quotas import Quotas
 from roomlight_server.settings import ServerSettings
+from roomlight_server.state.restoring import Restorer
+from roomlight_server.state.store import StateStore
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -26,8 +29,17 @@ Clock = Callable[[], float]
 class Registry:
     """The open sessions. Each owner has a separate set of ids and cannot find the sessions of others."""
 
-    def __init__(self, settings: ServerSettings, workers: Workers, metrics: Metrics, clock: Clock) -> None:
-        """Create an empty registry."""
+    def __init__(
+        self,
+        settings: ServerSettings,
+        workers: Workers,
+        metrics: Metrics,
+        clock: Clock,
+        states: StateStore | None = None,
+    ) -> None:
+        """Create an empty registry; `states` saves and restores its sessions."""
+        self._states = states
+        self._restorer = None if states is None else Restorer(workers)
         self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
         self._sessions: dict[tuple[str, str], LiveSession] = {}
         self._quotas = Quotas(settings, self._sessions_of)
@@ -35,7 +47,7 @@ class Registry:
             frame=settings.frame_limits,
             frames_in_flight=settings.frames_in_flight,
             max_probes=settings.max_probes,
-            idle_expiry_s=settings.idle_expiry_s,
+            idle_expiry_s=settings.session_expiry_s,
             history_bytes=settings.history_bytes,
             quotas=self._quotas,
         )
@@ -55,15 +67,10 @@ class Registry:
             ProblemError: The session exists with other options (409), the model is not available (409), the session
                 limit is reached (503), or the session could need too much memory (422).
         """
-        existing = self._current(owner, name)
+        existing = await self.recall(owner, name)
         if existing is not None:
             return self._reopen(existing, request), False
-        try:
-            graphs = await self._workers.graphs_of(request.mode)
-        except (ModelError, OptionError) as error:
-            rule = "must be a model of the server; `auto` is its default model"
-            detail = f"the server has no weights of the model: {error}"
-            raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
+        graphs = await self._graphs_of(request)
         existing = self._current(owner, name)  # another request may have opened it in the meantime
         if existing is not None:
             return self._reopen(existing, request), False
@@ -76,25 +83,69 @@ class Registry:
             height=request.height,
             unknown_depth=request.unknown_depth,
         )
-        live = LiveSession(
+        live = self._live(name, request, Session(options, graphs=graphs), graphs)
+        self._check_size(owner, live)
+        if self._states is not None:
+            live.journal = self._states.journal()
+        self._add(owner, live)
+        _log.info("session opened", extra={"session": name, "model": live.state().model})
+        return live, True
+
+    async def recall(self, owner: str, name: str) -> LiveSession | None:
+        """Return the session from memory, or restore it from disk; None if there is none.
+
+        Raises:
+            ProblemError: The saved state cannot be used (409) or not be read now (503), or there is no room (429, 503).
+        """
+        found = self._current(owner, name)
+        if found is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
+            return found
+        async with self._states.lock(owner, name):
+            found = self._current(owner, name)  # another request may have restored it in the meantime
+            if found is not None or not self._states.has(owner, name):
+                return found
+            self._check_capacity()
+            reading = await self._states.read(owner, name)
+            graphs = await self._graphs_of(reading.values.request)
+            engine, state = await self._restorer.restore(reading, graphs)
+            live = self._live(name, reading.values.request, engine, graphs)
+            self._check_size(owner, live)
+            live.resume(state)
+            live.journal = self._states.restored(reading)
+            self._add(owner, live)
+            _log.info("session restored", extra={"session": name, "frame": state.light_frame})
+            return live
+
+    async def _graphs_of(self, request: SessionRequest) -> LightingGraphs | None:
+        try:
+            return await self._workers.graphs_of(request.mode)
+        except (ModelError, OptionError) as error:
+            rule = "must be a model of the server; `auto` is its default model"
+            detail = f"the server has no weights of the model: {error}"
+            raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
+
+    def _live(self, name: str, request: SessionRequest, engine: Session, graphs: LightingGraphs | None) -> LiveSession:
+        return LiveSession(
             name,
             request,
-            engine=Session(options, graphs=graphs),
+            engine=engine,
             workers=self._workers,
             footprint=Footprint.of(graphs, request.height),
             limits=self._limits,
             metrics=self._metrics,
         )
+
+    def _add(self, owner: str, live: LiveSession) -> None:
+        live.last_used_s = self._clock()
+        self._sessions[owner, live.name] = live
+
+    def _check_size(self, owner: str, live: LiveSession) -> None:
         limit = self._settings.max_session_bytes
         if live.bound_bytes > limit:
             detail = f"a session with these options could need {live.bound_bytes} bytes"
             rule = f"at most {limit} bytes per session; a lower height needs less"
-            raise ProblemError("invalid", detail, field="height", value=request.height, rule=rule)
+            raise ProblemError("invalid", detail, field="height", value=live.request.height, rule=rule)
         self._quotas.check_session(owner, live.bound_bytes, retry_after_s=self._expected_wait_s(owner))
-        live.last_used_s = self._clock()
-        self._sessions[owner, name] = live
-        _log.info("session opened", extra={"session": name, "model": live.state().model})
-        return live, True
 
     @contextmanager
     def use(self, owner: str, name: str) -> Generator[LiveSession]:
@@ -131,7 +182,29 @@ class Registry:
         with self.use(owner, name) as live:
             del self._sessions[owner, name]
             live.close()
+            if live.journal is not None:
+                live.journal.closed = True  # what is being copied is not written any more
             self._record_end(name, "deleted")
+
+    async def erase(self, owner: str, name: str) -> None:
+        """End a session, and remove it from the disk.
+
+        Raises:
+            ProblemError: There is no session of this id (404), or its files cannot be removed (503).
+        """
+        if self._states is None:
+            self.delete(owner, name)
+            return
+        async with self._states.lock(owner, name):
+            if self._current(owner, name) is not None:
+                self.delete(owner, name)
+                await self._states.erase(owner, name)
+            elif not await self._states.erase(owner, name):
+                self.delete(owner, name)  # raises: it is nowhere
+
+    def items(self) -> list[tuple[tuple[str, str], LiveSession]]:
+        """Return the sessions in memory by (owner, id)."""
+        return list(self._sessions.items())
 
     @property
     def frames_in_flight(self) -> int:
@@ -142,10 +215,18 @@ class Registry:
         """End all sessions that are idle for too long."""
         limit = self._clock() - self._settings.idle_expiry_s
         for key, live in tuple(self._sessions.items()):
-            if live.users == 0 and live.last_used_s < limit:
-                del self._sessions[key]
-                live.close()
-                self._record_end(live.name, "expired")
+            if live.users or live.last_used_s >= limit or self._may_be_saved_yet(live, limit):
+                continue
+            del self._sessions[key]
+            live.close()
+            if self._states is not None:
+                self._states.touch(*key)
+            self._record_end(live.name, "expired" if self._states is None else "saved")
+
+    def _may_be_saved_yet(self, live: LiveSession, limit_s: float) -> bool:
+        """Return whether an idle session has unsaved changes; it is kept at most twice as long for them."""
+        unsaved = live.journal is not None and live.journal.unsaved_s > 0
+        return unsaved and live.last_used_s >= limit_s - self._settings.idle_expiry_s
 
     def close(self) -> None:
         """End all sessions."""

@@ -123,7 +123,7 @@ async def session_state(live: SessionDep) -> SessionState:
 )
 async def delete_session(session_id: SessionId, context: ContextDep, owner: OwnerDep) -> None:
     """End a session; frames in flight are answered with 410."""
-    context.registry.delete(owner, session_id)
+    await context.registry.erase(owner, session_id)
 
 
 @router.put(

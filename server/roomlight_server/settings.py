@@ -49,7 +49,10 @@ class ServerSettings(BaseSettings):
         max_session_bytes: Sessions whose options could exceed this are rejected.
         max_probes: Named probes per session. Each adds to the time of every frame.
         frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
-        idle_expiry_s: A session without requests for this time is deleted.
+        idle_expiry_s: A session without requests for this time is deleted; with a state directory, it leaves memory.
+        state_dir: Folder in which sessions are saved, so that they survive a restart. Default: they are not saved.
+        state_interval_s: A change of a session is on disk after this time at the latest.
+        state_expiry_s: A saved session without requests for this time is erased.
         body_timeout_s: Time limit for receiving the body of a request.
         engine_threads: Sessions whose frames are processed at once. Each already uses `ROOMLIGHT_THREADS` threads, so
             more than 1 trades latency per frame for less waiting.
@@ -110,6 +113,9 @@ class ServerSettings(BaseSettings):
     max_probes: Annotated[int, Field(ge=1, le=1024)] = 16
     frames_in_flight: Annotated[int, Field(ge=1, le=64)] = 4
     idle_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 600.0
+    state_dir: Path | None = None
+    state_interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 5.0
+    state_expiry_s: Annotated[float, Field(gt=0, le=1e8)] = 86_400.0
     body_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     max_body_bytes: Annotated[int, Field(ge=2**16, le=2**30)] = FrameLimits().max_body_bytes
     max_colour_pixels: Annotated[int, Field(ge=1)] = FrameLimits().max_colour_pixels
@@ -167,6 +173,11 @@ class ServerSettings(BaseSettings):
             if not 16 <= len(token) <= 512 or not token.isascii() or not token.isprintable() or " " in token:
                 raise ValueError("a token must be 16 to 512 printable ASCII characters without spaces")
         return tokens
+
+    @property
+    def session_expiry_s(self) -> float:
+        """Time without requests after which a session can no longer be used."""
+        return self.idle_expiry_s if self.state_dir is None else max(self.idle_expiry_s, self.state_expiry_s)
 
     @property
     def frame_limits(self) -> FrameLimits:

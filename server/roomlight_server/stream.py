@@ -43,9 +43,8 @@ _log = logging.getLogger("roomlight.server")
 router = APIRouter()
 _MESSAGES: Final[TypeAdapter[ClientMessage]] = TypeAdapter(ClientMessage)
 _Answer = FrameEvent | LightAnswer | LightingUpdate | ProbesEvent | ProblemEvent
-_CLOSE_CODES: Final = {"session-not-found": 4404, "invalid": 4422}
-"""Close codes: 4000 + the HTTP status of the problem."""
 _SESSION_ENDED: Final = 4410
+"""Close codes are 4000 + the HTTP status of the problem."""
 
 
 class _ConnectionEndedError(Exception):
@@ -63,11 +62,12 @@ async def stream(websocket: WebSocket, session_id: str) -> None:
         if not is_id(session_id):
             rule = "must be 1 to 64 of A-Z a-z 0-9 _ -"
             raise ProblemError("invalid", f"id: {rule}", field="id", value=session_id, rule=rule)
+        await context.registry.recall(owner, session_id)
         with context.registry.use(owner, session_id) as live:
             pass  # an open connection does not keep the session alive; its messages do
     except ProblemError as error:
         await websocket.send_text(ProblemEvent(problem=error.problem).model_dump_json(exclude_none=True))
-        await websocket.close(_CLOSE_CODES[error.kind], error.kind)
+        await websocket.close(4000 + error.problem.status, error.kind)
         return
     with context.metrics.streams.track_inprogress():
         await _Connection(websocket, context, owner, live).run()

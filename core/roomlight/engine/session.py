@@ -349,7 +349,10 @@ class Session:
                 what = {"model": "the model", "weights": "weights", "clipping": "a network for clipped pixels"}[name]
                 shown = [(digest or "none")[:16] for digest in (saved or "", given)]
                 raise StateError(f"the session was saved with {what} {shown[0]}, and here is {shown[1]}")
-        session._restore(snapshot)
+        try:
+            session._restore(snapshot)
+        except (KeyError, ValueError) as error:
+            raise StateError(f"its values do not fit each other ({error!r})") from error
         return session
 
     def _restore(self, snapshot: SessionSnapshot) -> None:

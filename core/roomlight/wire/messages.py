@@ -169,6 +169,7 @@ class FrameResult(WireModel):
         keyframe: whether the frame was kept for probes that are requested later.
         stage_ms: processing time of each stage.
         coverage: coverage of each named probe after the last processed frame.
+        durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
     """
 
     index: int
@@ -177,6 +178,7 @@ class FrameResult(WireModel):
     keyframe: bool | None = None
     stage_ms: dict[str, float] = Field(default_factory=dict)
     coverage: dict[str, float] = Field(default_factory=dict)
+    durable_index: int | None = None
 
 
 class FrameCounts(WireModel):
@@ -184,6 +186,7 @@ class FrameCounts(WireModel):
 
     Attributes:
         gaps: indices that are missing between the first and the last accepted frame.
+        durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
     """
 
     accepted: int
@@ -195,6 +198,7 @@ class FrameCounts(WireModel):
     replayed: int
     refused: int
     last_index: int | None
+    durable_index: int | None = None
 
 
 class Memory(WireModel):

@@ -1,0 +1,85 @@
+"""What is saved of a session besides its engine: options, owner, order of frames, named probes."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from pydantic import BaseModel, ConfigDict
+
+from roomlight.conventions import Position
+from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.wire.messages import FrameResult, SessionRequest
+from roomlight_server.intake import LatestFrame
+
+
+class _Saved(BaseModel):
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class SavedProbe(_Saved):
+    """A named probe; `handle` is that of the engine."""
+
+    position: Position
+    handle: int
+    coverage: float
+
+
+class SavedQueue(_Saved):
+    """The order of frames up to the last one whose outcome is certain.
+
+    Attributes:
+        last_index: its index; None: there was none.
+        digest: SHA-256 of its bytes, as hexadecimal digits.
+        result: its result; None if it was rejected.
+        counts: counts of all frames up to it.
+    """
+
+    last_index: int | None
+    digest: str
+    result: FrameResult | None
+    counts: dict[str, int]
+
+
+class SavedBase(_Saved):
+    """A file beside the state that holds a kept frame: the client's message, or pixels."""
+
+    file: str
+    sha256: str
+    kind: Literal["message", "pixels"]
+
+
+class SavedValues(_Saved):
+    """The values of a saved session.
+
+    Attributes:
+        owner: SHA-256 of the owner, which is itself a digest of the token.
+        name: id of the session.
+        request: options of the session.
+        reference: exposure at which radiance 1 is white; None before the first frame.
+        probes: the named probes.
+        queue: the order of frames.
+        light_frame: index of the last processed frame.
+        bases: files of the kept frames, by index.
+        latest: index of the last frame, if its message is in the file or in `bases`.
+    """
+
+    owner: str
+    name: str
+    request: SessionRequest
+    reference: float | None
+    probes: dict[str, SavedProbe]
+    queue: SavedQueue
+    light_frame: int
+    bases: dict[int, SavedBase]
+    latest: int | None
+
+
+@dataclass(frozen=True)
+class LiveState:
+    """The state of a session between two frames."""
+
+    snapshot: SessionSnapshot
+    reference: float | None
+    probes: dict[str, SavedProbe]
+    queue: SavedQueue
+    light_frame: int
+    latest: LatestFrame | None

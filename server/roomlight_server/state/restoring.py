@@ -1,0 +1,77 @@
+"""Restoring of a saved session: its kept frames are decoded from the messages again, then its engine continues."""
+
+import asyncio
+from dataclasses import replace
+
+from roomlight.engine.graphs import LightingGraphs
+from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.session import Session
+from roomlight.engine.state.kept_frames import base_of_frame
+from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.errors import ModelError, StateError, WireError
+from roomlight_server.intake import LatestFrame, decode_to_size
+from roomlight_server.problems import ProblemError
+from roomlight_server.state.live_state import LiveState
+from roomlight_server.state.session_folder import Reading
+from roomlight_server.state.store import refused
+from roomlight_server.workers import Workers
+
+
+class Restorer:
+    """Makes sessions from saved states, with the weights of this server."""
+
+    def __init__(self, workers: Workers) -> None:
+        """Use the decoding threads and processes of these workers."""
+        self._workers = workers
+
+    async def restore(self, reading: Reading, graphs: LightingGraphs | None) -> tuple[Session, LiveState]:
+        """Return the engine and the state of a session; 24 keyframes take 0.3 to 0.5 s.
+
+        Raises:
+            ProblemError: The state was saved with other weights, or its frames have other pixels now (409), or a frame
+                cannot be decoded now (503).
+        """
+        values = reading.values
+        base = self._workers.base_options
+        options = replace(
+            reading.session.options,
+            weights=base.weights,
+            provider=base.provider,
+            parts=base.parts,
+            allow_untrained=base.allow_untrained,
+        )
+        try:
+            bases = await self._bases(reading, options)
+            engine, snapshot = await self._workers.run_in_decode_pool(_engine, reading, bases, options, graphs)
+        except (StateError, ModelError) as error:
+            text = str(error) if values.name in str(error) else f"saved state of session {values.name}: {error}"
+            raise refused(StateError(text), values.name) from error
+        except WireError as error:
+            detail = f"a saved frame cannot be decoded now ({error}); retry later"
+            raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
+        latest = None if values.latest is None else LatestFrame(values.latest, reading.messages[values.latest])
+        state = LiveState(snapshot, values.reference, values.probes, values.queue, values.light_frame, latest)
+        return engine, state
+
+    async def _bases(self, reading: Reading, options: SessionOptions) -> dict[int, FrameMesh]:
+        wanted = [index for index in reading.session.elsewhere if index in reading.messages]
+        made = await asyncio.gather(*(self._base(reading, index, options) for index in wanted))
+        return reading.pixels | dict(zip(wanted, made, strict=True))
+
+    async def _base(self, reading: Reading, index: int, options: SessionOptions) -> FrameMesh:
+        message, processes = reading.messages[index], self._workers.decode_processes
+        reference = reading.values.reference or message.header.exposure
+        least = reading.values.request.min_confidence
+
+        def make() -> FrameMesh:
+            return base_of_frame(decode_to_size(message, index, reference, least, processes), options)
+
+        return await self._workers.run_in_decode_pool(make)
+
+
+def _engine(
+    reading: Reading, bases: dict[int, FrameMesh], options: SessionOptions, graphs: LightingGraphs | None
+) -> tuple[Session, SessionSnapshot]:
+    snapshot = reading.session.snapshot(bases)
+    return Session.from_snapshot(snapshot, options, graphs=graphs), snapshot

@@ -1,0 +1,274 @@
+"""The state directory of a server: saves sessions in the background, reads, erases and expires saved ones.
+
+A session is copied between two frames (3 ms) and written on a thread: frames do not wait for the disk. If the disk is
+full or fails, serving goes on, `failing` has the reason, and each session is tried again.
+"""
+
+import asyncio
+import contextlib
+import hashlib
+import logging
+import os
+import time
+from collections.abc import AsyncGenerator, Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager
+from pathlib import Path
+from typing import Final, Protocol, TypeVar
+from weakref import WeakValueDictionary
+
+from roomlight.errors import OutputError, ServerError, StateError
+from roomlight.wire.messages import SessionRequest
+from roomlight_server.metrics import Metrics
+from roomlight_server.problems import ProblemError
+from roomlight_server.state.journal import Journal
+from roomlight_server.state.live_state import LiveState, SavedValues
+from roomlight_server.state.session_folder import STATE, Reading, Written, erase, read_session, write_session
+
+_log = logging.getLogger("roomlight.server")
+_R = TypeVar("_R")
+SAVES_PER_INTERVAL: Final = 2.5
+"""A session that changes is saved so often per interval, so that waiting and writing fit into the rest."""
+CLOSE_S: Final = 5.0
+"""Time for saving all sessions when the server stops."""
+_EXPIRY_PERIOD_S: Final = 60.0
+
+
+class Saveable(Protocol):
+    """A session that can be saved: a `LiveSession`."""
+
+    name: str
+    request: SessionRequest
+    journal: Journal | None
+
+    async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
+        """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
+        ...
+
+
+Sessions = Callable[[], Iterable[tuple[tuple[str, str], Saveable]]]
+"""The open sessions by (owner, id)."""
+
+
+class StateStore:
+    """The saved sessions of a server, in one folder each. Used on the event loop; files are handled on threads."""
+
+    def __init__(
+        self, root: Path, *, interval_s: float, expiry_s: float, metrics: Metrics, clock: Callable[[], float]
+    ) -> None:
+        """Make the directory and lock it for this process.
+
+        Args:
+            root: The state directory; only this user can read it.
+            interval_s: A change is on disk after this time at the latest, unless the disk is slower.
+            expiry_s: A saved session that is not in memory and was not used for this time is erased.
+            metrics: Counts writes.
+            clock: Monotonic clock in seconds.
+
+        Raises:
+            ServerError: The directory cannot be used, or another server uses it.
+        """
+        self._root, self._expiry_s, self._metrics, self._clock = root, expiry_s, metrics, clock
+        self._period_s = interval_s / SAVES_PER_INTERVAL
+        self.tick_s = min(0.25, self._period_s / 4)
+        self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
+        self._locks: WeakValueDictionary[tuple[str, str], asyncio.Lock] = WeakValueDictionary()
+        self._saving: dict[tuple[str, str], asyncio.Task[None]] = {}
+        self._next_expiry_s = clock()
+        self.failing: str | None = None
+        """Why sessions cannot be written now; None: they can."""
+        self._lock_file = _locked(root)
+
+    # --- saving -----------------------------------------------------------------------------------------------
+
+    def journal(self) -> Journal:
+        """Return the journal of a new session."""
+        return Journal(self._clock)
+
+    async def run(self, sessions: Sessions) -> None:
+        """Save changed sessions and erase expired ones, until cancelled."""
+        while True:
+            await asyncio.sleep(self.tick_s)
+            for key, live in sessions():
+                if key not in self._saving and live.journal is not None and live.journal.is_due(self._period_s):
+                    self._start_saving(key, live)
+            open_sessions = dict(sessions())
+            unsaved_s = (live.journal.unsaved_s for live in open_sessions.values() if live.journal is not None)
+            self._metrics.state_unsaved_seconds.set(max(unsaved_s, default=0.0))
+            if self._clock() >= self._next_expiry_s:
+                self._next_expiry_s = self._clock() + _EXPIRY_PERIOD_S
+                await self._in_thread(self._erase_expired, {self._folder(*key).name for key in open_sessions})
+
+    def _start_saving(self, key: tuple[str, str], live: Saveable) -> None:
+        task = self._saving[key] = asyncio.create_task(self.save(key, live))
+        task.add_done_callback(lambda _: self._saving.pop(key, None))
+
+    async def save(self, key: tuple[str, str], live: Saveable) -> None:
+        """Save a session now. A failure is logged, and `failing` has the reason."""
+        journal = live.journal
+        assert journal is not None
+        journal.begin()
+        state = await live.copy_state(self._pool)
+        if state is None or journal.closed:
+            return
+        values = SavedValues(
+            owner=digest_of_owner(key[0]),
+            name=live.name,
+            request=live.request,
+            reference=state.reference,
+            probes=state.probes,
+            queue=state.queue,
+            light_frame=state.light_frame,
+            bases={},
+            latest=None,
+        )
+        async with self.lock(*key):
+            if journal.closed:
+                return
+            try:
+                with self._metrics.state_write_seconds.time():
+                    written = await self._in_thread(
+                        write_session, self._folder(*key), state, values, dict(journal.messages), journal.bases
+                    )
+            except (OSError, OutputError) as error:
+                journal.failed()
+                self._record_failure(error, live.name)
+            else:
+                journal.saved(written.bases, state.light_frame, state.queue.last_index)
+                self._record_success(written)
+
+    def _record_failure(self, error: Exception, name: str) -> None:
+        cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
+        reason = (cause.strerror if isinstance(cause, OSError) else None) or type(cause).__name__
+        if self.failing is None:
+            _log.error("sessions cannot be saved: %s; serving goes on", error, extra={"session": name})
+        self.failing = reason
+        self._metrics.state_writes.labels("failed").inc()
+
+    def _record_success(self, written: Written) -> None:
+        if self.failing is not None:
+            _log.warning("sessions can be saved again")
+        self.failing = None
+        self._metrics.state_writes.labels("written").inc()
+        self._metrics.state_session_bytes.observe(written.bytes)
+
+    async def close(self, sessions: Sessions) -> None:
+        """Save all changed sessions for the last time, at most `CLOSE_S`; release the directory."""
+        if self._saving:
+            await asyncio.wait(tuple(self._saving.values()), timeout=CLOSE_S)
+        changed = [(key, live) for key, live in sessions() if live.journal is not None and live.journal.unsaved_s > 0]
+        tasks = [asyncio.create_task(self.save(key, live)) for key, live in changed]
+        if tasks:
+            _, late = await asyncio.wait(tasks, timeout=CLOSE_S)
+            for task in late:
+                task.cancel()
+                _log.error("a session could not be saved in time")
+        await asyncio.to_thread(self._pool.shutdown, wait=True, cancel_futures=True)
+        os.close(self._lock_file)
+
+    # --- saved sessions ---------------------------------------------------------------------------------------
+
+    def has(self, owner: str, name: str) -> bool:
+        """Return whether a session is on disk."""
+        return (self._folder(owner, name) / STATE).exists()
+
+    @asynccontextmanager
+    async def lock(self, owner: str, name: str) -> AsyncGenerator[None]:
+        """Hold the lock of a session's folder: one of saving, restoring and erasing at a time."""
+        lock = self._locks.get((owner, name))
+        if lock is None:
+            lock = self._locks[owner, name] = asyncio.Lock()  # lives while one of its users refers to it
+        async with lock:
+            yield
+
+    async def read(self, owner: str, name: str) -> Reading:
+        """Read a saved session.
+
+        Raises:
+            ProblemError: The state cannot be used (409), or not be read now (503).
+        """
+        try:
+            return await self._in_thread(read_session, self._folder(owner, name), digest_of_owner(owner), name)
+        except StateError as error:
+            raise refused(error, name) from error
+        except OSError as error:
+            _log.error("a saved session cannot be read: %s", error, extra={"session": name})
+            detail = f"the saved state cannot be read now ({error.strerror}); retry later"
+            raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
+
+    def restored(self, reading: Reading) -> Journal:
+        """Return the journal of a restored session."""
+        journal = self.journal()
+        journal.begin()
+        journal.saved(dict(reading.values.bases), reading.values.light_frame, reading.values.queue.last_index)
+        return journal
+
+    async def erase(self, owner: str, name: str) -> bool:
+        """Remove a session from the disk; return whether it was there. Hold its `lock`.
+
+        Raises:
+            ProblemError: A file cannot be removed (503).
+        """
+        folder = self._folder(owner, name)
+        try:
+            found = folder.exists()
+            await self._in_thread(erase, folder)
+        except OSError as error:
+            _log.error("a saved session cannot be removed: %s", error, extra={"session": name})
+            detail = f"the saved state cannot be removed ({error.strerror}); retry later"
+            raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
+        return found
+
+    def touch(self, owner: str, name: str) -> None:
+        """Begin the time to expiry of a saved session again, because it leaves memory."""
+        with contextlib.suppress(OSError):
+            os.utime(self._folder(owner, name) / STATE)
+
+    def _erase_expired(self, open_folders: set[str]) -> None:
+        limit = time.time() - self._expiry_s
+        for folder in self._root.iterdir():
+            with contextlib.suppress(OSError):  # it was erased in the meantime, or cannot be removed: next time
+                if folder.is_dir() and folder.name not in open_folders and _used_s(folder) < limit:
+                    erase(folder)
+                    _log.info("a saved session has expired")
+
+    def _folder(self, owner: str, name: str) -> Path:
+        return self._root / hashlib.sha256(f"{digest_of_owner(owner)}/{name}".encode()).hexdigest()[:32]
+
+    async def _in_thread(self, work: Callable[..., _R], *args: object) -> _R:
+        return await asyncio.get_running_loop().run_in_executor(self._pool, work, *args)
+
+
+def refused(error: StateError, name: str) -> ProblemError:
+    """Return the problem of a saved state that cannot be used, and log it."""
+    _log.error("a saved session is refused: %s", error, extra={"session": name})
+    return ProblemError("state-refused", f"{error}; delete the session and open it again", field="id", value=name)
+
+
+def digest_of_owner(owner: str) -> str:
+    """Return what is stored of an owner; `owner` is already a digest of the token."""
+    return hashlib.sha256(f"roomlight owner {owner}".encode()).hexdigest()
+
+
+def _used_s(folder: Path) -> float:
+    """Return the time of the last use of a saved session, in seconds of the wall clock."""
+    state = folder / STATE
+    return (state if state.exists() else folder).stat().st_mtime
+
+
+def _locked(root: Path) -> int:
+    """Make the directory for this user only, and lock it; return the descriptor that holds the lock."""
+    import fcntl  # not on Windows, where only this setting fails
+
+    try:
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)
+        root.chmod(0o700)
+        descriptor = os.open(root / "lock", os.O_RDWR | os.O_CREAT, 0o600)
+    except OSError as error:
+        raise ServerError(f"state_dir: {root}: cannot be used ({error.strerror}); choose another folder") from error
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        os.close(descriptor)
+        raise ServerError(f"state_dir: {root}: is used by another server; stop it or choose another folder") from error
+    return descriptor
