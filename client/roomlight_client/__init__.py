@@ -18,6 +18,7 @@ depth map, `CameraFrame`. Conventions: `roomlight.conventions` (world metres, y 
 
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight_client.async_client import AsyncClient, AsyncSession
+from roomlight_client.blocking_stream import Stream
 from roomlight_client.calls import PositionOrName
 from roomlight_client.client import Client, Session
 from roomlight_client.compositing import CompositeFile
@@ -34,12 +35,16 @@ from roomlight_client.errors import (
     UnreachableError,
 )
 from roomlight_client.light import Light, LightFile
+from roomlight_client.memory import BufferLimits
 from roomlight_client.retry import Retry, Timeouts
+from roomlight_client.stream import AsyncStream, StreamStatus
 
 __all__ = [
     "AsyncClient",
     "AsyncSession",
+    "AsyncStream",
     "BadReplyError",
+    "BufferLimits",
     "BusyError",
     "CameraFrame",
     "Client",
@@ -56,6 +61,8 @@ __all__ = [
     "Retry",
     "ServerFailedError",
     "Session",
+    "Stream",
+    "StreamStatus",
     "Timeouts",
     "UnauthorizedError",
     "UnreachableError",

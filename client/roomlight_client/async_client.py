@@ -1,6 +1,7 @@
 """The asyncio client: `AsyncClient` and `AsyncSession`, with the names of `client` and `await`."""
 
 import asyncio
+import random
 from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -21,13 +22,16 @@ from roomlight.wire.compositing import (
     ObjectList,
 )
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
-from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
+from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
 from roomlight_client import calls
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
-from roomlight_client.retry import NO_RETRY, Retry, Timeouts
+from roomlight_client.memory import BufferLimits, SessionMemory
+from roomlight_client.recovery import Pause, Recovery, Resumed, Send, Steps
+from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
+from roomlight_client.stream import AsyncStream, StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
 
 class AsyncClient:
@@ -40,12 +44,17 @@ class AsyncClient:
         token: str | None = None,
         timeouts: Timeouts | None = None,
         retry: Retry | None = None,
+        reconnect: Retry | None = None,
+        buffer: BufferLimits | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
         sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
+        jitter: Callable[[], float] = random.random,
     ) -> None:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
-        self._retry, self._sleep, self._url = retry or Retry(), sleep, url
+        self._retry, self._url, self.sleep = retry or Retry(), url, sleep
+        self._buffer = buffer or BufferLimits()
+        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
 
     async def __aenter__(self) -> "AsyncClient":
         return self
@@ -84,12 +93,14 @@ class AsyncClient:
             min_confidence=min_confidence,
             unknown_depth=unknown_depth,
         )
-        return AsyncSession(self, session_calls, await self.run(session_calls.open(request)))
+        state = await self.run(session_calls.open(request))
+        return AsyncSession(self, session_calls, state, self._recovery(session_calls, request))
 
     async def join(self, session_id: str) -> "AsyncSession":
         """Continue an existing session, whatever its options; see `Client.join`."""
         session_calls = SessionCalls(session_id)
-        return AsyncSession(self, session_calls, await self.run(session_calls.state()))
+        state = await self.run(session_calls.state())
+        return AsyncSession(self, session_calls, state, self._recovery(session_calls, None))
 
     async def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
         """Store an object on the server for composites; see `Client.upload`."""
@@ -115,14 +126,44 @@ class AsyncClient:
                 outcome = attempt.answered(response)
             if isinstance(outcome, Result):
                 return outcome.value
-            await self._sleep(outcome)
+            await self.sleep(outcome)
+
+    async def follow(self, steps: Steps[T]) -> T:
+        """Run the steps of a call that survives a restart of the server.
+
+        Raises:
+            RemoteError: If they fail in the end.
+        """
+        try:
+            step = next(steps)
+            while True:
+                try:
+                    value = await self._take(step)
+                except RemoteError as error:
+                    step = steps.throw(error)
+                else:
+                    step = steps.send(value)
+        except StopIteration as end:
+            return end.value
+
+    async def _take(self, step: Send | Pause) -> Any:
+        if isinstance(step, Pause):
+            return await self.sleep(step.seconds)
+        return await self.run(step.call, retry=step.retry)
+
+    def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
+        memory = SessionMemory(request, self._buffer)
+        options = self.options
+        return Recovery(session_calls, memory, retry=self._retry, reconnect=options.reconnect, jitter=options.jitter)
 
 
 class AsyncSession:
     """`Session` for asyncio, with the same attributes and errors."""
 
-    def __init__(self, client: AsyncClient, session_calls: SessionCalls, state: SessionState) -> None:
-        self._client, self._calls = client, session_calls
+    def __init__(
+        self, client: AsyncClient, session_calls: SessionCalls, state: SessionState, recovery: Recovery
+    ) -> None:
+        self._client, self._calls, self._recovery = client, session_calls, recovery
         self.id, self.model = state.id, state.model
         session_calls.resume(state)
 
@@ -158,7 +199,7 @@ class AsyncSession:
         """
         index = self._calls.reserve(frame, index)
         call = await asyncio.to_thread(self._calls.push, frame, index, colour=colour, wait=wait)
-        return await self._client.run(call, retry=None if retry else NO_RETRY)
+        return await self._client.follow(self._recovery.push(call, index, repeat=retry))
 
     async def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; see `Session.light_at`."""
@@ -168,13 +209,14 @@ class AsyncSession:
         self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
     ) -> list[Light]:
         """Return the light at up to 64 probes in one call; see `Session.lights_at`."""
-        return await self._client.run(self._calls.lights(probes, forms))
+        return await self._client.follow(self._recovery.call(self._calls.lights(probes, forms)))
 
     async def file(
         self, probe: PositionOrName, form: LightFormat | LightForm = "exr", *, if_none_match: str | None = None
     ) -> LightFile | None:
         """Return one form of the light as a file; see `Session.file`."""
-        return await self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
+        call = self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match)
+        return await self._client.follow(self._recovery.call(call))
 
     async def composite(
         self,
@@ -185,20 +227,40 @@ class AsyncSession:
     ) -> CompositeFile:
         """Return the last processed frame with objects in it; see `Session.composite`."""
         request = composite_request(objects, quality=quality, picture_format=picture_format)
-        return await self._client.run(self._calls.composite(request))
+        return await self._client.follow(self._recovery.call(self._calls.composite(request)))
 
     async def track(self, name: str, position: Position) -> None:
         """Track a point; see `Session.track`."""
-        await self._client.run(self._calls.track(name, position))
+        await self._client.follow(self._recovery.call(self._calls.track(name, position)))
+        self._recovery.memory.track(name, position)
 
     async def untrack(self, name: str) -> None:
         """Stop tracking a point; see `Session.untrack`."""
-        await self._client.run(self._calls.untrack(name))
+        await self._client.follow(self._recovery.call(self._calls.untrack(name)))
+        self._recovery.memory.untrack(name)
+
+    async def stream(
+        self,
+        *,
+        on_lighting: Callable[[list[Light]], object] | None = None,
+        on_status: Callable[[StreamStatus], object] | None = None,
+        on_problem: Callable[[RemoteError], object] | None = None,
+    ) -> AsyncStream:
+        """Open the session's WebSocket; see `Session.stream`. The handlers are called on the event loop."""
+        handlers = StreamHandlers(on_lighting, on_status, on_problem)
+        client = self._client
+
+        async def resume(reopen: bool) -> Resumed:
+            return await client.follow(self._recovery.resume(reopen=reopen))
+
+        link = StreamLink(client.options, self._calls, self._recovery, resume, client.sleep)
+        return await AsyncStream.open(link, handlers)
 
     async def state(self) -> SessionState:
         """Return the session's state; see `Session.state`."""
-        return await self._client.run(self._calls.state())
+        return await self._client.follow(self._recovery.call(self._calls.state()))
 
     async def close(self) -> None:
         """Delete the session; see `Session.close`."""
+        self._recovery.memory.deleted = True  # its streams end with it
         await self._client.run(self._calls.close())

@@ -21,7 +21,7 @@ from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.compositing import CompositeRequest, ObjectInfo, ObjectList
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding, pack_camera_frame, pack_frame
-from roomlight.wire.frame_message import to_wire_error
+from roomlight.wire.frame_message import FrameLimits, pack, parse, to_wire_error
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import (
     ID_PATTERN,
@@ -149,7 +149,7 @@ def client_arguments(url: str, *, token: str | None, timeouts: Timeouts) -> dict
         headers["Authorization"] = f"Bearer {token}"
     limits = httpx.Timeout(timeouts.read_s, connect=timeouts.connect_s, write=timeouts.write_s)
     # Proxies set in the environment do not apply to this machine itself.
-    return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "trust_env": not _is_loopback(host)}
+    return {"base_url": url.rstrip("/"), "headers": headers, "timeout": limits, "trust_env": not is_loopback(host)}
 
 
 def request_arguments(call: Call[Any]) -> dict[str, Any]:
@@ -241,6 +241,10 @@ class SessionCalls:
             WireError: If the frame is invalid: no server would accept it.
         """
         body = pack_camera_frame(frame) if isinstance(frame, CameraFrame) else pack_frame(frame, colour=colour)
+        return self.frame(index, _with_index(body, index), wait=wait)
+
+    def frame(self, index: int, body: bytes, *, wait: bool = True) -> Call[FrameResult]:
+        """Send the message of a frame."""
         headers = {"Content-Type": FRAME_MEDIA_TYPE} | ({} if wait else {"Prefer": "respond-async"})
         return self._call("PUT", f"/frames/{index}", _parser(FrameResult), content=body, headers=headers)
 
@@ -250,13 +254,7 @@ class SessionCalls:
         Raises:
             WireError: If a position, a name or a form is invalid.
         """
-        try:
-            request = LightRequest(
-                probes=[_probe_query(probe) for probe in probes],
-                forms=[as_form(form) for form in forms],
-            )
-        except ValidationError as error:
-            raise to_wire_error(error, kind="invalid") from error
+        request = light_request(probes, forms)
 
         def read(reply: Reply) -> list[Light]:
             lights = parse_lights(reply.body, reply.headers.get("content-type", ""))
@@ -334,6 +332,18 @@ class SessionCalls:
         return Call(method, address, read, all_headers, content, params or {}, expected)
 
 
+def light_request(probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm]) -> LightRequest:
+    """Return the request for the light at several probes.
+
+    Raises:
+        WireError: If a position, a name or a form is invalid.
+    """
+    try:
+        return LightRequest(probes=[_probe_query(probe) for probe in probes], forms=[as_form(form) for form in forms])
+    except ValidationError as error:
+        raise to_wire_error(error, kind="invalid") from error
+
+
 def as_form(form: LightFormat | LightForm) -> LightForm:
     """Return the form of a format's name, or the form itself.
 
@@ -371,6 +381,14 @@ def _parser(model: type[_Model]) -> Callable[[Reply], _Model]:
     return read
 
 
+def _with_index(body: bytes, index: int) -> bytes:
+    """Return a frame message with its index in the header, as a WebSocket needs it."""
+    message = parse(body, FrameLimits(2**40, 2**40, 2**40))  # the size limits are the server's
+    confidence = None if message.confidence is None else bytes(message.confidence)
+    header = message.header.model_copy(update={"index": index})
+    return pack(header, bytes(message.colour), bytes(message.depth), confidence)
+
+
 def _ignore_body(_: Reply) -> None:
     return None
 
@@ -398,7 +416,8 @@ def _check_id(text: str, option: str) -> None:
         raise OptionError(f"{option} must be 1 to 64 of the characters A-Z a-z 0-9 _ -, got {text[:80]!r}")
 
 
-def _is_loopback(host: str) -> bool:
+def is_loopback(host: str) -> bool:
+    """Return whether a host is this machine itself."""
     try:
         return ip_address(host).is_loopback
     except ValueError:

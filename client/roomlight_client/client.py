@@ -1,5 +1,7 @@
 """The blocking client: `Client` and `Session`. A session belongs to one thread at a time; a client may be shared."""
 
+import asyncio
+import random
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -21,13 +23,17 @@ from roomlight.wire.compositing import (
     ObjectList,
 )
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
-from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionState
+from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
 from roomlight_client import calls
+from roomlight_client.blocking_stream import Stream
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
-from roomlight_client.retry import NO_RETRY, Retry, Timeouts
+from roomlight_client.memory import BufferLimits, SessionMemory
+from roomlight_client.recovery import Pause, Recovery, Resumed, Send, Steps
+from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
+from roomlight_client.stream import StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
 
 class Client:
@@ -38,8 +44,12 @@ class Client:
         token: Sent as a bearer token. A session belongs to the token that opened it.
         timeouts: Timeouts of each attempt.
         retry: Number of attempts and their delays.
+        reconnect: The same for pushes and streams whose server is away; by default `retry` if it is given, else for
+            about eight minutes.
+        buffer: Bounds of the frames that are kept to be sent again.
         transport: Replaces the network.
         sleep: Replaces `time.sleep`, which waits between attempts.
+        jitter: Replaces `random.random`.
 
     Raises:
         OptionError: If `url` or `token` is invalid.
@@ -52,12 +62,17 @@ class Client:
         token: str | None = None,
         timeouts: Timeouts | None = None,
         retry: Retry | None = None,
+        reconnect: Retry | None = None,
+        buffer: BufferLimits | None = None,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], object] = time.sleep,
+        jitter: Callable[[], float] = random.random,
     ) -> None:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.Client(transport=transport, **arguments)
-        self._retry, self._sleep, self._url = retry or Retry(), sleep, url
+        self._retry, self._url, self.sleep = retry or Retry(), url, sleep
+        self._buffer = buffer or BufferLimits()
+        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
 
     def __enter__(self) -> "Client":
         return self
@@ -117,7 +132,8 @@ class Client:
             min_confidence=min_confidence,
             unknown_depth=unknown_depth,
         )
-        return Session(self, session_calls, self.run(session_calls.open(request)))
+        state = self.run(session_calls.open(request))
+        return Session(self, session_calls, state, self._recovery(session_calls, request))
 
     def join(self, session_id: str) -> "Session":
         """Continue an existing session, whatever its options.
@@ -128,7 +144,8 @@ class Client:
             OptionError: If the id is invalid.
         """
         session_calls = SessionCalls(session_id)
-        return Session(self, session_calls, self.run(session_calls.state()))
+        state = self.run(session_calls.state())
+        return Session(self, session_calls, state, self._recovery(session_calls, None))
 
     def upload(self, source: str | Path | bytes, kind: ObjectFormat | None = None) -> ObjectInfo:
         """Store an object on the server for composites; a file that it holds already is not stored again.
@@ -168,7 +185,35 @@ class Client:
                 outcome = attempt.answered(response)
             if isinstance(outcome, Result):
                 return outcome.value
-            self._sleep(outcome)
+            self.sleep(outcome)
+
+    def follow(self, steps: Steps[T]) -> T:
+        """Run the steps of a call that survives a restart of the server.
+
+        Raises:
+            RemoteError: If they fail in the end.
+        """
+        try:
+            step = next(steps)
+            while True:
+                try:
+                    value = self._take(step)
+                except RemoteError as error:
+                    step = steps.throw(error)
+                else:
+                    step = steps.send(value)
+        except StopIteration as end:
+            return end.value
+
+    def _take(self, step: Send | Pause) -> Any:
+        if isinstance(step, Pause):
+            return self.sleep(step.seconds)
+        return self.run(step.call, retry=step.retry)
+
+    def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
+        memory = SessionMemory(request, self._buffer)
+        options = self.options
+        return Recovery(session_calls, memory, retry=self._retry, reconnect=options.reconnect, jitter=options.jitter)
 
 
 class Session:
@@ -182,8 +227,8 @@ class Session:
         model: The model that estimates the light: classical, single or video.
     """
 
-    def __init__(self, client: Client, session_calls: SessionCalls, state: SessionState) -> None:
-        self._client, self._calls = client, session_calls
+    def __init__(self, client: Client, session_calls: SessionCalls, state: SessionState, recovery: Recovery) -> None:
+        self._client, self._calls, self._recovery = client, session_calls, recovery
         self.id, self.model = state.id, state.model
         session_calls.resume(state)
 
@@ -230,7 +275,7 @@ class Session:
         """
         index = self._calls.reserve(frame, index)
         call = self._calls.push(frame, index, colour=colour, wait=wait)
-        return self._client.run(call, retry=None if retry else NO_RETRY)
+        return self._client.follow(self._recovery.push(call, index, repeat=retry))
 
     def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; the prior before the first frame (`Light.is_prior`).
@@ -250,7 +295,7 @@ class Session:
             WireError: If a position, a name or a form is invalid.
             GoneError: If there is no such probe.
         """
-        return self._client.run(self._calls.lights(probes, forms))
+        return self._client.follow(self._recovery.call(self._calls.lights(probes, forms)))
 
     def file(
         self, probe: PositionOrName, form: LightFormat | LightForm = "exr", *, if_none_match: str | None = None
@@ -267,7 +312,9 @@ class Session:
             WireError: If the position, the name or the form is invalid.
             GoneError: If there is no such probe.
         """
-        return self._client.run(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
+        return self._client.follow(
+            self._recovery.call(self._calls.file(probe, calls.as_form(form), if_none_match=if_none_match))
+        )
 
     def composite(
         self,
@@ -290,7 +337,7 @@ class Session:
             ConflictError: If the session has no frame yet.
         """
         request = composite_request(objects, quality=quality, picture_format=picture_format)
-        return self._client.run(self._calls.composite(request))
+        return self._client.follow(self._recovery.call(self._calls.composite(request)))
 
     def track(self, name: str, position: Position) -> None:
         """Track a point: the engine then updates its light with each frame. An existing name moves to the position.
@@ -300,7 +347,8 @@ class Session:
             WireError: If the position is invalid.
             ConflictError: If the session tracks as many probes as the server allows.
         """
-        self._client.run(self._calls.track(name, position))
+        self._client.follow(self._recovery.call(self._calls.track(name, position)))
+        self._recovery.memory.track(name, position)
 
     def untrack(self, name: str) -> None:
         """Stop tracking a point. An unknown name is not an error.
@@ -308,12 +356,45 @@ class Session:
         Raises:
             OptionError: If the name is invalid.
         """
-        self._client.run(self._calls.untrack(name))
+        self._client.follow(self._recovery.call(self._calls.untrack(name)))
+        self._recovery.memory.untrack(name)
+
+    def stream(
+        self,
+        *,
+        on_lighting: Callable[[list[Light]], object] | None = None,
+        on_status: Callable[[StreamStatus], object] | None = None,
+        on_problem: Callable[[RemoteError], object] | None = None,
+    ) -> Stream:
+        """Open the session's WebSocket; a lost connection is opened again by itself. See `Stream`.
+
+        The handlers are called on the stream's own thread.
+
+        Args:
+            on_lighting: Receives the light of the tracked probes after each frame, after `subscribe`.
+            on_status: Receives each state of the connection.
+            on_problem: Receives what the server refused; a call that waits for an answer fails with it as well.
+
+        Raises:
+            GoneError: If the session is missing.
+            RemoteError: If the server refuses or does not respond.
+        """
+        handlers = StreamHandlers(on_lighting, on_status, on_problem)
+        client = self._client
+
+        async def resume(reopen: bool) -> Resumed:
+            return await asyncio.to_thread(client.follow, self._recovery.resume(reopen=reopen))
+
+        async def sleep(seconds: float) -> None:
+            await (asyncio.sleep(seconds) if client.sleep is time.sleep else asyncio.to_thread(client.sleep, seconds))
+
+        return Stream(StreamLink(client.options, self._calls, self._recovery, resume, sleep), handlers)
 
     def state(self) -> SessionState:
         """Return counts of frames, tracked probes with their coverage, memory and the lighting volume."""
-        return self._client.run(self._calls.state())
+        return self._client.follow(self._recovery.call(self._calls.state()))
 
     def close(self) -> None:
         """Delete the session with its frames and its light on the server. A missing session is not an error."""
+        self._recovery.memory.deleted = True  # its streams end with it
         self._client.run(self._calls.close())

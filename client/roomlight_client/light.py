@@ -123,9 +123,24 @@ def parse_lights(body: bytes, media_type: str) -> list[Light]:
             response, parts = parse_light(body, LightResponse)
         else:
             response = LightResponse.model_validate_json(body)
-            parts = [[_base64(form) for form in result.forms] for result in response.results]
+            parts = None
     except (ValueError, WireError) as error:
         raise BadReplyError(f"the light cannot be read: {str(error)[:300]}") from error
+    return lights_of(response, parts)
+
+
+def lights_of(response: LightResponse, parts: list[list[bytes | None]] | None) -> list[Light]:
+    """Return the lights of a parsed response.
+
+    Args:
+        response: The response.
+        parts: The data of each form of each result in a binary message; None for plain JSON, which holds it as base64.
+
+    Raises:
+        BadReplyError: the base64 is malformed.
+    """
+    if parts is None:
+        parts = [[_base64(form) for form in result.forms] for result in response.results]
     return [
         Light(
             _position(result.position),

@@ -77,6 +77,9 @@ class Retry:
         return backoff_s if retry_after_s is None else max(backoff_s, retry_after_s * (1 + 0.1 * jitter))
 
 
+RECONNECT = Retry(attempts=60, first_delay_s=0.25, max_delay_s=10.0)
+"""For streams and pushes whose server is away: about eight minutes."""
+
 NO_RETRY = Retry(attempts=1)
 """For frames of a live stream, which are useless when they are late."""
 

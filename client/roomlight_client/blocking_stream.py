@@ -1,0 +1,106 @@
+"""The blocking form of `stream.AsyncStream`: its event loop runs on a thread of its own."""
+
+import asyncio
+import threading
+from collections.abc import Coroutine, Sequence
+from concurrent.futures import Future
+from types import TracebackType
+from typing import Any, TypeVar
+
+from roomlight.conventions import Position
+from roomlight.frame import Frame
+from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
+from roomlight.wire.messages import FrameResult, LightForm, LightFormat
+from roomlight_client.calls import DEFAULT_FORMS, PositionOrName
+from roomlight_client.light import Light
+from roomlight_client.stream import AsyncStream, StreamHandlers, StreamLink, StreamStatus
+
+T = TypeVar("T")
+
+
+class Stream:
+    """The WebSocket of a session, made by `Session.stream`. A `with` statement closes it.
+
+    It connects again by itself: `on_status` reports when, and `status` that it gave up (`closed`).
+
+    Raises:
+        GoneError: If the session is missing.
+        RemoteError: If the server refuses or does not respond.
+    """
+
+    def __init__(self, link: StreamLink, handlers: StreamHandlers) -> None:
+        self._loop = asyncio.new_event_loop()
+        self._thread = threading.Thread(target=self._loop.run_forever, name="roomlight-stream", daemon=True)
+        self._thread.start()
+        try:
+            self._stream = self._run(AsyncStream.open(link, handlers))
+        except BaseException:
+            self._stop()
+            raise
+
+    def __enter__(self) -> "Stream":
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    @property
+    def status(self) -> StreamStatus:
+        """The state of the connection."""
+        return self._stream.status
+
+    def submit(
+        self, frame: Frame | CameraFrame, index: int | None = None, *, colour: FrameEncoding = "exact"
+    ) -> "Future[FrameResult]":
+        """Send a frame and return at once; the future becomes its result. See `AsyncStream.push`."""
+        return asyncio.run_coroutine_threadsafe(self._stream.push(frame, index, colour=colour), self._loop)
+
+    def push(
+        self, frame: Frame | CameraFrame, index: int | None = None, *, colour: FrameEncoding = "exact"
+    ) -> FrameResult:
+        """Send a frame and wait for its result; see `AsyncStream.push`.
+
+        Raises:
+            WireError: If the frame is invalid.
+            RemoteError: If the server refuses the frame, or the stream ends.
+        """
+        return self._run(self._stream.push(frame, index, colour=colour))
+
+    def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
+        """Return the light at a point or a tracked probe; see `Session.light_at`."""
+        return self._run(self._stream.light_at(probe, forms))
+
+    def lights_at(
+        self, probes: Sequence[PositionOrName], forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS
+    ) -> list[Light]:
+        """Return the light at up to 64 probes after one and the same frame; see `Session.lights_at`."""
+        return self._run(self._stream.lights_at(probes, forms))
+
+    def subscribe(self, forms: Sequence[LightFormat | LightForm]) -> None:
+        """Receive the light of the tracked points in `on_lighting`, now and after each frame; no forms: unsubscribe."""
+        self._run(self._stream.subscribe(forms))
+
+    def track(self, name: str, position: Position) -> None:
+        """Track a point under a name; an existing name moves to the position."""
+        self._run(self._stream.track(name, position))
+
+    def untrack(self, name: str) -> None:
+        """Stop tracking a point."""
+        self._run(self._stream.untrack(name))
+
+    def close(self) -> None:
+        """Close the connection; calls that wait for an answer fail. The session continues to exist."""
+        if self._thread.is_alive():
+            self._run(self._stream.close())
+            self._stop()
+
+    def _run(self, work: Coroutine[Any, Any, T]) -> T:
+        return asyncio.run_coroutine_threadsafe(work, self._loop).result()
+
+    def _stop(self) -> None:
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join()
+        self._loop.run_until_complete(self._loop.shutdown_default_executor())
+        self._loop.close()

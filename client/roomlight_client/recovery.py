@@ -1,0 +1,178 @@
+"""Calls of a session that survive a server which was started again or has let the session expire.
+
+The session is opened once more with the same options, its points are tracked, and the frames that the server lost are
+sent again, one after the other. The steps are generators without I/O, so that both clients share them: they yield
+calls and pauses, and receive results and errors.
+"""
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass
+from typing import Any, Final, TypeVar
+
+import httpx
+
+from roomlight.wire.messages import FrameResult, SessionState
+from roomlight_client.calls import Call, SessionCalls
+from roomlight_client.errors import BusyError, GoneError, RefusedError, RemoteError, UnreachableError
+from roomlight_client.memory import SessionMemory
+from roomlight_client.retry import NO_RETRY, Retry
+
+T = TypeVar("T")
+_PERMANENT: Final = (httpx.UnsupportedProtocol, httpx.LocalProtocolError, httpx.DecodingError)
+
+
+@dataclass(frozen=True)
+class Send:
+    """Send this call; `retry` replaces the client's policy."""
+
+    call: Call[Any]
+    retry: Retry | None = None
+
+
+@dataclass(frozen=True)
+class Pause:
+    """Wait for some seconds."""
+
+    seconds: float
+
+
+Steps = Generator[Send | Pause, Any, T]
+
+
+@dataclass(frozen=True)
+class Resumed:
+    """The state of a session after a connection was lost, and whether it had to be opened again."""
+
+    state: SessionState
+    reopened: bool
+
+
+class Recovery:
+    """The calls of one session, with what they take after a restart of the server.
+
+    Args:
+        calls: The session's calls.
+        memory: What the client keeps of the session.
+        retry: Attempts after the server has refused a frame for now.
+        reconnect: Attempts after a frame without an answer.
+        jitter: Returns random numbers from 0 to 1.
+    """
+
+    def __init__(
+        self, calls: SessionCalls, memory: SessionMemory, *, retry: Retry, reconnect: Retry, jitter: Callable[[], float]
+    ) -> None:
+        self.memory = memory
+        self._calls, self._retry, self._reconnect, self._jitter = calls, retry, reconnect, jitter
+        self._unsure = False  # whether the server may have been started again since its last answer
+
+    def call(self, call: Call[T]) -> Steps[T]:
+        """Send a call; if the session is missing, open it again once."""
+        try:
+            return (yield Send(call))
+        except RemoteError as error:
+            self._unsure |= is_server_lost(error)
+            if not self._can_reopen_after(error):
+                raise
+        yield from self._restore()
+        return (yield Send(call))
+
+    def push(self, call: Call[FrameResult], index: int, *, repeat: bool) -> Steps[FrameResult]:
+        """Send a frame.
+
+        Args:
+            call: The call.
+            index: Index of the frame.
+            repeat: Whether to try again after a failure; a missing session is opened again in any case.
+        """
+        frames = self.memory.frames
+        frames.add(index, call.content or b"", state="sent")
+        try:
+            result = yield from self._insist(call, repeat=repeat)
+        except RemoteError:
+            frames.remove(index)
+            raise
+        frames.settle(result)
+        return result
+
+    def resume(self, *, reopen: bool) -> Steps[Resumed]:
+        """Get the session's state, with one attempt; with `reopen` a missing session is opened again."""
+        retry = NO_RETRY if reopen else None
+        try:
+            return Resumed((yield Send(self._calls.state(), retry)), reopened=False)
+        except RemoteError as error:
+            if not reopen or not self._can_reopen_after(error):
+                raise
+            if _kind(error) == "state-refused":  # the server keeps its damaged files until then
+                yield Send(self._calls.close(), retry)
+        assert self.memory.request is not None
+        return Resumed((yield Send(self._calls.open(self.memory.request), retry)), reopened=True)
+
+    def _insist(self, call: Call[FrameResult], *, repeat: bool) -> Steps[FrameResult]:
+        failures, reopened = 0, False
+        while True:
+            try:
+                if self._unsure:
+                    yield from self._restore()
+                return (yield Send(call, NO_RETRY))
+            except RemoteError as error:
+                if self._can_reopen_after(error) and not reopened:
+                    self._unsure = reopened = True
+                    continue
+                failures += 1
+                delay_s = self._delay_s(error, failures) if repeat else None
+                self._unsure |= is_server_lost(error)
+                if delay_s is None:
+                    raise
+            yield Pause(delay_s)
+
+    def _delay_s(self, error: RemoteError, failures: int) -> float | None:
+        if is_server_lost(error):
+            return self._reconnect.delay_s(failures, jitter=self._jitter())
+        if isinstance(error, BusyError):
+            return self._retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=self._jitter())
+        return None
+
+    def _restore(self) -> Steps[None]:
+        """Bring the session up to date."""
+        resumed = yield from self.resume(reopen=self.memory.can_reopen)
+        changes = self.memory.probe_changes(resumed.state)
+        for name in changes.untrack:
+            yield Send(self._calls.untrack(name))
+        for name, position in changes.track.items():
+            yield Send(self._calls.track(name, position))
+        last = resumed.state.frames.last_index
+        for frame in self.memory.frames:
+            if frame.state == "done" and (last is None or frame.index > last):
+                yield from self._resend(frame.index, frame.message)
+        self._unsure = False
+
+    def _resend(self, index: int, message: bytes) -> Steps[None]:
+        try:
+            result: FrameResult = yield Send(self._calls.frame(index, message))
+        except RefusedError as error:
+            if isinstance(error, GoneError) or is_server_lost(error):
+                raise
+            self.memory.frames.remove(index)  # refused, or already there
+        else:
+            self.memory.frames.settle(result)
+
+    def _can_reopen_after(self, error: RemoteError) -> bool:
+        return self.memory.can_reopen and _kind(error) in ("session-not-found", "session-closed", "state-refused")
+
+
+def is_server_lost(error: RemoteError) -> bool:
+    """Return whether there was no answer, or only that of a proxy whose server is away."""
+    if isinstance(error, UnreachableError):
+        return not isinstance(error.__cause__, _PERMANENT)
+    if not isinstance(error, RefusedError):
+        return False
+    return error.status in (502, 504) or (error.status == 503 and error.kind in ("", "blank", "stopping"))
+
+
+def is_session_gone(error: RemoteError) -> bool:
+    """Return whether the server no longer has the session."""
+    return _kind(error) in ("session-not-found", "session-closed")
+
+
+def _kind(error: RemoteError) -> str:
+    return error.kind if isinstance(error, RefusedError) else ""
