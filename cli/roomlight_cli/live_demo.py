@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 from roomlight.captures import open_capture
 from roomlight.errors import RoomLightError
@@ -29,6 +29,7 @@ KEEP_S: Final = 1e6
 _DISPLAYS: Final = ("DISPLAY", "WAYLAND_DISPLAY", "BROWSER")
 
 
+@runtime_checkable  # the test run checks annotations with isinstance
 class Browser(Protocol):
     """What `webbrowser.get` returns."""
 

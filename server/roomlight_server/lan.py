@@ -108,7 +108,7 @@ def lan_options(
         host: Its address; by default found.
         tokens: Tokens that are configured already; by default one is made and kept.
         tls: Files of a certificate and its key; by default made and kept.
-        folder: Where they are kept; by default `state_folder`.
+        folder: Where they are kept (`state_dir`); by default `state_folder`.
         allow_hosts: More names of this machine.
 
     Raises:

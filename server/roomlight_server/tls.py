@@ -41,7 +41,7 @@ def write_private(file: Path, data: bytes) -> None:
             stream.write(data)
         temporary.replace(file)
     except OSError as error:
-        advice = "choose another folder with --state"
+        advice = "choose another folder with state_dir"
         raise ServerError(f"{file}: cannot be written ({error.strerror}); {advice}") from error
 
 

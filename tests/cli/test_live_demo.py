@@ -153,34 +153,43 @@ def test_the_sample_is_streamed_with_its_probes(tmp_path: Path):
     assert all(0 <= wait <= 1.0 for wait in waits)
 
 
-def test_serving_the_network_prints_how_to_reach_it(monkeypatch, roomlight: RunCommand, tmp_path: Path):
+@pytest.fixture
+def state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
+    """The folder of certificate and token."""
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path))
+    return tmp_path / "roomlight"
+
+
+def test_serving_the_network_prints_how_to_reach_it(monkeypatch, roomlight: RunCommand, state: Path):
     def serve(settings: Any, *, listening: Any) -> None:
         assert (settings.host, settings.port, settings.on_lan) == ("127.0.0.1", 8443, True)
         listening("https://127.0.0.1:8443")
 
     monkeypatch.setattr(serve_command, "run_server", serve)
-    result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--port", "8443", "--state", tmp_path)
+    result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--port", "8443")
     assert result.code == 0, result.err
-    token = ensure_token(tmp_path)
+    token = ensure_token(state)
     assert f"On a phone: https://127.0.0.1:8443/phone#token={token}" in result.err
     assert f"On this network: https://127.0.0.1:8443/#token={token}" in result.err
     assert "Fingerprint (SHA-256) of the certificate: " in result.err
     assert "█" not in result.err  # QR codes are for terminals
 
 
-def test_a_terminal_shows_the_qr_code(monkeypatch, roomlight: RunCommand, tmp_path: Path):
+@pytest.mark.usefixtures("state")
+def test_a_terminal_shows_the_qr_code(monkeypatch, roomlight: RunCommand):
     monkeypatch.setattr(serve_command, "run_server", lambda _, *, listening: listening("https://127.0.0.1:8443"))
     monkeypatch.setattr(type(serve_command.err), "is_terminal", True)
-    result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--state", tmp_path)
+    result = roomlight("serve", "--lan", "--host", "127.0.0.1")
     assert "█▀▀" in result.err or "▄▄▄" in result.err
 
 
-def test_serving_the_network_keeps_configured_tokens(monkeypatch, roomlight: RunCommand, tmp_path: Path):
+def test_serving_the_network_keeps_configured_tokens(monkeypatch, roomlight: RunCommand, state: Path):
     monkeypatch.setenv("ROOMLIGHT_TOKENS", "a-token-of-sixteen-or-more")
     monkeypatch.setattr(serve_command, "run_server", lambda _, *, listening: listening("https://127.0.0.1:8443"))
-    result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--state", tmp_path)
+    result = roomlight("serve", "--lan", "--host", "127.0.0.1")
     assert "/phone#token=a-token-of-sixteen-or-more" in result.err
-    assert not (tmp_path / "lan-token").exists()
+    assert not (state / "lan-token").exists()
+    assert (state / "lan-key.pem").exists()
 
 
 def test_a_network_address_without_lan_still_needs_a_token(roomlight: RunCommand):

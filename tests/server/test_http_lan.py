@@ -210,7 +210,7 @@ def test_a_damaged_key_is_not_replaced_silently(tmp_path):
 
 def test_a_folder_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("")
-    with pytest.raises(ServerError, match="choose another folder with --state"):
+    with pytest.raises(ServerError, match="choose another folder"):
         tls.ensure_certificate(tmp_path / "file", NAMES)
 
 

@@ -18,6 +18,7 @@ app = single_command_app()
 _ACCESS: Final = "Who may use it"
 _LIMITS: Final = "Limits"
 _LOGS: Final = "Logs"
+_STATE: Final = "Saved sessions"
 
 
 def _flag(panel: str, text: str, *names: str, **bounds: Any) -> Any:
@@ -53,10 +54,6 @@ def serve(
         Path | None, _flag(_ACCESS, "Certificate chain in PEM, for HTTPS (default with --lan: made and kept).")
     ] = None,
     tls_key: Annotated[Path | None, _flag(_ACCESS, "Private key of the certificate in PEM.")] = None,
-    state: Annotated[
-        Path | None,
-        _flag(_ACCESS, "Folder for certificate and token of --lan (default: ~/.local/state/roomlight)."),
-    ] = None,
     model: Annotated[
         str | None,
         _flag(
@@ -76,6 +73,17 @@ def serve(
     max_probes: Annotated[int | None, _flag(_LIMITS, "Named probes per session (default: 16).")] = None,
     idle_expiry_s: Annotated[
         float | None, _flag(_LIMITS, "Delete a session after this many seconds without a request (default: 600).")
+    ] = None,
+    state_dir: Annotated[
+        Path | None,
+        _flag(_STATE, "Folder in which sessions are saved, so that they survive a restart (default: none)."),
+    ] = None,
+    state_interval_s: Annotated[
+        float | None, _flag(_STATE, "A change is on disk after this many seconds at the latest (default: 5).")
+    ] = None,
+    state_expiry_s: Annotated[
+        float | None,
+        _flag(_STATE, "Erase a saved session after this many seconds without a request (default: 86400, a day)."),
     ] = None,
     max_body_bytes: Annotated[int | None, _flag(_LIMITS, "Largest frame in bytes (default: 16 MiB).")] = None,
     engine_threads: Annotated[
@@ -107,6 +115,9 @@ def serve(
         "max_sessions": max_sessions,
         "max_probes": max_probes,
         "idle_expiry_s": idle_expiry_s,
+        "state_dir": state_dir,
+        "state_interval_s": state_interval_s,
+        "state_expiry_s": state_expiry_s,
         "max_body_bytes": max_body_bytes,
         "engine_threads": engine_threads,
         "log_level": log_level,
@@ -123,7 +134,7 @@ def serve(
         host=host,
         tokens=before.tokens,
         tls=(before.tls_cert, before.tls_key),
-        folder=state,
+        folder=before.state_dir,
         allow_hosts=before.allow_hosts,
     )
     settings = load_settings(**options | found)
