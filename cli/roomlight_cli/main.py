@@ -15,7 +15,7 @@ _MEASURE: Final = "Measure"
 _TRAIN: Final = "Train"
 
 COMMANDS: Final = (
-    CommandEntry("demo", "roomlight_cli.commands.demo", "Light the sample room and write pictures of it.", _TRY),
+    CommandEntry("demo", "roomlight_cli.commands.demo", "Show the light of the sample room in a browser.", _TRY),
     CommandEntry("light", "roomlight_cli.commands.light", "Light points of one photograph that has depth.", _LIGHT),
     CommandEntry(
         "replay",

@@ -256,12 +256,14 @@ def test_ctrl_c_stops_and_the_same_command_continues(
     assert json.loads((out / "report.json").read_text())["complete"] is True
 
 
-def test_the_demo_replays_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand) -> None:
+def test_the_demo_without_a_browser_replays_the_sample(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, roomlight: RunCommand
+) -> None:
     calls: list[tuple[Path, Path, ReplayOptions]] = []
     monkeypatch.setattr(demo_command, "run_replay", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(demo_command, "score_line", lambda capture, out: f"{capture} {out}")
     monkeypatch.setattr(demo_command, "composite_recording", lambda *given, **_: f"film: {given[2].path}")
-    result = roomlight("demo", cwd=tmp_path)
+    result = roomlight("demo", "--no-browser", cwd=tmp_path)
     expected = ReplayOptions(probes_from_capture=True, overwrite=True)
     assert calls == [(sample_capture(), Path("roomlight-demo"), expected)]
     first, film = result.out.strip().splitlines()
@@ -271,7 +273,7 @@ def test_the_demo_replays_the_sample(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_the_demo_needs_nothing_and_names_its_pictures(tmp_path: Path) -> None:
-    result = python("from roomlight_cli.main import main; main()", "demo", cwd=tmp_path)
+    result = python("from roomlight_cli.main import main; main()", "demo", "--no-browser", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
     out = tmp_path / "roomlight-demo"
     assert "summary.png" in result.stdout
