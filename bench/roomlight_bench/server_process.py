@@ -9,7 +9,7 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
@@ -31,11 +31,16 @@ class ServerProcess:
         ready_ms: Time from the start of the process to status 200 of /readyz.
     """
 
-    def __init__(self, arguments: Sequence[str]) -> None:
+    def __init__(
+        self, arguments: Sequence[str], *, variables: Mapping[str, str] | None = None, wait_ready: bool = True
+    ) -> None:
         """Prepare `roomlight serve` with these arguments, besides the port.
 
-        Of the environment's ROOMLIGHT_* variables, the server gets ROOMLIGHT_THREADS alone.
+        Of the environment's ROOMLIGHT_* variables, the server gets ROOMLIGHT_THREADS alone, and those of `variables`.
+        With `wait_ready` False, the `with` statement waits until the server is alive; `ready_ms` stays 0.
         """
+        self._wait_ready = wait_ready
+        self._variables = dict(variables or {})
         self._command = [sys.executable, "-c", _SERVE, "serve", "--port", "0", "--log-level", "warning", *arguments]
         self._log: deque[str] = deque(maxlen=30)
         self._port_known = threading.Event()
@@ -52,7 +57,7 @@ class ServerProcess:
             name: value
             for name, value in os.environ.items()
             if not name.startswith("ROOMLIGHT_") or name == "ROOMLIGHT_THREADS"
-        }
+        } | self._variables
         self._start_s = time.perf_counter()
         self._process = subprocess.Popen(
             self._command, env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE
@@ -62,7 +67,8 @@ class ServerProcess:
         try:
             self._port_known.wait(_START_TIMEOUT_S)
             self.alive_ms = self._wait_for("/healthz")
-            self.ready_ms = self._wait_for("/readyz")
+            if self._wait_ready:
+                self.ready_ms = self._wait_for("/readyz")
         except BaseException:
             self.__exit__()
             raise
@@ -79,6 +85,10 @@ class ServerProcess:
         self._reader.join()
         assert self._process.stderr is not None
         self._process.stderr.close()
+
+    def kill(self) -> None:
+        """Kill the process at once (SIGKILL)."""
+        self._process.kill()
 
     @property
     def url(self) -> str:

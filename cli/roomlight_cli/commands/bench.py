@@ -16,6 +16,16 @@ BENCHMARKS: Final = (
         "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
     ),
     CommandEntry(
+        "hostile",
+        "roomlight_cli.commands.bench_hostile",
+        "Attack a server on this machine while a neighbour streams (10 minutes).",
+    ),
+    CommandEntry(
+        "durability",
+        "roomlight_cli.commands.bench_durability",
+        "Kill a server on this machine while a client streams, 200 times (25 minutes).",
+    ),
+    CommandEntry(
         "composite",
         "roomlight_cli.commands.bench_composite",
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",

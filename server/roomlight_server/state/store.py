@@ -68,7 +68,7 @@ class StateStore:
         Raises:
             ServerError: The directory cannot be used, or another server uses it.
         """
-        self._root, self._expiry_s, self._metrics, self._clock = root, expiry_s, metrics, clock
+        self._root, self._expiry_s, self._metrics, self._clock = root / "sessions", expiry_s, metrics, clock
         self._period_s = interval_s / SAVES_PER_INTERVAL
         self.tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
@@ -77,7 +77,7 @@ class StateStore:
         self._next_expiry_s = clock()
         self.failing: str | None = None
         """Why sessions cannot be written now; None: they can."""
-        self._lock_file = _locked(root)
+        self._lock_file = _locked(root, self._root)
 
     # --- saving -----------------------------------------------------------------------------------------------
 
@@ -256,13 +256,14 @@ def _used_s(folder: Path) -> float:
     return (state if state.exists() else folder).stat().st_mtime
 
 
-def _locked(root: Path) -> int:
+def _locked(root: Path, sessions: Path) -> int:
     """Make the directory for this user only, and lock it; return the descriptor that holds the lock."""
     import fcntl  # not on Windows, where only this setting fails
 
     try:
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
         root.chmod(0o700)
+        sessions.mkdir(mode=0o700, exist_ok=True)
         descriptor = os.open(root / "lock", os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise ServerError(f"state_dir: {root}: cannot be used ({error.strerror}); choose another folder") from error
