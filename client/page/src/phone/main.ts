@@ -1,1 +1,149 @@
+// The phone's page: one button that sends what the camera sees to the server that delivered the page.
+
+import { RoomLightError } from "roomlight";
 import "../tokens.css";
+import { Api } from "../lib/api";
+import { openCamera, sendPhotos } from "./camera";
+import { EMPTY, PhotoLink, StreamLink, type LinkView } from "./link";
+import "./phone.css";
+import { hasAugmentedReality, requestCameraSession, sendViews } from "./xr";
+
+const NEEDS_TLS =
+  "This browser gives its camera to secure pages only. Start the server with roomlight serve --lan, which has TLS, and open its address.";
+const NO_DEPTH = "This phone measures no depth here. Everything is taken to be 2.5 m away.";
+const PHOTOS =
+  "Without WebXR the page sends photos. Each photo gives light of its own: the part that the camera sees is taken to be 2.5 m away, the rest is estimated.";
+
+const element = <K extends keyof HTMLElementTagNameMap>(
+  tag: K,
+  className: string,
+  text = "",
+): HTMLElementTagNameMap[K] => Object.assign(document.createElement(tag), { className, textContent: text });
+
+const api = new Api(); // takes the token from the address and removes it there
+const id = `phone-${Array.from(crypto.getRandomValues(new Uint8Array(3)), (byte) => byte.toString(16).padStart(2, "0")).join("")}`;
+
+const page = element("main", "phone");
+const video = Object.assign(element("video", "camera"), { muted: true, playsInline: true, hidden: true });
+const state = element("p", "state");
+const note = element("p", "note");
+const problem = element("p", "problem");
+const panorama = Object.assign(element("img", "panorama"), { alt: "Light found: panorama", hidden: true });
+const figures = element("dl", "figures");
+const button = element("button", "start", "Start");
+const tokenForm = Object.assign(element("form", "token"), { hidden: true });
+const tokenField = Object.assign(element("input", "field"), { type: "password", autocomplete: "off", id: "token" });
+const values = { sent: element("dd", ""), processed: element("dd", ""), seen: element("dd", "") };
+
+function build(): void {
+  state.setAttribute("role", "status");
+  problem.setAttribute("role", "alert");
+  video.setAttribute("aria-label", "Camera picture");
+  for (const [label, value] of [
+    ["Frames sent", values.sent],
+    ["In the light", values.processed],
+    ["Sphere seen", values.seen],
+  ] as const) {
+    const pair = element("div", "");
+    pair.append(element("dt", "", label), value);
+    figures.append(pair);
+  }
+  const label = Object.assign(element("label", "", "Token of the server"), { htmlFor: "token" });
+  tokenForm.append(label, tokenField, element("button", "button primary", "Use"));
+  const link = Object.assign(element("a", "live", "Live page"), { href: "/" });
+  page.append(element("h1", "", "RoomLight camera"), state, video, panorama, figures, note, problem, tokenForm, button, link);
+  document.body.append(page);
+  show(EMPTY);
+}
+
+let picture = "";
+
+function show(view: LinkView): void {
+  state.textContent = view.state;
+  state.dataset["kind"] = view.kind;
+  values.sent.textContent = String(view.sent);
+  values.processed.textContent = String(view.processed);
+  values.seen.textContent = view.coverage === null ? "–" : `${Math.round(100 * view.coverage)} %`;
+  problem.textContent = view.problem;
+  if (view.panorama && panorama.dataset["frame"] !== String(view.processed)) {
+    URL.revokeObjectURL(picture);
+    picture = panorama.src = URL.createObjectURL(view.panorama);
+    panorama.dataset["frame"] = String(view.processed);
+    panorama.hidden = false;
+  }
+}
+
+let stop: (() => void) | null = null;
+
+function running(end: (() => void) | null): void {
+  stop = end;
+  button.textContent = end ? "Stop" : "Start";
+  button.dataset["running"] = String(end !== null);
+}
+
+/** Ask the phone first: a click counts for a permission only for a moment. */
+async function start(): Promise<void> {
+  problem.textContent = note.textContent = "";
+  if (await augmented) {
+    const session = await requestCameraSession(page).catch((error: unknown) => error as Error);
+    if (!(session instanceof Error)) {
+      return runAugmented(session);
+    }
+    note.textContent = `WebXR: ${session.message}. `;
+  }
+  await runPhotos();
+}
+
+async function runAugmented(session: XRSession): Promise<void> {
+  const link = new StreamLink(show);
+  running(() => void session.end());
+  const noDepth = () => void (note.textContent = NO_DEPTH);
+  try {
+    await Promise.all([link.open(api.client(), id), sendViews(session, link, noDepth)]);
+  } finally {
+    await session.end().catch(() => undefined); // it has ended already, if Stop was pressed
+    link.close();
+    running(null);
+  }
+}
+
+async function runPhotos(): Promise<void> {
+  if (!navigator.mediaDevices) {
+    throw new Error(NEEDS_TLS);
+  }
+  note.textContent += PHOTOS;
+  const ended = new AbortController();
+  const camera = await openCamera(video);
+  video.hidden = false;
+  running(() => ended.abort());
+  try {
+    await sendPhotos(video, new PhotoLink(show, api.client(), id), ended.signal);
+  } finally {
+    camera.getTracks().forEach((track) => track.stop());
+    video.srcObject = null;
+    video.hidden = true;
+    running(null);
+  }
+}
+
+function failed(error: unknown): void {
+  const isUnauthorized = error instanceof RoomLightError && error.status === 401;
+  tokenForm.hidden = !isUnauthorized;
+  state.textContent = "Not connected";
+  state.dataset["kind"] = "bad";
+  problem.textContent = isUnauthorized
+    ? "The server wants its token. Scan its code again, or type the token."
+    : error instanceof Error
+      ? error.message
+      : String(error);
+}
+
+const augmented = hasAugmentedReality();
+build();
+button.addEventListener("click", () => (stop ? stop() : void start().catch(failed)));
+tokenForm.addEventListener("submit", (event) => {
+  event.preventDefault();
+  api.token = tokenField.value;
+  tokenField.value = problem.textContent = "";
+  tokenForm.hidden = true;
+});
