@@ -61,6 +61,7 @@ class Load:
         probe: Position of the tracked probe, world metres.
         model: Model of the sessions.
         height: Rows of the panoramas.
+        token: The phones' bearer token.
     """
 
     sessions: int
@@ -70,6 +71,7 @@ class Load:
     probe: Position
     model: ModelName
     height: int
+    token: str | None = None
 
 
 def frame_call(session_id: str, index: int, body: bytes) -> Call[FrameResult]:
@@ -96,7 +98,7 @@ class Phones:
         """Connect the phones one after the other, each on a connection of its own."""
         load = self._load
         for number in range(load.sessions):
-            client = await self._stack.enter_async_context(AsyncClient(self._url, timeouts=TIMEOUTS))
+            client = await self._stack.enter_async_context(AsyncClient(self._url, token=load.token, timeouts=TIMEOUTS))
             session = await client.open(model=load.model, height=load.height, reference_exposure=1.0)
             await session.track(PROBE, load.probe)
             phone = _Phone(client, session, load, number)

@@ -44,6 +44,15 @@ class _Process:
     def is_alive(self) -> bool:
         return self._process.poll() is None
 
+    @property
+    def is_ready(self) -> bool:
+        """Whether it has started: a frame that waits for a new process would wait for its imports too."""
+        if self._ready:
+            return True
+        poll = select.poll()
+        poll.register(self._pipe(self._process.stdout).fileno(), select.POLLIN)
+        return bool(poll.poll(0))
+
     def request(self, head: bytes, body: bytes, timeout_s: float) -> tuple[dict[str, Any], bytearray]:
         """Return JSON and arrays of the result. Raises _DeadlineError, or OSError if the process has ended."""
         if not self._ready:
@@ -178,6 +187,7 @@ class DecodeProcesses:
 
     def _acquire(self) -> _Process:
         with self._lock:
+            self._idle.sort(key=lambda each: each.is_ready)
             while self._idle:
                 process = self._idle.pop()
                 if process.is_alive:

@@ -23,8 +23,9 @@ from roomlight_server.settings import ServerSettings
 
 _log = logging.getLogger("roomlight.server")
 STOP_S: Final = 10.0
-"""Time after SIGTERM by which the process has ended: frames in progress have 5 of it, open answers 1, threads 3."""
-DRAIN_LIMIT_S: Final = 5.0
+"""Time after SIGTERM by which the process has ended: frames in progress have 2.5 of it, open answers 1, saving sessions
+5, threads 1."""
+DRAIN_LIMIT_S: Final = 2.5
 GRACE_S: Final = 1
 """Time to finish answers after the listening socket is closed."""
 KEEP_ALIVE_S: Final = 75

@@ -27,7 +27,7 @@ from roomlight_server.settings import ServerSettings
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
-STOP_S: Final = 3.0
+STOP_S: Final = 1.0
 """Time for running work to end when the server stops."""
 
 
@@ -37,6 +37,7 @@ class Workers:
     def __init__(self, settings: ServerSettings, metrics: Metrics) -> None:
         """Create the pools; threads start when they are first used."""
         self._threads: list[threading.Thread] = []
+        self._stopped = False
 
         def pool(name: str, threads: int) -> ThreadPoolExecutor:
             note = partial(_note_thread, self._threads)
@@ -93,6 +94,7 @@ class Workers:
 
     def stop(self) -> None:
         """Drop work that has not started, and wait up to `STOP_S` for the rest; images being decoded are dropped."""
+        self._stopped = True
         self.decode_processes.stop()
         deadline_s = time.monotonic() + STOP_S
         pools = (self._engine, self._composite, self._decode, self._encode)
@@ -142,13 +144,13 @@ class Workers:
     async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on an engine thread; requires an `engine_slot`. Long work is paused for other sessions."""
         turn = _engine_turn.get()
-        return await _run_to_end(self._engine, lambda: _run_paused(turn, lambda: work(*args, **kwargs)))
+        return await self._run_to_end(self._engine, lambda: _run_paused(turn, lambda: work(*args, **kwargs)))
 
     async def read_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run work that changes nothing, as `run_in_engine_pool`; a cancelled caller ends it at its next pause."""
         turn = _engine_turn.get()
         run = partial(_run_paused, turn, lambda: work(*args, **kwargs))
-        return await _run_to_end(self._engine, run, cancelled=turn.abandon)
+        return await self._run_to_end(self._engine, run, cancelled=turn.abandon)
 
     @asynccontextmanager
     async def composite_slot(self) -> AsyncGenerator[None]:
@@ -158,17 +160,38 @@ class Workers:
 
     async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on a compositing thread; requires a `composite_slot`."""
-        return await _run_to_end(self._composite, lambda: work(*args, **kwargs))
+        return await self._run_to_end(self._composite, lambda: work(*args, **kwargs))
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for a decoding thread and run on it."""
         async with self._decode_share.slot():
-            return await _run_to_end(self._decode, lambda: work(*args, **kwargs))
+            return await self._run_to_end(self._decode, lambda: work(*args, **kwargs))
 
     async def run_in_encode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for an encoding thread and run on it."""
         async with self._encode_share.slot():
-            return await _run_to_end(self._encode, lambda: work(*args, **kwargs))
+            return await self._run_to_end(self._encode, lambda: work(*args, **kwargs))
+
+    async def _run_to_end(
+        self, pool: ThreadPoolExecutor, work: Callable[[], _R], cancelled: Callable[[], object] | None = None
+    ) -> _R:
+        """Return the result. A cancelled caller still waits for the thread, because the work uses its session.
+
+        `cancelled` is called when the caller is cancelled. When the server has stopped, nobody waits.
+        """
+        future = asyncio.get_running_loop().run_in_executor(pool, copy_context().run, work)
+        try:
+            return await asyncio.shield(future)
+        except asyncio.CancelledError:
+            if cancelled is not None:
+                cancelled()
+            while not future.done() and not self._stopped:
+                with suppress(asyncio.CancelledError):  # cancelled again
+                    await asyncio.wait([future])
+            if future.done():
+                with suppress(asyncio.CancelledError):
+                    future.exception()  # marks it as retrieved
+            raise
 
 
 def _note_thread(threads: list[threading.Thread]) -> None:
@@ -182,24 +205,3 @@ def _run_paused(turn: Turn, work: Callable[[], _R]) -> _R:
 
 def _all_but_one(threads: int, several_owners: bool) -> int | None:
     return max(1, threads - 1) if several_owners else None
-
-
-async def _run_to_end(
-    pool: ThreadPoolExecutor, work: Callable[[], _R], cancelled: Callable[[], object] | None = None
-) -> _R:
-    """Return the result. A cancelled caller still waits for the thread, because the work uses its session.
-
-    `cancelled` is called when the caller is cancelled.
-    """
-    future = asyncio.get_running_loop().run_in_executor(pool, copy_context().run, work)
-    try:
-        return await asyncio.shield(future)
-    except asyncio.CancelledError:
-        if cancelled is not None:
-            cancelled()
-        while not future.done():
-            with suppress(asyncio.CancelledError):  # cancelled again
-                await asyncio.wait([future])
-        with suppress(asyncio.CancelledError):
-            future.exception()  # marks it as retrieved
-        raise

@@ -14,7 +14,7 @@ from collections.abc import AsyncGenerator, Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import Final, Protocol, TypeVar
+from typing import Final, Protocol, TypeVar, runtime_checkable
 from weakref import WeakValueDictionary
 
 from roomlight.errors import OutputError, ServerError, StateError
@@ -34,6 +34,7 @@ CLOSE_S: Final = 5.0
 _EXPIRY_PERIOD_S: Final = 60.0
 
 
+@runtime_checkable
 class Saveable(Protocol):
     """A session that can be saved: a `LiveSession`."""
 

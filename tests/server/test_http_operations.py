@@ -1,0 +1,212 @@
+"""Operating a server: request ids, metrics, readiness, and a stop that loses no frame in progress."""
+
+import json
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+import threading
+import time
+
+import pytest
+from websockets.sync.client import connect
+
+from http_servers import HeldSession, InThread, RunningServer, frame
+from roomlight_server import serving
+from roomlight_server.logs import JsonLines
+
+SERVE = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0"]
+ID = "X-Request-Id"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        running.open()
+        yield running
+
+
+def test_a_request_id_is_returned(server):
+    answer = server.call("GET", "/v1/sessions/room", headers={ID: "trace-7.a_b"})
+    assert answer.headers["x-request-id"] == "trace-7.a_b"
+
+
+@pytest.mark.parametrize("given", [{}, {ID: ""}, {ID: "a" * 65}, {ID: "two words"}, {ID: 'a","level":"x'}])
+def test_a_request_without_a_usable_id_gets_one(server, given):
+    ids = [server.call("GET", "/healthz", headers=given).headers["x-request-id"] for _ in range(2)]
+    assert all(re.fullmatch("[0-9a-f]{32}", each) for each in ids)
+    assert ids[0] != ids[1]
+
+
+def test_problems_carry_the_request_id(server, monkeypatch):
+    assert server.call("GET", "/v1/sessions/none", headers={ID: "r1"}).headers["x-request-id"] == "r1"
+    assert server.call("GET", "/nowhere", headers={ID: "r2", "Origin": "http://x"}).headers["x-request-id"] == "r2"
+    monkeypatch.setattr(type(server.registry), "use", None)
+    broken = server.call("GET", "/v1/sessions/room", headers={ID: "r3"})
+    assert (broken.status, broken.headers["x-request-id"]) == (500, "r3")
+
+
+def test_a_stream_returns_its_request_id(server):
+    url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
+    with connect(url, additional_headers={ID: "stream-1"}) as stream:
+        assert stream.response.headers["X-Request-Id"] == "stream-1"
+
+
+class Lines(logging.Handler):
+    """Collects log records as the server writes them."""
+
+    def __init__(self):
+        super().__init__()
+        self.setFormatter(JsonLines())
+        self.lines: list[dict[str, object]] = []
+
+    def emit(self, record):
+        self.lines.append(json.loads(self.format(record)))
+
+
+@pytest.fixture
+def lines():
+    handler, log = Lines(), logging.getLogger("roomlight.server")
+    level = log.level
+    log.addHandler(handler)
+    log.setLevel(logging.INFO)
+    yield handler.lines
+    log.removeHandler(handler)
+    log.setLevel(level)
+
+
+def test_log_lines_name_their_request(server, lines):
+    server.call("PUT", "/v1/sessions/logged", {"height": 16}, headers={ID: "opens-it"})
+    server.call("DELETE", "/v1/sessions/logged", headers={ID: "ends-it"})
+    found = {line["event"]: line.get("request") for line in lines}
+    assert found == {"session opened": "opens-it", "session ended": "ends-it"}
+
+
+def test_the_line_of_a_failed_frame_names_its_request(monkeypatch, lines):
+    """The task that processes frames was started by an earlier request."""
+    HeldSession.reset()
+    HeldSession.broken = {1: RuntimeError("broke")}
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with RunningServer() as server:
+        server.open()
+        first = InThread(server.push, 0, headers={ID: "first"})
+        HeldSession.wait_entered()
+        second = InThread(server.push, 1, headers={ID: "second"})
+        while server.state()["frames"]["queued"] < 2:
+            pass
+        HeldSession.release(2)
+        assert (first.result().status, second.result().status) == (200, 500)
+    (line,) = [line for line in lines if line["event"] == "engine failed"]
+    assert (line["request"], line["frame"]) == ("second", 1)
+
+
+def metric(server, name):
+    text = server.call("GET", "/metrics").body.decode()
+    found = re.search(rf"^{re.escape(name)} (\S+)$", text, re.MULTILINE)
+    return None if found is None else float(found[1])
+
+
+def test_metrics_show_queues_refusals_and_memory(monkeypatch):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with RunningServer() as server:
+        server.open()
+        server.open("other")
+        pushes = [InThread(server.push, index) for index in range(1)]
+        HeldSession.wait_entered()
+        for index in (1, 2):
+            pushes.append(InThread(server.push, index))
+            while server.state()["frames"]["last_index"] != index:
+                pass
+        pushes.append(InThread(server.push, 0, name="other"))
+        while metric(server, 'roomlight_queued_jobs{pool="engine"}') != 1:
+            pass
+        HeldSession.release(3)
+        assert [push.result().json["status"] for push in pushes] == [
+            "processed",
+            "superseded",
+            "processed",
+            "processed",
+        ]
+        assert metric(server, 'roomlight_frames_total{status="superseded"}') == 1
+        assert server.call("GET", "/v1/sessions/none").status == 404
+        assert metric(server, 'roomlight_problems_total{kind="session-not-found"}') == 1
+        assert metric(server, "roomlight_decode_seconds_count") == 4
+        assert (metric(server, 'roomlight_queue_seconds_count{pool="decode"}') or 0) >= 4
+        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+            stream.send(json.dumps({"type": "track", "name": "table", "position": [0, 0, 0]}))
+            stream.recv(timeout=60)
+        assert metric(server, 'roomlight_stream_messages_total{direction="received",type="track"}') == 1
+        assert metric(server, 'roomlight_stream_messages_total{direction="sent",type="probes"}') == 1
+        assert (metric(server, "process_resident_memory_bytes") or 0) > 2**24
+
+
+def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
+    """The server closed its socket first: a load balancer saw no /readyz, and streams lost their frames."""
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with RunningServer() as server:
+        server.open()
+        server.open("streamed")
+        push = InThread(server.push, 0)
+        with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/streamed/stream") as stream:
+            stream.send(frame(0, index=0))
+            HeldSession.wait_entered()
+            while metric(server, 'roomlight_queued_jobs{pool="engine"}') != 1:
+                pass
+            server._server.should_exit = True
+            while (answer := server.call("GET", "/readyz")).json["status"] != "stopping":
+                pass
+            assert answer.status == 503
+            refused = server.push(1)
+            assert (refused.status, refused.kind, refused.headers["retry-after"]) == (503, "stopping", "5")
+            assert server.call("PUT", "/v1/sessions/new", {}).kind == "stopping"
+            stream.send(frame(1, index=1))
+            event = json.loads(stream.recv(timeout=60))
+            assert (event["index"], event["problem"]["status"]) == (1, 503)
+            HeldSession.release(2)
+            assert push.result().json["status"] == "processed"
+            assert json.loads(stream.recv(timeout=60))["status"] == "processed"
+
+
+def test_a_stop_waits_no_longer_than_its_limit(monkeypatch):
+    monkeypatch.setattr(serving, "DRAIN_LIMIT_S", 0.1)
+    monkeypatch.setattr("roomlight_server.workers.STOP_S", 0.1)
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with RunningServer() as server:
+        server.open()
+        push = InThread(server.push, 0)
+        HeldSession.wait_entered()
+        server.stop()  # although the engine is still at work
+        HeldSession.release(1)
+        del push
+
+
+@pytest.mark.slow
+def test_sigterm_ends_the_process():
+    """SIGTERM took up to 59 s."""
+    environment = os.environ | {"ROOMLIGHT_DRAIN_S": "0.2"}
+    with subprocess.Popen(SERVE, stderr=subprocess.PIPE, text=True, env=environment) as process:
+        assert process.stderr is not None
+        output: list[str] = []
+        serving_line = threading.Event()
+
+        def read():
+            for line in process.stderr:
+                output.append(line)
+                if '"event": "ready"' in line:
+                    serving_line.set()
+
+        reader = threading.Thread(target=read, daemon=True)
+        reader.start()
+        assert serving_line.wait(300)
+        process.send_signal(signal.SIGTERM)
+        began_s = time.monotonic()
+        process.wait(60)
+        assert time.monotonic() - began_s < 30  # a hang, on a busy machine; 10 s are the goal
+        reader.join(10)
+    assert process.returncode in (0, -signal.SIGTERM)
+    assert any('"event": "stopping"' in line for line in output)
