@@ -1,0 +1,393 @@
+"""Sessions on disk: restored with the same bits after a restart; damaged, foreign and unwritable ones stay apart."""
+
+import errno
+import os
+import shutil
+import stat
+import threading
+import time
+
+import pytest
+
+from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
+from roomlight.errors import ServerError
+from roomlight_server.app import create_app
+from roomlight_server.settings import ServerSettings
+from roomlight_server.state import session_folder, store
+
+YAWS = (0, 12, 24, 36, 48, 60)
+PROBE = {"position": [0.2, 1.2, -0.5]}
+TRIES = 20_000
+"""Requests until a condition holds: the machine is busy with other tests."""
+LIGHTS = ("/probes/table?format=npy", "/probe?x=0.1&y=1.1&z=-0.2&format=npy")
+
+
+def server_on(folder, **settings):
+    return RunningServer(**{"state_dir": folder, "state_interval_s": 0.1, "idle_expiry_s": 1e6} | settings)
+
+
+def wait_until_saved(server, index, name="room", **more):
+    """Ask until the frame is on disk; returns the state."""
+    for _ in range(TRIES):
+        state = server.state(name, **more)
+        if state["frames"]["durable_index"] == index and _unsaved_s(server) == 0:
+            return state
+    raise AssertionError(state)
+
+
+def _unsaved_s(server):
+    states = server.app.state.context.states
+    lives = dict(server.registry.items()).values()
+    return max([live.journal.unsaved_s for live in lives] + [len(states._saving)])
+
+
+def lights(server, name="room", **more):
+    found = [server.call("GET", f"/v1/sessions/{name}{path}", **more) for path in LIGHTS]
+    assert {answer.status for answer in found} == {200}
+    return [(answer.body, answer.headers["etag"]) for answer in found]
+
+
+def filled(server, name="room", count=4, **more):
+    """Open a session with a probe and frames; returns its state once all of it is on disk."""
+    server.open(name, **more)
+    assert server.call("PUT", f"/v1/sessions/{name}/probes/table", PROBE, **more).status == 201
+    for index, yaw in enumerate(YAWS[:count]):
+        assert server.push(index, frame(yaw), name=name, **more).status == 200
+    return wait_until_saved(server, count - 1, name, **more)
+
+
+def copied(folder, target):
+    """Return a copy of a state directory, as a killed server leaves it."""
+    return shutil.copytree(folder, target)
+
+
+@pytest.fixture(scope="module")
+def saved(tmp_path_factory):
+    """A state directory with the session `room`; its state, its light, its light after two more frames."""
+    folder = tmp_path_factory.mktemp("saved") / "state"
+    with server_on(folder) as server:
+        state, light = filled(server), lights(server)
+        kept = copied(folder, folder.with_name("kept"))
+        for index, yaw in enumerate(YAWS[4:], start=4):
+            server.push(index, frame(yaw))
+        later = lights(server)
+    return kept, state, light, later
+
+
+def test_a_restored_session_is_the_same(saved, tmp_path):
+    kept, state, light, later = saved
+    with server_on(copied(kept, tmp_path / "state")) as server:
+        found = server.state()
+        same = ("options", "model", "probes", "coverage", "keyframes", "volume", "idle_expiry_s")
+        assert {name: found[name] for name in same} == {name: state[name] for name in same}
+        assert found["frames"] == state["frames"]
+        assert found["frames"]["last_index"] == found["frames"]["durable_index"] == 3
+        assert lights(server) == light
+        for index, yaw in enumerate(YAWS[4:], start=4):
+            assert server.push(index, frame(yaw)).json["status"] == "processed"
+        assert lights(server) == later
+
+
+def test_frames_after_a_restart_keep_their_order(saved, tmp_path):
+    with server_on(copied(saved[0], tmp_path / "state")) as server:
+        first = server.push(3, frame(YAWS[3]))
+        assert (first.status, first.json["replay"], first.json["status"]) == (200, True, "processed")
+        other = server.push(3, frame(YAWS[0]))
+        assert (other.status, other.kind) == (409, "frame-conflict")
+        old = server.push(1, frame(YAWS[1]))
+        assert (old.status, old.json["rule"]) == (409, "must be above 3, or 3 with the same bytes")
+        assert server.push(9, frame(YAWS[4])).status == 200
+        assert server.state()["frames"]["gaps"] == 5
+
+
+def test_opening_joins_the_saved_session(saved, tmp_path):
+    with server_on(copied(saved[0], tmp_path / "state")) as server:
+        conflict = server.call("PUT", "/v1/sessions/room", SMALL | {"height": 24})
+        assert (conflict.status, conflict.kind) == (409, "session-conflict")
+        assert server.open().status == 200
+        assert server.state()["frames"]["processed"] == 4
+        assert server.call("GET", "/v1/sessions/another").status == 404
+
+
+def test_a_composite_needs_no_new_frame_after_a_restart(saved, tmp_path):
+    body = {"objects": [{"shape": "sphere", "radius": 0.1, "position": [0.2, 1.2, -0.5]}], "quality": "preview"}
+    with server_on(copied(saved[0], tmp_path / "state")) as server:
+        assert server.registry._sessions == {}
+        answer = server.call("POST", "/v1/sessions/room/composite", body)
+        assert answer.status != 409, answer
+
+
+def test_requests_at_once_restore_a_session_once(saved, tmp_path, monkeypatch):
+    reads = []
+    original = store.read_session
+    monkeypatch.setattr(store, "read_session", lambda *args: reads.append(1) or original(*args))
+    with server_on(copied(saved[0], tmp_path / "state")) as server:
+        calls = [InThread(server.state) for _ in range(8)]
+        assert {call.result()["frames"]["processed"] for call in calls} == {4}
+        assert len(reads) == 1
+
+
+def test_only_this_user_can_read_the_files(saved):
+    for path in [saved[0], *saved[0].rglob("*")]:
+        assert stat.S_IMODE(path.stat().st_mode) == (0o700 if path.is_dir() else 0o600), path
+
+
+def test_messages_of_keyframes_are_kept_as_they_came(saved):
+    found = sorted(path.read_bytes() for path in saved[0].rglob("*.frame"))
+    assert found
+    assert set(found) <= {frame(yaw) for yaw in YAWS}
+
+
+def test_deleting_erases_the_files(saved, tmp_path):
+    folder = copied(saved[0], tmp_path / "state")
+    with server_on(folder) as server:
+        assert server.state()["frames"]["processed"] == 4
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        assert list((folder / "sessions").iterdir()) == []
+        assert server.call("GET", "/v1/sessions/room").status == 404
+        assert server.call("DELETE", "/v1/sessions/room").status == 404
+    folder = copied(saved[0], tmp_path / "again")
+    with server_on(folder) as server:  # without restoring it
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        assert list((folder / "sessions").iterdir()) == []
+
+
+def test_the_owner_is_kept_and_the_token_is_not(tmp_path):
+    tokens = ("first-token-of-this-test", "second-token-of-this-test")
+    with server_on(tmp_path / "state", tokens=tokens) as server:
+        filled(server, count=1, token=tokens[0])
+    with server_on(tmp_path / "state", tokens=tokens) as server:
+        assert server.call("GET", "/v1/sessions/room", token=tokens[1]).status == 404
+        assert server.state(token=tokens[0])["frames"]["processed"] == 1
+    for path in (tmp_path / "state").rglob("*"):
+        data = path.name.encode() + (path.read_bytes() if path.is_file() else b"")
+        assert not any(token.encode() in data for token in tokens)
+
+
+def test_a_session_of_another_owner_is_refused(saved, tmp_path):
+    folder = copied(saved[0], tmp_path / "state")
+    states = store.StateStore.__new__(store.StateStore)
+    states._root = folder / "sessions"
+    next(states._root.iterdir()).rename(states._folder("anyone", "other"))
+    with server_on(folder) as server:
+        answer = server.call("GET", "/v1/sessions/other")
+        assert (answer.status, answer.kind) == (409, "state-refused")
+        assert "belongs to another session" in answer.json["detail"]
+
+
+def _flip(path):
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 4
+    path.write_bytes(data)
+
+
+def _other_weights(path):
+    """State other weights, as a server with another network for clipped pixels would have written it."""
+    records = session_folder.unpack_records(path.read_bytes(), "state")
+    for record in records:
+        if record.tag == "SESS":
+            record.values["networks"]["clipping"] = 64 * "0"
+    path.write_bytes(session_folder.pack_records(records))
+
+
+def _other_version(path):
+    path.write_bytes(path.read_bytes().replace(b"RLSTATE1", b"RLSTATE9", 1))
+
+
+@pytest.mark.parametrize(
+    ("name", "damage", "message"),
+    [
+        ("state", _flip, "is damaged"),
+        ("state", lambda path: path.write_bytes(path.read_bytes()[:-7]), "is truncated"),
+        ("state", lambda path: path.write_bytes(b""), "is not a saved state"),
+        ("state", _other_version, "version '9'; this release reads version 1"),
+        ("state", _other_weights, "saved with a network for clipped pixels 0000000000000000"),
+        ("*.frame", _flip, "is damaged (its checksum differs)"),
+        ("*.frame", lambda path: path.unlink(), "is missing"),
+    ],
+)
+def test_what_is_damaged_or_foreign_is_refused_by_name(saved, tmp_path, caplog, name, damage, message):
+    folder = copied(saved[0], tmp_path / "state")
+    damage(next((folder / "sessions").glob(f"*/{name}")))
+    with server_on(folder) as server:
+        for method, path in (("GET", ""), ("PUT", ""), ("GET", LIGHTS[0])):
+            answer = server.call(method, f"/v1/sessions/room{path}", SMALL if method == "PUT" else None)
+            assert (answer.status, answer.kind) == (409, "state-refused")
+            assert "saved state of session room" in answer.json["detail"]
+            assert message in answer.json["detail"]
+        assert any(message in record.getMessage() for record in caplog.records)
+        assert server.open("neighbour").status == 201
+        assert server.push(0, name="neighbour").status == 200
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        assert server.open().status == 201
+
+
+def test_what_a_kill_leaves_half_written_is_ignored(saved, tmp_path):
+    folder = copied(saved[0], tmp_path / "state")
+    one = next((folder / "sessions").iterdir())
+    (one / ".state.part").write_bytes((one / "state").read_bytes()[:1000])
+    (one / "77-0123456789abcdef.frame").write_bytes(b"RLF1")
+    with server_on(folder) as server:
+        assert lights(server) == saved[2]
+        server.push(4, frame(YAWS[4]))
+        wait_until_saved(server, 4)
+    assert {path.suffix for path in one.iterdir() if path.name != "state"} == {".frame"}
+    assert not (one / "77-0123456789abcdef.frame").exists()
+
+
+def test_a_state_that_cannot_be_read_now_is_asked_for_again(saved, tmp_path, monkeypatch):
+    original, broken = store.read_session, [True]
+
+    def read(*args):
+        if broken:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+        return original(*args)
+
+    monkeypatch.setattr(store, "read_session", read)
+    with server_on(copied(saved[0], tmp_path / "state")) as server:
+        answer = server.call("GET", "/v1/sessions/room")
+        assert (answer.status, answer.kind, answer.headers["retry-after"]) == (503, "state-unavailable", "5")
+        broken.clear()
+        assert server.state()["frames"]["processed"] == 4
+
+
+def test_serving_goes_on_while_the_disk_is_full(tmp_path, monkeypatch):
+    full = threading.Event()
+    original = os.fsync
+
+    def fsync(descriptor):
+        if full.is_set():
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        original(descriptor)
+
+    monkeypatch.setattr("roomlight.files.os.fsync", fsync)
+    with server_on(tmp_path / "state") as server:
+        filled(server, count=2)
+        full.set()
+        for index in (2, 3):
+            assert server.push(index, frame(YAWS[index])).json["status"] == "processed"
+        for _ in range(TRIES):
+            ready = server.call("GET", "/readyz").json
+            if ready["state"] != "saved":
+                break
+        assert ready["state"] == "not saved: No space left on device"
+        light = lights(server)
+        assert server.state()["frames"]["durable_index"] < 3
+        full.clear()
+        wait_until_saved(server, 3)
+        assert server.call("GET", "/readyz").json["state"] == "saved"
+        text = server.call("GET", "/metrics").body.decode()
+        assert 'roomlight_state_writes_total{outcome="failed"}' in text
+        kept = copied(tmp_path / "state", tmp_path / "kept")
+    assert list(kept.rglob("*.pixels"))  # the messages of these keyframes were released meanwhile
+    with server_on(kept) as server:
+        assert lights(server) == light
+
+
+def test_large_messages_are_kept_as_pixels(tmp_path, monkeypatch):
+    for module in ("journal", "session_folder"):
+        monkeypatch.setattr(f"roomlight_server.state.{module}.MAX_MESSAGE_BYTES", 1000)
+    with server_on(tmp_path / "state") as server:
+        filled(server, count=3)
+        light = lights(server)
+        kept = copied(tmp_path / "state", tmp_path / "kept")
+    assert not list(kept.rglob("*.frame"))
+    with server_on(kept) as server:
+        assert lights(server) == light
+
+
+def test_stopping_saves_the_last_frames(tmp_path):
+    with server_on(tmp_path / "state", state_interval_s=3600.0) as server:
+        server.open()
+        assert server.call("PUT", "/v1/sessions/room/probes/table", PROBE).status == 201
+        server.push(0, frame(YAWS[0]))
+        assert server.state()["frames"]["durable_index"] is None
+        light = lights(server)
+    with server_on(tmp_path / "state") as server:
+        assert server.state()["frames"]["last_index"] == 0
+        assert lights(server) == light
+
+
+def test_idle_sessions_leave_memory_and_come_back(tmp_path):
+    now_s = [1000.0]
+    with server_on(tmp_path / "state", clock=lambda: now_s[0], idle_expiry_s=100.0) as server:
+        server.open()
+        now_s[0] += 10
+        server.push(0, frame(YAWS[0]))
+        for _ in range(TRIES):
+            now_s[0] += 0.1
+            if server.state()["frames"]["durable_index"] == 0:
+                break
+        assert server.state()["idle_expiry_s"] == 86_400.0
+        light = server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body
+        now_s[0] += 201
+        server.registry.expire()
+        assert server.registry._sessions == {}
+        assert server.call("GET", f"/v1/sessions/room{LIGHTS[1]}").body == light
+        text = server.call("GET", "/metrics").body.decode()
+        assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
+
+
+def test_saved_sessions_expire(saved, tmp_path):
+    folder = copied(saved[0], tmp_path / "state")
+    state = next((folder / "sessions").glob("*/state"))
+    os.utime(state, (time.time() - 90, time.time() - 90))
+    (folder / "another file").write_text("not ours")
+    with server_on(folder, state_expiry_s=60.0) as server:
+        for _ in range(TRIES):
+            if not state.parent.exists():
+                break
+        assert server.call("GET", "/v1/sessions/room").status == 404
+    assert (folder / "another file").exists()
+
+
+def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with server_on(tmp_path / "state") as server:
+        server.open()
+        HeldSession.release()
+        assert server.push(0, frame(YAWS[0])).status == 200
+        HeldSession.wait_entered()
+        later = [InThread(server.push, 1, frame(YAWS[1]))]
+        HeldSession.wait_entered()  # frame 1 is being processed
+        for index in (2, 3):
+            later.append(InThread(server.push, index, frame(YAWS[index])))
+            _wait_for_last_index(server, index)
+        assert later[1].result().json["status"] == "superseded"
+        skipped = frame(YAWS[4], tracking_state="limited")
+        assert server.push(5, skipped).json["status"] == "skipped"
+        live = server.registry._sessions["anyone", "room"]
+        saved = live._queue.saved()
+        assert saved.last_index == 2  # 3 waits, and 5 came after it
+        assert (saved.counts["superseded"], saved.counts["skipped"], saved.counts["gaps"]) == (1, 0, 0)
+        HeldSession.release(2)
+        assert later[2].result().json["status"] == "processed"
+        assert live._queue.saved().last_index == 5
+        assert live._queue.saved().counts["gaps"] == 1
+
+
+def _wait_for_last_index(server, index):
+    for _ in range(TRIES):
+        if server.state()["frames"]["last_index"] == index:
+            return
+    raise AssertionError(server.state())
+
+
+def test_without_a_directory_nothing_is_durable():
+    with RunningServer() as server:
+        server.open()
+        assert server.push(0).json["durable_index"] is None
+        assert server.state()["frames"]["durable_index"] is None
+        assert "state" not in server.call("GET", "/readyz").json
+
+
+def test_two_servers_do_not_share_a_directory(tmp_path):
+    with (
+        server_on(tmp_path / "state"),
+        pytest.raises(ServerError, match=r"state_dir: .*state: is used by another server"),
+    ):
+        create_app(ServerSettings(state_dir=tmp_path / "state"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ServerError, match=r"state_dir: .*file: cannot be used"):
+        create_app(ServerSettings(state_dir=tmp_path / "file"))
