@@ -28,7 +28,8 @@ class RunningServer:
     def __init__(self, *, clock=None, **settings):
         settings.setdefault("wrong_token_delay_s", 0)
         settings.setdefault("decode_timeout_s", 120)  # the machine is busy with other tests
-        self.settings = ServerSettings(port=0, **settings)
+        settings.setdefault("port", 0)
+        self.settings = ServerSettings(**settings)
         self.app = create_app(self.settings, **({} if clock is None else {"clock": clock}))
         self._up = threading.Event()
         self._server = make_server(self.settings, self.app)

@@ -143,5 +143,12 @@ function follow(sessions: NonNullable<State["sessions"]["value"]>): void {
   }
 }
 
-// For tests and scripts/measure.mjs: how often the room was drawn.
-Object.defineProperty(globalThis, "roomFrames", { get: () => room?.view.frames ?? 0 });
+/** For the tests and scripts/measure.mjs: how often the room was drawn, and where a probe is in the window. */
+Object.assign(globalThis, {
+  roomlightPage: {
+    get frames() {
+      return room?.view.frames ?? 0;
+    },
+    probeAt: (name: string) => room?.view.project(room.probes.spheres.get(name)!.position),
+  },
+});

@@ -1,0 +1,68 @@
+// axe finds nothing, in light and dark, wide and narrow; nothing is cut off on a narrow screen.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { control, launch, openPage, violations, waitForLight } from "./support.mjs";
+
+let browser;
+
+before(async () => {
+  browser = await launch();
+});
+after(() => browser?.close());
+
+const VIEWS = [
+  { width: 1440, height: 900, colorScheme: "light" },
+  { width: 1024, height: 768, colorScheme: "dark" },
+  { width: 390, height: 844, colorScheme: "light" },
+  { width: 390, height: 844, colorScheme: "dark" },
+];
+
+test("the page without a session", async () => {
+  for (const view of VIEWS) {
+    const { page } = await openPage(browser, view);
+    await page.waitForSelector("#empty:not([hidden])");
+    assert.deepEqual(await violations(page), [], JSON.stringify(view));
+    await page.close();
+  }
+});
+
+test("the panels of a session", async () => {
+  await control("push", { session: "room", count: 4 });
+  for (const view of VIEWS) {
+    const { page } = await openPage(browser, view);
+    await waitForLight(page);
+    await page.click("#picture-button");
+    await page.waitForSelector("#objects .chip");
+    await page.check("#false-colour");
+    assert.deepEqual(await violations(page), [], JSON.stringify(view));
+    const overflow = await page.evaluate(() => document.documentElement.scrollWidth - innerWidth);
+    assert.ok(overflow <= 0, `${overflow} px are cut off at ${view.width} px`);
+    await page.close();
+  }
+});
+
+test("the dialogs", async () => {
+  const { page } = await openPage(browser);
+  for (const [button, dialog] of [["open-recording", "recording-dialog"], ["open-phone", "phone-dialog"]]) {
+    await page.click(`#${button}`);
+    await page.waitForFunction(() => !document.querySelector("dialog[open]").innerText.includes("Loading"));
+    assert.deepEqual(await violations(page), [], dialog);
+    await page.keyboard.press("Escape");
+    await page.waitForFunction((id) => !document.getElementById(id).open, dialog);
+  }
+});
+
+test("every control is reached with the keyboard, in the order of the page", async () => {
+  const { page } = await openPage(browser);
+  await waitForLight(page);
+  const reached = [];
+  for (let press = 0; press < 60; press++) {
+    await page.keyboard.press("Tab");
+    reached.push(await page.evaluate(() => document.activeElement?.id || document.activeElement?.getAttribute("data-session") || document.activeElement?.name));
+  }
+  const wanted = ["open-recording", "room", "tool", "drag", "room-canvas", "picture-button", "object-shape", "exposure", "probe-x", "play", "scrub"];
+  const at = wanted.map((name) => reached.indexOf(name));
+  assert.ok(at.every((place) => place >= 0), `reached ${reached.join(", ")}`);
+  assert.deepEqual(at, [...at].sort((a, b) => a - b));
+});

@@ -1,0 +1,58 @@
+// Sessions that come and go, and a server that is started again.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { control, launch, openPage, waitForLight } from "./support.mjs";
+
+let browser, page;
+
+before(async () => {
+  browser = await launch();
+  ({ page } = await openPage(browser));
+});
+after(() => browser?.close());
+
+const connection = (text) => page.waitForFunction((text) => document.getElementById("connection").textContent.startsWith(text), text);
+
+test("an empty server says how to start", async () => {
+  await page.waitForSelector("#empty:not([hidden])");
+  assert.match(await page.locator("#empty").innerText(), /roomlight demo[\s\S]*\.r3d[\s\S]*phone/i);
+  await connection("Connected");
+});
+
+test("the first session is shown by itself", async () => {
+  await control("push", { session: "room", count: 3 });
+  await waitForLight(page);
+  await connection("Live");
+});
+
+test("another session is a click away", async () => {
+  await control("push", { session: "hall", count: 1 });
+  await page.click('[data-session="hall"]');
+  await waitForLight(page);
+  assert.match(await page.title(), /^hall/);
+  await page.click('[data-session="room"]');
+  await waitForLight(page);
+});
+
+test("a lost server is shown, and the page connects again", async () => {
+  await control("stop");
+  await page.waitForFunction(() => ["reconnecting", "disconnected"].includes(document.getElementById("connection").dataset.state));
+  await control("start");
+  await page.waitForSelector("#ended:not([hidden])"); // the new server has no session
+  await control("push", { session: "room", count: 2 });
+  await waitForLight(page);
+  await connection("Live");
+  assert.match(await page.locator("#camera-frame").innerText(), /Frame 1/);
+});
+
+test("an expired session leaves the page usable", async () => {
+  await control("expire");
+  await page.waitForSelector("#ended:not([hidden])");
+  assert.match(await page.locator("#ended-text").innerText(), /idle/);
+  await page.click("#ended-close");
+  await page.waitForSelector("#empty:not([hidden])");
+  await control("push", { session: "next", count: 2 });
+  await waitForLight(page);
+  assert.match(await page.title(), /^next/);
+});

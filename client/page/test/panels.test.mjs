@@ -1,0 +1,174 @@
+// The panels of a session: objects, probes, timeline, light, downloads.
+
+import assert from "node:assert/strict";
+import { readFileSync } from "node:fs";
+import { after, before, beforeEach, test } from "node:test";
+import { control, difference, launch, openPage, pixelsOf, waitForChange, waitForLight } from "./support.mjs";
+
+let browser, page, errors;
+
+before(async () => {
+  browser = await launch();
+  await control("push", { session: "room", count: 8 });
+});
+after(() => browser?.close());
+beforeEach(async () => {
+  await page?.close();
+  ({ page, errors } = await openPage(browser));
+  await waitForLight(page);
+});
+
+const noNotices = async () => assert.deepEqual(await page.locator(".notice:not(.calm)").allInnerTexts(), []);
+
+test("a session without probes gets one, and all panels fill", async () => {
+  assert.equal(await page.locator("#connection").innerText(), "Live");
+  assert.equal(await page.locator(".session[aria-current]").count(), 1);
+  assert.equal(await page.inputValue("#probe-select"), "probe-1");
+  assert.match(await page.locator("#camera-frame").innerText(), /Frame 7/);
+  assert.match(await page.locator("#light-coverage").innerText(), /^\d+ % seen$/);
+  assert.ok((await page.locator("#stages li").count()) >= 5);
+  assert.match(await page.locator("#counts").innerText(), /Processed\s*8/);
+  await noNotices();
+  assert.deepEqual(errors, []);
+});
+
+test("a click on the picture places an object there", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  assert.match(await page.locator("#objects .chip").innerText(), /sphere-1, mirror/);
+  const placed = await waitForChange(page, "#picture-image", before);
+  const changed = placed.map((value, at) => Math.abs(value - before[at]) > 8);
+  const rows = changed.flatMap((is, at) => (is ? [Math.floor(at / 4 / 64)] : []));
+  assert.ok(Math.min(...rows) > 6, `the object is near the click, not in row ${Math.min(...rows)} of 32`);
+  await page.click("#objects .chip button");
+  await page.waitForFunction(() => document.getElementById("objects").children.length === 0);
+  await noNotices();
+});
+
+test("the keyboard places an object", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  await page.selectOption("#object-shape", "cube");
+  await page.selectOption("#object-material", "diffuse");
+  await page.focus("#picture-button");
+  for (const key of ["ArrowDown", "ArrowLeft", "Shift+ArrowRight", "Enter"]) {
+    await page.keyboard.press(key);
+  }
+  assert.match(await page.locator("#objects .chip").innerText(), /cube-1, diffuse/);
+  await waitForChange(page, "#picture-image", before);
+});
+
+test("a click on a wall of the room places an object, and with the tool Probe a probe", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  await page.click("#view-camera");
+  const box = await page.locator("#room-canvas").boundingBox();
+  const position = { x: 0.42 * box.width, y: 0.75 * box.height };
+  await page.click("#room-canvas", { position });
+  await page.waitForSelector("#objects .chip");
+  await waitForChange(page, "#picture-image", before);
+
+  await page.check('input[name="tool"][value="probe"]', { force: true });
+  await page.click("#room-canvas", { position: { x: 0.7 * box.width, y: 0.8 * box.height } });
+  await page.waitForFunction(() => document.getElementById("probe-select").options.length === 2);
+  await page.waitForFunction(() => document.getElementById("probe-x").value !== "");
+  await page.click("#probe-remove");
+  await page.waitForFunction(() => document.getElementById("probe-select").options.length === 1);
+});
+
+test("a probe that is dragged gets other light, and the server tracks it there", async () => {
+  const before = await pixelsOf(page, "#panorama-canvas");
+  const x = await page.inputValue("#probe-x");
+  const from = await page.evaluate(() => globalThis.roomlightPage.probeAt("probe-1"));
+  await page.mouse.move(from.x, from.y);
+  assert.ok(await page.evaluate(() => document.getElementById("room-canvas").classList.contains("over")));
+  await page.mouse.down();
+  await page.mouse.move(from.x + 60, from.y + 10, { steps: 6 });
+  await waitForChange(page, "#panorama-canvas", before);
+  await page.mouse.up();
+  const moved = await page.inputValue("#probe-x");
+  assert.notEqual(moved, x);
+  await page.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
+  const { probes } = await control("state", { session: "room" });
+  assert.equal(probes["probe-1"][0].toFixed(2), moved);
+});
+
+test("a probe moves by its numbers", async () => {
+  const before = await pixelsOf(page, "#panorama-canvas");
+  await page.fill("#probe-y", "0.4");
+  await page.keyboard.press("Tab");
+  await waitForChange(page, "#panorama-canvas", before);
+  const { probes } = await control("state", { session: "room" });
+  assert.equal(probes["probe-1"][1], 0.4);
+});
+
+test("scrubbing shows an earlier frame, Live the newest", async () => {
+  await control("push", { session: "room", count: 2 }); // frames after which the probe is in the history
+  await page.waitForFunction(() => document.getElementById("scrub").max === "9");
+  const [picture, light] = [await pixelsOf(page, "#picture-image"), await pixelsOf(page, "#panorama-canvas")];
+  await page.focus("#scrub");
+  await page.keyboard.press("ArrowLeft");
+  await waitForChange(page, "#picture-image", picture);
+  assert.match(await page.locator("#camera-frame").innerText(), /Frame 8, thumbnail/);
+  assert.match(await page.locator("#timeline-text").innerText(), /Frame 8/);
+  assert.equal(await page.getAttribute("#go-live", "aria-pressed"), "false");
+  assert.ok(await page.isDisabled("#picture-button"));
+  await waitForChange(page, "#panorama-canvas", light, 2);
+  await page.click("#go-live");
+  await page.waitForFunction(() => document.getElementById("camera-frame").textContent === "Frame 9");
+  assert.ok(difference(picture, await pixelsOf(page, "#picture-image")) < 8);
+});
+
+test("Play runs through the history to the newest frame", async () => {
+  await page.click("#play");
+  await page.waitForFunction(() => document.getElementById("go-live").getAttribute("aria-pressed") === "false");
+  await page.waitForFunction(() => document.getElementById("play").textContent === "Play");
+  assert.equal(await page.getAttribute("#go-live", "aria-pressed"), "true");
+});
+
+test("a new frame appears by itself", async () => {
+  const { frames } = await control("state", { session: "room" });
+  await control("push", { session: "room", count: 1 });
+  const text = `Frame ${frames.last_index + 1}`;
+  await page.waitForFunction((text) => document.getElementById("camera-frame").textContent === text, text);
+  await page.waitForFunction((text) => document.getElementById("timeline-text").textContent.startsWith(text), text);
+});
+
+test("exposure, false colour and the tint change the panorama", async () => {
+  let shown = await pixelsOf(page, "#panorama-canvas");
+  await page.focus("#exposure");
+  for (let press = 0; press < 8; press++) {
+    await page.keyboard.press("ArrowLeft");
+  }
+  shown = await waitForChange(page, "#panorama-canvas", shown);
+  await page.click("#exposure-auto");
+  shown = await waitForChange(page, "#panorama-canvas", shown);
+  await page.check("#coverage-tint");
+  shown = await waitForChange(page, "#panorama-canvas", shown);
+  await page.check("#false-colour");
+  await waitForChange(page, "#panorama-canvas", shown);
+  assert.ok(await page.isVisible("#legend"));
+});
+
+test("files are downloaded", async () => {
+  const starts = { EXR: [0x76, 0x2f, 0x31, 0x01], HDR: [0x23, 0x3f], PNG: [0x89, 0x50], KTX2: [0xab, 0x4b], USDZ: [0x50, 0x4b], Mesh: [0x67, 0x6c], SH: [0x7b], Picture: [] };
+  for (const [label, start] of Object.entries(starts)) {
+    const download = page.waitForEvent("download");
+    await page.click(`#downloads button:text-is("${label}")`);
+    const file = await download;
+    assert.match(file.suggestedFilename(), /^room-/);
+    const bytes = readFileSync(await file.path());
+    assert.deepEqual([...bytes.subarray(0, start.length)], start, label);
+    assert.ok(bytes.length > 100, label);
+  }
+  await noNotices();
+});
+
+test("a page without new frames draws nothing", async () => {
+  const polled = () => page.waitForResponse((response) => response.url().endsWith("/v1/sessions"));
+  await polled();
+  await polled();
+  const drawn = await page.evaluate(() => globalThis.roomlightPage.frames);
+  await polled();
+  assert.equal(await page.evaluate(() => globalThis.roomlightPage.frames), drawn);
+  assert.ok(drawn > 0);
+});

@@ -1,0 +1,173 @@
+// The phone's page in Chromium against the server at ROOMLIGHT_SERVER with the token ROOMLIGHT_TOKEN: as a WebXR phone
+// emulated by iwer, and with Chromium's fake camera. Pictures go to the folder SCREENSHOTS, if it is set.
+
+import assert from "node:assert/strict";
+import { existsSync } from "node:fs";
+import { createRequire } from "node:module";
+import { after, test } from "node:test";
+import { chromium } from "playwright-core";
+
+const IWER = createRequire(import.meta.url).resolve("iwer").replace(/lib\/index\.js$/, "build/iwer.min.js");
+const [server, token] = [process.env.ROOMLIGHT_SERVER, process.env.ROOMLIGHT_TOKEN];
+const executablePath =
+  process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/chromium-browser"].find((path) => existsSync(path));
+const args = [
+  ...["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"],
+  ...["--use-fake-device-for-media-stream", "--use-fake-ui-for-media-stream", "--disable-background-networking"],
+];
+const browser = await chromium.launch({ executablePath, args });
+after(() => browser.close());
+
+/** An Android phone: iwer has poses and sessions; the camera's texture and the depth are painted here. */
+function emulatePhone({ camera, depth }) {
+  const { IWER } = globalThis;
+  const features = ["viewer", "local", "local-floor", "dom-overlay", "depth-sensing", ...(camera ? ["camera-access"] : [])];
+  const device = new IWER.XRDevice(
+    {
+      name: "phone",
+      controllerConfig: undefined,
+      supportedSessionModes: ["inline", "immersive-ar"],
+      supportedFeatures: features,
+      supportedFrameRates: [30],
+      isSystemKeyboardSupported: false,
+      internalNominalFrameRate: 30,
+      environmentBlendModes: { "immersive-ar": "alpha-blend" },
+      interactionMode: "screen-space",
+      userAgent: navigator.userAgent,
+    },
+    { stereoEnabled: false, fovy: 1 },
+  );
+  device.installRuntime({ forceInstall: true });
+  device.position.set(0.3, 1.4, 0.2);
+  globalThis.phone = device;
+  globalThis.XRWebGLBinding = class {
+    constructor(_session, gl) {
+      this.gl = gl;
+    }
+    getCameraImage({ width, height }) {
+      const { gl } = this;
+      const rgba = new Uint8Array(width * height * 4);
+      for (let at = 0; at < width * height; at++) {
+        rgba.set(at % width < width / 2 ? [240, 30, 30, 255] : [30, 240, 30, 255], 4 * at);
+      }
+      const texture = gl.createTexture();
+      gl.bindTexture(gl.TEXTURE_2D, texture);
+      gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA8, width, height, 0, gl.RGBA, gl.UNSIGNED_BYTE, rgba);
+      gl.texParameteri(gl.TEXTURE_2D, gl.TEXTURE_MIN_FILTER, gl.LINEAR);
+      gl.bindTexture(gl.TEXTURE_2D, null);
+      return texture;
+    }
+  };
+  Object.defineProperty(IWER.XRView.prototype, "camera", { get: () => ({ width: 640, height: 480 }) });
+  IWER.XRFrame.prototype.getDepthInformation = () =>
+    depth
+      ? {
+          width: 48,
+          height: 64, // of the sensor, turned by 90 degrees from the view
+          data: new Uint16Array(48 * 64).fill(1500).buffer,
+          rawValueToMeters: 0.001,
+          normDepthBufferFromNormView: { matrix: [0, 1, 0, 0, -1, 0, 0, 0, 0, 0, 1, 0, 1, 0, 0, 1] },
+        }
+      : null;
+}
+
+async function open(phone) {
+  const context = await browser.newContext({ viewport: { width: 390, height: 780 }, permissions: ["camera"] });
+  after(() => context.close());
+  const page = await context.newPage();
+  const heard = [];
+  page.on("pageerror", (error) => heard.push(String(error)));
+  page.on("console", (message) => heard.push(message.text()));
+  page.on("request", (request) => heard.push(request.url()));
+  if (phone) {
+    await page.addInitScript({ path: IWER });
+    await page.addInitScript(emulatePhone, phone);
+  }
+  await page.goto(`${server}/phone#token=${token}`);
+  await page.getByRole("button", { name: "Start" }).waitFor();
+  return { page, heard };
+}
+
+const figure = (page, name) => page.locator(".figures div", { hasText: name }).locator("dd").innerText();
+
+/** Wait until at least so many frames are in the light, and its panorama is shown. */
+async function lit(page, count) {
+  await page.waitForFunction(
+    (least) => {
+      const shown = document.querySelector(".panorama");
+      const values = [...document.querySelectorAll(".figures dd")].map((one) => Number.parseFloat(one.textContent));
+      return values[1] >= least && shown.naturalWidth === 128 && !shown.hidden;
+    },
+    count,
+    { timeout: 60_000 },
+  );
+}
+
+async function sessions() {
+  const response = await fetch(`${server}/v1/sessions`, { headers: { authorization: `Bearer ${token}` } });
+  return (await response.json()).sessions;
+}
+
+async function picture(page, name) {
+  if (process.env.SCREENSHOTS) {
+    await page.screenshot({ path: `${process.env.SCREENSHOTS}/${name}.png` });
+  }
+}
+
+const noErrors = (heard) => heard.filter((line) => /error|refused|token=/i.test(line) || line.includes(token));
+
+test("a WebXR phone sends frames with poses and depth", async () => {
+  const { page, heard } = await open({ camera: true, depth: true });
+  assert.equal(await page.evaluate(() => location.hash), "");
+  await picture(page, "phone-start");
+  await page.getByRole("button", { name: "Start" }).click();
+  await lit(page, 2);
+  assert.equal(await page.locator(".state").innerText(), "Connected");
+  const [first] = await sessions();
+  assert.deepEqual([first.frames.refused, Object.keys(first.probes)], [0, Object.keys(first.probes)]);
+  const camera = await fetch(`${server}/v1/sessions/${first.id}/camera`, { headers: { authorization: `Bearer ${token}` } });
+  const { camera_to_world: pose, intrinsics } = await camera.json();
+  assert.deepEqual(pose.slice(12, 15).map((value) => Math.round(value * 1000) / 1000), [0.3, 1.4, 0.2]);
+  assert.ok(Math.abs(intrinsics.fy - 240 / Math.tan(0.5)) < 1, `fovy is 1 radian: ${JSON.stringify(intrinsics)}`);
+  await picture(page, "phone-webxr");
+  await page.getByRole("button", { name: "Stop" }).click();
+  await page.getByRole("button", { name: "Start" }).waitFor();
+  assert.equal(await page.locator(".state").innerText(), "Ended");
+  assert.deepEqual(noErrors(heard), []);
+});
+
+test("a WebXR phone without depth says what it assumes", async () => {
+  const { page, heard } = await open({ camera: true, depth: false });
+  await page.getByRole("button", { name: "Start" }).click();
+  await lit(page, 1);
+  assert.match(await page.locator(".note").innerText(), /no depth.*2\.5 m/);
+  assert.deepEqual(noErrors(heard), []);
+});
+
+for (const [name, phone] of [
+  ["without WebXR", null],
+  ["whose WebXR gives no camera", { camera: false, depth: true }],
+]) {
+  test(`a browser ${name} sends photos`, async () => {
+    const { page, heard } = await open(phone);
+    await page.getByRole("button", { name: "Start" }).click();
+    await lit(page, 2);
+    assert.match(await page.locator(".note").innerText(), /photos/);
+    await picture(page, `phone-photos-${phone ? "refused" : "plain"}`);
+    await page.getByRole("button", { name: "Stop" }).click();
+    await page.getByRole("button", { name: "Start" }).waitFor();
+    assert.ok(Number(await figure(page, "Frames sent")) >= 2);
+    assert.deepEqual(noErrors(heard), []);
+  });
+}
+
+test("a wrong token is asked for", async () => {
+  const { page } = await open(null);
+  await page.evaluate(() => sessionStorage.setItem("roomlight-token", "wrong"));
+  await page.reload();
+  await page.getByRole("button", { name: "Start" }).click();
+  await page.getByLabel("Token of the server").fill(token);
+  await page.getByRole("button", { name: "Use" }).click();
+  await page.getByRole("button", { name: "Start" }).click();
+  await lit(page, 1);
+});

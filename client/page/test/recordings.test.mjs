@@ -1,0 +1,65 @@
+// Recordings that are dropped on the page or chosen.
+
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { launch, openPage, waitForLight } from "./support.mjs";
+
+const { FOLDER, ARCHIVE, FRAMES } = process.env;
+let browser, page;
+
+before(async () => {
+  browser = await launch();
+  ({ page } = await openPage(browser));
+  await page.waitForSelector("#empty:not([hidden])");
+});
+after(() => browser?.close());
+
+const finished = (name) =>
+  page.waitForFunction(
+    ([name, frames]) => [...document.querySelectorAll(".upload")].some(({ textContent }) => textContent.includes(name) && textContent.includes(`Played ${frames} frames`)),
+    [name, FRAMES],
+  );
+
+test("a dropped folder is uploaded and played", async () => {
+  const { x, y } = { x: 600, y: 400 };
+  const devtools = await page.context().newCDPSession(page);
+  const data = { items: [], files: [FOLDER], dragOperationsMask: 1 };
+  await devtools.send("Input.dispatchDragEvent", { type: "dragEnter", x, y, data });
+  await page.waitForSelector("#drop:not([hidden])");
+  await devtools.send("Input.dispatchDragEvent", { type: "drop", x, y, data });
+  await waitForLight(page);
+  assert.match(await page.title(), /^kitchen-/);
+  await finished("kitchen");
+  assert.ok(await page.isHidden("#drop"));
+});
+
+test("a chosen .r3d file is uploaded and played", async () => {
+  await page.click("#open-recording");
+  await page.setInputFiles("#file-input", ARCHIVE);
+  await finished("hall.r3d");
+  await page.waitForFunction(() => document.title.startsWith("hall-"));
+  await waitForLight(page);
+  await page.click('button[aria-label="Clear hall.r3d"]');
+  await page.waitForFunction(() => document.querySelectorAll(".upload").length === 1);
+});
+
+test("a file that is no recording is refused with the reason", async () => {
+  const file = { name: "broken.r3d", mimeType: "application/octet-stream", buffer: Buffer.from("no archive") };
+  await page.setInputFiles("#file-input", file);
+  const error = page.locator(".upload .error");
+  await error.waitFor();
+  assert.match(await error.innerText(), /r3d|archive|zip|recording/i);
+});
+
+test("an upload can be cancelled", async () => {
+  let hold;
+  await page.route("**/files/**", (route) => new Promise((resolve) => (hold = resolve)).then(() => route.abort()));
+  await page.setInputFiles("#file-input", ARCHIVE);
+  await page.waitForSelector('button[aria-label="Cancel hall.r3d"]');
+  const deleted = page.waitForRequest((request) => request.method() === "DELETE" && request.url().includes("/v1/recordings/"));
+  await page.waitForRequest("**/files/**").catch(() => undefined);
+  await page.click('button[aria-label="Cancel hall.r3d"]');
+  await deleted;
+  hold?.();
+  assert.equal(await page.locator('button[aria-label="Cancel hall.r3d"]').count(), 0);
+});

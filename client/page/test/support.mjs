@@ -1,0 +1,81 @@
+// Chromium, the control server of tests/page/page_control.py, and axe.
+
+import { existsSync, readFileSync } from "node:fs";
+import { createRequire } from "node:module";
+import { chromium } from "playwright-core";
+
+const EXECUTABLES = ["/usr/bin/chromium", "/usr/bin/chromium-browser", "/usr/bin/google-chrome"];
+const ARGUMENTS = [
+  ...["--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic", "--no-first-run"],
+  ...["--disable-background-networking", "--disable-component-update", "--disable-sync"],
+];
+const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
+
+export const PAGE_URL = process.env.PAGE_URL;
+
+export function launch() {
+  const executablePath = process.env.CHROMIUM ?? EXECUTABLES.find((path) => existsSync(path));
+  if (!executablePath) {
+    throw new Error(`Chromium is needed, at one of ${EXECUTABLES.join(", ")} or at the path in CHROMIUM`);
+  }
+  return chromium.launch({ executablePath, args: ARGUMENTS });
+}
+
+/** Give a command to the server's control; see page_control.py. */
+export async function control(command, parameters = {}) {
+  const response = await fetch(`${process.env.CONTROL_URL}/${command}?${new URLSearchParams(parameters)}`, { method: "POST" });
+  return response.json();
+}
+
+/** A new window with the page. `errors` collects what the page's scripts report. */
+export async function openPage(browser, { width = 1440, height = 900, colorScheme = "light", url = PAGE_URL } = {}) {
+  const page = await browser.newPage({ viewport: { width, height }, colorScheme });
+  page.setDefaultTimeout(60_000);
+  const errors = [];
+  page.on("pageerror", (error) => errors.push(String(error)));
+  page.on("console", (message) => message.type() === "error" && errors.push(message.text()));
+  await page.goto(url);
+  return { page, errors };
+}
+
+/** Wait until the panels show a session with its room, its picture and the light of a probe. */
+export async function waitForLight(page) {
+  await page.waitForFunction(() => document.getElementById("room-waiting").hidden);
+  await page.waitForSelector("#picture-image[src]");
+  await page.waitForFunction(() => document.getElementById("lights").children.length > 0);
+}
+
+/** What axe finds in the page. */
+export async function violations(page) {
+  await page.evaluate(AXE);
+  const { violations: found } = await page.evaluate(() => globalThis.axe.run(document, { resultTypes: ["violations"] }));
+  return found.map(({ id, nodes }) => `${id}: ${nodes.map(({ target, failureSummary }) => `${target} ${failureSummary}`).join("; ")}`);
+}
+
+/** The pixels of an image or a canvas, at most 64 wide. */
+export function pixelsOf(page, selector) {
+  return page.evaluate(async (selector) => {
+    const source = document.querySelector(selector);
+    await source.decode?.();
+    const canvas = new OffscreenCanvas(64, 32);
+    const context = canvas.getContext("2d");
+    context.drawImage(source, 0, 0, 64, 32);
+    return [...context.getImageData(0, 0, 64, 32).data];
+  }, selector);
+}
+
+/** The largest difference of two lists of pixels. */
+export function difference(one, other) {
+  return Math.max(...one.map((value, at) => Math.abs(value - other[at])));
+}
+
+/** Wait until the pixels differ from `before` by more than `least`; returns them. */
+export async function waitForChange(page, selector, before, least = 8) {
+  for (;;) {
+    const now = await pixelsOf(page, selector);
+    if (difference(now, before) > least) {
+      return now;
+    }
+    await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(resolve)));
+  }
+}

@@ -1,0 +1,97 @@
+"""A server for the tests of the page in Chromium, and a control server through which the browser's tests drive it."""
+
+import json
+import threading
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from urllib.parse import parse_qsl, urlsplit
+
+from http_servers import RunningServer, frame
+
+OPTIONS = {"mode": "classical", "height": 48, "reference_exposure": 1.0}
+
+
+class PageServer:
+    """A server that can be started again on its port, with frames of a box room for its sessions.
+
+    Commands are POST requests to `control_url`: `/push?session=NAME&count=N` opens the session where there is none and
+    sends its next frames, `/restart` and `/stop` and `/start` the server, `/expire` makes all sessions idle for a day,
+    `/state?session=NAME` returns the state of a session.
+    """
+
+    def __init__(self, **settings):
+        self._settings = settings
+        self._passed_s = 0.0
+        self._next = {}
+        self._token = (settings.get("tokens") or (None,))[0]
+        self.running = RunningServer(clock=self._clock, **settings)
+        self._control = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
+
+    def _clock(self):
+        return self._passed_s
+
+    def __enter__(self):
+        self.running.__enter__()
+        self._settings["port"] = self.running.port
+        threading.Thread(target=self._control.serve_forever, daemon=True).start()
+        return self
+
+    def __exit__(self, *_):
+        self._control.shutdown()
+        self._control.server_close()
+        self.stop()
+
+    @property
+    def url(self):
+        return f"http://127.0.0.1:{self._settings['port']}"
+
+    @property
+    def control_url(self):
+        return f"http://127.0.0.1:{self._control.server_address[1]}"
+
+    def push(self, session="room", count="1"):
+        self.running.open(session, OPTIONS, token=self._token)
+        for index in range(self._next.get(session, 0), self._next.get(session, 0) + int(count)):
+            answer = self.running.push(index, frame(15 * index), session, token=self._token)
+            assert answer.status == 200, answer
+            self._next[session] = index + 1
+
+    def stop(self):
+        if self.running is not None:
+            self.running.stop()
+        self.running = None
+        self._next = {}
+
+    def start(self):
+        self.running = RunningServer(clock=self._clock, **self._settings)
+        self.running.__enter__()
+
+    def restart(self):
+        self.stop()
+        self.start()
+
+    def expire(self):
+        self._passed_s += 86_400
+        self._next = {}
+
+    def state(self, session="room"):
+        return self.running.state(session, token=self._token)
+
+    def _handler(self):
+        page_server = self
+        commands = ("push", "stop", "start", "restart", "expire", "state")
+
+        class Handler(BaseHTTPRequestHandler):
+            def do_POST(self):  # noqa: N802  (the name that http.server calls)
+                address = urlsplit(self.path)
+                name = address.path.strip("/")
+                assert name in commands, name
+                body = json.dumps(getattr(page_server, name)(**dict(parse_qsl(address.query)))).encode()
+                self.send_response(200)
+                self.send_header("Content-Length", str(len(body)))
+                self.end_headers()
+                self.wfile.write(body)
+
+            def log_message(self, *_):
+                pass
+
+        return Handler
