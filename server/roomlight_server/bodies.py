@@ -20,6 +20,7 @@ from roomlight.wire.frame_message import MAX_HEADER_BYTES, pack, to_wire_error
 from roomlight_server.byte_budget import Reservation
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
+from roomlight_server.recording_files import MAX_PIECE_BYTES, PIECE_PATH
 
 MAX_JSON_BYTES: Final = 65_536
 """Largest JSON body; a request with 64 probes has 6 kB."""
@@ -52,6 +53,8 @@ class BodyMiddleware:
         if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
             multipart = Headers(scope=scope).get("content-type", "").startswith("multipart/")
             limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if multipart else 0)
+        elif PIECE_PATH.fullmatch(scope["path"]):
+            limit = MAX_PIECE_BYTES
         elif scope["path"] == OBJECTS_PATH:
             limit = self._object_bytes
         start_s, status = time.perf_counter(), 0
