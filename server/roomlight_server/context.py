@@ -34,6 +34,7 @@ class Context:
     states: StateStore | None = None
     ready: bool = False
     public_url: str | None = None
+    """Address on the local network, once the server listens."""
 
     def begin_stop(self) -> None:
         """Refuse new sessions and frames, and let paused work end; `/readyz` answers 503 from now on."""

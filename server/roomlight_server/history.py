@@ -33,6 +33,8 @@ THUMBNAIL_PX: Final = 160
 """Long side of a recorded picture: 4 kB of JPEG."""
 PANORAMA_ROWS: Final = 32
 """Rows of a recorded panorama: 8 kB of Radiance HDR, enough for a mirror sphere 60 pixels wide."""
+MAX_DRAWING: Final = 8
+"""Frames of a session whose pictures are being made; beyond it, a frame is recorded without pictures."""
 _JPEG_QUALITY: Final = 80
 _ENTRY_BYTES: Final = 4096
 """Memory of an entry's numbers, with up to 12 stages."""
@@ -67,6 +69,7 @@ class History:
         self._limit_bytes, self._workers, self._clock = limit_bytes, workers, clock
         self._moments: list[_Moment] = []
         self._stride, self._frames, self._start_s = 1, 0, 0.0
+        self._drawing = 0
         self.key = secrets.token_hex(4)
         """Differs between sessions of the same id, for ETags."""
 
@@ -78,7 +81,9 @@ class History:
     async def add(
         self, engine: Session, frame: Frame, report: FrameReport, counts: FrameCounts, handles: dict[str, int]
     ) -> None:
-        """Record a processed frame; the caller holds the engine's state. A failure is logged: the light is unharmed.
+        """Record a processed frame; a failure is logged and harms nothing else.
+
+        The caller holds an engine thread and the engine's state.
 
         Args:
             engine: The session, after the frame.
@@ -94,22 +99,24 @@ class History:
         if not self._moments:
             self._start_s = now_s
         try:
-            if self._moments:  # the pictures of at most one frame are being made
-                await self._moments[-1].drawn()
-            lights = await self._workers.run_in_decode_pool(_lights, engine, handles)
+            lights = await self._workers.run_in_engine_pool(_lights, engine, handles)
             moment = _moment_of(frame, report, counts, lights, round(now_s - self._start_s, 3))
         except Exception:
             _log.exception("frame not recorded", extra={"frame": frame.index})
             return
-        moment.pictures = asyncio.create_task(self._draw(moment, frame, lights))
+        if self._drawing < MAX_DRAWING:
+            self._drawing += 1
+            moment.pictures = asyncio.create_task(self._draw(moment, frame, lights))
         self._moments.append(moment)
         self._thin()
 
     async def _draw(self, moment: _Moment, frame: Frame, lights: dict[str, Light]) -> None:
         try:
-            moment.colour, moment.panoramas = await self._workers.run_in_decode_pool(_pictures, frame.image, lights)
+            moment.colour, moment.panoramas = await self._workers.run_in_encode_pool(_pictures, frame.image, lights)
         except Exception:
             _log.exception("history has no pictures of a frame", extra={"frame": frame.index})
+        finally:
+            self._drawing -= 1
         self._thin()
 
     def _thin(self) -> None:

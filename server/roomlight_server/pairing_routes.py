@@ -20,7 +20,8 @@ _fingerprint = lru_cache(maxsize=4)(fingerprint)
 async def pairing(request: Request, context: ContextDep, response: Response) -> Pairing:
     """Return the address of the phone's page with the token of this request, and the address as a QR code."""
     response.headers["Cache-Control"] = "no-store"
-    settings, address = context.settings, context.public_url
+    settings = context.settings
+    address = settings.public_url or context.public_url
     if address is None:
         return Pairing(url=None, qr_svg=None, fingerprint=None, advice=ADVICE)
     url = phone_url(address, token_of(request.scope, request.headers) or "")

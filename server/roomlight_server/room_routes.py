@@ -110,7 +110,7 @@ async def colour(live: SessionDep, context: ContextDep, held: ReservationDep, re
         return Response(bytes(latest.message.colour), media_type=f"image/{encoding}", headers=headers)
     held.add(16 * _PICTURE_BOX[0] * _PICTURE_BOX[1])
     frame = await live.decode_latest(latest, _PICTURE_BOX)
-    data = await context.workers.run_in_decode_pool(_jpeg, frame.image)
+    data = await context.workers.run_in_encode_pool(_jpeg, frame.image)
     return Response(data, media_type="image/jpeg", headers=headers)
 
 
@@ -177,7 +177,7 @@ async def mesh(
     if unchanged is not None:
         return unchanged
     held.add(_MESH_BYTES)
-    data = await context.workers.run_in_decode_pool(lambda: to_glb(room_mesh(meshes, max_triangles=triangles)))
+    data = await context.workers.run_in_encode_pool(lambda: to_glb(room_mesh(meshes, max_triangles=triangles)))
     return Response(data, media_type=GLB, headers=headers)
 
 
@@ -261,5 +261,5 @@ async def light_usdz(
     unchanged = _unchanged(request, headers)
     if unchanged is not None:
         return unchanged
-    data = await context.workers.run_in_decode_pool(usdz.to_usdz, light)
+    data = await context.workers.run_in_encode_pool(usdz.to_usdz, light)
     return Response(data, media_type=usdz.MEDIA_TYPE, headers=headers)

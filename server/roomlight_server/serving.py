@@ -157,7 +157,7 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
                 bound = sockets.enter_context(listen(settings))
                 local = [sockets.enter_context(each) for each in _listen_locally(settings, bound)]
                 address = address_of(settings, bound)
-                context.public_url = settings.public_url or (address if settings.on_lan else None)
+                context.public_url = address if settings.on_lan else None
                 listening(address)
                 make_server(settings, app).run(sockets=[bound, *local])
         finally:

@@ -73,7 +73,7 @@ def ensure_certificate(
 def _read_key(file: Path) -> ec.EllipticCurvePrivateKey | None:
     try:
         key = serialization.load_pem_private_key(file.read_bytes(), password=None)
-    except FileNotFoundError:
+    except (FileNotFoundError, NotADirectoryError):
         return None
     except (OSError, ValueError, TypeError) as error:
         raise ServerError(f"{file}: is not a readable private key ({error}); delete it to make a new one") from error

@@ -106,7 +106,6 @@ def test_a_piece_must_continue_its_file(server):
         "a/.hidden",
         "a\\b",
         "a\x00b",
-        "a\nb",
         "/".join("abcdefghi"),
         "x" * 201,
         "a/",
@@ -118,6 +117,12 @@ def test_paths_that_lead_elsewhere_are_refused(server, path):
     assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", "path")
     assert server.call("GET", url).json["received"] == 0
     assert not [each for each in server.settings.recordings_folder.rglob("*") if each.is_file()]
+
+
+@pytest.mark.parametrize("path", ["a\nb", "a\x1b[2J", "a\u202eb", "a\ud800"])
+def test_control_characters_are_refused(path):
+    with pytest.raises(ProblemError, match="control characters"):
+        check_path(path)
 
 
 def test_paths_with_spaces_and_letters_are_kept():
