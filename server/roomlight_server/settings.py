@@ -75,7 +75,7 @@ class ServerSettings(BaseSettings):
         object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
         composite_threads: Composites made at once, in different sessions.
         max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens.
-        max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 256 MiB for each session.
+        max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 384 MiB for each session.
         max_owner_probes: Named probes of one token, in all sessions.
         max_owner_rows: Rows of the panoramas of these probes.
         max_owner_late_probes: Points without a named probe that are being computed or waiting for one token.
@@ -109,7 +109,7 @@ class ServerSettings(BaseSettings):
     allow_untrained: bool = False
     keyframes: Annotated[int, Field(ge=1, le=1000)] = DEFAULT_KEYFRAMES
     max_sessions: Annotated[int, Field(ge=1, le=100_000)] = 16
-    max_session_bytes: Annotated[int, Field(ge=2**20)] = 512 * 2**20
+    max_session_bytes: Annotated[int, Field(ge=2**20)] = 640 * 2**20
     max_probes: Annotated[int, Field(ge=1, le=1024)] = 16
     frames_in_flight: Annotated[int, Field(ge=1, le=64)] = 4
     idle_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 600.0
@@ -193,7 +193,7 @@ class ServerSettings(BaseSettings):
     @property
     def owner_session_bytes(self) -> int:
         """Memory that the sessions of one token may reach."""
-        return self.max_owner_session_bytes or max(self.max_session_bytes, self.owner_sessions * 256 * 2**20)
+        return self.max_owner_session_bytes or max(self.max_session_bytes, self.owner_sessions * 384 * 2**20)
 
     @property
     def owner_pending_bytes(self) -> int:

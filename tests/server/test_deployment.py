@@ -1,0 +1,140 @@
+"""Files for deployment in `server/deploy`: syntax and options, checked by the tools that are installed."""
+
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+
+from roomlight_server.settings import ServerSettings, load_settings
+
+DEPLOY = Path(__file__).parents[2] / "server" / "deploy"
+TOKEN = "a-token-of-the-deployment-test"
+
+
+def text(name):
+    return (DEPLOY / name).read_text(encoding="utf-8")
+
+
+def test_all_variables_of_the_files_are_settings():
+    known = {f"ROOMLIGHT_{name.upper()}" for name in ServerSettings.model_fields} | {"ROOMLIGHT_DOMAIN"}
+    for path in DEPLOY.iterdir():
+        assert set(re.findall(r"\bROOMLIGHT_[A-Z_]+", path.read_text(encoding="utf-8"))) <= known, path.name
+
+
+def test_the_image_listens_and_saves_without_rights(monkeypatch):
+    docker = text("Dockerfile")
+    variables = dict(re.findall(r"(ROOMLIGHT_\w+)=(\S+)", docker))
+    monkeypatch.setenv("ROOMLIGHT_TOKENS", TOKEN)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value)
+    settings = load_settings()
+    assert (settings.host, settings.state_dir) == ("0.0.0.0", Path("/var/lib/roomlight"))
+    user = re.search(r"^USER (\d+):(\d+)$", docker, re.MULTILINE)
+    assert user is not None
+    assert int(user[1]) > 0
+    assert docker.index("roomlight_server.precompile") < docker.index("USER ")
+
+
+def test_compose_runs_read_only_without_capabilities():
+    services = yaml.safe_load(text("compose.yaml"))["services"]
+    for service in services.values():
+        assert service["read_only"] is True
+        assert service["cap_drop"] == ["ALL"]
+        assert service["security_opt"] == ["no-new-privileges:true"]
+    roomlight = services["roomlight"]
+    assert "ports" not in roomlight  # only the proxy is reached from outside
+    assert roomlight["environment"].keys() <= {f"ROOMLIGHT_{name.upper()}" for name in ServerSettings.model_fields}
+
+
+def test_proxies_choose_the_server_by_session():
+    nginx, envoy = text("nginx.conf"), yaml.safe_load(text("envoy.yaml"))
+    assert "hash $session consistent;" in nginx
+    assert "$http_x_session_id" in nginx
+    listener = envoy["static_resources"]["listeners"][0]["filter_chains"][0]["filters"][0]["typed_config"]
+    routes = listener["route_config"]["virtual_hosts"][0]["routes"]
+    policies = [route["route"]["hash_policy"] for route in routes if "route" in route]
+    assert [policy[0]["header"]["header_name"] for policy in policies] == [":path", "x-session-id"]
+    rewrite = policies[0][0]["header"]["regex_rewrite"]
+    pattern, substitution = rewrite["pattern"]["regex"], rewrite["substitution"]
+    paths = ("/v1/sessions/room-1", "/v1/sessions/room-1/frames/7", "/v1/sessions/room-1/probe?x=1&y=/v1/sessions/z")
+    assert {re.sub(pattern, substitution, path) for path in paths} == {"room-1"}
+
+
+def test_the_entry_point_starts_with_a_writable_cache(tmp_path):
+    """numba uses no cache in a folder that it cannot write to, and the root of the container is read-only."""
+    kernels, tools = tmp_path / "kernels", tmp_path / "bin"
+    for folder in (kernels, tools, tmp_path / "tmp"):
+        folder.mkdir()
+    (kernels / "blend.nbi").write_text("compiled")
+    (tools / "roomlight").write_text('#!/bin/sh\necho "$NUMBA_CACHE_DIR $*"\n')
+    (tools / "roomlight").chmod(0o755)
+    script = tmp_path / "entrypoint.sh"
+    script.write_text(text("entrypoint.sh").replace("/opt/roomlight/kernels", str(kernels)))
+    environment = {"PATH": f"{tools}:{os.environ['PATH']}", "TMPDIR": str(tmp_path / "tmp")}
+    for _ in range(2):  # also when the container is started again
+        ran = subprocess.run(["sh", script, "serve"], env=environment, capture_output=True, text=True, check=True)
+        cache, *arguments = ran.stdout.split()
+        assert arguments == ["serve"]
+        assert [path.name for path in Path(cache).iterdir()] == ["blend.nbi"]
+
+
+@pytest.mark.slow
+def test_a_server_needs_no_compiler_after_precompiling(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-m", "roomlight_server.precompile"]
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    compiled = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")}
+    assert len(compiled) > 20
+    subprocess.run(command, env=environment, check=True, capture_output=True)
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
+
+
+def run_tool(*command, **more):
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, **more)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    return ran.stdout + ran.stderr
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd-analyze is not installed")
+def test_the_unit_is_valid_and_hardened(tmp_path):
+    unit = tmp_path / "roomlight.service"
+    unit.write_text(text("roomlight.service").replace("/opt/roomlight/bin/roomlight", sys.executable))
+    assert run_tool("systemd-analyze", "verify", str(unit)) == ""
+    output = run_tool("systemd-analyze", "security", "--offline=yes", "--threshold=20", str(unit))
+    assert "Overall exposure level" in output
+
+
+@pytest.mark.skipif(shutil.which("hadolint") is None, reason="hadolint is not installed")
+def test_the_dockerfile_has_no_warnings():
+    assert run_tool("hadolint", str(DEPLOY / "Dockerfile")) == ""
+
+
+@pytest.mark.skipif(shutil.which("caddy") is None, reason="caddy is not installed")
+def test_the_caddyfile_is_valid():
+    environment = os.environ | {"ROOMLIGHT_DOMAIN": "localhost"}
+    path = str(DEPLOY / "Caddyfile")
+    run_tool("caddy", "validate", "--config", path, "--adapter", "caddyfile", env=environment)
+
+
+@pytest.mark.skipif(
+    shutil.which("nginx") is None or shutil.which("openssl") is None, reason="nginx or openssl is not installed"
+)
+def test_the_nginx_configuration_is_valid(tmp_path):
+    certificate, key, pid = tmp_path / "certificate.pem", tmp_path / "key.pem", tmp_path / "pid"
+    run_tool(
+        *("openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-days", "2", "-subj", "/CN=localhost"),
+        *("-keyout", str(key), "-out", str(certificate)),
+    )
+    config = text("nginx.conf").replace("/etc/ssl/light.example.org.pem", str(certificate))
+    config = config.replace("/etc/ssl/light.example.org.key", str(key)).replace("/run/nginx.pid", str(pid))
+    folders = "".join(
+        f"    {name}_temp_path {tmp_path / name};\n" for name in ("client_body", "proxy", "fastcgi", "uwsgi", "scgi")
+    )
+    path = tmp_path / "nginx.conf"
+    path.write_text(config.replace("http {\n", f"http {{\n{folders}", 1))
+    run_tool("nginx", "-t", "-p", str(tmp_path), "-c", str(path))
