@@ -15,7 +15,9 @@ from roomlight.wire import frame_header, frame_message
 from roomlight.wire.frame_header import FrameHeader
 
 ROOT = Path(__file__).parents[2]
-SWIFT = (ROOT / "client/swift/RoomLightFrame.swift").read_text()
+PACKAGE = ROOT / "client/swift"
+SOURCES = {path.name: path.read_text() for path in sorted(PACKAGE.rglob("*.swift"))}
+SWIFT = SOURCES["RoomLightFrame.swift"] + SOURCES["WireJSON.swift"]
 VECTORS = json.loads((ROOT / "tests/core/wire_vector.json").read_text())["vectors"]
 
 
@@ -101,3 +103,30 @@ def test_swifts_json_rules_give_the_shared_vector(vector):
     body = frame_message.MAGIC + len(text).to_bytes(4, "little") + text + parts
     whole = (ROOT / "tests/core/wire_vector.bin").read_bytes()
     assert whole[vector["offset"] : vector["offset"] + vector["length"]] == body
+
+
+def test_the_wire_part_needs_only_foundation():
+    wire = {path.name for path in (PACKAGE / "Sources/RoomLightWire").iterdir()}
+    assert wire == {"RoomLightFrame.swift", "WireJSON.swift"}
+    for name in wire:
+        assert re.findall(r"^\s*import (\w+)", SOURCES[name], re.M) == ["Foundation"]
+        assert not re.search(r"simd|CVPixel|ARFrame\(|#if|SIMD\d", re.sub(r"//.*", "", SOURCES[name]))
+
+
+def test_the_other_parts_use_only_what_is_public():
+    public = set(re.findall(r"public (?:struct|enum|var|let|func|static let) (\w+)", SWIFT))
+    users = SOURCES["ARFrame.swift"] + SOURCES["WireVectorTests.swift"]
+    used = set(re.findall(r"\bRoomLightFrame\.(\w+)", users)) | set(re.findall(r"\bframe\.(\w+) = ", users))
+    own = set(re.findall(r"static (?:func|let) (\w+)", SOURCES["ARFrame.swift"]))
+    assert {"Plane", "Intrinsics", "ColourEncoding"} <= used
+    assert used - own <= public
+    assert "public init(field: String, rule: String)" in SWIFT
+
+
+def test_the_package_has_a_target_for_each_folder():
+    manifest = SOURCES["Package.swift"]
+    folders = [path.name for parent in ("Sources", "Tests") for path in sorted((PACKAGE / parent).iterdir())]
+    assert sorted(re.findall(r'\.(?:target|testTarget)\(name: "(\w+)"', manifest)) == sorted(folders)
+    for name, text in SOURCES.items():
+        assert text.count("{") == text.count("}"), name
+        assert text.count("#if") == text.count("#endif"), name
