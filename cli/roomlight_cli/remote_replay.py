@@ -4,11 +4,12 @@ Frames travel as linear floats at the engine's working size (frame encoding `exa
 same numbers as one here would; panoramas come back as the floats that it holds (form `npy`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Final
+from typing import Final, TypeVar
 
 from roomlight.conventions import Position
 from roomlight.engine.session import FrameReport, SessionOptions
@@ -17,10 +18,13 @@ from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight_cli.replay import ProgressCallback, ReplayResult, replay
 from roomlight_cli.replay_options import ReplayOptions
-from roomlight_client import BadReplyError, Client, InvalidError, Light
+from roomlight_client import BadReplyError, Client, InvalidError, Light, RecoveryEvent, UnreachableError
 
+_T = TypeVar("_T")
 _PROBES_PER_CALL: Final = 16
 """5 MB of floats at 120 rows."""
+_FORMS: Final = ("npy", "confidence")
+"""The panorama, and how far each direction of it was observed."""
 
 
 class RemoteSession:
@@ -56,13 +60,13 @@ class RemoteSession:
     @property
     def keyframes(self) -> int:
         """Number of keyframes that the server holds."""
-        return self._session.state().keyframes
+        return self._patiently(self._session.state).keyframes
 
     @property
     def grid(self) -> VolumeGrid | None:
         """The lighting volume's place, which is that of the first camera; None before the first frame."""
         if self._grid is None and self._first is not None:
-            volume = self._session.state().volume
+            volume = self._patiently(self._session.state).volume
             if volume is not None:
                 deep, high, wide = volume.shape
                 self._grid = VolumeGrid(self._first.camera_to_world, volume.depth_max_m, (deep, high, wide))
@@ -71,8 +75,9 @@ class RemoteSession:
     def track(self, position: Position) -> int:
         """Estimate the light at a position from now on, under a name made of its number; return the number."""
         number = len(self._names)
-        self._session.track(f"probe-{number:02d}", position)
-        self._names.append(f"probe-{number:02d}")
+        name = f"probe-{number:02d}"
+        self._patiently(lambda: self._session.track(name, position))
+        self._names.append(name)
         return number
 
     def push(self, frame: Frame) -> FrameReport:
@@ -101,8 +106,22 @@ class RemoteSession:
         return [
             light
             for start in range(0, len(self._names), _PROBES_PER_CALL)
-            for light in self._session.lights_at(self._names[start : start + _PROBES_PER_CALL], ("npy",))
+            for light in self._patiently(
+                partial(self._session.lights_at, self._names[start : start + _PROBES_PER_CALL], _FORMS)
+            )
         ]
+
+    def _patiently(self, call: Callable[[], _T]) -> _T:
+        """Make a call; if the server is away, wait for it and bring the session up to date first.
+
+        Raises:
+            RemoteError: The server does not come back, or refuses the call.
+        """
+        try:
+            return call()
+        except UnreachableError:
+            self._session.recover()
+            return call()
 
 
 def replay_through(
@@ -113,11 +132,17 @@ def replay_through(
     *,
     token: str | None = None,
     progress: ProgressCallback | None = None,
+    on_recovery: Callable[[RecoveryEvent], object] | None = None,
 ) -> ReplayResult:
     """Replay a capture as `replay` does, with a new session on the server at this address.
+
+    The replay waits for a server that is away; `on_recovery` is told about it.
 
     Raises:
         RoomLightError: As `replay` raises it; RemoteError if the server fails.
     """
-    with Client(server, token=token) as client, RemoteSession(client, options.session) as session:
+    with (
+        Client(server, token=token, on_recovery=on_recovery) as client,
+        RemoteSession(client, options.session) as session,
+    ):
         return replay(path, out, replace(options, server=server), session=session, progress=progress)

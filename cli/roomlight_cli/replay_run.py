@@ -14,6 +14,8 @@ from roomlight_cli.remote_replay import replay_through
 from roomlight_cli.replay import replay
 from roomlight_cli.replay_folder import REPORT, finished_report
 from roomlight_cli.replay_options import ReplayOptions
+from roomlight_cli.server_options import recovery_line
+from roomlight_client import RecoveryEvent
 
 
 def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: str | None = None) -> None:
@@ -36,11 +38,16 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         def show(done: int, total: int) -> None:
             bars.update(task, completed=done, total=total)
 
+        def tell(event: RecoveryEvent) -> None:
+            err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
+
         try:
             if options.server is None:
                 result = replay(capture, folder, options, progress=show)
             else:
-                result = replay_through(options.server, capture, folder, options, token=token, progress=show)
+                result = replay_through(
+                    options.server, capture, folder, options, token=token, progress=show, on_recovery=tell
+                )
         except KeyboardInterrupt:
             bars.stop()
             next_time = "starts again" if options.overwrite else "continues where it stopped"

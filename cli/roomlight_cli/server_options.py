@@ -5,6 +5,7 @@ from typing import Annotated
 import typer
 
 from roomlight.engine.session import SessionOptions
+from roomlight_client import RecoveryEvent
 
 Server = Annotated[
     str | None,
@@ -31,3 +32,15 @@ def refuse_local_model(server: str, session: SessionOptions) -> None:
             "--weights, --provider and --allow-untrained are the server's own: give them to the `roomlight serve` "
             f"at {server}"
         )
+
+
+def recovery_line(event: RecoveryEvent) -> str:
+    """Return what the terminal says about a server that is away, or that is back."""
+    if event.state == "waiting":
+        return f"the server is away; waiting for it ({event.error})"
+    again = "the server is back"
+    again += ": it had lost the session, which was opened again" if event.reopened else " with the session"
+    frames = f"{event.resent} frame" + ("" if event.resent == 1 else "s")
+    again += f"; {frames} sent again" if event.resent else ""
+    lost = "; older frames are lost: the light differs from one without the interruption"
+    return again + (lost if event.incomplete else "")

@@ -1,7 +1,8 @@
 """Playing a recording to a server as a phone would stream it: at its real pace, newest frame first.
 
 A frame that is due while `in_flight` others are unanswered is dropped here, as the server drops a frame that a newer
-one overtakes: late frames are of no use. Times are seconds of a monotonic clock. Latencies are milliseconds from
+one overtakes: late frames are of no use. The frames in flight wait for a server that is away, so that the stream goes
+on when it is back. Times are seconds of a monotonic clock. Latencies are milliseconds from
 sending a frame to the answer that it is in the light.
 """
 
@@ -269,7 +270,7 @@ class _Player:
         began_s = clock.now()
         try:
             index = self._index_offset + frame.index
-            result = await self._session.push(frame, index, colour=self._options.colour, retry=False)
+            result = await self._session.push(frame, index, colour=self._options.colour, retry="without answer")
         except BusyError:
             tally.busy += 1
         except WireError as error:
@@ -300,7 +301,7 @@ class _Player:
         try:
             self._tally.light = await self._session.light_at(PROBE, ("sh", "main_light"))
         except (BusyError, UnreachableError):
-            return
+            return  # the next answer to a frame fetches it again
         self._tally.light_ms.append(1e3 * (self._clock.now() - began_s))
         self._show(self._tally)
 

@@ -36,6 +36,7 @@ from roomlight_client.errors import (
 )
 from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits
+from roomlight_client.recovery import RecoveryEvent
 from roomlight_client.retry import Retry, Timeouts
 from roomlight_client.stream import AsyncStream, StreamStatus
 
@@ -56,6 +57,7 @@ __all__ = [
     "Light",
     "LightFile",
     "PositionOrName",
+    "RecoveryEvent",
     "RefusedError",
     "RemoteError",
     "Retry",

@@ -6,7 +6,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import httpx
 
@@ -29,7 +29,7 @@ from roomlight_client.compositing import CompositeFile, composite_request, objec
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, Resumed, Send, Steps
+from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
 from roomlight_client.stream import AsyncStream, StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
@@ -46,6 +46,7 @@ class AsyncClient:
         retry: Retry | None = None,
         reconnect: Retry | None = None,
         buffer: BufferLimits | None = None,
+        on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
         sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
         jitter: Callable[[], float] = random.random,
@@ -53,7 +54,7 @@ class AsyncClient:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
         self._retry, self._url, self.sleep = retry or Retry(), url, sleep
-        self._buffer = buffer or BufferLimits()
+        self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
         self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
 
     async def __aenter__(self) -> "AsyncClient":
@@ -152,9 +153,9 @@ class AsyncClient:
         return await self.run(step.call, retry=step.retry)
 
     def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        memory = SessionMemory(request, self._buffer)
         options = self.options
-        return Recovery(session_calls, memory, retry=self._retry, reconnect=options.reconnect, jitter=options.jitter)
+        policy = RecoveryPolicy(self._retry, options.reconnect, options.jitter, self._on_recovery)
+        return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
 
 
 class AsyncSession:
@@ -191,7 +192,7 @@ class AsyncSession:
         *,
         colour: FrameEncoding = "exact",
         wait: bool = True,
-        retry: bool = True,
+        retry: bool | Literal["without answer"] = True,
     ) -> FrameResult:
         """Send a frame and return its result; see `Session.push`.
 
@@ -199,7 +200,8 @@ class AsyncSession:
         """
         index = self._calls.reserve(frame, index)
         call = await asyncio.to_thread(self._calls.push, frame, index, colour=colour, wait=wait)
-        return await self._client.follow(self._recovery.push(call, index, repeat=retry))
+        repeat = retry if isinstance(retry, str) else "always" if retry else "never"
+        return await self._client.follow(self._recovery.push(call, index, repeat=repeat))
 
     async def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; see `Session.light_at`."""
@@ -259,6 +261,10 @@ class AsyncSession:
     async def state(self) -> SessionState:
         """Return the session's state; see `Session.state`."""
         return await self._client.follow(self._recovery.call(self._calls.state()))
+
+    async def recover(self) -> None:
+        """Wait until the server answers, and bring the session up to date; see `Session.recover`."""
+        await self._client.follow(self._recovery.recover())
 
     async def close(self) -> None:
         """Delete the session; see `Session.close`."""

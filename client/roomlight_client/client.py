@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
-from typing import Any
+from typing import Any, Literal
 
 import httpx
 
@@ -31,7 +31,7 @@ from roomlight_client.compositing import CompositeFile, composite_request, objec
 from roomlight_client.errors import RemoteError
 from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits, SessionMemory
-from roomlight_client.recovery import Pause, Recovery, Resumed, Send, Steps
+from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
 from roomlight_client.stream import StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
@@ -47,6 +47,7 @@ class Client:
         reconnect: The same for pushes and streams whose server is away; by default `retry` if it is given, else for
             about eight minutes.
         buffer: Bounds of the frames that are kept to be sent again.
+        on_recovery: Is told when pushes wait for a server, and when a session was brought up to date.
         transport: Replaces the network.
         sleep: Replaces `time.sleep`, which waits between attempts.
         jitter: Replaces `random.random`.
@@ -64,6 +65,7 @@ class Client:
         retry: Retry | None = None,
         reconnect: Retry | None = None,
         buffer: BufferLimits | None = None,
+        on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.BaseTransport | None = None,
         sleep: Callable[[float], object] = time.sleep,
         jitter: Callable[[], float] = random.random,
@@ -71,7 +73,7 @@ class Client:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.Client(transport=transport, **arguments)
         self._retry, self._url, self.sleep = retry or Retry(), url, sleep
-        self._buffer = buffer or BufferLimits()
+        self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
         self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
 
     def __enter__(self) -> "Client":
@@ -211,9 +213,9 @@ class Client:
         return self.run(step.call, retry=step.retry)
 
     def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        memory = SessionMemory(request, self._buffer)
         options = self.options
-        return Recovery(session_calls, memory, retry=self._retry, reconnect=options.reconnect, jitter=options.jitter)
+        policy = RecoveryPolicy(self._retry, options.reconnect, options.jitter, self._on_recovery)
+        return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
 
 
 class Session:
@@ -256,7 +258,7 @@ class Session:
         *,
         colour: FrameEncoding = "exact",
         wait: bool = True,
-        retry: bool = True,
+        retry: bool | Literal["without answer"] = True,
     ) -> FrameResult:
         """Send a frame and return its result.
 
@@ -265,7 +267,8 @@ class Session:
             index: Above all indices sent; by default a `Frame`'s own, else the next one.
             colour: Encoding of a `Frame`.
             wait: Wait until the frame is processed; else return `queued` as soon as it has arrived.
-            retry: False for live streams, where a late frame is useless.
+            retry: Whether to send the frame again after a failure. False for live streams, where a late frame is
+                useless; `without answer` sends it again only if the server is away.
 
         Raises:
             WireError: If the frame is invalid: no server would accept it.
@@ -275,7 +278,8 @@ class Session:
         """
         index = self._calls.reserve(frame, index)
         call = self._calls.push(frame, index, colour=colour, wait=wait)
-        return self._client.follow(self._recovery.push(call, index, repeat=retry))
+        repeat = retry if isinstance(retry, str) else "always" if retry else "never"
+        return self._client.follow(self._recovery.push(call, index, repeat=repeat))
 
     def light_at(self, probe: PositionOrName, forms: Sequence[LightFormat | LightForm] = DEFAULT_FORMS) -> Light:
         """Return the light at a point or a tracked probe; the prior before the first frame (`Light.is_prior`).
@@ -393,6 +397,19 @@ class Session:
     def state(self) -> SessionState:
         """Return counts of frames, tracked probes with their coverage, memory and the lighting volume."""
         return self._client.follow(self._recovery.call(self._calls.state()))
+
+    def recover(self) -> None:
+        """Wait until the server answers, and bring the session up to date.
+
+        A missing session is opened again with the same options, its probes are tracked, and frames that the server
+        lost are sent again. `push` does this by itself; call it after another call that failed with
+        `UnreachableError`.
+
+        Raises:
+            UnreachableError: If no attempt is left.
+            GoneError: If the session is missing and was joined.
+        """
+        self._client.follow(self._recovery.recover())
 
     def close(self) -> None:
         """Delete the session with its frames and its light on the server. A missing session is not an error."""

@@ -7,7 +7,7 @@ calls and pauses, and receive results and errors.
 
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 import httpx
 
@@ -47,23 +47,59 @@ class Resumed:
     reopened: bool
 
 
+@dataclass(frozen=True)
+class RecoveryEvent:
+    """What happens to a session whose server is away.
+
+    Attributes:
+        state: `waiting`: the server does not answer, and the client tries again. `restored`: it answers again.
+        error: With `waiting`: the last failure.
+        reopened: With `restored`: the server had lost the session, which was opened again.
+        resent: With `restored`: frames that were sent again.
+        incomplete: With `restored`: frames are lost that are no longer kept; the light differs from before.
+    """
+
+    state: Literal["waiting", "restored"]
+    error: RemoteError | None = None
+    reopened: bool = False
+    resent: int = 0
+    incomplete: bool = False
+
+
+@dataclass(frozen=True)
+class RecoveryPolicy:
+    """How often a session's calls are repeated, and who is told.
+
+    Attributes:
+        retry: Attempts after the server has refused a frame for now.
+        reconnect: Attempts after a frame without an answer.
+        jitter: Returns random numbers from 0 to 1.
+        notify: Receives the events.
+    """
+
+    retry: Retry
+    reconnect: Retry
+    jitter: Callable[[], float]
+    notify: Callable[[RecoveryEvent], object] | None = None
+
+
+PushRepeat = Literal["always", "without answer", "never"]
+"""When a frame is sent again after a failure; a missing session is opened again in any case."""
+
+
 class Recovery:
     """The calls of one session, with what they take after a restart of the server.
 
     Args:
         calls: The session's calls.
         memory: What the client keeps of the session.
-        retry: Attempts after the server has refused a frame for now.
-        reconnect: Attempts after a frame without an answer.
-        jitter: Returns random numbers from 0 to 1.
+        policy: How often calls are repeated.
     """
 
-    def __init__(
-        self, calls: SessionCalls, memory: SessionMemory, *, retry: Retry, reconnect: Retry, jitter: Callable[[], float]
-    ) -> None:
+    def __init__(self, calls: SessionCalls, memory: SessionMemory, policy: RecoveryPolicy) -> None:
         self.memory = memory
-        self._calls, self._retry, self._reconnect, self._jitter = calls, retry, reconnect, jitter
-        self._unsure = False  # whether the server may have been started again since its last answer
+        self._calls, self._policy = calls, policy
+        self._unsure = self._told = False  # unsure: the server may have been started again since its last answer
 
     def call(self, call: Call[T]) -> Steps[T]:
         """Send a call; if the session is missing, open it again once."""
@@ -76,13 +112,13 @@ class Recovery:
         yield from self._restore()
         return (yield Send(call))
 
-    def push(self, call: Call[FrameResult], index: int, *, repeat: bool) -> Steps[FrameResult]:
+    def push(self, call: Call[FrameResult], index: int, *, repeat: PushRepeat) -> Steps[FrameResult]:
         """Send a frame.
 
         Args:
             call: The call.
             index: Index of the frame.
-            repeat: Whether to try again after a failure; a missing session is opened again in any case.
+            repeat: When it is sent again after a failure.
         """
         frames = self.memory.frames
         frames.add(index, call.content or b"", state="sent")
@@ -93,6 +129,21 @@ class Recovery:
             raise
         frames.settle(result)
         return result
+
+    def recover(self) -> Steps[None]:
+        """Wait until the server answers, and bring the session up to date."""
+        failures = 0
+        self._unsure = True
+        while self._unsure:
+            try:
+                yield from self._restore()
+            except RemoteError as error:
+                failures += 1
+                delay_s = self._delay_s(error, failures) if is_server_lost(error) else None
+                if delay_s is None:
+                    raise
+                self._tell_waiting(error)
+                yield Pause(delay_s)
 
     def resume(self, *, reopen: bool) -> Steps[Resumed]:
         """Get the session's state, with one attempt; with `reopen` a missing session is opened again."""
@@ -107,7 +158,7 @@ class Recovery:
         assert self.memory.request is not None
         return Resumed((yield Send(self._calls.open(self.memory.request), retry)), reopened=True)
 
-    def _insist(self, call: Call[FrameResult], *, repeat: bool) -> Steps[FrameResult]:
+    def _insist(self, call: Call[FrameResult], *, repeat: PushRepeat) -> Steps[FrameResult]:
         failures, reopened = 0, False
         while True:
             try:
@@ -119,17 +170,20 @@ class Recovery:
                     self._unsure = reopened = True
                     continue
                 failures += 1
-                delay_s = self._delay_s(error, failures) if repeat else None
                 self._unsure |= is_server_lost(error)
+                wanted = repeat == "always" or (repeat == "without answer" and is_server_lost(error))
+                delay_s = self._delay_s(error, failures) if wanted else None
                 if delay_s is None:
                     raise
+                if is_server_lost(error):
+                    self._tell_waiting(error)
             yield Pause(delay_s)
 
     def _delay_s(self, error: RemoteError, failures: int) -> float | None:
         if is_server_lost(error):
-            return self._reconnect.delay_s(failures, jitter=self._jitter())
+            return self._policy.reconnect.delay_s(failures, jitter=self._policy.jitter())
         if isinstance(error, BusyError):
-            return self._retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=self._jitter())
+            return self._policy.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=self._policy.jitter())
         return None
 
     def _restore(self) -> Steps[None]:
@@ -141,10 +195,23 @@ class Recovery:
         for name, position in changes.track.items():
             yield Send(self._calls.track(name, position))
         last = resumed.state.frames.last_index
-        for frame in self.memory.frames:
-            if frame.state == "done" and (last is None or frame.index > last):
-                yield from self._resend(frame.index, frame.message)
+        lost = [one for one in self.memory.frames if one.state == "done" and (last is None or one.index > last)]
+        incomplete = self.memory.frames.lacks(last)
+        for frame in lost:
+            yield from self._resend(frame.index, frame.message)
         self._unsure = False
+        if self._told or resumed.reopened or lost:
+            self._told = False
+            self._tell(RecoveryEvent("restored", reopened=resumed.reopened, resent=len(lost), incomplete=incomplete))
+
+    def _tell_waiting(self, error: RemoteError) -> None:
+        if not self._told:
+            self._told = True
+            self._tell(RecoveryEvent("waiting", error=error))
+
+    def _tell(self, event: RecoveryEvent) -> None:
+        if self._policy.notify is not None:
+            self._policy.notify(event)
 
     def _resend(self, index: int, message: bytes) -> Steps[None]:
         try:

@@ -7,8 +7,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from server_process import ServerProcess
 
-from http_servers import RunningServer
+from http_servers import InThread, RunningServer
 from roomlight.captures import CaptureOptions, CaptureWriter
 from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner
 from roomlight.conventions import linear_to_srgb8
@@ -200,3 +201,26 @@ def test_the_session_is_deleted_after_errors_too(native, tmp_path):
         with pytest.raises(KeyboardInterrupt):
             replay_through(url, native, tmp_path / "stopped", ReplayOptions(session=SMALL), progress=stop)
         assert running.registry._sessions == {}
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("no_pictures")
+def test_a_replay_survives_a_killed_server(native, tmp_path):
+    """The new server gets all frames again, so that the files are those of a replay without the interruption."""
+    options = ReplayOptions(session=SMALL, probes=PROBES)
+    replay(native, tmp_path / "here", options)
+    events = []
+    with ServerProcess() as server:
+        starting = []
+
+        def kill_once(done, _):
+            if done == 1 and not starting:
+                server.kill()
+                starting.append(InThread(server.start))
+
+        replay_through(server.url, native, tmp_path / "there", options, progress=kill_once, on_recovery=events.append)
+        starting[0].result()
+    assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
+    assert [event.state for event in events] == ["waiting", "restored"]
+    assert events[1].reopened
+    assert not events[1].incomplete

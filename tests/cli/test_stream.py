@@ -9,6 +9,7 @@ import httpx
 import pytest
 import typer
 from sdk_scripts import STATE, problem
+from server_process import ServerProcess
 
 import roomlight_client as sdk
 from http_servers import RunningServer
@@ -18,11 +19,12 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OptionError
 from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
-from roomlight_cli.server_options import refuse_local_model
+from roomlight_cli.server_options import recovery_line, refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
-from roomlight_client import AsyncClient
+from roomlight_client import AsyncClient, RecoveryEvent
 from rooms import BoxRoom, pan
 
+PATIENT = sdk.Retry(attempts=400, first_delay_s=0.05, max_delay_s=0.25)
 PROBE = (0.4, 1.2, -0.3)
 RATE = 10.0
 
@@ -124,7 +126,8 @@ class FakeServer:
 
         transport = httpx.MockTransport(self._answer)
         clock = Clock(now=lambda: self.now_s, sleep=self.sleep)
-        async with AsyncClient("http://room.test", transport=transport, sleep=self.sleep) as client:
+        once = sdk.Retry(attempts=1)
+        async with AsyncClient("http://room.test", transport=transport, sleep=self.sleep, reconnect=once) as client:
             return await stream(path, client, options, tally=self.tally, show=shown, clock=clock)
 
 
@@ -190,7 +193,7 @@ def test_each_outcome_is_counted_once_and_nothing_is_resent(timed):
 @pytest.mark.parametrize(
     ("outcomes", "expected"),
     [
-        ({2: problem(404, "session-not-found")}, sdk.GoneError),
+        ({2: problem(401, "unauthorized")}, sdk.UnauthorizedError),
         ({2: problem(409, "session-failed")}, sdk.ConflictError),
         (dict.fromkeys(range(6), httpx.ConnectError("refused")), sdk.UnreachableError),
     ],
@@ -358,3 +361,73 @@ def test_engine_options_are_refused_for_a_server(options):
     with pytest.raises(typer.BadParameter, match="roomlight serve"):
         refuse_local_model("http://room.test", options)
     refuse_local_model("http://room.test", SessionOptions())
+
+
+# --- a server that is started again -----------------------------------------------------------------------------
+
+
+def test_a_lost_session_is_opened_again_and_the_stream_goes_on(timed):
+    room = FakeServer()
+    answer, lost = room._answer, []
+
+    async def lose_once(request):
+        if request.url.path.endswith("/frames/2") and not lost:
+            lost.append(True)
+        if lost and len(lost) < 3:
+            lost.append(True)
+            return problem(404, "session-not-found")
+        return await answer(request)
+
+    room._answer = lose_once
+    asyncio.run(room.play(timed, StreamOptions(in_flight=1)))
+    assert (room.tally.sent, room.tally.processed, room.tally.lost) == (6, 6, 0)
+
+
+@pytest.mark.parametrize(
+    ("event", "line"),
+    [
+        (
+            RecoveryEvent("waiting", error=sdk.UnreachableError("refused")),
+            "the server is away; waiting for it (refused)",
+        ),
+        (RecoveryEvent("restored"), "the server is back with the session"),
+        (RecoveryEvent("restored", resent=1), "the server is back with the session; 1 frame sent again"),
+        (
+            RecoveryEvent("restored", reopened=True, resent=3, incomplete=True),
+            "the server is back: it had lost the session, which was opened again; 3 frames sent again; "
+            "older frames are lost: the light differs from one without the interruption",
+        ),
+    ],
+)
+def test_the_terminal_says_what_became_of_the_server(event, line):
+    assert recovery_line(event) == line
+
+
+@pytest.mark.slow
+def test_a_stream_survives_a_killed_server(timed):
+    events, tally = [], Tally()
+
+    async def main(server):
+        async with AsyncClient(server.url, reconnect=PATIENT, on_recovery=events.append) as client:
+            killed = asyncio.Event()
+
+            def show(now):
+                if now.processed == 2 and not killed.is_set():
+                    server.kill()
+                    killed.set()
+
+            async def start_again():
+                await killed.wait()
+                await asyncio.to_thread(server.start)
+
+            starting = asyncio.create_task(start_again())
+            await stream(timed, client, StreamOptions(height=16, in_flight=1), tally=tally, show=show)
+            await starting
+
+    with ServerProcess() as server:
+        asyncio.run(main(server))
+    assert tally.processed >= 3
+    assert tally.lost == 0
+    assert [event.state for event in events] == ["waiting", "restored"]
+    assert events[1].reopened
+    assert events[1].resent == 2

@@ -16,10 +16,10 @@ from roomlight_cli import arguments
 from roomlight_cli.console import err, out, say
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.probe_notes import percent, probe_warnings
-from roomlight_cli.server_options import Token
+from roomlight_cli.server_options import Token, recovery_line
 from roomlight_cli.stream import StreamOptions, Tally, percentile_ms
 from roomlight_cli.stream import stream as play
-from roomlight_client import AsyncClient
+from roomlight_client import AsyncClient, RecoveryEvent
 
 app = single_command_app()
 
@@ -108,7 +108,10 @@ def _play(path: Path, server: str, token: str | None, options: StreamOptions) ->
     tally = Tally()
 
     async def run(live: Live) -> None:
-        async with AsyncClient(server, token=token) as client:
+        def tell(event: RecoveryEvent) -> None:
+            live.console.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
+
+        async with AsyncClient(server, token=token, on_recovery=tell) as client:
             await play(path, client, options, tally=tally, show=lambda now: live.update(_live_table(now)))
 
     stopped = False

@@ -62,13 +62,13 @@ test("a click on a wall of the room places an object, and with the tool Probe a 
   const before = await pixelsOf(page, "#picture-image");
   await page.click("#view-camera");
   const box = await page.locator("#room-canvas").boundingBox();
-  const position = { x: 0.42 * box.width, y: 0.75 * box.height };
+  const position = { x: 0.4 * box.width, y: 0.58 * box.height }; // beside the probe, inside the camera's picture
   await page.click("#room-canvas", { position });
   await page.waitForSelector("#objects .chip");
   await waitForChange(page, "#picture-image", before);
 
   await page.check('input[name="tool"][value="probe"]', { force: true });
-  await page.click("#room-canvas", { position: { x: 0.7 * box.width, y: 0.8 * box.height } });
+  await page.click("#room-canvas", { position: { x: 0.65 * box.width, y: 0.6 * box.height } });
   await page.waitForFunction(() => document.getElementById("probe-select").options.length === 2);
   await page.waitForFunction(() => document.getElementById("probe-x").value !== "");
   await page.click("#probe-remove");

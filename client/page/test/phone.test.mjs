@@ -35,7 +35,7 @@ function emulatePhone({ camera, depth }) {
       interactionMode: "screen-space",
       userAgent: navigator.userAgent,
     },
-    { stereoEnabled: false, fovy: 1 },
+    { stereoEnabled: false, fovy: 1, ipd: 0 },
   );
   device.installRuntime({ forceInstall: true });
   device.position.set(0.3, 1.4, 0.2);
@@ -124,7 +124,7 @@ test("a WebXR phone sends frames with poses and depth", async () => {
   await lit(page, 2);
   assert.equal(await page.locator(".state").innerText(), "Connected");
   const [first] = await sessions();
-  assert.deepEqual([first.frames.refused, Object.keys(first.probes)], [0, Object.keys(first.probes)]);
+  assert.equal(first.frames.refused, 0);
   const camera = await fetch(`${server}/v1/sessions/${first.id}/camera`, { headers: { authorization: `Bearer ${token}` } });
   const { camera_to_world: pose, intrinsics } = await camera.json();
   assert.deepEqual(pose.slice(12, 15).map((value) => Math.round(value * 1000) / 1000), [0.3, 1.4, 0.2]);

@@ -11,6 +11,8 @@ const ARGUMENTS = [
 ];
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
+const PATIENCE_MS = 60_000; // the first composite of a process may compile kernels
+
 export const PAGE_URL = process.env.PAGE_URL;
 
 export function launch() {
@@ -71,11 +73,14 @@ export function difference(one, other) {
 
 /** Wait until the pixels differ from `before` by more than `least`; returns them. */
 export async function waitForChange(page, selector, before, least = 8) {
-  for (;;) {
+  const end = Date.now() + PATIENCE_MS;
+  while (Date.now() < end) {
     const now = await pixelsOf(page, selector);
     if (difference(now, before) > least) {
       return now;
     }
     await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(resolve)));
   }
+  const notices = await page.locator(".notice").allInnerTexts();
+  throw new Error(`${selector} did not change; notices: ${notices.join("; ") || "none"}`);
 }

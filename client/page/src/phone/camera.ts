@@ -1,6 +1,6 @@
 // The sender without WebXR: photos of the plain camera, each for the light of a single image.
 
-import type { Frame } from "roomlight";
+import { RoomLightError, type Frame } from "roomlight";
 import { flatDepth } from "roomlight/webxr";
 import type { PhotoLink } from "./link";
 import { ASSUMED_M } from "./xr";
@@ -20,15 +20,19 @@ export async function openCamera(video: HTMLVideoElement): Promise<MediaStream> 
   return stream;
 }
 
-/** Send photos until the signal is aborted. */
+/** Send photos until the signal is aborted. Throws RoomLightError if the server refuses them for good. */
 export async function sendPhotos(video: HTMLVideoElement, link: PhotoLink, signal: AbortSignal): Promise<void> {
   while (!signal.aborted) {
     try {
       await link.send(await photoOf(video), signal);
     } catch (error) {
-      if (!signal.aborted) {
-        link.failed(error instanceof Error ? error : new Error(String(error)));
+      if (signal.aborted) {
+        break;
       }
+      if (error instanceof RoomLightError && error.status >= 400 && error.status < 500 && error.status !== 429) {
+        throw error;
+      }
+      link.failed(error instanceof Error ? error : new Error(String(error)));
     }
     await pause(SPACING_S, signal);
   }

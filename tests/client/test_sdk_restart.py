@@ -1,0 +1,147 @@
+"""Streams and pushes whose server is killed under them, and started again on the same port; both clients."""
+
+import asyncio
+import threading
+from typing import Any
+
+import pytest
+from either_client import client_of
+from server_process import ServerProcess
+
+import roomlight_client as sdk
+from roomlight_client import AsyncClient, Client, Retry, StreamStatus
+from rooms import BoxRoom, pan
+
+pytestmark = pytest.mark.slow
+
+FRAMES = tuple(pan(BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3)), 4, width=64, height=48))
+POINT = (0.4, 1.2, -0.3)
+SMALL: dict[str, Any] = {"model": "classical", "height": 16}
+PATIENT = Retry(attempts=400, first_delay_s=0.05, max_delay_s=0.25)
+
+
+@pytest.fixture(scope="module")
+def server():
+    with ServerProcess() as running:
+        yield running
+
+
+class Waiting:
+    """Values that arrive in another thread or task; `until` waits for one of them."""
+
+    def __init__(self) -> None:
+        self.values: list[Any] = []
+        self._changed = threading.Condition()
+
+    def __call__(self, value: Any) -> None:
+        with self._changed:
+            self.values.append(value)
+            self._changed.notify_all()
+
+    def until(self, condition) -> Any:
+        with self._changed:
+            assert self._changed.wait_for(lambda: any(map(condition, self.values)), timeout=120)
+            return next(value for value in self.values if condition(value))
+
+
+def test_an_async_stream_survives_a_killed_server(server):
+    lit, statuses = Waiting(), Waiting()
+
+    async def main():
+        async with AsyncClient(server.url, reconnect=PATIENT) as client:
+            session = await client.open(**SMALL)
+            async with await session.stream(on_lighting=lit, on_status=statuses) as stream:
+                await stream.track("table", POINT)
+                await stream.subscribe(["sh"])
+                assert (await stream.push(FRAMES[0])).status == "processed"
+                first = await stream.light_at("table")
+                await server.restart_async()
+                result = await stream.push(FRAMES[1])
+                light = await stream.light_at("table")
+                state = await session.state()
+                await asyncio.to_thread(lit.until, lambda lights: lights[0].frame == 1)
+            await session.close()
+            return first, result, light, state, stream.status
+
+    first, result, light, state, ended = asyncio.run(main())
+    assert (result.index, result.status) == (1, "processed")
+    assert first.coverage > 0
+    assert light.coverage >= first.coverage
+    assert state.frames.processed == 2  # frame 0 was sent again to the new session
+    assert state.probes == {"table": list(POINT)}
+    states = [status.state for status in statuses.values]
+    assert states[:3] == ["connecting", "open", "reconnecting"]
+    assert states[-2:] == ["open", "closed"]
+    reopened = [status for status in statuses.values if status.state == "open"][-1]
+    assert reopened.reopened
+    assert not reopened.incomplete
+    assert ended.state == "closed"
+
+
+def test_a_blocking_stream_survives_a_killed_server(server):
+    statuses = Waiting()
+    with Client(server.url, reconnect=PATIENT) as client:
+        session = client.open(**SMALL)
+        with session.stream(on_status=statuses) as stream:
+            stream.track("table", POINT)
+            assert stream.push(FRAMES[0]).status == "processed"
+            server.kill()
+            statuses.until(lambda status: status.state == "reconnecting")
+            waiting = [stream.submit(frame) for frame in FRAMES[1:3]]
+            server.start()
+            assert [future.result(120).status for future in waiting] == ["processed", "processed"]
+            assert stream.light_at("table").coverage > 0
+            assert session.state().frames.processed == 3
+        session.close()
+        with pytest.raises(sdk.GoneError):
+            session.stream()
+
+
+@pytest.mark.parametrize("kind", ["sync", "async"])
+def test_pushes_survive_a_killed_server(server, kind):
+    async def main():
+        async with client_of(kind, server.url, reconnect=PATIENT) as client:
+            session = await client.open(**SMALL)
+            await session.track("table", POINT)
+            await session.push(FRAMES[0])
+            await asyncio.to_thread(server.kill)
+            starting = asyncio.create_task(asyncio.to_thread(server.start))
+            result = await session.push(FRAMES[1])
+            await starting
+            light = await session.light_at("table")
+            state = await session.state()
+            await session.close()
+            return result, light, state
+
+    result, light, state = asyncio.run(main())
+    assert (result.index, result.status) == (1, "processed")
+    assert state.frames.processed == 2
+    assert light.coverage > 0
+
+
+def test_a_missing_session_is_opened_again_by_any_call(server):
+    with Client(server.url, reconnect=PATIENT) as client:
+        session = client.open(**SMALL)
+        session.track("table", POINT)
+        session.push(FRAMES[0])
+        joined = client.join(session.id)
+        server.restart()
+        with pytest.raises(sdk.GoneError):  # it did not open the session
+            joined.light_at("table")
+        assert session.light_at("table").frame == 0
+        assert joined.light_at("table").frame == 0
+        session.close()
+
+
+def test_a_status_says_what_is_wrong(server):
+    statuses = Waiting()
+    short = Retry(attempts=2, first_delay_s=0.0, max_delay_s=0.0)
+    with Client(server.url, reconnect=short) as client:
+        session = client.open(**SMALL)
+        with session.stream(on_status=statuses) as stream:
+            server.kill()
+            ended: StreamStatus = statuses.until(lambda status: status.state == "closed")
+            assert isinstance(ended.error, sdk.UnreachableError)
+            with pytest.raises(sdk.UnreachableError):
+                stream.push(FRAMES[0])
+    server.start()
