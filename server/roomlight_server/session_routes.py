@@ -76,10 +76,12 @@ _PROCESSED: Final[dict[str, Any]] = {
         *BODY_PROBLEMS,
         "unauthorized",
         "session-conflict",
+        "state-refused",
         "model-not-here",
         "invalid",
         "owner-quota",
         "server-full",
+        "state-unavailable",
         "stopping",
     ),
 )
@@ -104,7 +106,7 @@ async def open_session(
     "",
     tags=["sessions"],
     summary="State of a session",
-    responses=documented("unauthorized", "session-not-found", "invalid"),
+    responses=documented("unauthorized", "session-not-found", "state-refused", "invalid", "state-unavailable"),
 )
 async def session_state(live: SessionDep) -> SessionState:
     """Return options, model, frame counts, named probes with their coverage, memory and volume of a session.
@@ -119,7 +121,7 @@ async def session_state(live: SessionDep) -> SessionState:
     tags=["sessions"],
     summary="End a session",
     status_code=204,
-    responses=documented("unauthorized", "session-not-found", "invalid"),
+    responses=documented("unauthorized", "session-not-found", "state-refused", "invalid", "state-unavailable"),
 )
 async def delete_session(session_id: SessionId, context: ContextDep, owner: OwnerDep) -> None:
     """End a session; frames in flight are answered with 410."""

@@ -4,6 +4,28 @@
 
 export interface components {
     schemas: {
+        /** @description The camera at a recorded frame; seconds since the first one. */
+        readonly CameraPose: {
+            readonly index: number;
+            readonly seconds: number;
+            readonly camera_to_world: readonly number[];
+        };
+        /**
+         * @description The camera of the last processed frame, its path, and the lighting volume.
+         *
+         *     Attributes:
+         *         frame: index of the last processed frame; -1 before the first.
+         *         intrinsics: of the last processed frame.
+         *         camera_to_world: of the last processed frame.
+         *         path: the frames of the history, in order.
+         */
+        readonly CameraView: {
+            readonly frame: number;
+            readonly intrinsics: components["schemas"]["WireIntrinsics"] | null;
+            readonly camera_to_world: readonly number[] | null;
+            readonly path: readonly components["schemas"]["CameraPose"][];
+            readonly volume: components["schemas"]["VolumeBox"] | null;
+        };
         readonly ClientMessage: components["schemas"]["LightCall"] | components["schemas"]["Subscribe"] | components["schemas"]["Track"] | components["schemas"]["Untrack"];
         /**
          * @description The first part: the colour image, in sensor orientation (no EXIF rotation), of the size of the intrinsics.
@@ -42,6 +64,7 @@ export interface components {
          *     Attributes:
          *         object: id of an uploaded object.
          *         shape: instead of an uploaded object; with size_m.
+         *         up: axis of an uploaded object that points up; z is turned to y.
          *         name: of the object in the answer; default object-0, object-1, ...
          *         size_m: longest side; default: the file's own metres.
          *         material: default: the file's own.
@@ -54,7 +77,12 @@ export interface components {
         readonly CompositeObject: {
             /** @description ^[0-9a-f]{64}$ */
             readonly object?: string | null;
-            readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair") | null;
+            readonly shape?: ("sphere" | "cube" | "plane" | "vase" | "chair" | "teapot") | null;
+            /**
+             * @default y
+             * @enum {string}
+             */
+            readonly up?: "y" | "z";
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly name?: string | null;
             readonly size_m?: number | null;
@@ -152,6 +180,7 @@ export interface components {
          *
          *     Attributes:
          *         gaps: indices that are missing between the first and the last accepted frame.
+         *         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
          */
         readonly FrameCounts: {
             readonly accepted: number;
@@ -163,6 +192,7 @@ export interface components {
             readonly replayed: number;
             readonly refused: number;
             readonly last_index: number | null;
+            readonly durable_index?: number | null;
         };
         /** @description WebSocket, to the client: the outcome of a frame. */
         readonly FrameEvent: {
@@ -179,6 +209,8 @@ export interface components {
             readonly coverage: {
                 readonly [key: string]: number;
             };
+            /** @default null */
+            readonly durable_index?: number | null;
             /**
              * @default frame
              * @constant
@@ -235,6 +267,7 @@ export interface components {
          *         keyframe: whether the frame was kept for probes that are requested later.
          *         stage_ms: processing time of each stage.
          *         coverage: coverage of each named probe after the last processed frame.
+         *         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
          */
         readonly FrameResult: {
             readonly index: number;
@@ -249,6 +282,64 @@ export interface components {
             readonly coverage: {
                 readonly [key: string]: number;
             };
+            readonly durable_index?: number | null;
+        };
+        /**
+         * @description A recorded frame.
+         *
+         *     Attributes:
+         *         seconds: when it was processed, since the first recorded frame.
+         *         timestamp_s: the frame's own time.
+         *         superseded: frames replaced by newer ones so far.
+         *         gaps: indices left out by the client so far.
+         *         skipped: frames skipped for their tracking state so far.
+         *         refused: frames refused so far.
+         */
+        readonly HistoryEntry: {
+            readonly index: number;
+            readonly seconds: number;
+            readonly timestamp_s: number | null;
+            readonly keyframe: boolean;
+            readonly stage_ms: {
+                readonly [key: string]: number;
+            };
+            readonly superseded: number;
+            readonly gaps: number;
+            readonly skipped: number;
+            readonly refused: number;
+            readonly probes: readonly components["schemas"]["HistoryProbe"][];
+        };
+        /** @description A light at a probe, with the values of the form `main_light`. */
+        readonly HistoryLight: {
+            readonly direction: readonly number[];
+            readonly intensity: readonly number[];
+            readonly radius_deg: number;
+            readonly shadow_strength: number;
+            readonly emitted: number;
+            readonly number: number;
+        };
+        /**
+         * @description The recorded frames of a session.
+         *
+         *     Attributes:
+         *         stride: every `stride`-th processed frame is recorded. It doubles when the history is full, and then every
+         *             second entry is removed.
+         *         bytes: memory of the history.
+         *         limit_bytes: its limit; 0: no history is kept.
+         */
+        readonly HistoryList: {
+            readonly stride: number;
+            readonly bytes: number;
+            readonly limit_bytes: number;
+            readonly entries: readonly components["schemas"]["HistoryEntry"][];
+        };
+        /** @description A named probe after a recorded frame; `lights` has up to three, the strongest first. */
+        readonly HistoryProbe: {
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly name: string;
+            readonly position: components["schemas"]["Position"];
+            readonly coverage: number;
+            readonly lights: readonly components["schemas"]["HistoryLight"][];
         };
         /** @description WebSocket, to the client: the answer to a `light` message. */
         readonly LightAnswer: {
@@ -363,6 +454,21 @@ export interface components {
             readonly bytes: number;
             readonly limit_bytes: number;
         };
+        /**
+         * @description How a phone on the local network reaches the server's page.
+         *
+         *     Attributes:
+         *         url: address of the phone's page with the token of the request; null if the server cannot be reached.
+         *         qr_svg: the address as a QR code, an SVG document.
+         *         fingerprint: SHA-256 of the server's certificate.
+         *         advice: what to do where there is no address.
+         */
+        readonly Pairing: {
+            readonly url: string | null;
+            readonly qr_svg: string | null;
+            readonly fingerprint: string | null;
+            readonly advice: string | null;
+        };
         /** @description World metres: x, y (up), z. */
         readonly Position: readonly [
             number,
@@ -411,11 +517,8 @@ export interface components {
             readonly title: string;
             readonly status: number;
             readonly detail: string;
-            /** @default null */
             readonly field?: string | null;
-            /** @default null */
             readonly value?: string | null;
-            /** @default null */
             readonly rule?: string | null;
         };
         /**
@@ -437,7 +540,95 @@ export interface components {
             /** @default null */
             readonly request?: string | null;
         };
+        /**
+         * @description An uploaded recording and its replay.
+         *
+         *     Attributes:
+         *         bytes: announced.
+         *         received: bytes so far.
+         *         files: announced.
+         *         files_received: files that have begun.
+         *         status: uploading, then ready, playing, finished; failed: it cannot be read, see `problem`.
+         *         session: the session that it is played into.
+         *         frame: frames sent to the session so far.
+         *         frames: frames of the recording that are played; null before the first replay.
+         *         unreadable: frames that could not be read or used so far.
+         *         expires_in_s: it is deleted after this time without a request.
+         */
+        readonly Recording: {
+            /** @description ^r-[0-9a-f]{16}$ */
+            readonly id: string;
+            readonly name: string;
+            readonly bytes: number;
+            readonly received: number;
+            readonly files: number;
+            readonly files_received: number;
+            /** @enum {string} */
+            readonly status: "uploading" | "ready" | "playing" | "finished" | "failed";
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly session: string | null;
+            readonly frame: number;
+            readonly frames: number | null;
+            readonly unreadable: number;
+            readonly problem: components["schemas"]["Problem"] | null;
+            readonly expires_in_s: number;
+        };
+        /** @description The recordings of a token, the newest first, the bytes that they take or announced, and their limit. */
+        readonly RecordingList: {
+            readonly recordings: readonly components["schemas"]["Recording"][];
+            readonly bytes: number;
+            readonly limit_bytes: number;
+        };
+        /**
+         * @description Announcement of an upload.
+         *
+         *     Attributes:
+         *         name: shown in lists, for example the name of the folder.
+         *         bytes: of all files together.
+         *         files: number of files.
+         */
+        readonly RecordingRequest: {
+            readonly name: string;
+            readonly bytes: number;
+            readonly files: number;
+        };
+        /**
+         * @description Start of a replay into a new session, at the pace of the recording.
+         *
+         *     Attributes:
+         *         session: id of the session, which has no frame yet.
+         *         mode: the session's model.
+         *         height: rows of the session's panoramas.
+         *         fps: frames per second at most: every n-th frame is played. Null: 10 of a recording with timestamps, 3 of one
+         *             without.
+         *         probes: named probes; null: the probes of the recording, and `view` in front of the first camera.
+         */
+        readonly ReplayRequest: {
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly session: string;
+            /**
+             * @default auto
+             * @enum {string}
+             */
+            readonly mode?: "auto" | "classical" | "completion" | "single" | "video";
+            /**
+             * @description 16 to 512
+             * @default 120
+             */
+            readonly height?: number;
+            /** @description 0.01 to 60 */
+            readonly fps?: number | null;
+            readonly probes?: {
+                readonly [key: string]: components["schemas"]["Position"];
+            } | null;
+        };
         readonly ServerMessage: components["schemas"]["FrameEvent"] | components["schemas"]["LightAnswer"] | components["schemas"]["LightingUpdate"] | components["schemas"]["ProbesEvent"] | components["schemas"]["ProblemEvent"];
+        /** @description The sessions of a token, last used first, and the server's limits. */
+        readonly SessionList: {
+            readonly sessions: readonly components["schemas"]["SessionSummary"][];
+            readonly max_sessions: number;
+            readonly idle_expiry_s: number;
+        };
         /**
          * @description Options of a session.
          *
@@ -500,6 +691,25 @@ export interface components {
             readonly idle_expiry_s: number;
         };
         /**
+         * @description A session in the list of a token's sessions.
+         *
+         *     Attributes:
+         *         probes: names of the tracked probes.
+         *         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it.
+         */
+        readonly SessionSummary: {
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly id: string;
+            /** @enum {string} */
+            readonly status: "open" | "failed";
+            /** @enum {string} */
+            readonly model: "classical" | "completion" | "single" | "video";
+            readonly frames: components["schemas"]["FrameCounts"];
+            readonly probes: readonly string[];
+            readonly keyframes: number;
+            readonly idle_s: number;
+        };
+        /**
          * @description WebSocket, to the server: send the light of all named probes in these forms now and after each frame.
          *
          *     An empty list ends the subscription.
@@ -531,6 +741,12 @@ export interface components {
             readonly voxel_m: number;
             readonly depth_max_m: number;
         };
+        /** @description The box of the lighting volume: corners (x, y, z) in metres along its own axes. */
+        readonly VolumeBox: {
+            readonly volume_to_world: readonly number[];
+            readonly lower_m: components["schemas"]["Position"];
+            readonly upper_m: components["schemas"]["Position"];
+        };
         /** @description A pinhole camera in pixels of the colour image. Pixel centres are at half integers. */
         readonly WireIntrinsics: {
             readonly fx: number;
@@ -549,6 +765,8 @@ export interface components {
     headers: never;
     pathItems: never;
 }
+export type CameraPose = components['schemas']['CameraPose'];
+export type CameraView = components['schemas']['CameraView'];
 export type ClientMessage = components['schemas']['ClientMessage'];
 export type ColourPart = components['schemas']['ColourPart'];
 export type CompositeMaterial = components['schemas']['CompositeMaterial'];
@@ -561,6 +779,10 @@ export type FrameCounts = components['schemas']['FrameCounts'];
 export type FrameEvent = components['schemas']['FrameEvent'];
 export type FrameHeader = components['schemas']['FrameHeader'];
 export type FrameResult = components['schemas']['FrameResult'];
+export type HistoryEntry = components['schemas']['HistoryEntry'];
+export type HistoryLight = components['schemas']['HistoryLight'];
+export type HistoryList = components['schemas']['HistoryList'];
+export type HistoryProbe = components['schemas']['HistoryProbe'];
 export type LightAnswer = components['schemas']['LightAnswer'];
 export type LightCall = components['schemas']['LightCall'];
 export type LightForm = components['schemas']['LightForm'];
@@ -570,6 +792,7 @@ export type LightingUpdate = components['schemas']['LightingUpdate'];
 export type Memory = components['schemas']['Memory'];
 export type ObjectInfo = components['schemas']['ObjectInfo'];
 export type ObjectList = components['schemas']['ObjectList'];
+export type Pairing = components['schemas']['Pairing'];
 export type Position = components['schemas']['Position'];
 export type ProbeBody = components['schemas']['ProbeBody'];
 export type ProbeLight = components['schemas']['ProbeLight'];
@@ -577,11 +800,18 @@ export type ProbeQuery = components['schemas']['ProbeQuery'];
 export type ProbesEvent = components['schemas']['ProbesEvent'];
 export type Problem = components['schemas']['Problem'];
 export type ProblemEvent = components['schemas']['ProblemEvent'];
+export type Recording = components['schemas']['Recording'];
+export type RecordingList = components['schemas']['RecordingList'];
+export type RecordingRequest = components['schemas']['RecordingRequest'];
+export type ReplayRequest = components['schemas']['ReplayRequest'];
 export type ServerMessage = components['schemas']['ServerMessage'];
+export type SessionList = components['schemas']['SessionList'];
 export type SessionRequest = components['schemas']['SessionRequest'];
 export type SessionState = components['schemas']['SessionState'];
+export type SessionSummary = components['schemas']['SessionSummary'];
 export type Subscribe = components['schemas']['Subscribe'];
 export type Track = components['schemas']['Track'];
 export type Untrack = components['schemas']['Untrack'];
 export type Volume = components['schemas']['Volume'];
+export type VolumeBox = components['schemas']['VolumeBox'];
 export type WireIntrinsics = components['schemas']['WireIntrinsics'];
