@@ -72,4 +72,4 @@ def test_recordings(tmp_path):
     folder = formats.roomlight(tmp_path / "kitchen", views)
     archive = formats.record3d(tmp_path / "hall.r3d", views)
     with PageServer() as server:
-        drive("recordings", server, FOLDER=str(folder), ARCHIVE=str(archive), FRAMES=str(len(views)))
+        drive("recordings", server, FOLDER=str(folder), ARCHIVE=str(archive))

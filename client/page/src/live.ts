@@ -60,7 +60,6 @@ export class LiveSession {
   refresh(): void {
     if (!this.closed) {
       this.refreshFrame();
-      this.refreshMesh();
     }
   }
 
@@ -150,7 +149,8 @@ export class LiveSession {
   private async readFrame(): Promise<void> {
     const last = this.state.history.value.at(-1)?.index ?? -1;
     const [camera, history] = await Promise.all([this.api.camera(this.id), this.api.history(this.id, last)]);
-    const picture = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/colour`, this.etags.picture));
+    const hasFrame = camera.camera_to_world !== null;
+    const picture = hasFrame ? await this.api.file(`${sessionPath(this.id)}/colour`, this.etags.picture) : null;
     if (this.closed) {
       return;
     }
@@ -161,7 +161,10 @@ export class LiveSession {
       this.state.picture.value = { url: URL.createObjectURL(picture.blob), frame: picture.frame };
     }
     await this.addHistory(history);
-    this.addFirstProbe();
+    if (hasFrame) {
+      this.addFirstProbe();
+      this.refreshMesh();
+    }
   }
 
   private async addHistory(update: History): Promise<void> {

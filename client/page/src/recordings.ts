@@ -20,6 +20,7 @@ export interface Upload {
 }
 
 const PIECE_BYTES = 4 * 2 ** 20;
+const PIECE_ATTEMPTS = 4;
 const PARALLEL_FILES = 4;
 const POLL_MS = 500;
 const IGNORED = /(^|\/)(\.|Thumbs\.db$|desktop\.ini$)/;
@@ -86,10 +87,29 @@ export class RecordingUpload {
     let offset = 0;
     do {
       const piece = file.slice(offset, offset + PIECE_BYTES);
-      await this.api.putPiece(id, path, offset, piece, this.stopped.signal);
+      await this.sendPiece(id, path, offset, piece);
       offset += piece.size;
       this.show({ sent: this.state.value.sent + piece.size });
     } while (offset < file.size);
+  }
+
+  /** Send a piece; after a lost connection send it again, unless the first one had arrived. */
+  private async sendPiece(id: string, path: string, offset: number, piece: Blob): Promise<void> {
+    for (let attempt = 1; ; attempt++) {
+      try {
+        await this.api.putPiece(id, path, offset, piece, this.stopped.signal);
+        return;
+      } catch (error) {
+        const { status, kind } = error instanceof RoomLightError ? error : { status: -1, kind: "" };
+        if (attempt > 1 && kind === "upload-offset") {
+          return; // the first attempt arrived, and its answer was lost
+        }
+        if (status !== 0 || attempt >= PIECE_ATTEMPTS) {
+          throw error;
+        }
+        await new Promise((resolve) => setTimeout(resolve, attempt * 500));
+      }
+    }
   }
 
   private async follow(id: string): Promise<void> {

@@ -178,8 +178,10 @@ function drawChart(state: State, shown: number): void {
   const top = 6;
   entries.forEach((entry, at) => {
     const tall = ((height - top) * totalMs(entry)) / slowest;
+    context.globalAlpha = at === shown ? 1 : 0.5;
     context.fillStyle = themeColour(at === shown ? "--accent" : "--control-line");
-    context.fillRect(at * step, height - tall, Math.max(1, step - 1), tall);
+    context.fillRect(at * step, Math.round(height - tall), Math.max(1, step - 1), Math.round(tall));
+    context.globalAlpha = 1;
     if (at > 0 && lostFrames(entry) > lostFrames(entries[at - 1]!)) {
       context.fillStyle = themeColour("--bad");
       context.fillRect(at * step, 0, Math.max(2, step - 1), 3);

@@ -1,6 +1,6 @@
 // The panel of the room in 3D: surface, probes, overlays and objects, and what clicks and buttons do there.
 
-import { Box3, Matrix4, Vector3 } from "three";
+import { Matrix4, Vector3 } from "three";
 import type { Position } from "roomlight";
 import { byId } from "../lib/dom";
 import type { PlacedObjects } from "../objects";
@@ -74,9 +74,10 @@ export class RoomPanel {
   }
 
   private overview(): void {
-    const box = this.surface.box.isEmpty() ? new Box3(new Vector3(-1, 0, -1), new Vector3(1, 2, 1)) : this.surface.box;
+    const { samples } = this.surface;
+    const points = samples.length > 0 ? samples : [new Vector3(-1, 0, -1), new Vector3(1, 2, 1)];
     const pose = this.state.camera.value?.camera_to_world;
-    this.view.lookAtBox(box, pose ? new Vector3(pose[12], pose[13], pose[14]) : new Vector3(1, 1, 1));
+    this.view.lookAt(points, pose ? new Vector3(pose[12], pose[13], pose[14]) : new Vector3(1, 1, 1));
   }
 
   private listen(canvas: HTMLCanvasElement): void {

@@ -3,7 +3,7 @@
 import { Box3, FrontSide, Mesh, MeshBasicMaterial, Vector3, type Raycaster, type Scene } from "three";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
-const SAMPLES = 4000;
+const SAMPLES = 1000;
 const OUTER = 0.01; // share of the vertices on each side
 
 export interface SurfacePoint {
@@ -13,7 +13,8 @@ export interface SurfacePoint {
 
 export class RoomSurface {
   mesh: Mesh | null = null;
-  readonly box = new Box3();
+  /** Some points of the mesh. */
+  samples: readonly Vector3[] = [];
   private readonly loader = new GLTFLoader();
 
   constructor(private readonly scene: Scene) {}
@@ -47,32 +48,31 @@ export class RoomSurface {
       (this.mesh.material as MeshBasicMaterial).dispose();
     }
     this.mesh = next;
-    this.box.makeEmpty();
+    this.samples = [];
     if (next) {
       next.removeFromParent();
       // The faces look at the camera that saw them: without their backs one looks into the room from outside.
       const material = next.material as MeshBasicMaterial;
       material.side = FrontSide;
       this.scene.add(next);
-      this.box.copy(extentOf(next));
+      this.samples = samplesOf(next);
     }
   }
 }
 
-/** The box of a mesh without its outermost vertices, which are often noise. */
-function extentOf(mesh: Mesh): Box3 {
+/** Points of a mesh without its outermost vertices, which are often noise. */
+function samplesOf(mesh: Mesh): Vector3[] {
   const positions = mesh.geometry.getAttribute("position");
   const step = Math.max(1, Math.floor(positions.count / SAMPLES));
+  const points: Vector3[] = [];
+  for (let vertex = 0; vertex < positions.count; vertex += step) {
+    points.push(new Vector3().fromBufferAttribute(positions, vertex));
+  }
   const box = new Box3();
   for (const axis of ["x", "y", "z"] as const) {
-    const read = { x: "getX", y: "getY", z: "getZ" } as const;
-    const values: number[] = [];
-    for (let vertex = 0; vertex < positions.count; vertex += step) {
-      values.push(positions[read[axis]](vertex));
-    }
-    values.sort((a, b) => a - b);
+    const values = points.map((point) => point[axis]).sort((a, b) => a - b);
     box.min[axis] = values[Math.floor(OUTER * values.length)]!;
     box.max[axis] = values[Math.ceil((1 - OUTER) * values.length) - 1]!;
   }
-  return box;
+  return points.filter((point) => box.containsPoint(point));
 }

@@ -1,8 +1,9 @@
 // The 3D view: renderer, camera and turning it. It draws only when something has changed.
 
-import { Box3, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer, type Matrix4 } from "three";
+import { Box2, Box3, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer, type Matrix4 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 
+const FILLED = 0.94; // of the view by the points of `lookAt`
 const TURN_STEP = Math.PI / 24; // of an arrow key
 
 export class RoomView {
@@ -57,9 +58,9 @@ export class RoomView {
     return { x: left + ((x + 1) / 2) * width, y: top + ((1 - y) / 2) * height };
   }
 
-  /** Look at a box from above, from the side where `from` is, so that it fills the view. */
-  lookAtBox(box: Box3, from: Vector3): void {
-    const centre = box.getCenter(new Vector3());
+  /** Look at points from above, from the side where `from` is, so that they fill the view. */
+  lookAt(points: readonly Vector3[], from: Vector3): void {
+    const centre = new Box3().setFromPoints([...points]).getCenter(new Vector3());
     const away = from.clone().sub(centre).setY(0);
     if (away.length() < 0.2) {
       away.set(0.6, 0, 1);
@@ -67,16 +68,19 @@ export class RoomView {
     away.normalize().setY(0.6).normalize();
     const right = new Vector3().crossVectors(new Vector3(0, 1, 0), away).normalize();
     const up = new Vector3().crossVectors(away, right);
-    const tangent = 0.92 * Math.tan((this.camera.fov * Math.PI) / 360);
-    let distance = 0.5;
-    for (let corner = 0; corner < 8; corner++) {
-      const at = new Vector3(
-        corner & 1 ? box.max.x : box.min.x,
-        corner & 2 ? box.max.y : box.min.y,
-        corner & 4 ? box.max.z : box.min.z,
-      ).sub(centre);
-      const aside = Math.max(Math.abs(at.dot(right)) / this.camera.aspect, Math.abs(at.dot(up))) / tangent;
-      distance = Math.max(distance, at.dot(away) + aside);
+    const tangent = FILLED * Math.tan((this.camera.fov * Math.PI) / 360);
+    let distance = 0;
+    for (let pass = 0; pass < 3; pass++) {
+      const seen = new Box2();
+      distance = 0.5;
+      for (const point of points) {
+        const at = point.clone().sub(centre);
+        const [x, y, z] = [at.dot(right), at.dot(up), at.dot(away)];
+        distance = Math.max(distance, z + Math.max(Math.abs(x) / this.camera.aspect, Math.abs(y)) / tangent);
+        seen.expandByPoint(new Vector2(x, y));
+      }
+      const middle = seen.getCenter(new Vector2());
+      centre.addScaledVector(right, middle.x).addScaledVector(up, middle.y);
     }
     this.camera.position.copy(centre).addScaledVector(away, distance);
     this.controls.target.copy(centre);
