@@ -50,7 +50,9 @@ def write_durable(path: Path, data: bytes) -> None:
 
 
 def sync_folder(folder: Path) -> None:
-    """Write a folder's list of names to the disk."""
+    """Write a folder's list of names to the disk; does nothing on Windows, which cannot."""
+    if os.name == "nt":
+        return
     descriptor = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(descriptor)

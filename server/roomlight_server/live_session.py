@@ -7,12 +7,11 @@ request is answered with this error, and its memory is released.
 
 import asyncio
 import logging
-from collections import OrderedDict
 from collections.abc import AsyncGenerator, Callable, Generator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import asynccontextmanager, contextmanager, nullcontext
-from dataclasses import dataclass
-from typing import Final, Literal, TypeVar, cast
+from dataclasses import asdict
+from typing import Literal, TypeVar, cast
 
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.engine.memory import Footprint
@@ -20,45 +19,31 @@ from roomlight.engine.session import FrameReport, Session
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight.light.light import Light
-from roomlight.wire.frame_message import FrameLimits, FrameMessage
-from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState, Volume
+from roomlight.wire.frame_message import FrameMessage
+from roomlight.wire.messages import FrameResult, Memory, ProbeQuery, SessionRequest, SessionState
 from roomlight_server.frame_queue import Entry, FrameQueue, replayed
 from roomlight_server.history import History
 from roomlight_server.intake import LatestFrame, decode_to_size, index_of, parse_frame
 from roomlight_server.light_forms import default_panorama, digest_of_light
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError, convert_probe_errors
-from roomlight_server.quotas import Quotas
 from roomlight_server.request_context import request_id
+from roomlight_server.session_parts import (
+    MAX_CACHED_LIGHTS,
+    CompositeTurn,
+    FrameSlots,
+    LightCache,
+    Limits,
+    NamedProbe,
+    finished_light,
+    volume_of,
+)
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.live_state import LiveState, SavedProbe
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
-MAX_CACHED_LIGHTS: Final = 8
-"""Lights cached for requests of more forms and for `If-None-Match`; 0.6 MB each at a height of 120."""
-
-
-@dataclass(frozen=True)
-class Limits:
-    """Limits of a session; see `ServerSettings`."""
-
-    frame: FrameLimits
-    frames_in_flight: int
-    max_probes: int
-    idle_expiry_s: float
-    history_bytes: int
-    quotas: Quotas
-
-
-@dataclass
-class NamedProbe:
-    """A named probe; `handle` is that of the engine."""
-
-    position: Position
-    handle: int
-    coverage: float = 0.0
 
 
 class LiveSession:
@@ -93,18 +78,17 @@ class LiveSession:
         self._state_lock = asyncio.Lock()
         # _ingest_lock: frames enter the queue in the order of arrival, although parsing and decoding run on threads.
         self._ingest_lock = asyncio.Lock()
-        self._frame_slots = asyncio.Semaphore(limits.frames_in_flight)
-        self._in_flight = 0
+        self._slots = FrameSlots(limits.frames_in_flight)
         self.journal: Journal | None = None
         self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
         self._named: dict[str, NamedProbe] = {}
-        self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
+        self._lights = LightCache()
         self._light_frame = NO_FRAME
         self._latest: LatestFrame | None = None
         self.history = History(limits.history_bytes, workers)
-        self._compositing = False
+        self._composite_turn = CompositeTurn()
         self._ended: ProblemError | None = None
         self._listeners: set[Callable[[], None]] = set()
 
@@ -118,16 +102,8 @@ class LiveSession:
             ProblemError: All slots are taken (429), or the session has ended.
         """
         self.check_open()
-        if self._frame_slots.locked():
-            limit = self._limits.frames_in_flight
-            detail = f"{limit} frames of this session are in flight; retry with a newer frame"
-            raise ProblemError("session-full", detail, rule=f"at most {limit} frames in flight", retry_after_s=1)
-        async with self._frame_slots:
-            self._in_flight += 1
-            try:
-                yield
-            finally:
-                self._in_flight -= 1
+        async with self._slots.held():
+            yield
 
     async def acquire_frame_slot(self) -> None:
         """Wait for a slot for a frame in flight; `release_frame_slot` frees it.
@@ -136,13 +112,11 @@ class LiveSession:
             ProblemError: The session has ended.
         """
         self.check_open()
-        await self._frame_slots.acquire()
-        self._in_flight += 1
+        await self._slots.acquire()
 
     def release_frame_slot(self) -> None:
         """Free the slot of a frame."""
-        self._in_flight -= 1
-        self._frame_slots.release()
+        self._slots.release()
 
     async def accept(self, body: bytes, index: int | None) -> Entry:
         """Parse, check and decode a frame message and add it to the queue.
@@ -323,7 +297,7 @@ class LiveSession:
     def _remove(self, engine: Session, name: str) -> None:
         named = self._named.pop(name)
         engine.untrack(named.handle)
-        self._lights.pop((name, named.position), None)
+        self._lights.drop(name, named.position)
 
     async def lights(self, queries: Sequence[ProbeQuery]) -> list[Light]:
         """Return the light at each point after the same frame, with its etag; before the first frame the default light.
@@ -344,9 +318,8 @@ class LiveSession:
 
     async def _light(self, engine: Session, query: ProbeQuery) -> Light:
         name, position = query.name, self._position(query)
-        cached = self._lights.get((name, position))
-        if cached is not None and cached.frame == self._light_frame:
-            self._lights.move_to_end((name, position))
+        cached = self._lights.get(name, position, self._light_frame)
+        if cached is not None:
             return cached
         if name is not None:
             found = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
@@ -355,14 +328,8 @@ class LiveSession:
                 found = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
         tracked = found.tracked_lights
         etag = await self._workers.run_in_decode_pool(digest_of_light, found.panorama, found.observed, tracked)
-        light = Light(
-            position, found.panorama, found.observed, found.coverage, frame=self._light_frame, name=name, etag=etag
-        )
-        if tracked is not None:
-            light = light.with_lights(tracked)
-        self._lights[name, position] = light
-        while len(self._lights) > MAX_CACHED_LIGHTS:
-            self._lights.popitem(last=False)
+        light = finished_light(found, name=name, frame=self._light_frame, etag=etag)
+        self._lights.put(light)
         return light
 
     def _default_light(self, query: ProbeQuery) -> Light:
@@ -407,16 +374,10 @@ class LiveSession:
             ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
         """
         self.check_open()
-        if self._compositing:
-            rule = "one composite a session at a time"
-            raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
-        if self._latest is None:
-            raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
-        self._compositing = True
-        try:
+        with self._composite_turn.held():
+            if self._latest is None:
+                raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
             yield self._latest
-        finally:
-            self._compositing = False
 
     async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
         """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
@@ -467,16 +428,13 @@ class LiveSession:
             if self._engine is None:
                 return None
             snapshot = await asyncio.get_running_loop().run_in_executor(pool, self._engine.snapshot)
-            probes = {
-                name: SavedProbe(position=one.position, handle=one.handle, coverage=one.coverage)
-                for name, one in self._named.items()
-            }
+            probes = {name: SavedProbe(**asdict(named)) for name, named in self._named.items()}
             return LiveState(snapshot, self._reference, probes, self._queue.saved(), self._light_frame, self._latest)
 
     def resume(self, state: LiveState) -> None:
         """Continue from a saved state, with the engine that was made from its snapshot."""
         self._reference, self._light_frame, self._latest = state.reference, state.light_frame, state.latest
-        self._named = {name: NamedProbe(one.position, one.handle, one.coverage) for name, one in state.probes.items()}
+        self._named = {name: NamedProbe(**one.model_dump()) for name, one in state.probes.items()}
         self._queue.restore(state.queue)
 
     # --- state and end ----------------------------------------------------------------------------------------
@@ -528,7 +486,7 @@ class LiveSession:
     @property
     def frames_in_flight(self) -> int:
         """Frames that are being received, decoded or processed, or whose outcome is being sent."""
-        return self._in_flight + self._queue.counts().queued
+        return self._slots.taken + self._queue.counts().queued
 
     @property
     def probe_count(self) -> int:
@@ -548,14 +506,11 @@ class LiveSession:
     def state(self) -> SessionState:
         """Return the current state."""
         engine = self._engine
-        grid = None if engine is None else engine.grid
+        volume = volume_of(engine)
         keyframes = 0 if engine is None else engine.keyframes
-        held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=grid is not None)
+        held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=volume is not None)
         kept = held + len(self._lights) * self.light_bytes + (0 if self._latest is None else self._latest.size)
         kept += self.history.bytes
-        volume = None
-        if grid is not None:
-            volume = Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)
         return SessionState(
             id=self.name,
             status="open" if self._ended is None else "failed",

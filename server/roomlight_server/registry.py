@@ -12,10 +12,11 @@ from roomlight.engine.memory import Footprint
 from roomlight.engine.session import Session
 from roomlight.errors import ModelError, OptionError
 from roomlight.wire.messages import SessionRequest
-from roomlight_server.live_session import Limits, LiveSession
+from roomlight_server.live_session import LiveSession
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
 from roomlight_server.quotas import Quotas
+from roomlight_server.session_parts import Limits
 from roomlight_server.settings import ServerSettings
 from roomlight_server.state.restoring import Restorer
 from roomlight_server.state.store import StateStore

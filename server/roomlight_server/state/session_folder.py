@@ -92,8 +92,9 @@ def write_session(
 
 def _base(folder: Path, kept: KeptFrame, messages: dict[int, bytes], bases: dict[int, SavedBase]) -> SavedBase:
     """Return the file of a keyframe; write it if it is not on disk yet."""
-    if kept.index in bases:
-        return bases[kept.index]
+    on_disk = bases.get(kept.index)
+    if on_disk is not None and (folder / on_disk.file).exists():
+        return on_disk
     if kept.index in messages:
         data, kind, suffix = messages[kept.index], "message", "frame"
     else:

@@ -29,8 +29,8 @@ _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
 SAVES_PER_INTERVAL: Final = 2.5
 """A session that changes is saved so often per interval, so that waiting and writing fit into the rest."""
-CLOSE_S: Final = 5.0
-"""Time for saving all sessions when the server stops."""
+CLOSE_S: Final = 3.0
+"""Time for saves that are running when the server stops, and as much for the last ones."""
 _EXPIRY_PERIOD_S: Final = 60.0
 
 
@@ -60,7 +60,7 @@ class StateStore:
         """Make the directory and lock it for this process.
 
         Args:
-            root: The state directory; only this user can read it.
+            root: The state directory. Only this user can read its folder `sessions`.
             interval_s: A change is on disk after this time at the latest, unless the disk is slower.
             expiry_s: A saved session that is not in memory and was not used for this time is erased.
             metrics: Counts writes.
@@ -154,7 +154,7 @@ class StateStore:
         self._metrics.state_session_bytes.observe(written.bytes)
 
     async def close(self, sessions: Sessions) -> None:
-        """Save all changed sessions for the last time, at most `CLOSE_S`; release the directory."""
+        """Save all changed sessions for the last time, at most twice `CLOSE_S`; release the directory."""
         if self._saving:
             await asyncio.wait(tuple(self._saving.values()), timeout=CLOSE_S)
         changed = [(key, live) for key, live in sessions() if live.journal is not None and live.journal.unsaved_s > 0]
@@ -258,13 +258,13 @@ def _used_s(folder: Path) -> float:
 
 
 def _locked(root: Path, sessions: Path) -> int:
-    """Make the directory for this user only, and lock it; return the descriptor that holds the lock."""
+    """Make the directory and its folder of sessions, and lock it; return the descriptor that holds the lock."""
     import fcntl  # not on Windows, where only this setting fails
 
     try:
         root.mkdir(mode=0o700, parents=True, exist_ok=True)
-        root.chmod(0o700)
         sessions.mkdir(mode=0o700, exist_ok=True)
+        sessions.chmod(0o700)
         descriptor = os.open(root / "lock", os.O_RDWR | os.O_CREAT, 0o600)
     except OSError as error:
         raise ServerError(f"state_dir: {root}: cannot be used ({error.strerror}); choose another folder") from error
