@@ -27,7 +27,7 @@ from roomlight.files import write_json
 from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.placement import point_at_pixel, point_in_view
-from roomlight_cli.pictures import ReplayPictures
+from roomlight_cli.pictures import ReplayPictures, Titles
 from roomlight_cli.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
 from roomlight_cli.replay_options import ReplayOptions
 
@@ -61,6 +61,11 @@ class ReplayLight(Protocol):
     @property
     def coverage(self) -> float:
         """Share of the sphere that was observed."""
+        ...
+
+    @property
+    def observed(self) -> Float[np.ndarray, "h w"] | None:
+        """How far each direction of the panorama was observed, 0 to 1; None where that is unknown."""
         ...
 
 
@@ -155,7 +160,7 @@ def replay(
                         frame_count=capture.frame_count,
                         frames_per_second=capture.frames_per_second,
                         truths=_truths(capture, positions),
-                        heading=f"{capture.path.name}: estimated light, model {session.model}",
+                        titles=_titles(capture, session.model),
                     )
                 else:
                     report = session.push(frame)
@@ -167,7 +172,12 @@ def replay(
                 pictures.add(between, mixed)
             waiting.clear()
             writer.write(frame, lights)
-            pictures.add(frame, [light.panorama for light in lights], [light.coverage for light in lights])
+            pictures.add(
+                frame,
+                [light.panorama for light in lights],
+                [light.coverage for light in lights],
+                [light.observed for light in lights],
+            )
             reports.append(report)
             done = frame.index // (read.every * stride) + 1
             if progress:
@@ -177,7 +187,7 @@ def replay(
         for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
             writer.hold(frame)
             pictures.add(frame, writer.held)
-        pictures.close()
+        pictures.close(session if isinstance(session, Session) else None)
     except BaseException as error:
         if pictures is not None:
             pictures.abandon(error)
@@ -278,6 +288,12 @@ class _Writer:
         path = folder / f"{index:06d}.exr"
         if not path.exists():
             write_exr(path, panorama, metadata=metadata)
+
+
+def _titles(capture: Capture, model: str) -> Titles:
+    """Return the summary's title and subtitle."""
+    frames = f"{capture.frame_count} frame" + ("" if capture.frame_count == 1 else "s")
+    return Titles(capture.path.name, f"Light estimated by RoomLight from {frames}, model {model}")
 
 
 def _capture_probes(capture: Capture) -> tuple[Position, ...]:

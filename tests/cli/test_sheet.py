@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -8,7 +9,16 @@ from roomlight.drawing import BACKGROUND, Canvas, fitted
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
 from roomlight.spheres import SphereRenderer
-from roomlight_cli.sheet import SheetColumn, compose_sheet, sheet_times, write_contact_sheet
+from roomlight_cli.sheet import (
+    InsertedObjects,
+    Sheet,
+    SheetProbe,
+    SheetTime,
+    compose_sheet,
+    mean_light,
+    sheet_times,
+    write_sheet,
+)
 
 VIEW = (0.0, 0.0, -1.0)
 
@@ -22,30 +32,74 @@ def has(image: np.ndarray, value: float) -> int:
     return int((image == linear_to_srgb8(np.array([value], np.float32))[0]).all(axis=-1).sum())
 
 
+def a_sheet(times: int, *, truth: np.ndarray | None = None, probes: int = 1, unseen: float = 0.0) -> Sheet:
+    """A sheet of grey frames and panoramas: 0.02 + 0.1 n and 0.07 + 0.1 n at time n."""
+    observed = np.full((30, 60), np.float32(1 - unseen))
+    return Sheet(
+        "a room",
+        "a subtitle",
+        [
+            SheetTime(
+                f"Frame {n}",
+                flat(60, 80, 0.02 + 0.1 * n),
+                (flat(30, 60, 0.07 + 0.1 * n),) * probes,
+                (observed,) * probes,
+            )
+            for n in range(times)
+        ],
+        [SheetProbe(f"Probe {n}", VIEW, truth, (0.1,) * times, (0.5,) * times) for n in range(probes)],
+        indices=list(range(times)),
+    )
+
+
 def test_the_sheet_shows_every_frame_and_panorama() -> None:
-    columns = [
-        SheetColumn(f"frame {n}", flat(60, 80, 0.02 + 0.1 * n), (flat(30, 60, 0.07 + 0.1 * n), flat(30, 60, 0.9)))
-        for n in range(4)
-    ]
-    columns.append(SheetColumn("truth", None, (flat(30, 60, 0.8), None)))
-    sheet = compose_sheet(columns, ["probe 0", "probe 1"], views=[VIEW, VIEW], heading="a room")
+    sheet = compose_sheet(a_sheet(4, truth=flat(30, 60, 0.8)))
     assert sheet.dtype == np.uint8
+    assert sheet.shape[1] > 2 * 960
     for n in range(4):
-        assert has(sheet, 0.02 + 0.1 * n) >= 240 * 180
+        assert has(sheet, 0.02 + 0.1 * n) >= 312 * 234
         # the panorama, and the mirror sphere: a constant panorama makes a constant mirror
-        assert has(sheet, 0.07 + 0.1 * n) > 240 * 120 + 0.7 * 114**2
-    assert has(sheet, 0.8) >= 240 * 120
-    assert has(sheet, 0.9) >= 4 * 240 * 120
+        assert has(sheet, 0.07 + 0.1 * n) > 150 * 75 + 0.7 * 72**2
+    assert has(sheet, 0.37) > 960 * 480
+    assert has(sheet, 0.8) > 960 * 480
     np.testing.assert_array_equal(sheet[0, 0], round(BACKGROUND * 255))
 
 
+def test_unseen_directions_are_tinted() -> None:
+    seen, unseen = (compose_sheet(a_sheet(1, unseen=share)) for share in (0.0, 1.0))
+    # without a truth, the panorama is shown once as it is and once tinted where nothing was seen
+    assert has(seen, 0.07) - has(unseen, 0.07) >= 960 * 480
+    assert has(unseen, 0.07) >= 960 * 480
+
+
+def test_many_probes_have_smaller_panoramas() -> None:
+    few, many = (compose_sheet(a_sheet(1, probes=count)) for count in (3, 4))
+    assert many.shape[1] < few.shape[1]
+    assert many.shape[0] < few.shape[0] * 4 / 3
+
+
+def test_inserted_objects_replace_the_last_frame() -> None:
+    image = np.full((48, 64, 3), 200, np.uint8)
+    plain = a_sheet(1)
+    sheet = compose_sheet(replace(plain, inserted=InsertedObjects(image, "with spheres", ((0.5, 0.5), None))))
+    shown = int((sheet == 200).all(axis=-1).sum())
+    assert 960 * 720 - 3 * 20**2 < shown < 960 * 720 - 400  # one badge covers a part of it
+
+
+def test_mean_light_weighs_directions_by_solid_angle() -> None:
+    panorama = flat(64, 128, 0.0)
+    panorama[:32] = 1.0
+    assert mean_light(panorama) == pytest.approx(0.5, abs=1e-6)
+    panorama[16:48] = 0.0
+    assert mean_light(panorama) == pytest.approx((1 - np.cos(np.pi / 4)) / 2, abs=1e-3)
+
+
 def test_exposure_brightens_and_clips_at_white() -> None:
-    columns = [SheetColumn("frame 1", flat(60, 80, 0.1), (flat(30, 60, 0.2),))]
-    sheet = compose_sheet(columns, ["p"], views=[VIEW], exposure_ev=1.0)
-    assert has(sheet, 0.2) >= 240 * 180
-    assert has(sheet, 0.4) >= 240 * 120
-    bright = compose_sheet(columns, ["p"], views=[VIEW], exposure_ev=10.0)
-    assert has(bright, 1.0) >= 240 * 300
+    sheet = compose_sheet(a_sheet(1), exposure_ev=1.0)
+    assert has(sheet, 0.04) >= 312 * 234
+    assert has(sheet, 0.14) >= 960 * 480
+    bright = compose_sheet(a_sheet(1), exposure_ev=10.0)
+    assert has(bright, 1.0) >= 960 * 480 + 960 * 720
 
 
 @pytest.mark.parametrize(
@@ -57,30 +111,24 @@ def test_times_are_spread_over_the_sequence(frames: int, columns: int, expected:
 
 
 def test_the_file_is_the_picture(tmp_path: Path) -> None:
-    columns = [SheetColumn("frame 1", flat(60, 80, 0.1), (flat(30, 60, 0.2),))]
     path = tmp_path / "out" / "summary.png"
-    write_contact_sheet(path, columns, probes=["p"], views=[VIEW], heading="x")
+    write_sheet(path, a_sheet(1))
     image, _ = read_colour(path)
-    expected = compose_sheet(columns, ["p"], views=[VIEW], heading="x")
-    np.testing.assert_array_equal(linear_to_srgb8(image), expected)
+    np.testing.assert_array_equal(linear_to_srgb8(image), compose_sheet(a_sheet(1)))
     assert [entry.name for entry in path.parent.iterdir()] == ["summary.png"]
 
 
 def test_a_place_that_cannot_be_written_is_an_output_error(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    columns = [SheetColumn("frame 1", None, ())]
     with pytest.raises(OutputError, match=r"summary\.png"):
-        write_contact_sheet(tmp_path / "file" / "summary.png", columns, probes=[], views=[])
+        write_sheet(tmp_path / "file" / "summary.png", a_sheet(1, probes=0))
 
 
-def test_mismatched_panoramas_and_views_are_refused() -> None:
-    column = SheetColumn("frame 1", None, (flat(30, 60, 0.2),))
-    with pytest.raises(ValueError, match="at least one column"):
-        compose_sheet([], [], views=[])
+def test_mismatched_panoramas_are_refused() -> None:
+    with pytest.raises(ValueError, match="at least one time"):
+        compose_sheet(a_sheet(0))
     with pytest.raises(ValueError, match="1 panoramas, not 2"):
-        compose_sheet([column], ["a", "b"], views=[VIEW, VIEW])
-    with pytest.raises(ValueError, match="as many views"):
-        compose_sheet([column], ["a"], views=[])
+        compose_sheet(replace(a_sheet(1), probes=a_sheet(1, probes=2).probes))
 
 
 def test_text_stays_within_its_width() -> None:

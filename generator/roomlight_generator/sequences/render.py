@@ -122,7 +122,19 @@ def solve_lighting(room_index: int, *, seed: int, split: Split, catalogue: Catal
 def plan_camera_path(
     lit_room: LitRoom, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES
 ) -> CameraPath:
-    """Draw a phone, its walk and the probes in its first frame's view.
+    """Draw a phone, its walk and the probes in its first frame's view: the brightest of `draw_camera_paths`.
+
+    Raises:
+        ValueError: if no walk with places for the probes is found.
+    """
+    found = draw_camera_paths(lit_room, rng, frames=frames, probes=probes)
+    return found[0] if len(found) == 1 else max(found, key=lambda path: _relative_brightness(lit_room, path))
+
+
+def draw_camera_paths(
+    lit_room: LitRoom, rng: np.random.Generator, *, frames: int = FRAMES, probes: int = PROBES
+) -> list[CameraPath]:
+    """Draw the camera paths that `plan_camera_path` compares: 1, 4 or 12 of them, or as many as are found.
 
     Raises:
         ValueError: if no walk with places for the probes is found.
@@ -138,7 +150,7 @@ def plan_camera_path(
             break
     if not found:
         raise ValueError(f"room {lit_room.room.name}: {tries} walks through it found no place for {probes} probes")
-    return found[0] if len(found) == 1 else max(found, key=lambda path: _relative_brightness(lit_room, path))
+    return found
 
 
 def draw_camera_path(

@@ -1,0 +1,81 @@
+"""Draw docs/images/composite.jpg, composite.webp and summary.webp: the sample room with virtual objects, and its light.
+
+    python docs/scripts/composite.py       a few minutes; `pip install 'roomlight[denoise]'` gives smoother pictures
+
+The objects are those of `roomlight demo`. Frames are enlarged twice before the objects are put in, so that the objects'
+edges are those of the printed picture.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import cv2
+import numpy as np
+from PIL import Image
+
+from roomlight.captures import open_capture
+from roomlight.compositing.recordings import composite_capture
+from roomlight.conventions import linear_to_srgb8
+from roomlight.frame import Frame
+from roomlight.sample import sample_capture
+from roomlight_cli.demo_scene import demo_scene
+from roomlight_cli.replay import replay
+from roomlight_cli.replay_options import ReplayOptions
+
+IMAGES = Path(__file__).parents[1] / "images"
+STILLS = (20, 26)
+SCALE = 2
+GAP = 8
+FILM_MS = 170
+FILM_SIZE = (480, 360)
+SUMMARY_COLUMNS = 1400
+
+
+def main() -> None:
+    """Write the three pictures."""
+    frames = [enlarged(frame) for frame in open_capture(sample_capture())]
+    stills: list[Image.Image] = []
+    for picture in composite_capture(frames, demo_scene(), quality="final", online=False):
+        if picture.frame.index in STILLS:
+            stills += [Image.fromarray(linear_to_srgb8(picture.frame.image)), Image.fromarray(picture.image)]
+    grid(stills).save(IMAGES / "composite.jpg", quality=88)
+    film = [
+        Image.fromarray(picture.image).resize(FILM_SIZE, Image.Resampling.LANCZOS)
+        for picture in composite_capture(frames, demo_scene(), quality="good", online=False)
+    ]
+    turning_back = film[-2:0:-1]
+    film[0].save(
+        IMAGES / "composite.webp", save_all=True, append_images=film[1:] + turning_back, duration=FILM_MS, quality=60
+    )
+    with TemporaryDirectory() as folder:
+        replay(sample_capture(), Path(folder) / "light", ReplayOptions(probes_from_capture=True))
+        summary = Image.open(Path(folder) / "light" / "summary.png")
+        rows = round(summary.height * SUMMARY_COLUMNS / summary.width)
+        summary.resize((SUMMARY_COLUMNS, rows), Image.Resampling.LANCZOS).save(IMAGES / "summary.webp", quality=82)
+
+
+def enlarged(frame: Frame) -> Frame:
+    """Return the frame with `SCALE` times as many columns and rows; depth stays as it is."""
+    height, width = frame.image.shape[:2]
+    size = (SCALE * width, SCALE * height)
+    return replace(
+        frame,
+        image=np.maximum(cv2.resize(frame.image, size, interpolation=cv2.INTER_CUBIC), 0),
+        clipped=cv2.resize(frame.clipped.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST).astype(bool),
+        intrinsics=frame.intrinsics.resized(*size),
+    )
+
+
+def grid(pictures: list[Image.Image]) -> Image.Image:
+    """Lay out pictures in rows of two."""
+    width, height = pictures[0].size
+    rows = len(pictures) // 2
+    out = Image.new("RGB", (2 * width + GAP, rows * (height + GAP) - GAP), "white")
+    for number, picture in enumerate(pictures):
+        out.paste(picture, (number % 2 * (width + GAP), number // 2 * (height + GAP)))
+    return out
+
+
+if __name__ == "__main__":
+    main()
