@@ -46,6 +46,7 @@ export class LiveSession {
         onClose: (error) => this.end(error),
       });
       this.stream.subscribe(FORMS);
+      void this.guarded(() => this.addFirstProbe());
     } catch (error) {
       this.end(error);
     }
@@ -162,8 +163,8 @@ export class LiveSession {
     }
     await this.addHistory(history);
     if (hasFrame) {
-      this.addFirstProbe();
       this.refreshMesh();
+      await this.addFirstProbe();
     }
   }
 
@@ -181,11 +182,13 @@ export class LiveSession {
   }
 
   /** A session without probes gets one in front of its camera, so that there is light to look at. */
-  private addFirstProbe(): void {
-    const { camera, liveProbes } = this.state;
-    const pose = camera.value?.camera_to_world;
-    const summary = this.state.sessions.value?.find(({ id }) => id === this.id);
-    if (pose && summary && summary.probes.length === 0 && liveProbes.value.size === 0 && !this.pendingMove) {
+  private async addFirstProbe(): Promise<void> {
+    const pose = this.state.camera.value?.camera_to_world;
+    if (!this.stream || !this.session || !pose || this.state.liveProbes.value.size > 0 || this.pendingMove) {
+      return;
+    }
+    const { probes } = await this.session.state();
+    if (Object.keys(probes).length === 0 && !this.pendingMove) {
       const ahead = [0, 1, 2].map((axis) => pose[12 + axis]! - 1.2 * pose[8 + axis]!);
       this.track(FIRST_PROBE, ahead as unknown as Position);
     }
