@@ -74,7 +74,7 @@ class Player:
         finally:
             if process.returncode is None:
                 process.kill()
-            await asyncio.shield(process.wait())
+            await asyncio.shield(process.communicate())  # reads to the end: a pipe that is not read stays open
 
     async def _play(self, process: Process) -> None:
         described, _ = await self._record(process)
