@@ -17,7 +17,7 @@ from fastapi import APIRouter, Request, Response
 from roomlight_server.light_routes import etag_matches
 from roomlight_server.problems import ProblemError, documented
 
-router = APIRouter(tags=["page"], include_in_schema=True)
+router = APIRouter(tags=["page"])
 PAGES: Final = {"/": "index.html", "/phone": "phone.html"}
 """The file of each page's path."""
 ASSETS: Final = "/assets"
@@ -125,7 +125,12 @@ async def phone_page(request: Request) -> Response:
     return _answer(request, "/phone", "no-cache")
 
 
-@router.get(ASSETS + "/{name}", include_in_schema=False)
+@router.get(
+    ASSETS + "/{name}",
+    summary="A file of the pages",
+    response_class=Response,
+    responses={304: {"description": "Unchanged: `If-None-Match` names its ETag"}, **documented("not-found")},
+)
 async def asset(request: Request, name: str) -> Response:
     """Return a file of the pages; its name changes with its content."""
     return _answer(request, f"{ASSETS}/{name}", "public, max-age=31536000, immutable")

@@ -157,7 +157,8 @@ def _methods_at(request: Request) -> set[str]:
     """Return the methods of all routes at the path of the request."""
     methods: set[str] = set()
     for path, operations in request.app.openapi()["paths"].items():
-        pattern = "[^/]+".join(re.escape(part) for part in re.split(r"\{[^}]+\}", path))
+        whole = re.escape(path).replace(r"\{path\}", ".+")  # the path of a file has slashes
+        pattern = re.sub(r"\\\{[^}]+\\\}", "[^/]+", whole)
         if re.fullmatch(pattern, request.url.path):
             methods |= {method.upper() for method in operations}
     return methods
