@@ -219,7 +219,7 @@ class _Page:
         self._draw_legend(top + max(rows * (LABEL_ROWS + height + _GAP), self._top_rows - self._legend_rows()))
 
     def _legend_rows(self) -> int:
-        return 16 + 26 * len(self._legend())
+        return 16 + 28 * len(self._legend())
 
     def _legend(self) -> list[tuple[str, str]]:
         """Return kinds of swatches with their meaning; only of what the page shows."""
@@ -245,8 +245,8 @@ class _Page:
                 self._canvas.box((self._right, row + 2), (26, 14), 0.5)
                 if kind == "tint":
                     self._canvas.box((self._right, row + 2), (26, 14), _TINT, opacity=_TINT_SHARE)
-            self._canvas.text((self._right + 40, row), text, width=self._wide - 40)
-            row += 26
+            self._canvas.text((self._right + 40, row - 1), text, size=16, width=self._wide - 40)
+            row += 28
 
     def _badge(self, centre: tuple[float, float], number: int) -> None:
         """Draw a probe's number in its colour."""
@@ -320,7 +320,7 @@ class _Page:
         light = [Series(probe.light, colour)]
         if probe.truth is not None:
             light.insert(0, Series((mean_light(probe.truth),), _TRUTH, dashed=True))
-        draw_plot(self._canvas, at, size, Plot("Mean light", self._sheet.indices, light))
+        draw_plot(self._canvas, at, size, Plot("Mean light, 1 is white", self._sheet.indices, light))
         seen = Plot("Sphere seen", self._sheet.indices, [Series(probe.coverage, colour, filled=True)], 1.0, True)
         draw_plot(self._canvas, (at[0] + size[0] + 24, at[1]), size, seen)
 

@@ -15,8 +15,9 @@ import numpy as np
 from PIL import Image
 
 from roomlight.captures import open_capture
-from roomlight.compositing.recordings import composite_capture
+from roomlight.compositing.compositor import Compositor
 from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import Session
 from roomlight.frame import Frame
 from roomlight.sample import sample_capture
 from roomlight_cli.demo_scene import demo_scene
@@ -35,15 +36,17 @@ SUMMARY_COLUMNS = 1400
 def main() -> None:
     """Write the three pictures."""
     frames = [enlarged(frame) for frame in open_capture(sample_capture())]
+    session = Session()
+    for frame in frames:
+        session.push(frame)
+    final = Compositor(session, demo_scene(), quality="final")
     stills: list[Image.Image] = []
-    for picture in composite_capture(frames, demo_scene(), quality="final", online=False):
-        if picture.frame.index in STILLS:
-            stills += [Image.fromarray(linear_to_srgb8(picture.frame.image)), Image.fromarray(picture.image)]
+    for frame in (frames[number] for number in STILLS):
+        stills += [Image.fromarray(linear_to_srgb8(frame.image)), Image.fromarray(final.composite(frame).image)]
     grid(stills).save(IMAGES / "composite.jpg", quality=88)
-    film = [
-        Image.fromarray(picture.image).resize(FILM_SIZE, Image.Resampling.LANCZOS)
-        for picture in composite_capture(frames, demo_scene(), quality="good", online=False)
-    ]
+    good = Compositor(session, demo_scene(), quality="good")
+    film = [Image.fromarray(good.composite(frame).image) for frame in frames]
+    film = [picture.resize(FILM_SIZE, Image.Resampling.LANCZOS) for picture in film]
     turning_back = film[-2:0:-1]
     film[0].save(
         IMAGES / "composite.webp", save_all=True, append_images=film[1:] + turning_back, duration=FILM_MS, quality=60
