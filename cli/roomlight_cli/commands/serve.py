@@ -99,8 +99,9 @@ def serve(
     max_colour_pixels, max_depth_pixels, decode_threads, decode_timeout_s, max_connections,
     max_connections_per_address, max_header_bytes, header_timeout_s, send_timeout_s, max_pending_bytes,
     wrong_token_delay_s, max_object_file_bytes, max_owner_object_bytes, max_object_bytes, object_expiry_s,
-    object_timeout_s, composite_threads, public_url, on_lan, history_bytes, max_recording_bytes, max_owner_recording_bytes,
-    max_all_recording_bytes, recording_expiry_s and recordings_folder.
+    object_timeout_s, composite_threads, encode_threads, max_owner_sessions, max_owner_session_bytes, max_owner_probes,
+    max_owner_rows, max_owner_late_probes, max_owner_pending_bytes, drain_s, public_url, on_lan, history_bytes,
+    max_recording_bytes, max_owner_recording_bytes, max_all_recording_bytes, recording_expiry_s and recordings_folder.
     """
     options: dict[str, Any] = {
         "host": host,
