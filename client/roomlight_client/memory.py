@@ -91,9 +91,9 @@ class FrameBuffer:
             frame.state = "done"
         else:
             self.remove(result.index)
-        durable: int | None = getattr(result, "durable_index", None)  # absent on servers without a state directory
+        durable = -1 if result.durable_index is None else result.durable_index
         for one in self:
-            if durable is not None and one.state == "done" and one.index <= durable:
+            if one.state == "done" and one.index <= durable:
                 self._forget(one)
 
     def lacks(self, last_index: int | None) -> bool:

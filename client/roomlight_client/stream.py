@@ -310,6 +310,9 @@ class AsyncStream:
                 socket, resumed = await self._reconnect(error)
         except RemoteError as error:
             self._finish(error)
+        except Exception as error:  # no call may wait for an answer that cannot come
+            _log.exception("a stream failed")
+            self._finish(BadReplyError(f"the stream failed: {error!r}"))
 
     async def _reconnect(self, error: RemoteError) -> tuple[ClientConnection, Resumed]:
         options = self._link.options

@@ -9,6 +9,8 @@ from either_client import client_of
 from server_process import ServerProcess
 
 import roomlight_client as sdk
+from http_servers import InThread
+from roomlight.engine.session import Session, SessionOptions
 from roomlight_client import AsyncClient, Client, Retry, StreamStatus
 from rooms import BoxRoom, pan
 
@@ -145,3 +147,48 @@ def test_a_status_says_what_is_wrong(server):
             with pytest.raises(sdk.UnreachableError):
                 stream.push(FRAMES[0])
     server.start()
+
+
+# --- a server with a state directory ----------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def uninterrupted():
+    """The light of the engine in this process after all frames."""
+    session = Session(SessionOptions(model="classical", height=16))
+    handle = session.track(POINT)
+    for frame in FRAMES:
+        session.push(frame)
+    return session.light(handle).panorama
+
+
+@pytest.mark.parametrize("way", ["stream", "pushes"])
+def test_light_after_a_kill_is_that_without_one(tmp_path, uninterrupted, way):
+    statuses = Waiting()
+    with ServerProcess(state_dir=tmp_path / "state") as server, Client(server.url, reconnect=PATIENT) as client:
+        session = client.open(**SMALL, reference_exposure=1.0)
+        session.track("table", POINT)
+        if way == "stream":
+            with session.stream(on_status=statuses) as stream:
+                for number, frame in enumerate(FRAMES):
+                    assert stream.push(frame).index == frame.index
+                    if number in (0, 2):
+                        opened = count_open(statuses)
+                        server.restart()
+                        statuses.until(lambda _, before=opened: count_open(statuses) > before)
+        else:
+            for number, frame in enumerate(FRAMES):
+                if number in (1, 3):
+                    server.kill()
+                    starting = InThread(server.start)
+                session.push(frame)
+                if number in (1, 3):
+                    starting.result()
+        assert (session.light_at("table").panorama == uninterrupted).all()
+        assert not any(status.reopened or status.incomplete for status in statuses.values)
+        assert session.state().frames.processed == len(FRAMES)
+        session.close()
+
+
+def count_open(statuses: Waiting) -> int:
+    return sum(status.state == "open" for status in statuses.values)

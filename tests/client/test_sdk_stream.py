@@ -342,9 +342,7 @@ def test_closing_a_stream_ends_its_calls():
 
 
 def settled(index: int, durable: int | None = None) -> FrameResult:
-    result = FrameResult(index=index, status="processed")
-    object.__setattr__(result, "__dict__", result.__dict__ | {"durable_index": durable})
-    return result
+    return FrameResult(index=index, status="processed", durable_index=durable)
 
 
 def test_frames_in_the_light_make_room_first():

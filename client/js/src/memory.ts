@@ -56,7 +56,7 @@ export class FrameBuffer {
   }
 
   /** Record the result of a frame. Only frames in the light are kept, until the server has written them down. */
-  settle(result: Pick<FrameResult, "index" | "status"> & { durable_index?: number | null }): void {
+  settle(result: Pick<FrameResult, "index" | "status" | "durable_index">): void {
     const frame = this.find(result.index);
     if (frame && (result.status === "processed" || result.status === "queued")) {
       frame.state = "done";
