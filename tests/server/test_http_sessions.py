@@ -75,7 +75,7 @@ def test_the_state_has_memory_and_its_upper_bound(server):
     assert state["volume"]["shape"] == [64, 60, 84]
     assert state["frames"] == {
         "accepted": 1, "processed": 1, "superseded": 0, "skipped": 0, "queued": 0, "gaps": 0, "replayed": 0,
-        "refused": 0, "last_index": 0,
+        "refused": 0, "last_index": 0, "durable_index": None,
     }  # fmt: skip
 
 
