@@ -81,7 +81,7 @@ class PageServer:
         commands = ("push", "stop", "start", "restart", "expire", "state")
 
         class Handler(BaseHTTPRequestHandler):
-            def do_POST(self):  # noqa: N802  (the name that http.server calls)
+            def do_POST(self):
                 address = urlsplit(self.path)
                 name = address.path.strip("/")
                 assert name in commands, name
