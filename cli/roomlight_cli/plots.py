@@ -63,19 +63,19 @@ def draw_plot(canvas: Canvas, at: tuple[int, int], size: tuple[int, int], plot: 
             raise ValueError(f"a series of {len(series.values)} values does not fit {len(plot.times)} times")
     (left, top), (width, height) = at, size
     canvas.text(at, plot.title, grey=HEADING, width=width, weight="semibold")
-    x0, x1 = left + _TICK_COLUMNS, left + width - 4
-    y1, y0 = top + _TITLE_ROWS + 8, top + height - _TICK_ROWS
+    x0, x1 = float(left + _TICK_COLUMNS), float(left + width - 4)
+    y1, y0 = float(top + _TITLE_ROWS + 8), float(top + height - _TICK_ROWS)
     highest = plot.top or round_up(max((max(series.values) for series in plot.series), default=1.0))
     for share in (0.0, 0.5, 1.0):
         y = y0 + share * (y1 - y0)
         canvas.line([(x0, y), (x1, y)], _GRID)
         tick = _tick(share * highest, percent=plot.percent)
-        tick_left = x0 - 8 - text_width(tick, size=_TICK_SIZE)
+        tick_left = round(x0) - 8 - text_width(tick, size=_TICK_SIZE)
         canvas.text((tick_left, round(y) - 8), tick, size=_TICK_SIZE)
     first, last = f"frame {plot.times[0]}", str(plot.times[-1])
-    canvas.text((x0, y0 + 6), first, size=_TICK_SIZE)
+    canvas.text((round(x0), round(y0) + 6), first, size=_TICK_SIZE)
     if len(plot.times) > 1:
-        canvas.text((x1 - text_width(last, size=_TICK_SIZE), y0 + 6), last, size=_TICK_SIZE)
+        canvas.text((round(x1) - text_width(last, size=_TICK_SIZE), round(y0) + 6), last, size=_TICK_SIZE)
     span = max(plot.times[-1] - plot.times[0], 1)
     for series in plot.series:
         values = list(series.values) if len(series.values) > 1 else [*series.values] * len(plot.times)

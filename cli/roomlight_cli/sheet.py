@@ -236,11 +236,9 @@ class _Page:
         row = top + 16
         for kind, text in self._legend():
             if kind == "dash":
-                middle = row + 9
-                for start in (0, 15):
-                    self._canvas.line(
-                        [(self._right + start, middle), (self._right + start + 11, middle)], _TRUTH, width=2
-                    )
+                middle = row + 9.0
+                for start in (self._right, self._right + 15.0):
+                    self._canvas.line([(float(start), middle), (start + 11.0, middle)], _TRUTH, width=2)
             else:
                 self._canvas.box((self._right, row + 2), (26, 14), 0.5)
                 if kind == "tint":
@@ -262,7 +260,7 @@ class _Page:
         canvas, whole = self._canvas, self._right + self._wide - self._left
         canvas.box((self._left, top + _SECTION_GAP // 2), (whole, 1), _RULE)
         row = top + _SECTION_GAP
-        self._badge((self._left + _BADGE, row + 13), number)
+        self._badge((float(self._left + _BADGE), row + 13.0), number)
         canvas.text(
             (self._left + 2 * _BADGE + 14, row), probe.label, size=_SECTION_SIZE, grey=HEADING, weight="semibold"
         )
