@@ -171,11 +171,12 @@ def create_app(
                 "If-None-Match",
                 "Prefer",
                 "X-Session-Id",
+                recording_routes.OFFSET_HEADER,
                 REQUEST_ID_HEADER,
             ],
             expose_headers=[
                 *("ETag", "Retry-After", REQUEST_ID_HEADER, light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER),
-                composite_routes.POSES_HEADER,
+                *(composite_routes.POSES_HEADER, recording_routes.OFFSET_HEADER, room_routes.KEYFRAMES_HEADER),
             ],
         )
     app.add_middleware(RequestIdMiddleware)  # the outermost: answers of all others carry the id

@@ -371,3 +371,15 @@ def test_a_reader_that_hangs_is_killed(server, monkeypatch):
 def test_a_wrong_method_names_those_of_the_files(server):
     answer = server.call("DELETE", f"{announce(server, 1)}/files/a/b")
     assert (answer.status, answer.kind, answer.headers["allow"]) == (405, "method-not-allowed", "PUT")
+
+
+def test_pages_of_allowed_origins_can_upload(tmp_path):
+    asked = {
+        "Origin": "https://room.example",
+        "Access-Control-Request-Method": "PUT",
+        "Access-Control-Request-Headers": "upload-offset",
+    }
+    with RunningServer(recordings_folder=tmp_path, allow_origins=("https://room.example",)) as server:
+        assert server.call("OPTIONS", f"{URL}/r-0/files/a", headers=asked).status == 200
+        answer = server.call("GET", URL, headers={"Origin": "https://room.example"})
+        assert "Upload-Offset" in answer.headers["access-control-expose-headers"]
