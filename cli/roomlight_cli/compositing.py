@@ -64,12 +64,13 @@ class Output:
 
 
 def one_object(
-    source: str, pixel: str | None, *, size_m: float | None, material: str | None, yaw_degrees: float
+    source: str, pixel: str | None, *, size_m: float | None, material: str | None, yaw_degrees: float, up: str = "y"
 ) -> Scene:
     """Return the scene of --object. Raises typer.BadParameter without a pixel, SceneError and ObjectError."""
     if pixel is None:
         raise typer.BadParameter("--object needs --pixel U,V: the pixel of the first frame that shows where it stands")
-    return scene_of_object(source, parse_pixel(pixel), size_m=size_m, material=material, yaw_degrees=yaw_degrees)
+    place = parse_pixel(pixel)
+    return scene_of_object(source, place, size_m=size_m, material=material, yaw_degrees=yaw_degrees, up=up)
 
 
 def film_rate(fps: float | None) -> Callable[[Capture], float]:

@@ -54,6 +54,9 @@ def composite(
     yaw: Annotated[
         float, typer.Option(rich_help_panel=_OBJECT_PANEL, help="Turn about the surface, in degrees.")
     ] = 0.0,
+    up: Annotated[
+        Literal["y", "z"], typer.Option(rich_help_panel=_OBJECT_PANEL, help="Axis of the file that points up.")
+    ] = "y",
     quality: Annotated[
         Literal["preview", "good", "final"], typer.Option(help="preview for speed, final for noise-free pictures.")
     ] = "good",
@@ -106,7 +109,7 @@ def composite(
     if scene is not None:
         objects = load_scene(scene)
     else:
-        objects = one_object(object_file or "", pixel, size_m=size, material=material, yaw_degrees=yaw)
+        objects = one_object(object_file or "", pixel, size_m=size, material=material, yaw_degrees=yaw, up=up)
     options = arguments.session_options(
         model=model,
         weights=weights,

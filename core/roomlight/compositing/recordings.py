@@ -17,7 +17,7 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, SceneError
 from roomlight.frame import Frame
 
-SHAPE_SIZE_M: Final = {"sphere": 0.2, "cube": 0.2, "plane": 0.5, "vase": 0.3, "chair": 0.85}
+SHAPE_SIZE_M: Final = {"sphere": 0.2, "cube": 0.2, "plane": 0.5, "vase": 0.3, "chair": 0.85, "teapot": 0.3}
 """The shapes, and the longest side of each where no size is given."""
 
 
@@ -28,6 +28,7 @@ def scene_of_object(
     size_m: float | None = None,
     material: str | None = None,
     yaw_degrees: float = 0.0,
+    up: str = "y",
 ) -> Scene:
     """Return a scene of one object that stands on the surface behind a pixel of the first frame.
 
@@ -37,6 +38,7 @@ def scene_of_object(
         size_m: Longest side; None: `SHAPE_SIZE_M` for a shape, the file's own metres for a file.
         material: diffuse, glossy, metal, mirror or glass; None: the file's own.
         yaw_degrees: About the surface's normal.
+        up: The file's axis that points up, y or z.
 
     Raises:
         SceneError: A value is refused; the message names its field.
@@ -45,7 +47,7 @@ def scene_of_object(
     from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
 
     shape = str(source) if str(source) in SHAPE_SIZE_M else None
-    spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees}
+    spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}
     spec |= {"file": str(source)} if shape is None else {"shape": shape}
     size_m = SHAPE_SIZE_M[shape] if size_m is None and shape is not None else size_m
     spec |= {} if size_m is None else {"size_m": size_m}

@@ -25,8 +25,11 @@ from roomlight.compositing import materials, primitives
 from roomlight.compositing.materials import Material
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.placing import Anchor, Box
+from roomlight.compositing.teapot import teapot
 from roomlight.errors import ObjectError, SceneError
 
+Z_UP: Final = np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
+"""Turns an object whose z axis points up: z becomes y, x stays."""
 MAX_OBJECTS: Final = 64
 MAX_KEYS: Final = 10_000
 MAX_SIZE_M: Final = 100.0
@@ -140,7 +143,8 @@ class ObjectSpec(_Model):
 
     name:         unique in the scene.
     file:         glTF, GLB, OBJ or PLY, relative to the scene's file.
-    shape:        sphere, cube, plane, vase or chair, instead of a file.
+    shape:        sphere, cube, plane, vase, chair or teapot, instead of a file.
+    up:           axis of the file that points up; z is turned to y, x stays.
     size_m:       longest side of the bounding box; required for shapes, else the file's own metres.
     material:     replaces the file's materials.
     position:     world metres of the anchor; or
@@ -152,7 +156,8 @@ class ObjectSpec(_Model):
 
     name: Annotated[str, Field(min_length=1, max_length=100)]
     file: str | None = None
-    shape: Literal["sphere", "cube", "plane", "vase", "chair"] | None = None
+    shape: Literal["sphere", "cube", "plane", "vase", "chair", "teapot"] | None = None
+    up: Literal["y", "z"] = "y"
     size_m: Annotated[float, Field(gt=0, le=MAX_SIZE_M)] | None = None
     material: MaterialSpec | None = None
     position: Vector | None = None
@@ -169,6 +174,8 @@ class ObjectSpec(_Model):
     def _one_of_each(self) -> "ObjectSpec":
         if (self.file is None) == (self.shape is None):
             raise ValueError("give either file or shape")
+        if self.shape is not None and self.up != "y":
+            raise ValueError("up belongs to a file; shapes have y up")
         if self.shape is not None and self.size_m is None:
             raise ValueError("size_m is required for a shape")
         if sum(value is not None for value in (self.position, self.pose, self.pixel)) != 1:
@@ -311,6 +318,8 @@ def slerp(first: Float[np.ndarray, "4"], second: Float[np.ndarray, "4"], share: 
 def _built(spec: ObjectSpec, number: int, load: LoadObject) -> SceneObject:
     try:
         geometry = load(spec.file) if spec.file is not None else _shape(spec.shape or "")
+        if spec.up == "z":
+            geometry = geometry.transformed(Z_UP)
         if spec.material is not None:
             geometry = geometry.with_material(spec.material.build())
         if spec.size_m is not None:
@@ -325,7 +334,8 @@ def _shape(name: str) -> VirtualObject:
         return primitives.sphere(0.5)
     if name == "plane":
         return primitives.plane(1.0, 1.0)
-    return {"cube": primitives.cube, "vase": primitives.vase, "chair": primitives.chair}[name](1.0)
+    made = {"cube": primitives.cube, "vase": primitives.vase, "chair": primitives.chair, "teapot": teapot}
+    return made[name](1.0)
 
 
 def _place(spec: ObjectSpec) -> AtPosition | AtPose | AtPixel:

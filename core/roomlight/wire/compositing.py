@@ -15,7 +15,7 @@ MAX_COMPOSITE_OBJECTS: Final = 16
 
 ObjectId = Annotated[str, StringConstraints(pattern=OBJECT_ID_PATTERN)]
 ObjectFormat = Literal["glb", "gltf", "obj", "ply"]
-Shape = Literal["sphere", "cube", "plane", "vase", "chair"]
+Shape = Literal["sphere", "cube", "plane", "vase", "chair", "teapot"]
 MaterialKind = Literal["diffuse", "glossy", "metal", "mirror", "glass"]
 CompositeQuality = Literal["preview", "good", "final"]
 CompositeFormat = Literal["png", "jpeg", "exr", "layers"]
@@ -66,6 +66,7 @@ class CompositeObject(WireModel):
     Attributes:
         object: id of an uploaded object.
         shape: instead of an uploaded object; with size_m.
+        up: axis of an uploaded object that points up; z is turned to y.
         name: of the object in the answer; default object-0, object-1, ...
         size_m: longest side; default: the file's own metres.
         material: default: the file's own.
@@ -78,6 +79,7 @@ class CompositeObject(WireModel):
 
     object: ObjectId | None = None
     shape: Shape | None = None
+    up: Literal["y", "z"] = "y"
     name: Id | None = None
     size_m: Annotated[float, Field(gt=0, le=100)] | None = None
     material: CompositeMaterial | None = None

@@ -8,6 +8,7 @@ import pytest
 from roomlight.compositing.materials import mirror
 from roomlight.compositing.objects import TriangleMesh, VirtualObject
 from roomlight.compositing.primitives import chair, cube, plane, sphere, vase
+from roomlight.compositing.teapot import teapot
 from roomlight.errors import ObjectError
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])
@@ -19,7 +20,7 @@ def _volume(one: VirtualObject) -> float:
     return float(np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2])).sum() / 6)
 
 
-@pytest.mark.parametrize("one", [sphere(0.5), cube(1.0), vase(), chair(), plane(1.0, 2.0)])
+@pytest.mark.parametrize("one", [sphere(0.5), cube(1.0), vase(), chair(), teapot(), plane(1.0, 2.0)])
 def test_faces_and_normals_point_outward_together(one: VirtualObject) -> None:
     for mesh, _ in one.parts:
         a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
@@ -35,13 +36,40 @@ def test_closed_shapes_have_their_volume() -> None:
     assert 0 < _volume(vase(1.0)) < np.pi * 0.3**2
 
 
+def test_the_teapot_has_the_proportions_of_its_control_points() -> None:
+    pot = teapot(3.15, parts=16)
+    low, high = pot.bounds()
+    np.testing.assert_allclose(low, [-3.0, 0, -2.0], atol=0.02)
+    np.testing.assert_allclose(high, [3.434, 3.15, 2.0], atol=0.02)
+    ((mesh, _),) = pot.parts
+    beside = np.abs(mesh.vertices[:, 2]) < 1e-6
+    body = mesh.vertices[beside & (np.abs(mesh.vertices[:, 1] - 0.9) < 1e-5)]
+    assert body[:, 0].max() == pytest.approx(2.0, abs=1e-5)
+    spout_and_handle = (np.abs(mesh.vertices[:, 0]) > 2.3) & (np.abs(mesh.vertices[:, 2]) > 0.1)
+    spout_and_handle &= mesh.vertices[:, 1] < 2.0  # above is the inside of the spout's lip
+    assert (mesh.normals[:, 2] * mesh.vertices[:, 2])[spout_and_handle].min() > 0
+    radial = np.hypot(mesh.vertices[:, 0], mesh.vertices[:, 2])
+    outside = (radial > 1.9) & (np.abs(mesh.vertices[:, 0]) < 1.0)
+    assert (np.einsum("ni,ni->n", mesh.normals, mesh.vertices * [1, 0, 1])[outside] > 0).all()
+
+
+def test_the_teapot_has_thousands_of_triangles() -> None:
+    assert 2000 <= teapot().triangles <= 5000
+
+
+@pytest.mark.parametrize("parts", [1, 65])
+def test_a_teapot_of_too_few_or_many_parts_is_refused(parts: int) -> None:
+    with pytest.raises(ObjectError, match="parts must be 2 to 64"):
+        teapot(parts=parts)
+
+
 def test_sphere_vertices_lie_on_it() -> None:
     ((mesh, _),) = sphere(2.0).parts
     np.testing.assert_allclose(np.linalg.norm(mesh.vertices, axis=1), 2, rtol=1e-6)
     np.testing.assert_allclose(mesh.normals * 2, mesh.vertices, atol=1e-5)
 
 
-@pytest.mark.parametrize("one", [vase(0.4), chair(0.9)])
+@pytest.mark.parametrize("one", [vase(0.4), chair(0.9), teapot(0.9)])
 def test_furnishings_stand_on_the_ground(one: VirtualObject) -> None:
     low, high = one.bounds()
     assert low[1] == pytest.approx(0, abs=1e-6)
@@ -49,7 +77,7 @@ def test_furnishings_stand_on_the_ground(one: VirtualObject) -> None:
 
 
 @pytest.mark.parametrize(
-    "make", [sphere, cube, vase, chair, lambda size: plane(size, 1.0), lambda size: plane(1.0, size)]
+    "make", [sphere, cube, vase, chair, teapot, lambda size: plane(size, 1.0), lambda size: plane(1.0, size)]
 )
 @pytest.mark.parametrize("size", [0.0, -1.0, float("nan"), float("inf")])
 def test_shapes_without_a_size_are_refused(make: Callable[[float], VirtualObject], size: float) -> None:

@@ -31,6 +31,16 @@ def test_a_scene_has_objects_of_their_size_and_place():
     assert scene.objects[2].geometry.parts[0][1].roughness == 0.3
 
 
+def test_an_object_with_z_up_is_turned_upright():
+    tall = cube(1.0).transformed(np.diag([1.0, 2.0, 6.0, 1.0]))
+    document = {"objects": [{"name": "post", "file": "post.obj", "up": "z", "position": [0, 0, 0]}]}
+    (held,) = parse_scene(document, load=lambda _: tall).objects
+    assert np.ptp(held.geometry.bounds(), axis=0) == pytest.approx([1.0, 6.0, 2.0])
+    ((mesh, _),) = held.geometry.parts
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]] for corner in range(3))
+    assert (np.einsum("fi,fi->f", np.cross(b - a, c - a), a) > 0).all()  # not a mirror image
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -38,7 +48,9 @@ def test_a_scene_has_objects_of_their_size_and_place():
         ({"size_m": float("nan")}, r"objects\[0\]\.size_m"),
         ({"size_m": None}, r"objects\[0\]: size_m is required"),
         ({"name": ""}, r"objects\[0\]\.name"),
-        ({"shape": "teapot"}, r"objects\[0\]\.shape: .*'sphere'.*got .*teapot"),
+        ({"up": "x"}, r"objects\[0\]\.up"),
+        ({"up": "z"}, "up belongs to a file"),
+        ({"shape": "monkey"}, r"objects\[0\]\.shape: .*'sphere'.*got .*monkey"),
         ({"file": "a.glb"}, r"objects\[0\]: give either file or shape"),
         ({"position": [0, 1]}, r"objects\[0\]\.position\[2\]"),
         ({"position": [0, 1, 2e5]}, r"objects\[0\]\.position\[2\]: .*10000; got 200000"),
