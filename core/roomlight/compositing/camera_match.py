@@ -14,6 +14,9 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
+from roomlight.compositing.kernels.encode import add_pattern
+from roomlight.threads import parallel_for
+
 LEVELS: Final = 8
 """Bins of brightness that noise is measured in, evenly from 0 to 1."""
 MAX_BLUR_PX: Final = 2.5
@@ -148,19 +151,13 @@ def add_noise(
     """
     if not camera.noise.any():
         return encoded.astype(np.float32)
-    height, width = alpha.shape
     shift = np.random.default_rng([frame_index & 0xFFFFFFFF, 5]).integers(0, _TILE, 2)
-    rows = (np.arange(height) + at[0] + shift[0]) % _TILE
-    columns = (np.arange(width) + at[1] + shift[1]) % _TILE
-    pattern = _pattern(_nearest_grain(camera.grain_px))[np.ix_(rows, columns)]
-    place = np.clip(encoded * LEVELS - 0.5, 0, LEVELS - 1.001).astype(np.float32)
-    low = place.astype(np.int32)
-    share = place - low
-    channel = np.arange(3)
-    sigma = (1 - share) * camera.noise[low, channel] + share * camera.noise[low + 1, channel]
-    # the real part of a mixed pixel has its own noise: variances add up to the camera's
-    strength = np.sqrt(np.clip(1 - (1 - alpha) ** 2, 0, 1))[..., None]
-    return np.clip(encoded + strength * sigma * pattern, 0, 1).astype(np.float32)
+    corner = (at[0] + int(shift[0])) % _TILE, (at[1] + int(shift[1])) % _TILE
+    out = np.ascontiguousarray(encoded, np.float32).copy()
+    pattern, sigma = _pattern(_nearest_grain(camera.grain_px)), camera.noise.astype(np.float32)
+    arguments = (out, np.ascontiguousarray(alpha, np.float32), sigma, pattern, corner)
+    parallel_for(lambda start, stop: add_pattern(*arguments, start, stop), len(out))
+    return out
 
 
 @lru_cache(maxsize=8)

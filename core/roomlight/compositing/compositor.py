@@ -20,7 +20,7 @@ from roomlight.camera import transform_points
 from roomlight.compositing import shadows
 from roomlight.compositing.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
-from roomlight.compositing.layers import BehindGlass, Composite, encode_srgb8, unchanged
+from roomlight.compositing.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
 from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
 from roomlight.compositing.placing import Placement, Plane
 from roomlight.compositing.probes import LightAt, SceneProbes
@@ -43,6 +43,13 @@ CAMERA_EVERY: Final = 30
 LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "final": 0.0}
 """Light is moved toward the session's at most this often; each move costs 12 ms a probe."""
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
+SHADOW_COLUMNS: Final = 640
+"""Shadows of wider frames are computed as for frames of about this width, and interpolated."""
+
+
+def shadow_step(quality: Quality, width: int) -> int:
+    """Return every how many pixels of a frame of this width the shadow is computed."""
+    return shadows.QUALITIES[quality].step * max(1, round(width / SHADOW_COLUMNS))
 
 
 class Compositor:
@@ -246,7 +253,7 @@ class Compositor:
     ) -> Float32[np.ndarray, "ch cw 3"]:
         assert self._objects is not None
         quality = shadows.QUALITIES[self.quality]
-        step = quality.step
+        step = shadow_step(self.quality, frame.intrinsics.width)
         camera = CropCamera.of(frame.intrinsics, crop)
         coarse = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step])
         coarse_camera, pose = camera.every(step), frame.camera_to_world
@@ -261,6 +268,7 @@ class Compositor:
                 np.array(members, np.int32),
                 self._probes.at((centre[0], centre[1], centre[2])),
                 next((supports[member] for member in members if supports[member] is not None), None),
+                None if self.quality == "preview" else self.geometry,
             )
             ratio *= shadows.coarse_ratio(caster, grid, quality)
         if self._before is not None:
@@ -300,14 +308,15 @@ class Compositor:
         clock: StageClock,
     ) -> Composite:
         (crop, ratio), (inner, pixels) = shadow, layer
-        whole = np.zeros((*crop.shape, 4), np.float32)
-        whole[inner.top - crop.top : inner.bottom - crop.top, inner.left - crop.left : inner.right - crop.left] = pixels
-        objects, alpha = np.ascontiguousarray(whole[..., :3]), np.ascontiguousarray(whole[..., 3])
-        linear = frame.image[crop.slices] * ratio * (1 - alpha[..., None]) + objects
-        encoded = encode_srgb8(linear)
+        objects, alpha = np.zeros((*crop.shape, 3), np.float32), np.zeros(crop.shape, np.float32)
+        part = (
+            slice(inner.top - crop.top, inner.bottom - crop.top),
+            slice(inner.left - crop.left, inner.right - crop.left),
+        )
+        objects[part], alpha[part] = pixels[..., :3], pixels[..., 3]
+        encoded = image[crop.slices]
+        compose_srgb8(encoded, frame.image[crop.slices], ratio, objects, alpha)
         if self._match and self._camera.noise.any() and not inner.empty:
-            rows = slice(inner.top - crop.top, inner.bottom - crop.top)
-            part = rows, slice(inner.left - crop.left, inner.right - crop.left)
             noisy = add_noise(
                 encoded[part].astype(np.float32) / np.float32(255),
                 alpha[part],
@@ -316,7 +325,6 @@ class Compositor:
                 at=(inner.top, inner.left),
             )
             encoded[part] = np.rint(noisy * 255).astype(np.uint8)
-        image[crop.slices] = encoded
         ids = rendered.object_id[crop.slices]
         numbers = np.array([*(one.number for one in self._standing), -1], np.int32)
         return Composite(

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float, Float32, Int32, UInt8
 
 from roomlight.compositing.crop import Crop
-from roomlight.compositing.kernels.encode import encode_values
+from roomlight.compositing.kernels.encode import compose_rows, encode_values
 from roomlight.compositing.stage_clock import StageClock
 from roomlight.conventions import linear_to_srgb8
 from roomlight.frame import Frame
@@ -105,6 +105,18 @@ def encode_srgb8(linear: Float32[np.ndarray, "h w 3"]) -> UInt8[np.ndarray, "h w
     out = np.empty(len(values), np.uint8)
     parallel_for(lambda start, stop: encode_values(values, _srgb_table(), out, start, stop), len(values))
     return out.reshape(linear.shape)
+
+
+def compose_srgb8(
+    encoded: UInt8[np.ndarray, "h w 3"],
+    frame: Float32[np.ndarray, "h w 3"],
+    ratio: Float32[np.ndarray, "h w 3"],
+    objects: Float32[np.ndarray, "h w 3"],
+    alpha: Float32[np.ndarray, "h w"],
+) -> None:
+    """Write frame x ratio x (1 - alpha) + objects to `encoded`, which holds the encoded frame, where it differs."""
+    arguments = (frame, ratio, objects, alpha, _srgb_table(), encoded)
+    parallel_for(lambda start, stop: compose_rows(*arguments, start, stop), len(alpha))
 
 
 @lru_cache(maxsize=1)

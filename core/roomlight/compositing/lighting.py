@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Float, Float32
 
 from roomlight.compositing.kernels import environment
+from roomlight.compositing.kernels.shadow_rays import LightSamples
 from roomlight.conventions import LUMINANCE, Position, panorama_solid_angles
 from roomlight.errors import OptionError, ProbeError
 from roomlight.light.checks import check_panorama
@@ -42,9 +43,12 @@ class LightSampler:
 
     position: Position
     panorama: Float32[np.ndarray, "h w 3"]
+    kept: dict[tuple[int, bytes], LightSamples]
+    """Samples of `roomlight.compositing.shadows.light_samples`, by number and normal."""
 
     def __init__(self, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> None:
-        """Prepare the tables; `panorama` is linear RGB [H, 2H, 3], `position` world metres. 2 ms for 120 rows.
+        """Begin; `panorama` is linear RGB [H, 2H, 3], `position` world metres. Tables are made at first use: 2 ms for
+        120 rows.
 
         Raises:
             ValueError: The panorama is not [H, 2H, 3] of finite numbers.
@@ -54,7 +58,7 @@ class LightSampler:
             raise ProbeError(f"a probe's position must be finite, got {position}")
         self.position = position
         self.panorama = np.maximum(np.ascontiguousarray(check_panorama(panorama), np.float32), 0)
-        self._tables = _sampling_tables(self.panorama)
+        self.kept: dict[tuple[int, bytes], LightSamples] = {}
 
     def environment(self) -> Environment:
         """Return the tables as the kernels read them."""
@@ -79,6 +83,21 @@ class LightSampler:
         out = np.empty((len(rays), 3), np.float32)
         environment.fill_radiance(self.environment(), np.zeros_like(rays), rays, out, 0, len(rays))
         return out
+
+    @classmethod
+    def mixed(
+        cls, samplers: "Sequence[LightSampler]", shares: Float[np.ndarray, " k"], position: Position
+    ) -> "LightSampler":
+        """Return the mean of several lights by shares that sum to 1; also of their prefiltered panoramas."""
+        made = cls(_mean_of([one.panorama for one in samplers], shares), position)
+        made.prefiltered = _mean_of([one.prefiltered for one in samplers], shares)
+        return made
+
+    @cached_property
+    def _tables(
+        self,
+    ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, " h1"], Float32[np.ndarray, "h w1"]]:
+        return _sampling_tables(self.panorama)
 
     @cached_property
     def prefiltered(self) -> Float32[np.ndarray, "levels rows columns 3"]:
@@ -132,6 +151,13 @@ class ProbeSet:
     def prefiltered(self) -> Float32[np.ndarray, "k levels rows columns 3"]:
         """Each probe's `LightSampler.prefiltered`."""
         return np.stack([one.prefiltered for one in self.samplers])
+
+
+def _mean_of(images: Sequence[Float32[np.ndarray, "*s"]], shares: Float[np.ndarray, " k"]) -> Float32[np.ndarray, "*s"]:
+    total = np.zeros_like(images[0])
+    for image, share in zip(images, shares, strict=True):
+        total += np.float32(share) * image
+    return total
 
 
 def _sampling_tables(

@@ -4,12 +4,12 @@ An object that rests has one probe at its centre; one longer than `BIG_M` has tw
 moves has probes along its path, and the light between them is interpolated.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from itertools import product
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float
 
 from roomlight.compositing.lighting import LightSampler, ProbeSet
 from roomlight.compositing.temporal import EasedLight
@@ -60,6 +60,7 @@ class SceneProbes:
         self._session, self._light = session, light
         self._lights: dict[int, EasedLight] = {}  # by the session's handle
         self._set: ProbeSet | None = None
+        self._at: dict[Position, LightSampler] = {}  # of the present set
         self._frames = 0
         self._waiting_s = 0.0
 
@@ -95,6 +96,8 @@ class SceneProbes:
 
     def lights(self) -> ProbeSet:
         """Return the probes as the renderer takes them."""
+        if self._set is None or len(self._at) >= MAX_TOTAL:
+            self._at.clear()
         if self._set is None:
             self._set = ProbeSet([light.sampler for light in self._lights.values()])
         return self._set
@@ -107,7 +110,9 @@ class SceneProbes:
         shares = probes.weights(position)
         if shares.max() > 0.98:
             return probes.samplers[int(shares.argmax())]
-        return LightSampler(_mixed([one.panorama for one in probes.samplers], shares), position)
+        if position not in self._at:
+            self._at[position] = LightSampler.mixed(probes.samplers, shares, position)
+        return self._at[position]
 
     def _panorama(self, handle: int, position: Position) -> Float[np.ndarray, "h w 3"]:
         return self._session.light(handle).panorama if self._light is None else self._light(position)
@@ -118,12 +123,3 @@ class SceneProbes:
             self._session.untrack(handle)
         self._lights.clear()
         self._set = None
-
-
-def _mixed(
-    panoramas: Sequence[Float32[np.ndarray, "h w 3"]], shares: Float[np.ndarray, " k"]
-) -> Float32[np.ndarray, "h w 3"]:
-    total = np.zeros_like(panoramas[0])
-    for panorama, share in zip(panoramas, shares, strict=True):
-        total += np.float32(share) * panorama
-    return total

@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8, UInt64
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.compositing.denoise import denoise
 from roomlight.compositing.kernels import paths as path_kernels
+from roomlight.compositing.kernels.film import average_samples
 from roomlight.compositing.kernels.preview import shade_hits
 from roomlight.compositing.lighting import Environment, ProbeSet
 from roomlight.compositing.materials import MaterialArrays, lobe_table
@@ -122,7 +123,7 @@ class _RayHits(NamedTuple):
 
 
 class _Film(NamedTuple):
-    """A value for each sample, or, reduced, for each pixel."""
+    """A value for each sample, or, reduced, for each pixel; albedo and normal, for the denoiser, may have no rows."""
 
     radiance: Float32[np.ndarray, "n 3"]
     alpha: Float32[np.ndarray, " n"]
@@ -170,7 +171,7 @@ def render_objects(
     settings = _checked_settings(quality)
     pose = check_rigid(camera_to_world)
     pixels = _pixels_around(scene, camera, pose)
-    film = _film(camera.width * camera.height)
+    film = _film(camera.width * camera.height, extra=settings.denoised)
     if len(pixels):
         world = _World(scene.surfaces, scene.materials, scene.textures, lights.environment, lobe_table())
         row, column = np.divmod(pixels, camera.width)
@@ -227,15 +228,16 @@ def _mixed_keys(pixels: Int64[np.ndarray, " p"], seed: int) -> UInt64[np.ndarray
         return (pixels.astype(np.uint64) + np.uint64(1)) * np.uint64(0xBF58476D1CE4E5B9) ^ offset
 
 
-def _film(count: int) -> _Film:
-    flat, colours = (count,), (count, 3)
+def _film(count: int, *, extra: bool = True) -> _Film:
+    """Make an empty film; `extra`: with albedo and normals."""
+    flat, colours, more = (count,), (count, 3), (count if extra else 0, 3)
     return _Film(
         np.zeros(colours, np.float32),
         np.zeros(flat, np.float32),
         np.zeros(flat, np.float32),
         np.full(flat, -1, np.int32),
-        np.zeros(colours, np.float32),
-        np.zeros(colours, np.float32),
+        np.zeros(more, np.float32),
+        np.zeros(more, np.float32),
     )
 
 
@@ -282,26 +284,27 @@ def _preview(scene: ObjectScene, world: _World, lights: ProbeSet, view: _View, f
     paths, hits = _camera_hits(scene, centres, 1)
     found = _shaded(world, lights, centres, paths, hits)
     _store(film, pixels, found)
-    edges = _outlines(film.object_id.reshape(camera.height, camera.width)).reshape(-1)[pixels]
-    chosen = np.flatnonzero(edges)
+    chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
     if len(chosen):
         part = view.part(chosen)
         paths, hits = _camera_hits(scene, part, _EDGE_SAMPLES)
-        _store(film, pixels[chosen], _reduced(_shaded(world, lights, part, paths, hits), _EDGE_SAMPLES))
+        _store(film, pixels[chosen], _reduced(_shaded(world, lights, part, paths, hits), _EDGE_SAMPLES, extra=False))
 
 
 def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: _RayHits) -> _Film:
-    found = _film(len(paths.slot))
+    found = _film(len(paths.slot), extra=False)
     mips = lights.prefiltered
     parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, found, begin, end), len(paths.slot))
     return found
 
 
-def _outlines(object_id: Int32[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
-    """Mark pixels with another object, or none, among their eight neighbours."""
-    ids = (object_id + 1).astype(np.float32)
+def _on_outline(object_id: Int32[np.ndarray, "h w"], view: _View) -> Bool[np.ndarray, " p"]:
+    """Return which pixels of the view have another object, or none, among their eight neighbours."""
+    top, left = max(int(view.row.min()) - 1, 0), max(int(view.column.min()) - 1, 0)
+    ids = (object_id[top : view.row.max() + 2, left : view.column.max() + 2] + 1).astype(np.float32)
     box = np.ones((3, 3), np.uint8)
-    return cv2.dilate(ids, box) != cv2.erode(ids, box)
+    mixed = cv2.dilate(ids, box) != cv2.erode(ids, box)
+    return mixed[view.row - top, view.column - left]
 
 
 def _sampled(
@@ -380,18 +383,12 @@ def _add_background(world: _World, rays: _Queue, film: _Film, background: Backgr
     film.radiance[rays.slot] += rays.light * seen  # a slot has one path: no index comes twice
 
 
-def _reduced(film: _Film, samples: int) -> _Film:
+def _reduced(film: _Film, samples: int, *, extra: bool = True) -> _Film:
     """Average the samples of each pixel; the object is the nearest sample's."""
-    alpha = film.alpha.reshape(-1, samples)
-    depth = film.depth_m.reshape(-1, samples)
-    covered = np.maximum(alpha.sum(axis=1), 1e-12)
-    nearest = np.where(alpha > 0, depth, np.inf).argmin(axis=1)
-    object_id = film.object_id.reshape(-1, samples)[np.arange(len(alpha)), nearest]
-    radiance, albedo, normal = (
-        column.reshape(-1, samples, 3).mean(axis=1) for column in (film.radiance, film.albedo, film.normal)
-    )
-    mean_depth = (depth * alpha).sum(axis=1) / covered
-    return _Film(radiance, alpha.mean(axis=1), mean_depth.astype(np.float32), object_id, albedo, normal)
+    count = len(film.alpha) // samples
+    out = _film(count, extra=extra)
+    average_samples(film, samples, out, 0, count)
+    return out
 
 
 def _accumulate(total: _Film, part: _Film, passes: int) -> None:
@@ -408,4 +405,5 @@ def _accumulate(total: _Film, part: _Film, passes: int) -> None:
 
 def _store(film: _Film, pixels: Int64[np.ndarray, " p"], part: _Film) -> None:
     for whole, own in zip(film, part, strict=True):
-        whole[pixels] = own
+        if len(whole) and len(own):
+            whole[pixels] = own

@@ -3,12 +3,15 @@
 A real surface shows frame = albedo E / pi. With objects its irradiance is E - E_blocked + E_bounced, so the picture
 changes by the ratio (E - E_blocked + E_bounced) / E in each channel; the albedo cancels. E and E_blocked are sums over
 the same directions, sampled from the panorama at the objects' position, so that the ratio is exactly 1 where no object
-is in the way. E_bounced is light that an object's hit surface reflects, diffuse by the panorama's irradiance there.
+is in the way. E_bounced is light that an object's hit surface reflects: diffuse by the panorama's irradiance there,
+metals by the panorama blurred as by a roughness of 0.3 or more. The panorama shows the support without the objects:
+what an object sees of it is reduced by the shade of a sphere as large as the object.
 
 Every 4 x 4 pixels share 16 subsets of samples, fixed in time; a filter over the surface joins them, as far as each
 pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
@@ -18,22 +21,26 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from roomlight.compositing.crop import CropCamera
-from roomlight.compositing.kernels.shadows import (
+from roomlight.compositing.kernels.shadow_rays import (
+    Ground,
     LightSamples,
+    Looks,
+    Rays,
     Receivers,
-    SurfaceGrid,
-    aim_at_spheres,
-    filter_ratio,
-    gather_light,
-    sum_blocked,
-    upsample_ratio,
+    add_blocked,
+    add_bounced,
+    light_rays,
+    object_rays,
 )
+from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, filter_change, upsample_ratio
 from roomlight.compositing.lighting import LightSampler
 from roomlight.compositing.occlusion import depth_edges
 from roomlight.compositing.placing import Plane
-from roomlight.compositing.tracer import Hits, ObjectScene
-from roomlight.conventions import LUMINANCE, direction_to_uv, panorama_directions
-from roomlight.threads import parallel_for
+from roomlight.compositing.room_shade import Lamp, lamp_of, lamp_seen
+from roomlight.compositing.scene_geometry import SceneGeometry
+from roomlight.compositing.tracer import ObjectScene
+from roomlight.conventions import panorama_directions
+from roomlight.threads import parallel_for, thread_count
 
 TILE: Final = 4
 """Side of the tiles whose pixels use different subsets of the samples."""
@@ -45,7 +52,12 @@ SNAP_SHARE: Final = 0.01
 LIFT_M: Final = 5e-4
 RATIO_RANGE: Final = (0.02, 4.0)
 _EDGE: Final = 0.04
-_ALONG_PLANE: Final = 0.1
+_EVEN_SHARE: Final = np.float32(0.25)
+_MOST_REFLECTED: Final = np.float32(12.0)
+"""Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
+_LEAST_ROUGHNESS: Final = 0.3
+"""Of mirrors that light matte surfaces, as in the renderer's paths."""
+_BLOCK_RAYS: Final = 1 << 17
 
 
 @dataclass(frozen=True)
@@ -82,6 +94,7 @@ class Caster:
         object_ids: [k] the objects' indices in the scene.
         light: at their position.
         support: plane that they stand on, if there is one.
+        room: real surfaces that may hide the strongest lamp; None: they hide nothing.
     """
 
     scene: ObjectScene
@@ -89,6 +102,7 @@ class Caster:
     object_ids: Int[np.ndarray, " k"]
     light: LightSampler
     support: Plane | None = None
+    room: SceneGeometry | None = None
 
 
 def surface_grid(
@@ -144,28 +158,31 @@ def shadow_ratio(
 def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> Float32[np.ndarray, "h w 3"]:
     """Return the ratio of one caster on a grid of surfaces; 1 beyond its reach and where the surface is not known."""
     height, width = grid.known.shape
-    ratio, noise = np.ones((height, width, 3), np.float32), np.zeros((height, width), np.float32)
+    out = np.ones((height, width, 3), np.float32)
     fade = _fade(caster.spheres, grid)
-    chosen = grid.known & (fade > 0)
-    rows, columns = np.nonzero(chosen)
+    near = grid.known & (fade > 0)
+    rows, columns = np.nonzero(near)
     if len(rows) == 0:
-        return ratio
+        return out
     subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
-    receivers = Receivers(grid.points[chosen], grid.normals[chosen], subset)
-    toward = None if caster.support is None else caster.support.normal
-    light = light_samples(caster.light, quality.samples, toward=toward)
-    unblocked, blocked, spread = _blocked(caster, receivers, light)
-    floor = np.float32(1e-6) + np.float32(1e-3) * unblocked.max(initial=0)
-    lit = np.maximum(unblocked, floor)
-    bounced = _bounced(caster, receivers, quality.bounces)
-    share = fade[chosen][:, None]
-    ratio[chosen] = 1 + share * (np.clip((unblocked - blocked + bounced) / lit, *RATIO_RANGE) - 1)
-    # rays toward an object meet it or miss it: the mean of a few is uncertain by about itself
-    doubt = (bounced @ LUMINANCE) / np.float32(np.sqrt(max(quality.bounces, 1)))
-    noise[chosen] = np.hypot(spread, doubt) / (lit @ LUMINANCE) * share[:, 0]
-    out = np.empty_like(ratio)
-    plane_m = np.float32(0.02)
-    parallel_for(lambda i, j: filter_ratio(ratio, noise, grid, quality.radius, plane_m, out, i, j), height)
+    lamp = None if caster.room is None else lamp_of(caster.light)
+    seen = np.ones(len(rows), np.float32)
+    if lamp is not None and caster.room is not None:
+        seen = lamp_seen(lamp, grid, near, caster.room, caster.spheres[0, :3])[near]
+    receivers = Receivers(grid.points[near], grid.normals[near], subset, seen)
+    found = _light_change(caster, receivers, quality, lamp)
+    share = fade[near]
+    floor = np.float32(1e-6) + np.float32(1e-3) * found.unblocked.max(initial=0)
+    dark, glow = np.ones_like(out), np.zeros_like(out)
+    noise = np.zeros((height, width), np.float32)
+    dark[near] = 1 - share[:, None] * np.clip(found.blocked / np.maximum(found.unblocked, floor), 0, 1 - RATIO_RANGE[0])
+    # by the smooth irradiance: divided by a noisy one, the mean would be too bright
+    reflected = found.bounced / np.maximum(found.irradiance, floor)
+    glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
+    noise[near] = share * found.doubt / np.maximum(found.unblocked, floor).mean(axis=1)
+    change = Change(dark, noise, glow, near)
+    arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
+    parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
     return out
 
 
@@ -186,20 +203,29 @@ def spread_ratio(
 
 
 def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, "3"] | None = None) -> LightSamples:
-    """Sample a panorama in TILE^2 subsets of `count` directions each, in proportion to luminance.
+    """Sample a panorama in TILE^2 subsets of `count` directions each, in proportion to luminance; kept with the light.
+
+    A fifth of the directions is drawn without regard to luminance, so that the light around a strong lamp is sampled
+    too.
 
     toward:  normal of the surface that most points lie on: its cosine is sampled too.
     """
-    drawn = light
+    key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
+    if (held := light.kept.get(key)) is not None:
+        return held
+    share = np.ones(light.panorama.shape[:2], np.float32)
     if toward is not None:
         cosine = panorama_directions(len(light.panorama)) @ toward.astype(np.float32)
-        drawn = LightSampler(light.panorama * np.maximum(cosine, np.float32(0.15))[..., None], light.position)
-    points = _subset_points(count)
-    directions, density = drawn.sample(points)
+        share = np.maximum(cosine, np.float32(0.15))
+    weighted = light.panorama * share[..., None]
+    drawn = LightSampler(weighted + _EVEN_SHARE * share[..., None] * weighted.mean(), light.position)
+    directions, density = drawn.sample(_subset_points(count))
     radiance = light.radiance(directions)
     weights = radiance / np.maximum(density, np.float32(1e-9))[:, None] / np.float32(count)
     shape = (TILE * TILE, count, 3)
-    return LightSamples(directions.reshape(shape), weights.reshape(shape).astype(np.float32))
+    made = LightSamples(directions.reshape(shape), weights.reshape(shape).astype(np.float32))
+    light.kept[key] = made
+    return made
 
 
 @lru_cache(maxsize=8)
@@ -217,104 +243,111 @@ def _subset_points(count: int) -> Float[np.ndarray, "n 2"]:
     return points
 
 
-def _blocked(
-    caster: Caster, receivers: Receivers, light: LightSamples
-) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-    """Return irradiance without objects, what they block of it, and the standard deviation of its luminance."""
-    count, samples = len(receivers.points), light.directions.shape[1]
-    unblocked, candidates = np.empty((count, 3), np.float32), np.empty((count, samples), np.uint8)
-    lift = np.float32(LIFT_M)
-    arguments = (receivers, light, caster.spheres, lift, unblocked, candidates)
-    parallel_for(lambda start, stop: gather_light(*arguments, start, stop), count)
-    flat = np.flatnonzero(candidates)
-    pairs = np.stack(np.divmod(flat, samples), axis=1)
-    point = pairs[:, 0]
-    directions = light.directions[receivers.subset[point], pairs[:, 1]]
-    share = _opacity(caster.scene, receivers.points[point] + lift * receivers.normals[point], directions)
+@dataclass(frozen=True)
+class _LightChange:
+    """Irradiance at points: unblocked [n, 3] and blocked by the same samples; `doubt` [n] is the standard deviation of
+    the latter's mean over channels; without their noise [n, 3]; reflected by objects [n, 3]."""
+
+    unblocked: Float32[np.ndarray, "n 3"]
+    blocked: Float32[np.ndarray, "n 3"]
+    doubt: Float32[np.ndarray, " n"]
+    irradiance: Float32[np.ndarray, "n 3"]
+    bounced: Float32[np.ndarray, "n 3"]
+
+
+def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, lamp: Lamp | None) -> _LightChange:
+    count, samples = len(receivers.points), quality.samples
+    light = light_samples(caster.light, samples, toward=None if caster.support is None else caster.support.normal)
+    levels = caster.light.prefiltered
+    unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
-    sum_blocked(receivers, light, pairs, share, blocked, squares)
-    variance = squares - (blocked.mean(axis=1) ** 2) / np.float32(samples)
+    bounced = np.zeros((count, 3), np.float32)
+    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(REACH)
+    numbers = _subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
+    of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
+    looks, ground = _looks(caster.scene, len(levels)), _ground(caster)
+
+    def work(start: int, stop: int) -> None:
+        rays = _rays((stop - start) * samples, 3)
+        arguments = (receivers, light, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
+        met = _first(rays, light_rays(*arguments, start, stop))
+        add_blocked(met, _opacity(caster.scene, met), blocked, squares)
+        if quality.bounces:
+            rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
+            met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
+            face, distance_m, _, _ = caster.scene.trace(met.origin, met.direction)
+            add_bounced(met, face, distance_m, caster.object_ids, looks, levels, ground, bounced)
+
+    _in_blocks(work, count, max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres))))
+    if lamp is not None:
+        hidden = (1 - receivers.seen) * np.maximum(receivers.normals @ lamp.direction, 0)
+        irradiance = np.maximum(irradiance - hidden[:, None] * lamp.intensity, np.float32(0.05) * irradiance)
+    variance = squares - blocked.mean(axis=1) ** 2 / np.float32(samples)
     # All of a few samples agreeing still leaves doubt: half a sample.
     least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * unblocked.mean(axis=1)
-    return unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2)
+    return _LightChange(unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2), irradiance, bounced)
 
 
-def _opacity(
-    scene: ObjectScene, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
-) -> Float32[np.ndarray, " n"]:
+def _rays(count: int, channels: int) -> Rays:
+    return Rays(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.int32),
+        np.empty(count, np.int32),
+        np.empty((count, channels), np.float32),
+    )
+
+
+def _first(rays: Rays, count: int) -> Rays:
+    return Rays(*(column[:count] for column in rays))
+
+
+def _in_blocks(work: Callable[[int, int], object], count: int, size: int) -> None:
+    """Call work(start, stop) for blocks of at most `size`, and at least two for each thread."""
+    blocks = max(-(-count // size), min(2 * thread_count(), count))
+    bounds = [count * block // blocks for block in range(blocks + 1)]
+
+    def run(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            work(bounds[block], bounds[block + 1])
+
+    parallel_for(run, blocks)
+
+
+def _opacity(scene: ObjectScene, rays: Rays) -> Float32[np.ndarray, " n"]:
     """Return the share of light that the first object along each ray takes: glass and openings let light through."""
     table = scene.materials
     clear = (1 - table.transmission * table.base.mean(axis=1)) * table.opacity
     if (clear > 0.999).all():
-        return scene.occluded(origins, directions).astype(np.float32)
-    hits = scene.intersect(origins, directions)
-    material = scene.surfaces.material[hits.face]
-    return np.where(hits.face >= 0, clear[material], np.float32(0)).astype(np.float32)
+        return scene.blocked(rays.origin, rays.direction).astype(np.float32)
+    face, _, _, _ = scene.trace(rays.origin, rays.direction)
+    return np.where(face >= 0, clear[scene.surfaces.material[face]], np.float32(0)).astype(np.float32)
 
 
-def _bounced(caster: Caster, receivers: Receivers, count: int) -> Float32[np.ndarray, "n 3"]:
-    """Return the irradiance that objects reflect onto the points."""
-    points = len(receivers.points)
-    result = np.zeros((points, 3), np.float32)
-    if count == 0:
-        return result
-    spheres = caster.spheres
-    numbers = _subset_points(count).astype(np.float32).reshape(TILE * TILE, count, 2)
-    directions = np.empty((points, len(spheres), count, 3), np.float32)
-    factors = np.empty((points, len(spheres), count), np.float32)
-    arguments = (receivers, spheres, np.float32(LIFT_M), numbers, np.float32(REACH), directions, factors)
-    parallel_for(lambda start, stop: aim_at_spheres(*arguments, start, stop), points)
-    point, target, sample = np.nonzero(factors > 1e-4)
-    along = directions[point, target, sample]
-    origins = receivers.points[point] + np.float32(LIFT_M) * receivers.normals[point]
-    hits = caster.scene.intersect(origins, along)
-    # a ray aimed at one object that meets another is counted where it was aimed at that one
-    hit = hits.object_id == caster.object_ids[target]
-    light = _leaving(caster, origins[hit], along[hit], _taken(hits, hit))
-    light *= factors[point[hit], target[hit], sample[hit]][:, None]
-    for channel in range(3):
-        result[:, channel] = np.bincount(point[hit], light[:, channel], points)
-    return result
+def _looks(scene: ObjectScene, levels: int) -> Looks:
+    """Return the objects' surfaces as matte surfaces around them are lit by them."""
+    table = scene.materials
+    colours = _mean_colours(scene) * ((1 - table.transmission) * table.opacity)[:, None]
+    metal, last = table.metallic[:, None], levels - 1
+    level = np.rint(np.maximum(table.roughness, _LEAST_ROUGHNESS) * last)
+    return Looks(
+        scene.surfaces.corners,
+        scene.surfaces.material,
+        scene.surfaces.object_id,
+        (colours * (1 - metal)).astype(np.float32),
+        (colours * metal).astype(np.float32),
+        table.emissive,
+        np.clip(level, 1, last).astype(np.int32),
+    )
 
 
-@dataclass(frozen=True)
-class _Struck:
-    distance_m: Float32[np.ndarray, " n"]
-    face: Int[np.ndarray, " n"]
-    normal: Float32[np.ndarray, "n 3"]
-
-
-def _taken(hits: Hits, chosen: Bool[np.ndarray, " n"]) -> _Struck:
-    return _Struck(hits.distance_m[chosen], hits.face[chosen], hits.normal[chosen])
-
-
-def _leaving(
-    caster: Caster,
-    origins: Float[np.ndarray, "n 3"],
-    directions: Float[np.ndarray, "n 3"],
-    struck: _Struck,
-) -> Float[np.ndarray, "n 3"]:
-    """Return the radiance that leaves the hit surfaces toward the points, from prefiltered light.
-
-    The underside of an object near its support sees the support in the object's own shadow: light from below is taken
-    away there, over a quarter of the object's radius.
-    """
-    table, material = caster.scene.materials, caster.scene.surfaces.material[struck.face]
-    normal = struck.normal * -np.sign((struck.normal * directions).sum(axis=1, keepdims=True))
-    colour = _mean_colours(caster.scene)[material]
-    metal = table.metallic[material][:, None]
-    solid = ((1 - table.transmission) * table.opacity)[material][:, None]
-    levels = caster.light.prefiltered
-    diffuse = colour * (1 - metal) * _look_up(levels[-1], normal)
-    mirrored = directions - 2 * (directions * normal).sum(axis=1, keepdims=True) * normal
-    glossy = colour * metal * _look_up(levels[len(levels) // 2], mirrored)
-    light = solid * (diffuse + glossy) + table.emissive[material]
-    if caster.support is not None:
-        height = caster.support.height_of(origins + struck.distance_m[:, None] * directions)
-        radius = np.float32(caster.spheres[:, 3].max() / 4)
-        down = np.maximum(-normal @ caster.support.normal.astype(np.float32), 0)
-        light *= (1 - down * np.exp(-np.maximum(height, 0) / radius))[:, None]
-    return light
+def _ground(caster: Caster) -> Ground:
+    spheres = caster.spheres.copy()
+    spheres[:, 3] = np.minimum(spheres[:, 3], caster.scene.shade_radii()[caster.object_ids])
+    if caster.support is None:
+        return Ground(False, np.zeros(3, np.float32), np.array([0, 1, 0], np.float32), spheres)
+    plane = caster.support
+    return Ground(True, plane.point.astype(np.float32), plane.normal.astype(np.float32), spheres)
 
 
 def _mean_colours(scene: ObjectScene) -> Float32[np.ndarray, "m 3"]:
@@ -332,14 +365,6 @@ def _texture_mean(scene: ObjectScene, row: int) -> Float[np.ndarray, "3"]:
     texture = held.parts[scene.surfaces.part[face]][1].base_colour_texture
     assert texture is not None
     return texture.texels[::4, ::4, :3].mean(axis=(0, 1)) / 65535
-
-
-def _look_up(panorama: Float[np.ndarray, "h w 3"], directions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3"]:
-    height, width = panorama.shape[:2]
-    uv = direction_to_uv(directions)
-    columns = np.minimum((uv[:, 0] * width).astype(np.int64), width - 1)
-    rows = np.minimum((uv[:, 1] * height).astype(np.int64), height - 1)
-    return panorama[rows, columns]
 
 
 def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid) -> Float32[np.ndarray, "h w"]:

@@ -19,6 +19,7 @@ from roomlight.compositing.kernels.shadows import SurfaceGrid
 from roomlight.compositing.lighting import LightSampler
 from roomlight.conventions import Position
 from roomlight.frame import Frame
+from roomlight.threads import parallel_for
 
 LIGHT_S: Final = 0.4
 """Time constant of light: slow enough that a newly seen lamp fades in, faster than a viewer waits."""
@@ -127,9 +128,9 @@ class ShadowHistory:
         out = ratio.copy()
         if self._before is not None and share < 1:
             held = self._before
-            arguments = (out, grid.known, grid.points, held.world_to_camera, held.lens, held.ratio, held.known)
-            # one piece: the kernel reads neighbours that another piece might have written
-            accumulate_image(*arguments, np.float32(share), np.float32(0.01), 0, len(out))
+            arguments = (out, ratio, grid.known, grid.points, held.world_to_camera, held.lens, held.ratio, held.known)
+            limits = np.float32(share), np.float32(0.01)
+            parallel_for(lambda start, stop: accumulate_image(*arguments, *limits, start, stop), len(out))
         self._before = _Shadow(
             np.concatenate([out, depth_m[..., None]], axis=-1),
             grid.known,
@@ -200,6 +201,7 @@ def warped_variance(
         warped = np.full(before[..., :3].shape, np.float32(-10))
         accumulate_image(
             warped,
+            warped.copy(),
             known,
             world,
             rigid_inverse(poses[number - 1])[:3].astype(np.float32),

@@ -1,6 +1,7 @@
 """Virtual objects in the world as one Embree tree, and the rays traced through it. World metres, y up."""
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -90,6 +91,18 @@ class ObjectScene:
     def bounds(self) -> Float[np.ndarray, "n 2 3"]:
         """Return each object's box: least and greatest corner in world metres."""
         return self._bounds
+
+    def shade_radii(self) -> Float32[np.ndarray, " n"]:
+        """Return for each object the radius in metres of a sphere that is as large as it seen from above."""
+        return self._shade_radii
+
+    @cached_property
+    def _shade_radii(self) -> Float32[np.ndarray, " n"]:
+        corners = self.surfaces.corners
+        a, b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+        area_m2 = np.abs(a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]) / 4  # half of a triangle's: two are above each other
+        total_m2 = np.bincount(self.surfaces.object_id, area_m2, len(self.objects))
+        return np.sqrt(total_m2 / np.pi).astype(np.float32)
 
     def offset_m(self) -> float:
         """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""

@@ -25,7 +25,7 @@ def floor_depth():
     return (POSE[1, 3] / -down).astype(np.float32)
 
 
-def caster(held, panorama, centre, radius, support=FLOOR):
+def caster(held, panorama, centre, radius, support: Plane | None = FLOOR):
     spheres = np.array([[*centre, radius]], np.float32)
     return Caster(ObjectScene([held]), spheres, np.array([0], np.int32), LightSampler(panorama), support)
 

@@ -11,6 +11,7 @@ KERNEL: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": {"contract",
 """Of functions that Python calls. Contraction and reciprocals only: infinities must stay infinities."""
 JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False}
 """Of functions that kernels call. They are cached within the kernels: code from a cache of their own cannot be inlined.
+A kernel's cache does not notice that they changed: delete `__pycache__` after editing them, or old code runs.
 They allocate nothing, so numba need not count references to the arrays of the tuples that they are given. The two made
 three quarters of a preview's shading."""
 

@@ -26,17 +26,22 @@ def probe_weights(positions, x, y, z, weights):
 
 
 @njit(**JIT)
-def bilinear(image, x, y, z):
-    """Read an equirectangular image [H, 2H, 3] in a unit direction; wraps around, ends at the poles."""
+def place_of(x, y, z):
+    """Return the shares of width and height at which an equirectangular image shows a unit direction."""
+    return 0.5 + math.atan2(z, x) * (0.5 / math.pi), math.acos(min(max(y, -1.0), 1.0)) * (1 / math.pi)
+
+
+@njit(**JIT)
+def bilinear_at(image, place):
+    """Read an equirectangular image [H, 2H, 3] at a place of `place_of`; wraps around, ends at the poles."""
     height, width = image.shape[0], image.shape[1]
-    column = (0.5 + math.atan2(z, x) * (0.5 / math.pi)) * width - 0.5
-    row = math.acos(min(max(y, -1.0), 1.0)) * (height / math.pi) - 0.5
-    row = min(max(row, 0.0), height - 1.0)
-    left, top = math.floor(column), int(row)
+    column = place[0] * width - 0.5
+    row = min(max(place[1] * height - 0.5, 0.0), height - 1.0)
+    left, top = math.floor(column), min(max(int(row), 0), height - 1)
     u, v = column - left, row - top
     bottom = min(top + 1, height - 1)
-    right = (left + 1) % width
-    left = left % width
+    right = left + 1 if 0 <= left + 1 < width else 0
+    left = left if 0 <= left < width else width - 1
     a, b, c, d = (1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v
     return (
         a * image[top, left, 0] + b * image[top, right, 0] + c * image[bottom, left, 0] + d * image[bottom, right, 0],
@@ -49,8 +54,9 @@ def bilinear(image, x, y, z):
 def radiance(light, weights, x, y, z):
     """Return the probes' radiance in a direction, mixed by their weights."""
     red, green, blue = 0.0, 0.0, 0.0
+    place = place_of(x, y, z)
     for k in range(light.radiance.shape[0]):
-        r, g, b = bilinear(light.radiance[k], x, y, z)
+        r, g, b = bilinear_at(light.radiance[k], place)
         red += weights[k] * r
         green += weights[k] * g
         blue += weights[k] * b

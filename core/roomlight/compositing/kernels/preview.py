@@ -5,7 +5,7 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT, KERNEL
-from roomlight.compositing.kernels.environment import bilinear, probe_weights, radiance
+from roomlight.compositing.kernels.environment import bilinear_at, place_of, probe_weights, radiance
 from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
@@ -19,14 +19,16 @@ def _blurred(light, mips, weights, direction, roughness):
     fine = min(int(level), last - 1)
     blend = level - fine
     red, green, blue = 0.0, 0.0, 0.0
-    x, y, z = direction
+    place = place_of(direction[0], direction[1], direction[2])
     for k in range(mips.shape[0]):
-        if fine == 0:
-            r, g, b = bilinear(light.radiance[k], x, y, z) if blend < 1 else (0.0, 0.0, 0.0)
-        else:
-            r, g, b = bilinear(mips[k, fine], x, y, z)
+        r, g, b = 0.0, 0.0, 0.0
+        if blend < 1:
+            if fine == 0:
+                r, g, b = bilinear_at(light.radiance[k], place)
+            else:
+                r, g, b = bilinear_at(mips[k, fine], place)
         if blend > 0:
-            p, q, s = bilinear(mips[k, fine + 1], x, y, z)
+            p, q, s = bilinear_at(mips[k, fine + 1], place)
             r, g, b = r + blend * (p - r), g + blend * (q - g), b + blend * (s - b)
         red, green, blue = red + weights[k] * r, green + weights[k] * g, blue + weights[k] * b
     return red, green, blue
@@ -65,7 +67,7 @@ def _shade(world, mips, weights, face, base, shares, normal, d, side):
 
 @njit(**KERNEL)
 def shade_hits(world, mips, view, paths, hits, film, begin, end):
-    """Fill the film of the slots begin .. end from their camera rays' first hits."""
+    """Fill the film of the slots begin .. end from their camera rays' first hits, but for albedo and normal."""
     weights = np.empty(world.light.radiance.shape[0])
     m = view.camera_to_world
     for i in range(begin, end):
@@ -90,5 +92,4 @@ def shade_hits(world, mips, view, paths, hits, film, begin, end):
         depth = 0.0
         for axis in range(3):
             depth -= (place[axis] - m[axis, 3]) * m[axis, 2]
-            film.normal[i, axis], film.albedo[i, axis] = normal[axis], base[axis]
         film.depth_m[i] = depth

@@ -40,10 +40,13 @@ def splat_depth(depth, age, lens, transform, new_lens, out, out_age):
 
 
 @njit(nogil=True, cache=True, fastmath=True)
-def accumulate_image(image, known, points, world_to_before, lens, before, before_known, share, slack, start, stop):
-    """Blend rows start..stop of `image`, in place, with an earlier image of the same surfaces.
+def accumulate_image(
+    image, fresh, known, points, world_to_before, lens, before, before_known, share, slack, start, stop
+):
+    """Blend rows start..stop of `fresh` with an earlier image of the same surfaces.
 
-    image, known:     [h, w, 3], [h, w].
+    image:            [h, w, 3] out; pixels that the earlier image does not show keep their value.
+    fresh, known:     [h, w, 3], [h, w].
     points:           [h, w, 3] world positions of the pixels.
     world_to_before:  [3, 4]; lens: fx, fy, cx, cy of the earlier image's pixels.
     before:           [bh, bw, 4] the earlier image, and its z-depth.
@@ -52,7 +55,6 @@ def accumulate_image(image, known, points, world_to_before, lens, before, before
     """
     height, width = known.shape
     before_height, before_width = before_known.shape
-    fresh = image.copy()
     for i in range(start, stop):
         for j in range(width):
             if not known[i, j]:
