@@ -88,6 +88,8 @@ export class PlacedObjects {
         this.list.value = kept;
         this.report(error);
         this.update();
+      } else {
+        this.showComposite(null); // placed objects that left the picture
       }
       return;
     }
