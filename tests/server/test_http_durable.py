@@ -284,6 +284,26 @@ def test_serving_goes_on_while_the_disk_is_full(tmp_path, monkeypatch):
         assert lights(server) == light
 
 
+def test_an_unexpected_error_does_not_end_the_saving(tmp_path, monkeypatch):
+    original, broken = store.write_session, [True]
+
+    def write(*args):
+        if broken:
+            raise MemoryError
+        return original(*args)
+
+    monkeypatch.setattr(store, "write_session", write)
+    with server_on(tmp_path / "state") as server:
+        server.open()
+        for _ in range(TRIES):
+            if server.call("GET", "/readyz").json["state"] == "not saved: MemoryError":
+                break
+        broken.clear()
+        assert server.push(0).status == 200
+        wait_until_saved(server, 0)
+        assert server.call("GET", "/readyz").json["state"] == "saved"
+
+
 def test_large_messages_are_kept_as_pixels(tmp_path, monkeypatch):
     for module in ("journal", "session_folder"):
         monkeypatch.setattr(f"roomlight_server.state.{module}.MAX_MESSAGE_BYTES", 1000)

@@ -109,8 +109,20 @@ class StateStore:
         journal = live.journal
         assert journal is not None
         journal.begin()
+        try:
+            await self._save(key, live, journal)
+        except (OSError, OutputError) as error:
+            journal.failed()
+            self._record_failure(error, live.name)
+        except Exception as error:  # out of memory, a bug: other sessions are saved nevertheless
+            if self.failing is None:
+                _log.exception("unexpected error while a session was saved", extra={"session": live.name})
+            journal.failed()
+            self._record_failure(error, live.name)
+
+    async def _save(self, key: tuple[str, str], live: Saveable, journal: Journal) -> None:
         state = await live.copy_state(self._pool)
-        if state is None or journal.closed:
+        if state is None:
             return
         values = SavedValues(
             owner=digest_of_owner(key[0]),
@@ -124,19 +136,14 @@ class StateStore:
             latest=None,
         )
         async with self.lock(*key):
-            if journal.closed:
+            if journal.closed:  # deleted in the meantime
                 return
-            try:
-                with self._metrics.state_write_seconds.time():
-                    written = await self._in_thread(
-                        write_session, self._folder(*key), state, values, dict(journal.messages), journal.bases
-                    )
-            except (OSError, OutputError) as error:
-                journal.failed()
-                self._record_failure(error, live.name)
-            else:
-                journal.saved(written.bases, state.light_frame, state.queue.last_index)
-                self._record_success(written)
+            with self._metrics.state_write_seconds.time():
+                written = await self._in_thread(
+                    write_session, self._folder(*key), state, values, dict(journal.messages), journal.bases
+                )
+            journal.saved(written.bases, state.light_frame, state.queue.last_index)
+            self._record_success(written)
 
     def _record_failure(self, error: Exception, name: str) -> None:
         cause = error.__cause__ if isinstance(error.__cause__, OSError) else error
@@ -227,7 +234,10 @@ class StateStore:
 
     def _erase_expired(self, open_folders: set[str]) -> None:
         limit = time.time() - self._expiry_s
-        for folder in self._root.iterdir():
+        folders: list[Path] = []
+        with contextlib.suppress(OSError):  # the directory cannot be read: next time
+            folders = list(self._root.iterdir())
+        for folder in folders:
             with contextlib.suppress(OSError):  # it was erased in the meantime, or cannot be removed: next time
                 if folder.is_dir() and folder.name not in open_folders and _used_s(folder) < limit:
                     erase(folder)
