@@ -74,8 +74,8 @@ class History:
         """Differs between sessions of the same id, for ETags."""
 
     @property
-    def bytes(self) -> int:
-        """Memory of all entries."""
+    def size(self) -> int:
+        """Memory of all entries in bytes."""
         return sum(moment.size for moment in self._moments)
 
     async def add(
@@ -120,7 +120,7 @@ class History:
         self._thin()
 
     def _thin(self) -> None:
-        while self._moments and self.bytes > self._limit_bytes:
+        while self._moments and self.size > self._limit_bytes:
             self._stride *= 2
             self._moments = self._moments[::2] if len(self._moments) > 1 else []
 
@@ -128,7 +128,7 @@ class History:
         """Return the entries of frames with an index above `after`, in order."""
         return HistoryList(
             stride=self._stride,
-            bytes=self.bytes,
+            bytes=self.size,
             limit_bytes=self._limit_bytes,
             entries=[moment.entry for moment in self._moments if moment.entry.index > after],
         )

@@ -510,7 +510,7 @@ class LiveSession:
         keyframes = 0 if engine is None else engine.keyframes
         held = self._footprint.total(keyframes=keyframes, probes=len(self._named), started=volume is not None)
         kept = held + len(self._lights) * self.light_bytes + (0 if self._latest is None else self._latest.size)
-        kept += self.history.bytes
+        kept += self.history.size
         return SessionState(
             id=self.name,
             status="open" if self._ended is None else "failed",

@@ -95,12 +95,12 @@ def main(arguments: list[str]) -> None:
     folder, fps = Path(arguments[0]), None if arguments[1] == "-" else float(arguments[1])
     try:
         play(folder, fps, output)
+    except BrokenPipeError:
+        pass  # the server has stopped the replay
     except (RoomLightError, OSError, ValueError) as error:
         write(output, {"problem": str(error).replace(f"{folder}{os.sep}", "")[:1000]})
     except MemoryError:
         write(output, {"problem": f"reading it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
-    except BrokenPipeError:
-        pass  # the server has stopped the replay
 
 
 if __name__ == "__main__":
