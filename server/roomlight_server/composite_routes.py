@@ -5,13 +5,16 @@ import logging
 import time
 from typing import Annotated, Any, Final
 
-from fastapi import APIRouter, Body, Response
+from fastapi import APIRouter, Body, Request, Response
 
 from roomlight.errors import ObjectError, ProbeError, SceneError
 from roomlight.wire.compositing import CompositeRequest
+from roomlight_server.byte_budget import Reservation
 from roomlight_server.composites import BOXES, MEDIA_TYPES, check_paths, encode, make, memory_of, scene_of
-from roomlight_server.context import ContextDep, OwnerDep, ReservationDep, SessionDep
+from roomlight_server.context import Context, ContextDep, OwnerDep, ReservationDep, SessionDep
+from roomlight_server.disconnects import until_gone
 from roomlight_server.light_routes import FRAME_HEADER
+from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import BODY_PROBLEMS, ProblemError, documented
 
 _log = logging.getLogger("roomlight.server")
@@ -59,12 +62,19 @@ async def composite(
     owner: OwnerDep,
     held: ReservationDep,
     body: Annotated[CompositeRequest, Body(openapi_examples=_EXAMPLES)],
+    request: Request,
 ) -> Response:
     """Return the last processed frame with objects in it: lit by the room, with shadows, behind real things in front.
 
     Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait while
     a composite is made; those of other sessions do not.
     """
+    return await until_gone(request, _composite(live, context, owner, held, body))
+
+
+async def _composite(
+    live: LiveSession, context: Context, owner: str, held: Reservation, body: CompositeRequest
+) -> Response:
     with live.composite_turn() as latest:
         lens = latest.message.intrinsics
         held.add(memory_of(lens.width, lens.height, body.quality))

@@ -85,9 +85,12 @@ class Turn:
         Raises:
             AbandonedError: The client is gone, and the result is not needed.
         """
-        if self._abandoned:
-            raise AbandonedError
+        self.check()
         self.share.pause(self)
+        self.check()
+
+    def check(self) -> None:
+        """Check that the result is still needed. Raises AbandonedError if the client is gone."""
         if self._abandoned:
             raise AbandonedError
 

@@ -8,6 +8,7 @@ from roomlight.errors import WireError
 from roomlight.wire.compositing import OBJECT_ID_PATTERN, ObjectFormat, ObjectInfo, ObjectList
 from roomlight_server.bodies import OBJECTS_PATH
 from roomlight_server.context import ContextDep, OwnerDep, ReservationDep
+from roomlight_server.disconnects import until_gone
 from roomlight_server.object_store import digest_of
 from roomlight_server.problems import BODY_PROBLEMS, ProblemError, documented
 
@@ -32,7 +33,16 @@ _BODY: Final[dict[str, Any]] = {
     response_model=ObjectInfo,
     responses={201: {"model": ObjectInfo, "description": "The object is stored"}}
     | documented(
-        *(*BODY_PROBLEMS, "unauthorized", "bad-object", "invalid", "too-many-objects", "object-memory", "server-busy")
+        *(
+            *BODY_PROBLEMS,
+            "unauthorized",
+            "bad-object",
+            "invalid",
+            "too-many-objects",
+            "object-memory",
+            "owner-busy",
+            "server-busy",
+        )
     ),
 )
 async def upload_object(
@@ -63,7 +73,8 @@ async def upload_object(
         kind = "obj"
     workers = context.workers
     try:
-        decoded = await workers.run_in_decode_pool(workers.decode_processes.decode_object, body, kind)
+        decoding = workers.run_in_decode_pool(workers.decode_processes.decode_object, body, kind)
+        decoded = await until_gone(request, decoding)
     except WireError as error:
         context.metrics.objects_refused.inc()
         raise ProblemError.from_wire(error) from error

@@ -27,6 +27,7 @@ from roomlight_server.settings import ServerSettings
 _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
+_composite_turn: ContextVar[Turn] = ContextVar("composite_turn")
 STOP_S: Final = 1.0
 """Time for running work to end when the server stops."""
 
@@ -155,12 +156,22 @@ class Workers:
     @asynccontextmanager
     async def composite_slot(self) -> AsyncGenerator[None]:
         """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately."""
-        async with self._composite_share.slot():
-            yield
+        async with self._composite_share.slot() as turn:
+            token = _composite_turn.set(turn)
+            try:
+                yield
+            finally:
+                _composite_turn.reset(token)
 
     async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
-        """Run on a compositing thread; requires a `composite_slot`."""
-        return await self._run_to_end(self._composite, lambda: work(*args, **kwargs))
+        """Run on a compositing thread; requires a `composite_slot`. If the caller is cancelled, it ends soon."""
+        turn = _composite_turn.get()
+
+        def run() -> _R:
+            with pausing(turn.check):
+                return work(*args, **kwargs)
+
+        return await self._run_to_end(self._composite, run, cancelled=turn.abandon)
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for a decoding thread and run on it."""

@@ -12,7 +12,7 @@ from http_servers import SMALL, InThread, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.threads import parallel_for
 from roomlight.wire.light_message import MEDIA_TYPE
-from roomlight_server import fair_share, light_routes, live_session
+from roomlight_server import composite_routes, fair_share, light_routes, live_session
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
 TALL = SMALL | {"height": 512}
@@ -199,6 +199,27 @@ def test_a_paused_computation_ends_when_its_client_is_gone(monkeypatch):
         connection.close()
         wait_until(server, lambda: idle(server))
         assert server.push(1, frame(1)).json["status"] == "processed"
+
+
+def test_a_composite_ends_when_its_client_is_gone(monkeypatch):
+    """A composite of high quality takes up to 50 s of CPU time."""
+    running, never = threading.Event(), threading.Event()
+
+    def make(*_):
+        running.set()
+        while not never.is_set():
+            parallel_for(one_piece, 1)
+
+    monkeypatch.setattr(composite_routes, "make", make)
+    sphere = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
+    with RunningServer() as server:
+        server.open()
+        server.push(0)
+        connection = post(server, {"objects": [sphere]}, "/v1/sessions/room/composite")
+        assert running.wait(60)
+        connection.close()
+        wait_until(server, lambda: abandoned(server) == 1)
+        assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
 
 
 def test_slow_decoding_of_one_owner_leaves_a_thread(monkeypatch):
