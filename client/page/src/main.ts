@@ -13,7 +13,7 @@ import { processingPanel } from "./panels/processing";
 import { sessionsPanel } from "./panels/sessions";
 import { timelinePanel } from "./panels/timeline";
 import { uploadsPanel } from "./panels/uploads";
-import { RoomPanel } from "./room/room";
+import type { RoomPanel } from "./room/room";
 import type { SurfacePoint } from "./room/surface";
 import { State } from "./state";
 
@@ -38,7 +38,8 @@ lightPanel(state, {
   onAdd: () => addProbe(pointAhead()),
   onRemove: (name) => live?.untrack(name),
 });
-const room = startRoom();
+let room: RoomPanel | null = null;
+requestAnimationFrame(() => setTimeout(() => void startRoom())); // three.js after the first paint
 
 state.selected.watch((id) => {
   live?.close();
@@ -56,9 +57,10 @@ void poll();
 document.addEventListener("visibilitychange", () => !document.hidden && void readSessions());
 
 /** The room in 3D; without WebGL the other panels still work. */
-function startRoom(): RoomPanel | null {
+async function startRoom(): Promise<void> {
   try {
-    return new RoomPanel(state, objects, {
+    const { RoomPanel } = await import("./room/room");
+    room = new RoomPanel(state, objects, {
       onDrag: (name, position) => live?.preview(name, position),
       onDrop: (name, position) => live?.release(name, position),
       onPick: pick,
@@ -66,7 +68,6 @@ function startRoom(): RoomPanel | null {
   } catch (error) {
     document.getElementById("room-waiting")!.textContent = "This browser has no WebGL 2, so the room is not shown.";
     console.warn(error);
-    return null;
   }
 }
 

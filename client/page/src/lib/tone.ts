@@ -1,6 +1,6 @@
 // Pixels of a panorama for the screen: sRGB at an exposure, or false colour of luminance.
 
-import type { Panorama } from "roomlight";
+import type { LightSourceValues, Panorama } from "roomlight";
 
 /** Stops above and below white that the false colours span. */
 export const FALSE_COLOUR_STOPS = 6;
@@ -47,6 +47,17 @@ export function autoExposure({ width, height, rgb }: Panorama): number {
   const bright = values[Math.floor(0.9 * (values.length - 1))]!;
   const ev = bright > 0 ? Math.log2(0.8 / bright) : 0;
   return Math.min(8, Math.max(-8, Math.round(4 * ev) / 4));
+}
+
+/** The largest channel of a light's irradiance. */
+export function strengthOf(light: LightSourceValues): number {
+  return Math.max(...light.intensity);
+}
+
+/** The hue of a light at full brightness, as a colour of CSS. */
+export function hueOf(light: LightSourceValues): string {
+  const strength = strengthOf(light) || 1;
+  return `rgb(${light.intensity.map((value) => srgb(value / strength)).join(",")})`;
 }
 
 function srgb(linear: number): number {

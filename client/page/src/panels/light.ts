@@ -2,8 +2,7 @@
 
 import type { LightSourceValues, Position } from "roomlight";
 import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
-import { autoExposure, FALSE_COLOUR_STOPS, luminance, toneMapped, turbo } from "../lib/tone";
-import { hueOf } from "../room/overlays";
+import { autoExposure, FALSE_COLOUR_STOPS, hueOf, luminance, toneMapped, turbo } from "../lib/tone";
 import type { ProbeLight, State } from "../state";
 
 const COMPASS_STEP = 45;
@@ -161,7 +160,7 @@ function showReadout(event: PointerEvent, canvas: HTMLCanvasElement, state: Stat
 
 function lightRow(light: LightSourceValues): HTMLTableRowElement {
   const swatch = element("span", { class: "swatch" });
-  swatch.style.background = `#${hueOf(light).getHexString()}`;
+  swatch.style.background = hueOf(light);
   const cells = [
     directionText(light.direction),
     light.intensity.map((value) => value.toFixed(value < 10 ? 2 : 1)).join("  "),

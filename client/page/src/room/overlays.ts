@@ -12,7 +12,6 @@ import {
   Line,
   LineBasicMaterial,
   LineSegments,
-  LinearSRGBColorSpace,
   Matrix4,
   Mesh,
   MeshBasicMaterial,
@@ -22,6 +21,7 @@ import {
 import type { LightSourceValues } from "roomlight";
 import { onThemeChange, themeColour } from "../lib/dom";
 import type { CameraState } from "../lib/answers";
+import { hueOf, strengthOf } from "../lib/tone";
 import type { State } from "../state";
 import type { RoomView } from "./view";
 
@@ -108,23 +108,11 @@ export class RoomOverlays {
   }
 }
 
-/** The largest channel of a light's irradiance. */
-export function strengthOf(light: LightSourceValues): number {
-  return Math.max(...light.intensity);
-}
-
-/** The hue of a light, at full brightness, in sRGB. */
-export function hueOf(light: LightSourceValues): Color {
-  const strength = strengthOf(light) || 1;
-  const [red, green, blue] = light.intensity.map((value) => value / strength) as [number, number, number];
-  return new Color().setRGB(red, green, blue, LinearSRGBColorSpace);
-}
-
 /** An arrow that ends at the probe, with a dark outline so that it shows before bright walls. */
 function arrow(probe: Vector3, light: LightSourceValues, length: number): Group {
   const group = new Group();
   const paints = [
-    [new MeshBasicMaterial({ color: hueOf(light) }), 0],
+    [new MeshBasicMaterial({ color: new Color().setStyle(hueOf(light)) }), 0],
     [new MeshBasicMaterial({ color: 0x1d1c19, side: BackSide }), 0.007],
   ] as const;
   for (const [material, outline] of paints) {
