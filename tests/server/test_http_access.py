@@ -60,10 +60,10 @@ def test_wrong_tokens_are_counted_logged_and_slowed(monkeypatch, caplog):
 
 @pytest.mark.parametrize(("tokens", "warns"), [((), True), ((TOKEN,), False)])
 def test_all_origins_without_a_token_is_warned_about(monkeypatch, capfd, tokens, warns):
-    class Stopped(serving.uvicorn.Server):
+    class Stopped(serving.GracefulServer):
         def run(self, sockets=None):
             del sockets
 
-    monkeypatch.setattr(serving.uvicorn, "Server", Stopped)
+    monkeypatch.setattr(serving, "GracefulServer", Stopped)
     serving.serve(ServerSettings(port=0, allow_origins=("*",), tokens=tokens), listening=lambda _: None)
     assert ("any web page" in capfd.readouterr().err) is warns
