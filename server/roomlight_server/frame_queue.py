@@ -155,7 +155,8 @@ class FrameQueue:
 
         A waiting frame and those after it are left out: they are sent again after a restart.
         """
-        counts, last = dict(self._counts), self._last
+        counts: dict[str, int] = {**self._counts}
+        last = self._last
         if self._waiting is not None and last is not None:
             skipped, before = self._skipped_after_waiting, self._before_waiting
             gaps = 0 if before is None else last.index - before.index

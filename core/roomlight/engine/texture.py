@@ -67,7 +67,7 @@ class Texture:
     def checksum(self) -> int:
         """CRC-32 of all values: equal textures have equal ones."""
         parts = [part for part in (self.image, self.clipped, self.guessed) if part is not None]
-        return reduce(lambda crc, part: zlib.crc32(np.ascontiguousarray(part), crc), parts, 0)
+        return reduce(lambda crc, part: zlib.crc32(np.ascontiguousarray(part).data, crc), parts, 0)
 
     def sample(
         self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]

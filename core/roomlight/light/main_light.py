@@ -86,8 +86,9 @@ class MainLight:
     @classmethod
     def from_json(cls, values: dict[str, Any]) -> "MainLight":
         """Return the light of which `to_json` returned these values."""
-        vectors = {name: np.array(values[name], np.float64) for name in ("direction", "intensity")}
-        return cls(**(values | vectors))
+        direction, intensity = (np.array(values[name], np.float64) for name in ("direction", "intensity"))
+        others = {name: value for name, value in values.items() if name not in ("direction", "intensity")}
+        return cls(direction, intensity, **others)
 
 
 @dataclass(frozen=True)

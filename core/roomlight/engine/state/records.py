@@ -121,7 +121,7 @@ def array_records(arrays: Arrays) -> list[Record]:
     for name, array in arrays.items():
         assert array.dtype.name in _TYPES, name
         values = {"name": name, "type": array.dtype.name, "shape": array.shape}
-        records.append(Record("ARRY", values, compressor.compress(np.ascontiguousarray(array))))
+        records.append(Record("ARRY", values, compressor.compress(np.ascontiguousarray(array).data)))
     return records
 
 
