@@ -10,6 +10,7 @@ import { hasAugmentedReality, requestCameraSession, sendViews } from "./xr";
 
 const NEEDS_TLS =
   "This browser gives its camera to secure pages only. Start the server with roomlight serve --lan, which has TLS, and open its address.";
+const HOW = "Press Start and move the phone slowly through the room. The picture shows the light that was found.";
 const NO_DEPTH = "This phone measures no depth here. Everything is taken to be 2.5 m away.";
 const PHOTOS =
   "Without WebXR the page sends photos. Each photo gives light of its own: the part that the camera sees is taken to be 2.5 m away, the rest is estimated.";
@@ -53,6 +54,7 @@ function build(): void {
   const link = Object.assign(element("a", "live", "Live page"), { href: "/" });
   page.append(element("h1", "", "RoomLight camera"), state, video, panorama, figures, note, problem, tokenForm, button, link);
   document.body.append(page);
+  note.textContent = HOW;
   show(EMPTY);
 }
 
@@ -89,7 +91,7 @@ async function start(): Promise<void> {
     if (!(session instanceof Error)) {
       return runAugmented(session);
     }
-    note.textContent = `WebXR: ${session.message}. `;
+    note.textContent = `WebXR: ${session.message.replace(/\.$/, "")}. `;
   }
   await runPhotos();
 }

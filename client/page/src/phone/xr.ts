@@ -4,7 +4,7 @@ import { cameraImage, flatDepth, frameOfView, type CpuDepthLike } from "roomligh
 import type { StreamLink } from "./link";
 
 const SPACING_MS = 150; // more than six frames a second show the same room
-const AHEAD_M = 1.5;
+const AHEAD_M = 0.6; // in free space even where the phone is held in front of a wall
 /** Distance that is assumed for everything where the phone measures no depth. */
 export const ASSUMED_M = 2.5;
 
