@@ -41,7 +41,7 @@ def test_bright_objects_keep_a_contact_shadow(material):
     """What a bright object shows of the floor beneath it is dark, so it lights the contact little."""
     ratio, grid = ratio_of(ball(lit(60, [], level=1.0), height=0.2, material=material), FINE)
     far = places(grid)
-    assert ratio[(far > 0.02) & (far < 0.05)].mean() < 0.25
+    assert ratio[(far > 0.02) & (far < 0.05)].mean() < 0.4
     assert 0.6 < ratio[(far > 0.2) & (far < 0.24)].mean() < 1.0
     assert ratio[(far > 0.6) & (far < 0.7)].mean() == pytest.approx(1, abs=0.03)
 
