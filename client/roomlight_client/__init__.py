@@ -38,7 +38,8 @@ from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits
 from roomlight_client.recovery import RecoveryEvent
 from roomlight_client.retry import Retry, Timeouts
-from roomlight_client.stream import AsyncStream, StreamStatus
+from roomlight_client.stream import AsyncStream
+from roomlight_client.stream_link import StreamStatus
 
 __all__ = [
     "AsyncClient",

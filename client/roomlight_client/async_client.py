@@ -31,7 +31,8 @@ from roomlight_client.light import Light, LightFile
 from roomlight_client.memory import BufferLimits, SessionMemory
 from roomlight_client.recovery import Pause, Recovery, RecoveryEvent, RecoveryPolicy, Resumed, Send, Steps
 from roomlight_client.retry import NO_RETRY, RECONNECT, Retry, Timeouts
-from roomlight_client.stream import AsyncStream, StreamHandlers, StreamLink, StreamOptions, StreamStatus
+from roomlight_client.stream import AsyncStream
+from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamOptions, StreamStatus
 
 
 class AsyncClient:

@@ -13,7 +13,8 @@ from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat
 from roomlight_client.calls import DEFAULT_FORMS, PositionOrName
 from roomlight_client.light import Light
-from roomlight_client.stream import AsyncStream, StreamHandlers, StreamLink, StreamStatus
+from roomlight_client.stream import AsyncStream
+from roomlight_client.stream_link import StreamHandlers, StreamLink, StreamStatus
 
 T = TypeVar("T")
 

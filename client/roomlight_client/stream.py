@@ -7,22 +7,18 @@ the other. Nothing is sent twice that the server has.
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Awaitable, Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
 from types import TracebackType
-from typing import Any, Final, Literal, cast
-from urllib.parse import urlsplit
+from typing import Any, Final, cast
 
-from pydantic import TypeAdapter, ValidationError
-from websockets.asyncio.client import ClientConnection, connect
-from websockets.exceptions import ConnectionClosed, InvalidHandshake, InvalidStatus
-from websockets.typing import Subprotocol
+from pydantic import ValidationError
+from websockets.asyncio.client import ClientConnection
+from websockets.exceptions import ConnectionClosed
 
 from roomlight.conventions import Position
 from roomlight.errors import WireError
 from roomlight.frame import Frame
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
-from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import (
     FrameEvent,
     FrameResult,
@@ -32,7 +28,6 @@ from roomlight.wire.messages import (
     LightFormat,
     LightingUpdate,
     ProblemEvent,
-    ServerMessage,
     SessionState,
     Subscribe,
     Track,
@@ -41,78 +36,28 @@ from roomlight.wire.messages import (
 )
 from roomlight_client.calls import (
     DEFAULT_FORMS,
-    SESSION_HEADER,
     PositionOrName,
-    SessionCalls,
     as_form,
-    is_loopback,
     light_request,
 )
 from roomlight_client.errors import BadReplyError, RefusedError, RemoteError, UnreachableError, refusal
-from roomlight_client.light import Light, lights_of
+from roomlight_client.light import Light
 from roomlight_client.memory import KeptFrame
-from roomlight_client.recovery import Recovery, Resumed, is_session_gone
-from roomlight_client.retry import Retry, Timeouts
+from roomlight_client.recovery import Resumed, is_session_gone
+from roomlight_client.stream_link import (
+    StreamHandlers,
+    StreamLink,
+    StreamStatus,
+    decode_message,
+    is_temporary,
+    open_socket,
+)
 
 _log = logging.getLogger("roomlight.client")
-_MESSAGES: Final[TypeAdapter[ServerMessage]] = TypeAdapter(ServerMessage)
-_MAX_ANSWER_BYTES: Final = 2**27
 _MAX_SENDS: Final = 3
 """A frame that ends so many connections is the reason for it."""
 _TOO_BIG: Final = 1009
 """Close code of RFC 6455: a message is too big."""
-
-
-@dataclass(frozen=True)
-class StreamStatus:
-    """State of a stream's connection.
-
-    Attributes:
-        state: `closed` is final; after `reconnecting` comes `open` or `closed`.
-        attempt: With `reconnecting`: the number of the next attempt, from 1.
-        delay_s: With `reconnecting`: the seconds until that attempt.
-        error: With `reconnecting` and `closed`: why the connection ended.
-        reopened: With `open`: the server had lost the session; its light starts again from the frames sent again.
-        incomplete: With `open`: the server lost frames that are no longer kept; its light differs from before.
-    """
-
-    state: Literal["connecting", "open", "reconnecting", "closed"]
-    attempt: int = 0
-    delay_s: float = 0.0
-    error: RemoteError | None = None
-    reopened: bool = False
-    incomplete: bool = False
-
-
-@dataclass(frozen=True)
-class StreamHandlers:
-    """Functions that receive what answers no call; they must not block."""
-
-    on_lighting: Callable[[list[Light]], object] | None = None
-    on_status: Callable[[StreamStatus], object] | None = None
-    on_problem: Callable[[RemoteError], object] | None = None
-
-
-@dataclass(frozen=True)
-class StreamOptions:
-    """How a client connects: its address, its token, its limits of time, and its attempts after a lost connection."""
-
-    url: str
-    token: str | None
-    timeouts: Timeouts
-    reconnect: Retry
-    jitter: Callable[[], float]
-
-
-@dataclass(frozen=True)
-class StreamLink:
-    """What a stream needs of its session and its client. `resume` runs the steps of `Recovery.resume(reopen=..)`."""
-
-    options: StreamOptions
-    calls: SessionCalls
-    recovery: Recovery
-    resume: Callable[[bool], Awaitable[Resumed]]
-    sleep: Callable[[float], Awaitable[object]]
 
 
 class AsyncStream:
@@ -298,7 +243,7 @@ class AsyncStream:
         resumed = await self._link.resume(again and self._memory.can_reopen)
         if resumed.state.status == "failed":
             raise BadReplyError("the session has failed on the server: delete it and open a new one")
-        return await _open_socket(self._link), resumed
+        return await open_socket(self._link), resumed
 
     async def _run(self, socket: ClientConnection, resumed: Resumed) -> None:
         """Keep the connection until the stream ends."""
@@ -330,7 +275,7 @@ class AsyncStream:
             try:
                 return await self._connect(again=True)
             except RemoteError as failed:
-                if not _is_temporary(failed):
+                if not is_temporary(failed):
                     raise
                 error = failed
 
@@ -447,7 +392,7 @@ class AsyncStream:
         if self._socket is None:
             return None  # the connection was given up
         try:
-            message, lights = _decode(data)
+            message, lights = decode_message(data)
         except (ValidationError, WireError, BadReplyError, ValueError) as error:
             return self._call(self._handlers.on_problem, BadReplyError(f"malformed message from the server: {error}"))
         if not isinstance(message, ProblemEvent):
@@ -500,51 +445,6 @@ class AsyncStream:
         self._show(StreamStatus("closed", error=error))
         for name in list(self._pending):
             self._fail(name, error)
-
-
-async def _open_socket(link: StreamLink) -> ClientConnection:
-    """Connect to the session's WebSocket.
-
-    Raises:
-        RemoteError: If the server refuses or does not respond.
-    """
-    options = link.options
-    headers = {SESSION_HEADER: link.calls.session_id}
-    if options.token is not None:
-        headers["Authorization"] = f"Bearer {options.token}"
-    base = "ws" + options.url.rstrip("/").removeprefix("http")
-    try:
-        return await connect(
-            f"{base}/v1/sessions/{link.calls.session_id}/stream",
-            additional_headers=headers,
-            subprotocols=[Subprotocol("roomlight.v1")],
-            compression=None,
-            max_size=_MAX_ANSWER_BYTES,
-            open_timeout=options.timeouts.connect_s,
-            close_timeout=1.0,
-            proxy=None if is_loopback(urlsplit(options.url).hostname or "") else True,
-            user_agent_header="roomlight-python",
-        )
-    except InvalidStatus as error:
-        raise refusal(error.response.status_code, error.response.body or b"") from error
-    except (OSError, TimeoutError, InvalidHandshake) as error:
-        raise UnreachableError(f"{options.url}: no WebSocket connection ({error})") from error
-
-
-def _decode(data: str | bytes) -> tuple[ServerMessage, list[Light]]:
-    """Parse a message of the server; return it with its lights."""
-    if isinstance(data, bytes):
-        is_update = b'"type":"lighting"' in data[: 8 + int.from_bytes(data[4:8], "little")]
-        binary, parts = parse_light(data, LightingUpdate) if is_update else parse_light(data, LightAnswer)
-        return binary, lights_of(binary, parts)
-    message = _MESSAGES.validate_json(data)
-    return message, lights_of(message, None) if isinstance(message, LightAnswer | LightingUpdate) else []
-
-
-def _is_temporary(error: RemoteError) -> bool:
-    if isinstance(error, RefusedError):
-        return error.status in (408, 429) or error.status >= 500
-    return isinstance(error, UnreachableError)
 
 
 def _outcome_lost(index: int) -> FrameResult:
