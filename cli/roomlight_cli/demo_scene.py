@@ -5,9 +5,9 @@ from typing import Any, Final
 from roomlight.compositing.scene import Scene, parse_scene
 from roomlight.errors import ObjectError
 
-_FLOOR_M: Final = 0.1
-_LOW_TABLE_M: Final = 0.524
-"""Heights of the floor and of the low table in the sample's world, whose origin is arbitrary."""
+_FLOOR_M: Final = 0.0
+_LOW_TABLE_M: Final = 0.424
+"""Heights of the floor and of the low table in the sample room."""
 
 _OBJECTS: Final[list[dict[str, Any]]] = [
     {

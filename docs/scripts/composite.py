@@ -47,10 +47,7 @@ def main() -> None:
     good = Compositor(session, demo_scene(), quality="good")
     film = [Image.fromarray(good.composite(frame).image) for frame in frames]
     film = [picture.resize(FILM_SIZE, Image.Resampling.LANCZOS) for picture in film]
-    turning_back = film[-2:0:-1]
-    film[0].save(
-        IMAGES / "composite.webp", save_all=True, append_images=film[1:] + turning_back, duration=FILM_MS, quality=60
-    )
+    film[0].save(IMAGES / "composite.webp", save_all=True, append_images=film[1:], duration=FILM_MS, quality=55, loop=0)
     with TemporaryDirectory() as folder:
         replay(sample_capture(), Path(folder) / "light", ReplayOptions(probes_from_capture=True))
         summary = Image.open(Path(folder) / "light" / "summary.png")
