@@ -53,14 +53,16 @@ test("a file that is no recording is refused with the reason", async () => {
 });
 
 test("an upload can be cancelled", async () => {
-  let hold;
-  await page.route("**/files/**", (route) => new Promise((resolve) => (hold = resolve)).then(() => route.abort()));
+  let release;
+  const held = new Promise((resolve) => (release = resolve));
+  await page.route("**/files/**", (route) => held.then(() => route.abort()).catch(() => undefined));
+  const sent = page.waitForRequest("**/files/**");
   await page.setInputFiles("#file-input", ARCHIVE);
-  await page.waitForSelector('button[aria-label="Cancel hall.r3d"]');
-  const deleted = page.waitForRequest((request) => request.method() === "DELETE" && request.url().includes("/v1/recordings/"));
-  await page.waitForRequest("**/files/**").catch(() => undefined);
+  await sent;
+  const isDelete = (request) => request.method() === "DELETE" && request.url().includes("/v1/recordings/");
+  const deleted = page.waitForRequest(isDelete);
   await page.click('button[aria-label="Cancel hall.r3d"]');
   await deleted;
-  hold?.();
+  release();
   assert.equal(await page.locator('button[aria-label="Cancel hall.r3d"]').count(), 0);
 });
