@@ -192,7 +192,8 @@ class Hostile:
             header["intrinsics"][name] *= scale
         header["colour"] = {"encoding": encoding, "bytes": len(data)}
         checked = FrameHeader.model_validate_json(json.dumps(header))
-        return pack(checked, data, bytes(message.depth), message.confidence and bytes(message.confidence))
+        confidence = None if message.confidence is None else bytes(message.confidence)
+        return pack(checked, data, bytes(message.depth), confidence)
 
     async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
         return await asyncio.open_connection("127.0.0.1", self._port, local_addr=(ADDRESS, 0))

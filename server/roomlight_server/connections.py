@@ -194,7 +194,8 @@ class HttpProtocol(HttpToolsProtocol):
     def on_message_begin(self) -> None:
         """Begin a request."""
         super().on_message_begin()
-        self.scope["state"][TRANSPORT] = self.transport
+        state: dict[str, Any] = self.scope.setdefault("state", {})
+        state[TRANSPORT] = self.transport
         self._header_bytes = self._unparsed_bytes = self._discarded_bytes = 0
         self._follows_another = self._cycle is not None
         self._reading_headers = True
