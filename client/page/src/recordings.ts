@@ -52,6 +52,9 @@ export class RecordingUpload {
     try {
       let recording = await this.api.createRecording(name, bytes, this.files.length);
       this.show({ recording });
+      if (this.stopped.signal.aborted) {
+        return await this.cancel(); // cancelled while the server made it
+      }
       await this.send(recording.id);
       recording = await this.api.replay(recording.id, sessionName(name));
       this.show({ recording });
