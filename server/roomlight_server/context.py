@@ -1,7 +1,8 @@
 """Objects shared by the routes of a server, and the dependencies that provide them."""
 
+from collections import OrderedDict
 from collections.abc import AsyncGenerator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, Final
 
 from fastapi import Depends, Path, Request
@@ -35,6 +36,8 @@ class Context:
     ready: bool = False
     public_url: str | None = None
     """Address on the local network, once the server listens."""
+    meshes: OrderedDict[str, bytes] = field(default_factory=OrderedDict[str, bytes])
+    """The meshes that were made last, by ETag."""
 
     def begin_stop(self) -> None:
         """Refuse new sessions and frames, and let paused work end; `/readyz` answers 503 from now on."""

@@ -13,7 +13,7 @@ from http_servers import RunningServer, box_shot, frame, header_of
 from roomlight.conventions import panorama_directions
 from roomlight.engine.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
-from roomlight_server.room_mesh import room_mesh, to_glb
+from roomlight_server.room_mesh import _without_copies, room_mesh, to_glb
 
 TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 ROOM = "/v1/sessions/room"
@@ -275,3 +275,20 @@ def test_usdz_is_made_for_any_point(server):
     assert stored[:4] == b"\x76\x2f\x31\x01"
     assert b"(0, 1, 0)" in zipfile.ZipFile(io.BytesIO(answer.body)).read("light.usda")
     assert server.call("GET", f"{ROOM}/usdz?name=none").kind == "probe-not-found"
+
+
+def test_a_mesh_is_made_once_for_all_clients(server, monkeypatch):
+    first = server.call("GET", f"{ROOM}/mesh?triangles=2000")
+
+    def fail(*_, **__):
+        raise AssertionError("made again")
+
+    monkeypatch.setattr("roomlight_server.room_routes.room_mesh", fail)
+    assert server.call("GET", f"{ROOM}/mesh?triangles=2000").body == first.body
+
+
+def test_faces_are_unique_for_any_number_of_vertices():
+    few = np.array([[0, 1, 2], [0, 2, 1], [0, 1, 2]])
+    for faces in (few, few + 2**21):
+        assert _without_copies(faces).tolist() == [faces[0].tolist(), faces[1].tolist()]
+    assert _without_copies(np.zeros((0, 3), np.int64)).shape == (0, 3)
