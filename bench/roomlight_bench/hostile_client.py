@@ -26,6 +26,7 @@ from roomlight.sample import sample_capture
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import FrameLimits, pack, parse
+from roomlight.wire.light_message import MEDIA_TYPE
 
 ADDRESS: Final = "127.0.0.2"
 ROWS: Final = 512
@@ -109,13 +110,13 @@ class Hostile:
 
         async def repeat() -> None:
             while True:
-                await self._call("POST", "/v1/sessions/room/probes", body, _JSON)
+                await self._call("POST", "/v1/sessions/room/probes", body, _JSON | {"Accept": MEDIA_TYPE})
 
         await self._all(repeat() for _ in range(40))
 
     async def tall_probes(self) -> None:
         """Stream frames to a session with sixteen probes of 512 rows, and request late ones."""
-        await self._fill("tall", ROWS)
+        await self._open("tall", ROWS)
         x, y, z = self._point
         for number in range(16):
             place = {"position": [x + 0.02 * number, y, z]}
