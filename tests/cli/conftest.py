@@ -37,7 +37,7 @@ class NoPictures:
     def add(self, *_: object) -> None:
         pass
 
-    def close(self) -> None:
+    def close(self, _: object = None) -> None:
         pass
 
     def abandon(self, _: object) -> None:
