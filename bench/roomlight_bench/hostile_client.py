@@ -67,7 +67,7 @@ class Hostile:
 
         async def repeat() -> None:
             while True:
-                with suppress(OSError):
+                try:
                     reader, writer = await self._connect()
                     writer.write(b"GET /healthz HTTP/1.1\r\n")
                     for number in range(1000):
@@ -75,6 +75,8 @@ class Hostile:
                         await writer.drain()
                     self._count(await reader.read(12))
                     writer.close()
+                except OSError:
+                    self._count(b"")
 
         await self._all(repeat() for _ in range(8))
 
