@@ -39,7 +39,7 @@ from roomlight.compositing.placing import Plane
 from roomlight.compositing.room_shade import Lamp, lamp_of, lamp_seen
 from roomlight.compositing.scene_geometry import SceneGeometry
 from roomlight.compositing.tracer import ObjectScene
-from roomlight.conventions import panorama_directions
+from roomlight.conventions import direction_to_uv, panorama_directions
 from roomlight.threads import parallel_for, thread_count
 
 TILE: Final = 4
@@ -55,6 +55,8 @@ _EDGE: Final = 0.04
 _EVEN_SHARE: Final = np.float32(0.25)
 _MOST_REFLECTED: Final = np.float32(12.0)
 """Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
+_MOST_ALBEDO: Final = 0.8
+"""Of floors and tables: white paint."""
 _LEAST_ROUGHNESS: Final = 0.3
 """Of mirrors that light matte surfaces, as in the renderer's paths."""
 _BLOCK_RAYS: Final = 1 << 17
@@ -279,6 +281,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
             add_bounced(met, face, distance_m, caster.object_ids, looks, levels, ground, bounced)
 
     _in_blocks(work, count, max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres))))
+    irradiance = _at_least_seen(irradiance, receivers.normals, caster)
     if lamp is not None:
         hidden = (1 - receivers.seen) * np.maximum(receivers.normals @ lamp.direction, 0)
         irradiance = np.maximum(irradiance - hidden[:, None] * lamp.intensity, np.float32(0.05) * irradiance)
@@ -286,6 +289,22 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     # All of a few samples agreeing still leaves doubt: half a sample.
     least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * unblocked.mean(axis=1)
     return _LightChange(unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2), irradiance, bounced)
+
+
+def _at_least_seen(
+    irradiance: Float32[np.ndarray, "n 3"], normals: Float32[np.ndarray, "n 3"], caster: Caster
+) -> Float32[np.ndarray, "n 3"]:
+    """Raise the irradiance of surfaces that face up to what the brightness of the surface below the object needs.
+
+    Lamps that no frame has shown are missing in the panorama, but the floor shows their light: its radiance is at most
+    `_MOST_ALBEDO` x irradiance / pi. Reflected light, divided by too little, would be a bright spot.
+    """
+    up = np.array([0.0, 1, 0]) if caster.support is None else caster.support.normal
+    matte = caster.light.prefiltered[-1]
+    u, v = direction_to_uv(-up[None])[0]
+    below = matte[min(int(v * len(matte)), len(matte) - 1), min(int(u * matte.shape[1]), matte.shape[1] - 1)]
+    facing = (normals @ up.astype(np.float32) > 0.7)[:, None]
+    return np.where(facing, np.maximum(irradiance, np.float32(np.pi / _MOST_ALBEDO) * below), irradiance)
 
 
 def _rays(count: int, channels: int) -> Rays:

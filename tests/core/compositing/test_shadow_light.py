@@ -7,6 +7,7 @@ from test_shadows import CAMERA, FLOOR, POSE, ball, caster, ratio_of
 
 from roomlight.compositing.compositor import shadow_step
 from roomlight.compositing.materials import diffuse, mirror
+from roomlight.compositing.placing import Plane
 from roomlight.compositing.primitives import cube, plane, sphere
 from roomlight.compositing.shadows import QUALITIES, ShadowQuality, coarse_ratio, surface_grid
 from roomlight.conventions import panorama_directions, panorama_solid_angles
@@ -71,7 +72,8 @@ def test_a_mirror_throws_the_light_that_it_receives():
     panorama = lit(120, [(toward, 3.0, 60.0)], level=0.5)
     move = np.eye(4)
     move[1, 3] = 0.4
-    plate = caster(plane(0.2, 0.2, mirror()).transformed(move), panorama, (0, 0.4, 0), 0.1415, support=None)
+    ceiling = Plane(np.array([0.0, 3.0, 0.0]), np.array([0.0, -1.0, 0.0]))
+    plate = caster(plane(0.2, 0.2, mirror()).transformed(move), panorama, (0, 0.4, 0), 0.1415, support=ceiling)
     ratio, grid = ratio_of(plate, FINE)
     glow = (ratio[..., 1] - 1)[1:-1, 1:-1] * irradiance(panorama, (0, 1, 0))[1]
     right, down = grid.points[1:-1, 2:] - grid.points[1:-1, :-2], grid.points[2:, 1:-1] - grid.points[:-2, 1:-1]
@@ -93,6 +95,17 @@ def test_few_samples_are_as_bright_as_many(held):
     many = coarse_ratio(one, grid, FINE)
     near = places(grid) < 0.6
     assert few[near].mean() == pytest.approx(many[near].mean(), rel=0.05)
+
+
+def test_light_that_the_panorama_lacks_makes_no_bright_spot():
+    """The floor is brighter than the panorama's sky explains: a mirror on it throws no bright light on it."""
+    panorama = lit(60, [], level=0.2)
+    panorama[30:] = 0.6
+    mirrored = ball(panorama, height=0.2, material=mirror())
+    ratio, grid = ratio_of(mirrored, FINE)
+    far = places(grid)
+    assert ratio[far < 0.8].max() < 1.02
+    assert ratio[(far > 0.02) & (far < 0.05)].mean() < 0.4
 
 
 def floor_depth_of_camera():
