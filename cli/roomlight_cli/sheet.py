@@ -35,7 +35,7 @@ _HEADER_ROWS: Final = 112
 _SECTION_SIZE: Final = 22
 _SECTION_ROWS: Final = 44
 _SECTION_GAP: Final = 72
-_BADGE: Final = 14
+_BADGE: Final = 14.0
 _TINT: Final = (0.10, 0.14, 0.34)
 _TINT_SHARE: Final = 0.72
 """A dark blue: inferred directions step back, and no room's own colour is mistaken for it."""
@@ -203,7 +203,7 @@ class _Page:
         for number, mark in enumerate(inserted.marks):
             if mark is not None:
                 x, y = at[0] + mark[0] * self._hero_size[0], at[1] + mark[1] * self._hero_size[1]
-                edge = _BADGE + 4
+                edge = _BADGE + 4.0
                 x = min(max(x, at[0] + edge), at[0] + self._hero_size[0] - edge)
                 y = min(max(y, at[1] + edge), at[1] + self._hero_size[1] - edge)
                 self._badge((x, y), number)
@@ -262,7 +262,7 @@ class _Page:
         row = top + _SECTION_GAP
         self._badge((float(self._left + _BADGE), row + 13.0), number)
         canvas.text(
-            (self._left + 2 * _BADGE + 14, row), probe.label, size=_SECTION_SIZE, grey=HEADING, weight="semibold"
+            (self._left + 42, row), probe.label, size=_SECTION_SIZE, grey=HEADING, weight="semibold"
         )
         if probe.coverage:
             text = f"{percent(probe.coverage[-1])} of the sphere seen"

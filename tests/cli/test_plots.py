@@ -55,7 +55,7 @@ def test_a_series_of_another_length_is_refused() -> None:
 
 
 @pytest.mark.parametrize(
-    ("value", "expected"), [(0.0, 1.0), (0.3, 0.5), (0.5, 0.5), (0.51, 1.0), (1.7, 2.0), (12, 20.0), (600, 1000.0)]
+    ("value", "expected"), [(0.0, 1.0), (0.3, 0.5), (0.5, 0.5), (0.51, 1.0), (1.7, 2.0), (12.0, 20.0), (600.0, 1000.0)]
 )
 def test_axes_end_at_round_values(value: float, expected: float) -> None:
     assert round_up(value) == pytest.approx(expected)
