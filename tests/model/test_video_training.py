@@ -158,7 +158,7 @@ def test_kept_sequences_give_the_fixed_networks_panoramas(tmp_path):
 
 
 def test_a_run_on_kept_sequences_repeats_its_curve(tmp_path):
-    options = replace(OPTIONS, stage="video-blend", variants=1, steps=3)
+    options = replace(OPTIONS, stage="video-blend", variants=1, steps=3, bf16=True)
     whole = trainer_of(tmp_path / "whole", options)
     whole.train(report=quiet)
     first = trainer_of(tmp_path / "parts", options)

@@ -231,11 +231,11 @@ def with_renderings(batch: WalkBatch, model: VideoModel, options: TrainOptions, 
     here, height = batch.to(device), batch.lights.shape[-2]
     panoramas: list[Tensor] = []
     state: SGState | None = None
-    with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16):
-        for frame in range(batch.frames):
-            volume = here.volume[:, frame]
+    for frame in range(batch.frames):
+        volume = here.volume[:, frame]
+        with torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16):
             state = _in_float32(model.start(volume) if state is None else model.step(volume, state))
-            panoramas.append(rendered_panoramas(state.volume, here, height=height, device=device))
+        panoramas.append(rendered_panoramas(state.volume, here, height=height, device=device))
     nothing = batch.volume.new_empty((*batch.volume.shape[:3], 0, 0, 0))
     return replace(batch, volume=nothing, hdr=torch.stack(panoramas, dim=1).to(batch.volume.device))
 
