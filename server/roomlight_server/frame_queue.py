@@ -62,7 +62,8 @@ class FrameQueue:
         self._before_waiting: Entry | None = None
         self._skipped_after_waiting = 0
         self._processing: Entry | None = None
-        self._counts = dict.fromkeys(("processed", "superseded", "skipped", "gaps", "replayed", "refused"), 0)
+        names = ("processed", "superseded", "skipped", "gaps", "replayed", "refused")
+        self._counts: dict[str, int] = dict[str, int].fromkeys(names, 0)
 
     def replay_of(self, index: int, digest: bytes) -> Entry | None:
         """Return the entry that this message repeats, or None for a new frame.
@@ -155,8 +156,7 @@ class FrameQueue:
 
         A waiting frame and those after it are left out: they are sent again after a restart.
         """
-        counts: dict[str, int] = {**self._counts}
-        last = self._last
+        counts, last = dict(self._counts), self._last
         if self._waiting is not None and last is not None:
             skipped, before = self._skipped_after_waiting, self._before_waiting
             gaps = 0 if before is None else last.index - before.index
