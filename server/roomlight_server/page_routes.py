@@ -129,7 +129,7 @@ async def phone_page(request: Request) -> Response:
     ASSETS + "/{name}",
     summary="A file of the pages",
     response_class=Response,
-    responses={304: {"description": "Unchanged: `If-None-Match` names its ETag"}, **documented("not-found")},
+    responses={304: {"description": "Unchanged: `If-None-Match` names its ETag"}, **documented("not-found", "invalid")},
 )
 async def asset(request: Request, name: str) -> Response:
     """Return a file of the pages; its name changes with its content."""
