@@ -3,6 +3,7 @@
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
+from roomlight.engine.graphs import SHIPPED
 
 TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
 
@@ -225,8 +226,9 @@ def test_the_document_describes_every_route(server):
     assert server.call("GET", "/docs").status == 200
 
 
-def test_a_model_without_weights_is_answered_with_409(server):
-    answer = server.call("PUT", "/v1/sessions/untrained", {"mode": "video"})
-    assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
-    assert "auto" in answer.json["rule"]
-    assert server.call("GET", "/v1/sessions/untrained").status == 404
+def test_a_model_without_weights_is_answered_with_409():
+    with RunningServer(weights=SHIPPED / "single") as server:
+        answer = server.call("PUT", "/v1/sessions/untrained", {"mode": "video"})
+        assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
+        assert "auto" in answer.json["rule"]
+        assert server.call("GET", "/v1/sessions/untrained").status == 404
