@@ -89,7 +89,7 @@ def test_a_server_needs_no_compiler_after_precompiling(tmp_path):
     command = [sys.executable, "-m", "roomlight_server.precompile"]
     subprocess.run(command, env=environment, check=True, capture_output=True)
     compiled = {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")}
-    assert len(compiled) > 20
+    assert len(compiled) > 5
     subprocess.run(command, env=environment, check=True, capture_output=True)
     assert {path: path.stat().st_mtime_ns for path in tmp_path.rglob("*.nbc")} == compiled
 
