@@ -45,8 +45,8 @@ def test_a_sphere_appears_where_the_probe_is(session: Session) -> None:
     assert session.handles == before  # what the replay reports are its own probes
     height, width = inserted.image.shape[:2]
     assert width == 960
-    pixel, _ = frame.intrinsics.project(transform_points(rigid_inverse(frame.camera_to_world), np.array(SEEN)))
-    column, row = (pixel * width / frame.intrinsics.width).tolist()
+    pixel, _ = frame.intrinsics.project(transform_points(rigid_inverse(frame.camera_to_world), np.array([SEEN])))
+    column, row = (pixel[0] * width / frame.intrinsics.width).tolist()
     plain = np.kron(linear_to_srgb8(frame.image), np.ones((6, 6, 1), np.uint8)).astype(int)
     changed = np.abs(inserted.image.astype(int) - plain).max(axis=-1) > 12
     radius = 0.055 * frame.intrinsics.fx * width / frame.intrinsics.width
