@@ -52,6 +52,7 @@ class Hostile:
 
     async def decode_bombs(self) -> None:
         """Send images of 12 megapixels and 60 scans in four sessions."""
+
         async def repeat(session: int) -> None:
             await self._open(f"bomb{session}")
             index = 0

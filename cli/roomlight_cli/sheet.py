@@ -261,9 +261,7 @@ class _Page:
         canvas.box((self._left, top + _SECTION_GAP // 2), (whole, 1), _RULE)
         row = top + _SECTION_GAP
         self._badge((float(self._left + _BADGE), row + 13.0), number)
-        canvas.text(
-            (self._left + 42, row), probe.label, size=_SECTION_SIZE, grey=HEADING, weight="semibold"
-        )
+        canvas.text((self._left + 42, row), probe.label, size=_SECTION_SIZE, grey=HEADING, weight="semibold")
         if probe.coverage:
             text = f"{percent(probe.coverage[-1])} of the sphere seen"
             canvas.text((self._right + self._wide - text_width(text, size=18), row + 3), text, size=18)

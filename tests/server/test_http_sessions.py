@@ -213,10 +213,14 @@ def test_an_unknown_method_is_answered_with_the_allowed_ones(server):
 
 def test_the_document_describes_every_route(server):
     document = server.call("GET", "/openapi.json").json
-    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite")
+    below = ("", "/frames/{index}", "/probe", "/probes", "/probes/{name}", "/composite", "/camera", "/colour", "/mesh")
+    below += ("/usdz", "/history", "/history/{index}/colour", "/history/{index}/probes/{name}")
     ours = {f"/v1/sessions/{{session_id}}{path}" for path in below}
-    ours |= {"/v1/objects", "/v1/objects/{object_id}"}
-    assert set(document["paths"]) == ours | {"/healthz", "/readyz", "/metrics"}
+    recordings = ("", "/{recording_id}", "/{recording_id}/files/{path}", "/{recording_id}/replay")
+    ours |= {"/v1/objects", "/v1/objects/{object_id}", "/v1/sessions", "/v1/pairing"}
+    ours |= {f"/v1/recordings{path}" for path in recordings}
+    page = {"/", "/phone", "/assets/{name}"}
+    assert set(document["paths"]) == ours | page | {"/healthz", "/readyz", "/metrics"}
     for operations in document["paths"].values():
         for operation in operations.values():
             for status, response in operation["responses"].items():
