@@ -55,16 +55,17 @@ def test_streams_and_pushes_survive_a_killed_server():
             text=True,
         )
         with node:
-            assert node.stdin is not None
-            assert node.stdout is not None
+            told, answers = node.stdin, node.stdout
+            assert told is not None
+            assert answers is not None
 
             def heard():
-                return json.loads(node.stdout.readline())
+                return json.loads(answers.readline())
 
             def restart():
                 server.kill()
-                node.stdin.write("killed\n")
-                node.stdin.flush()
+                told.write("killed\n")
+                told.flush()
                 server.start()
 
             assert heard()["status"] == "processed"

@@ -80,12 +80,13 @@ def test_each_frame_alone_knows_nothing_of_earlier_ones(models):
 def test_the_average_is_of_the_frames_so_far(models):
     alone = FrameAlone(models.single, models.single_graphs)
     average = SimpleAverage(alone)
-    point, seen = (0.0, 0.0, 0.0), []
+    point, seen, result = (0.0, 0.0, 0.0), [], None
     for frame in list(walk_frames(Walks(1)[0], "exact"))[:3]:
         alone.push(frame)
         average.push(frame)
         seen.append(alone.light_at(point))
         result = average.light_at(point)
+    assert result is not None
     np.testing.assert_allclose(result, np.mean(seen, axis=0), rtol=1e-5)
 
 
@@ -95,7 +96,8 @@ def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
     frames = list(walk_frames(recording, "exact"))
     alone = FrameAlone(models.single, models.single_graphs)
     alone.push(frames[2])
-    position = tuple(float(x) for x in recording.probe_positions[0])
+    x, y, z = recording.probe_positions[0]
+    position = (float(x), float(y), float(z))
     truth = recording.probe_panoramas[0] * np.float32(recording.exposure[0])
     track = next(one for one in evaluated.tracks if one.method == NO_RNN and one.probe == 0)
     assert track.scores["log_l2"][2] == pytest.approx(log_l2(alone.light_at(position), truth), rel=1e-5)

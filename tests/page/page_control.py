@@ -23,11 +23,16 @@ class PageServer:
         self._passed_s = 0.0
         self._next = {}
         self._token = (settings.get("tokens") or (None,))[0]
-        self.running = RunningServer(clock=self._clock, **settings)
+        self._running: RunningServer | None = RunningServer(clock=self._clock, **settings)
         self._control = ThreadingHTTPServer(("127.0.0.1", 0), self._handler())
 
     def _clock(self):
         return self._passed_s
+
+    @property
+    def running(self):
+        assert self._running is not None, "the server is stopped"
+        return self._running
 
     def __enter__(self):
         self.running.__enter__()
@@ -56,14 +61,14 @@ class PageServer:
             self._next[session] = index + 1
 
     def stop(self):
-        if self.running is not None:
-            self.running.stop()
-        self.running = None
+        if self._running is not None:
+            self._running.stop()
+        self._running = None
         self._next = {}
 
     def start(self):
-        self.running = RunningServer(clock=self._clock, **self._settings)
-        self.running.__enter__()
+        self._running = RunningServer(clock=self._clock, **self._settings)
+        self._running.__enter__()
 
     def restart(self):
         self.stop()
@@ -91,7 +96,7 @@ class PageServer:
                 self.end_headers()
                 self.wfile.write(body)
 
-            def log_message(self, *_):
-                pass
+            def log_message(self, format, *args):
+                del format, args
 
         return Handler

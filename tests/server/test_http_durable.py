@@ -28,6 +28,7 @@ def server_on(folder, **settings):
 
 def wait_until_saved(server, index, name="room", **more):
     """Ask until the frame is on disk; returns the state."""
+    state = None
     for _ in range(TRIES):
         state = server.state(name, **more)
         if state["frames"]["durable_index"] == index and _unsaved_s(server) == 0:
@@ -266,6 +267,7 @@ def test_serving_goes_on_while_the_disk_is_full(tmp_path, monkeypatch):
         full.set()
         for index in (2, 3):
             assert server.push(index, frame(YAWS[index])).json["status"] == "processed"
+        ready = {"state": "not asked"}
         for _ in range(TRIES):
             ready = server.call("GET", "/readyz").json
             if ready["state"] != "saved":

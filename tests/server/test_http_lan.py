@@ -14,6 +14,7 @@ import pytest
 from cryptography import x509
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from http_servers import RunningServer
 from roomlight.errors import ServerError
@@ -74,6 +75,7 @@ def test_the_fingerprint_is_that_of_the_connection(server):
     ):
         assert secure.version() == "TLSv1.3"
         sent = secure.getpeercert(binary_form=True)
+    assert sent is not None
     digest = tls.fingerprint(server.settings.tls_cert)
     assert re.fullmatch(r"([0-9A-F]{2}:){31}[0-9A-F]{2}", digest)
     assert x509.load_der_x509_certificate(sent) == certificate_of((server.settings.tls_cert,))
@@ -110,7 +112,7 @@ def test_websockets_over_tls_check_origin_and_token(server):
             f"wss://127.0.0.1:{server.port}/v1/sessions/room/stream",
             ssl=trusting(server.settings.tls_cert),
             origin=origin,
-            subprotocols=["roomlight.v1", f"bearer.{token}"],
+            subprotocols=[Subprotocol("roomlight.v1"), Subprotocol(f"bearer.{token}")],
             compression=None,
         )
 
@@ -142,9 +144,9 @@ def test_a_local_server_says_how_a_phone_reaches_it():
 def read_svg(svg):
     """Draw the modules of a QR code and read them."""
     root = ElementTree.fromstring(svg)
-    size = int(root.get("viewBox").split()[2])
+    size = int(root.get("viewBox", "").split()[2])
     modules = np.full((size, size), 255, np.uint8)
-    path = root.findall("{http://www.w3.org/2000/svg}path")[-1].get("d")
+    path = root.findall("{http://www.w3.org/2000/svg}path")[-1].get("d", "")
     x = y = 0.0
     for command, first, second in re.findall(r"([Mmh])(-?[\d.]+)(?:[ ,]?(-?[\d.]+))?", path):
         if command == "h":
@@ -286,7 +288,7 @@ def test_a_server_on_the_network_listens_on_loopback_too(monkeypatch, files):
 
     class Stopped(serving.GracefulServer):
         def run(self, sockets=None):
-            bound.extend(each.getsockname() for each in sockets)
+            bound.extend(each.getsockname() for each in sockets or ())
 
     monkeypatch.setattr(serving, "GracefulServer", Stopped)
     monkeypatch.setattr(ServerSettings, "is_loopback", False)

@@ -51,6 +51,7 @@ def test_problems_carry_the_request_id(server, monkeypatch):
 def test_a_stream_returns_its_request_id(server):
     url = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream"
     with connect(url, additional_headers={ID: "stream-1"}) as stream:
+        assert stream.response is not None
         assert stream.response.headers["X-Request-Id"] == "stream-1"
 
 
@@ -190,12 +191,13 @@ def test_sigterm_ends_the_process():
     """SIGTERM took up to 59 s."""
     environment = os.environ | {"ROOMLIGHT_DRAIN_S": "0.2"}
     with subprocess.Popen(SERVE, stderr=subprocess.PIPE, text=True, env=environment) as process:
-        assert process.stderr is not None
+        lines = process.stderr
+        assert lines is not None
         output: list[str] = []
         serving_line = threading.Event()
 
         def read():
-            for line in process.stderr:
+            for line in lines:
                 output.append(line)
                 if '"event": "ready"' in line:
                     serving_line.set()

@@ -18,12 +18,12 @@ BENCHMARKS: Final = (
     CommandEntry(
         "hostile",
         "roomlight_cli.commands.bench_hostile",
-        "Attack a server on this machine while a neighbour streams (10 minutes).",
+        "Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory.",
     ),
     CommandEntry(
         "durability",
         "roomlight_cli.commands.bench_durability",
-        "Kill a server on this machine while a client streams, 200 times (25 minutes).",
+        "Kill a server on this machine while a client streams: frames that are lost, light, time to restore.",
     ),
     CommandEntry(
         "composite",

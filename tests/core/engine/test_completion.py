@@ -197,6 +197,8 @@ def test_the_network_sees_what_it_was_trained_on(tmp_path, monkeypatch):
     shown = []
 
     class Recorder(CompletionModel):
+        digest = "recorder"
+
         def __init__(self):
             pass
 

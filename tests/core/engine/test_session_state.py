@@ -90,6 +90,8 @@ def test_a_loaded_session_goes_on_with_the_same_bits(tiny_video, tmp_path, model
     assert _bits(loaded) == _bits(whole)
     assert loaded.track((0.0, 1.3, 0.0)) == whole.track((0.0, 1.3, 0.0))
     assert _bits(loaded) == _bits(whole)
+    assert loaded.sglv is not None
+    assert whole.sglv is not None
     np.testing.assert_array_equal(loaded.sglv.lobes, whole.sglv.lobes)
 
 
