@@ -412,7 +412,7 @@ def test_a_stream_survives_a_killed_server(timed):
             killed = asyncio.Event()
 
             def show(now):
-                if now.processed == 2 and not killed.is_set():
+                if now.processed >= 2 and not killed.is_set():
                     server.kill()
                     killed.set()
 

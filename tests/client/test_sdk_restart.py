@@ -173,6 +173,7 @@ def test_light_after_a_kill_is_that_without_one(tmp_path, uninterrupted, way):
                 for number, frame in enumerate(FRAMES):
                     assert stream.push(frame).index == frame.index
                     if number in (0, 2):
+                        until_saved(session, frame.index)
                         opened = count_open(statuses)
                         server.restart()
                         statuses.until(lambda _, before=opened: count_open(statuses) > before)
@@ -180,6 +181,7 @@ def test_light_after_a_kill_is_that_without_one(tmp_path, uninterrupted, way):
             for number, frame in enumerate(FRAMES):
                 starting = None
                 if number in (1, 3):
+                    until_saved(session, FRAMES[number - 1].index)
                     server.kill()
                     starting = InThread(server.start)
                 session.push(frame)
@@ -189,6 +191,14 @@ def test_light_after_a_kill_is_that_without_one(tmp_path, uninterrupted, way):
         assert not any(status.reopened or status.incomplete for status in statuses.values)
         assert session.state().frames.processed == len(FRAMES)
         session.close()
+
+
+def until_saved(session, index):
+    """Ask until the frame is on disk."""
+    for _ in range(20_000):
+        if session.state().frames.durable_index == index:
+            return
+    raise AssertionError(session.state())
 
 
 def count_open(statuses: Waiting) -> int:
