@@ -5,8 +5,8 @@ frames whose true radiance is known). It replaces three constants, which remain 
 (`restore_by_constants`): pixels without depth were taken for windows and lamps, clipped pixels on surfaces that face up
 for glare, the others for bright walls. Radiance is in units of the frame's own white.
 
-Cost of `restore_clipped` for a frame of 320 x 240 pixels that has clipped ones: 18 to 21 ms of processor time on one
-thread, 7 to 9 times the stage `volume` of the same run (2.5 ms; least of 20 to 30 frames); the planes are 4 ms of it.
+Cost of `restore_clipped` for a frame of 320 x 240 pixels that has clipped ones: 16 to 18 ms of processor time, 6 to 7
+times the stage `volume` (2.5 ms); the planes are 4 ms of it, the network 11 ms, which two cores share.
 It is part of the stage `prepare` of `FrameReport.stage_ms`. The constants take 2.6 to 4.5 ms.
 """
 
