@@ -12,11 +12,11 @@ from typing import Final, Literal, Protocol, get_args, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import Position, srgb8_to_linear
+from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError, FrameError, ModelError, OptionError
-from roomlight.frame import CLIPPED_SRGB8, Frame
+from roomlight.frame import Frame
 from roomlight.metrics import log_l2
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
 from roomlight_evaluation.dataset_methods import HEIGHT, Method, Panorama
@@ -100,20 +100,12 @@ def evaluate_dataset(
 
 def first_frame(recording: Recording, depth: DepthKind) -> Frame:
     """Return the first decoded frame as a client would send it."""
-    colour, depth_mm = recording.colour[0], recording.depth_mm[0]
+    depth_mm = recording.depth_mm[0]
     if depth == "arkit":
         rng = np.random.default_rng([0, *recording.name.encode()])
         measured_mm, _ = arkit_like(recording.depth_mm[:1], recording.surface[:1], recording.colour[:1], rng)
         depth_mm = measured_mm[0]
-    return Frame(
-        index=0,
-        image=srgb8_to_linear(colour),
-        clipped=(colour >= CLIPPED_SRGB8).any(-1),
-        depth_m=depth_mm.astype(np.float32) / np.float32(1000),
-        intrinsics=recording.intrinsics,
-        camera_to_world=recording.camera_to_world[0],
-        source=recording.name,
-    )
+    return recording.frame(0, depth_mm)
 
 
 def _score_sequence(

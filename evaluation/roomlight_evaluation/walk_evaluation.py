@@ -13,13 +13,13 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.baselines import MeanColour, WarpAndFill
-from roomlight.conventions import Position, srgb8_to_linear
+from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import Recording
 from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import DatasetError, FrameError
-from roomlight.frame import CLIPPED_SRGB8, Frame
+from roomlight.frame import Frame
 from roomlight_evaluation.capture_evaluation import score_frames
 from roomlight_evaluation.capture_scores import CaptureScores, CaptureSummary, Track
 from roomlight_evaluation.dataset_evaluation import DepthKind, ProgressCallback, evenly_spread
@@ -240,13 +240,5 @@ def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:
     if depth == "arkit":
         rng = np.random.default_rng([1, *recording.name.encode()])
         depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
-    for number, (colour, measured) in enumerate(zip(recording.colour, depth_mm, strict=True)):
-        yield Frame(
-            index=number,
-            image=srgb8_to_linear(colour) * np.float32(recording.exposure[0] / recording.exposure[number]),
-            clipped=(colour >= CLIPPED_SRGB8).any(-1),
-            depth_m=measured.astype(np.float32) / np.float32(1000),
-            intrinsics=recording.intrinsics,
-            camera_to_world=recording.camera_to_world[number],
-            source=recording.name,
-        )
+    for number, measured in enumerate(depth_mm):
+        yield recording.frame(number, measured)

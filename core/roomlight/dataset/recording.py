@@ -7,6 +7,8 @@ import numpy as np
 from jaxtyping import Float, Float16, UInt8, UInt16
 
 from roomlight.camera import Intrinsics
+from roomlight.conventions import srgb8_to_linear
+from roomlight.frame import CLIPPED_SRGB8, Frame
 
 Split = Literal["train", "test"]
 
@@ -54,3 +56,18 @@ class Recording:
     probe_panoramas: Float[np.ndarray, "p ph pw 3"]
     facts: dict[str, Any]
     clipped_radiance: Float16[np.ndarray, "f h w 3"] | None = None
+
+    def frame(self, number: int, depth_mm: UInt16[np.ndarray, "dh dw"]) -> Frame:
+        """Return a frame as a client would send it, in units of the first decoded frame's white.
+
+        `depth_mm` is its z-depth in millimetres, exact or as a phone measures it; 0 is unknown.
+        """
+        return Frame(
+            index=number,
+            image=srgb8_to_linear(self.colour[number]) * np.float32(self.exposure[0] / self.exposure[number]),
+            clipped=(self.colour[number] >= CLIPPED_SRGB8).any(-1),
+            depth_m=depth_mm.astype(np.float32) / np.float32(1000),
+            intrinsics=self.intrinsics,
+            camera_to_world=self.camera_to_world[number],
+            source=self.name,
+        )

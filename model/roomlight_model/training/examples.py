@@ -10,12 +10,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import srgb8_to_linear
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import GLASS, Recording
 from roomlight.depth import complete_depth
 from roomlight.engine.volume import VolumeGrid
-from roomlight.frame import CLIPPED_SRGB8, Frame
+from roomlight.frame import Frame
 from roomlight_model.training.options import DepthKind
 
 _OTHER_FRAMES = 0.5
@@ -108,17 +107,7 @@ def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKi
         depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
     elif depth == "both" and rng.random() < _SEEN_THROUGH:
         depth_mm = np.where(recording.surface == GLASS, np.uint16(0), depth_mm)
-    first, *later = (
-        Frame(
-            index=number,
-            image=srgb8_to_linear(colour) * np.float32(recording.exposure[0] / recording.exposure[number]),
-            clipped=(colour >= CLIPPED_SRGB8).any(-1),
-            depth_m=measured.astype(np.float32) / np.float32(1000),
-            intrinsics=recording.intrinsics,
-            camera_to_world=recording.camera_to_world[number],
-        )
-        for number, (colour, measured) in enumerate(zip(recording.colour, depth_mm, strict=True))
-    )
+    first, *later = (recording.frame(number, measured) for number, measured in enumerate(depth_mm))
     truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0])
     return Example(first, complete_depth(first.depth_m), recording.probe_positions, truth, later=tuple(later))
 
