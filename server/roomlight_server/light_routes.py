@@ -152,7 +152,7 @@ async def put_probe(
 ) -> ProbeBody:
     """Track a probe under a name, ideally before the first frame; an existing name moves to the new position."""
     x, y, z = body.position
-    response.status_code = 201 if await live.track(name, (x, y, z)) else 200
+    response.status_code = 201 if await live.lighting.track(name, (x, y, z)) else 200
     return body
 
 
@@ -166,7 +166,7 @@ async def put_probe(
 )
 async def delete_probe(live: SessionDep, name: ProbeName) -> None:
     """Stop tracking a named probe."""
-    await live.untrack(name)
+    await live.lighting.untrack(name)
 
 
 @router.post(
@@ -195,7 +195,7 @@ async def probes(
 
 
 async def _answer_many(live: LiveSession, workers: Workers, body: LightRequest, *, binary: bool) -> Response:
-    lights = await live.lights(body.probes)
+    lights = await live.lighting.at(body.probes)
     results, parts = await encode_lights(workers, lights, body.forms)
     response = LightResponse(frame=lights[0].frame, results=results)
     if binary:
@@ -224,7 +224,7 @@ def check_size(size: int) -> None:
 
 def memory_of(live: LiveSession, probes: int, size: int) -> int:
     """Return the memory that an answer of `size` bytes takes while it is made: panoramas, parts, and joined bytes."""
-    return probes * live.light_bytes + 2 * size
+    return probes * live.lighting.light_bytes + 2 * size
 
 
 async def encode_lights(
@@ -249,7 +249,7 @@ async def encode_lights(
 async def _answer_one(
     live: LiveSession, workers: Workers, request: Request, query: ProbeQuery, form: LightForm
 ) -> Response:
-    light = (await live.lights([query]))[0]
+    light = (await live.lighting.at([query]))[0]
     etag = http_etag(light, form)
     headers = {
         "ETag": etag,

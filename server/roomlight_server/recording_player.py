@@ -125,7 +125,7 @@ class Player:
         for name, place in list(places.items())[: self._max_probes]:
             x, y, z = place
             position: Position = (x, y, z)
-            await self._live.track(name, position)
+            await self._live.lighting.track(name, position)
 
     async def _send(self, body: bytes) -> None:
         """Send a frame to the session; up to `frames_in_flight` are processed or wait."""

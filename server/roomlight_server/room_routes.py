@@ -258,7 +258,7 @@ async def light_usdz(
         raise ProblemError("invalid", f"query: {rule}", field="query", value=request.url.query, rule=rule)
     query = ProbeQuery(name=name) if name is not None else ProbeQuery(position=point)
     held.add(memory_of(live, 1, max_bytes(LightForm(format="exr"), live.request.height)))
-    light = (await live.lights([query]))[0]
+    light = (await live.lighting.at([query]))[0]
     headers = {
         "ETag": f'"{light.etag}-usdz"',
         COVERAGE_HEADER: f"{light.coverage:.4f}",

@@ -192,10 +192,10 @@ class _Connection:
             self._subscribe(message.forms)
         elif isinstance(message, Track):
             x, y, z = message.position
-            await self._live.track(message.name, (x, y, z))
+            await self._live.lighting.track(message.name, (x, y, z))
             await self._send_probes()
         else:
-            await self._live.untrack(message.name)
+            await self._live.lighting.untrack(message.name)
             await self._send_probes()
 
     def _subscribe(self, forms: list[LightForm]) -> None:
@@ -208,13 +208,13 @@ class _Connection:
         return answer_bytes(probes, forms, self._live.request.height)
 
     async def _send_probes(self) -> None:
-        probes = {name: list(position) for name, position in self._live.probes.items()}
+        probes = {name: list(position) for name, position in self._live.lighting.positions.items()}
         await self._send(ProbesEvent(probes=probes))
 
     async def _encoded_lights(
         self, probes: Sequence[ProbeQuery], forms: list[LightForm]
     ) -> tuple[int, list[ProbeLight], list[bytes]]:
-        lights = await self._live.lights(probes)
+        lights = await self._live.lighting.at(probes)
         results, parts = await encode_lights(self._context.workers, lights, forms)
         return lights[0].frame, results, parts
 
@@ -229,7 +229,7 @@ class _Connection:
                     await asyncio.wait(tuple(self._frame_tasks))
                 await self._send(ProblemEvent(problem=ended.problem))
                 await self._close(_SESSION_ENDED, ended.kind)
-            named = [ProbeQuery(name=name) for name in self._live.probes]
+            named = [ProbeQuery(name=name) for name in self._live.lighting.positions]
             if self._subscribed_forms and named:
                 async with self._answering_errors():
                     await self._send_update(named)
