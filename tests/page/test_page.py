@@ -22,14 +22,14 @@ TOKEN = "a-token-for-the-page"
 def run(*command, **env):
     assert (PAGE / "node_modules").is_dir(), "run `npm ci` in client/page first"
     done = subprocess.run(
-        command, cwd=PAGE, env=os.environ | env, capture_output=True, text=True, check=False, timeout=280
+        command, cwd=PAGE, env=os.environ | env, capture_output=True, text=True, check=False, timeout=620
     )
     assert done.returncode == 0, f"{' '.join(command)}\n{done.stdout[-12000:]}\n{done.stderr[-4000:]}"
 
 
 def drive(name, server, **env):
     """Run one file of browser tests against a server."""
-    test = ("node", "--test", "--test-timeout=260000", "--test-reporter=spec", f"test/{name}.test.mjs")
+    test = ("node", "--test", "--test-timeout=600000", "--test-reporter=spec", f"test/{name}.test.mjs")
     run(*test, PAGE_URL=server.url, CONTROL_URL=server.control_url, **env)
 
 

@@ -151,9 +151,9 @@ test("malformed messages are reported, invalid frames are not sent", async (cont
 });
 
 test("a call without an answer times out", async (context) => {
-  const client = { timeout_s: 0.05, reconnect: { wait: async () => undefined } };
+  const client = { timeout_s: 0.5, reconnect: { wait: async () => undefined } };
   const { stream } = await streamTo(context, () => [], {}, client);
-  await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.05 s/);
+  await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.5 s/);
   const twice = stream.push({ ...plainFrame(), index: 4 });
   await Promise.all([
     assert.rejects(twice, /sent again/),

@@ -19,6 +19,10 @@ export class LiveSession {
   private held: string | null = null;
   private pendingMove: { name: string; position: Position } | null = null;
   private stride = 1;
+  private received = 0; // messages with light
+  private shown = 0; // the newest of them that is shown
+  private tracked: ReadonlySet<string> | null = null; // probes of the session; null until it says so
+  private readonly awaited = new Set<string>(); // new probes without light so far
 
   constructor(
     private readonly api: Api,
@@ -41,7 +45,7 @@ export class LiveSession {
         signal: this.stopped.signal,
         onLighting: (update) => void this.receive(update),
         onProbes: (probes) => this.forgetProbes(Object.keys(probes)),
-        onProblem: (error) => this.report(error),
+        onProblem: (error) => this.refused(error),
         onStatus: (status) => this.showStatus(status),
         onClose: (error) => this.end(error),
       });
@@ -54,7 +58,6 @@ export class LiveSession {
 
   close(): void {
     this.stopped.abort(new DOMException("the page shows another session", "AbortError"));
-    URL.revokeObjectURL(this.state.picture.value?.url ?? "");
   }
 
   /** Read the picture, the camera and the history again, and the mesh less often. */
@@ -70,10 +73,12 @@ export class LiveSession {
   /** Add a probe, or move one. */
   track(name: string, position: Position): void {
     this.pendingMove = { name, position };
+    this.awaited.add(name);
     this.stream?.track(name, position);
   }
 
   untrack(name: string): void {
+    this.awaited.delete(name);
     this.stream?.untrack(name);
   }
 
@@ -98,8 +103,8 @@ export class LiveSession {
       if (!move || !this.stream) {
         return;
       }
-      const { results } = await this.stream.light({ probes: [{ position: move.position }], forms: FORMS });
-      const light = results[0] && (await probeLight(move.name, results[0]));
+      const { results, frame } = await this.stream.light({ probes: [{ position: move.position }], forms: FORMS });
+      const light = results[0] && (await probeLight(move.name, frame, results[0]));
       const latest = this.state.liveProbes.value.get(move.name);
       if (light && latest && this.held === move.name) {
         this.setProbe({ ...light, position: latest.position });
@@ -108,30 +113,45 @@ export class LiveSession {
   );
 
   private async receive(update: Lights): Promise<void> {
-    const lights = await Promise.all(update.results.map((light) => probeLight(light.name ?? "", light)));
-    if (this.closed) {
-      return;
+    const order = ++this.received;
+    const lights = await Promise.all(update.results.map((light) => probeLight(light.name ?? "", update.frame, light)));
+    if (this.closed || order < this.shown) {
+      return; // a newer message was decoded first
     }
+    this.shown = order;
     const next = new Map(this.state.liveProbes.value);
     for (const light of lights) {
-      if (light.name && light.name !== this.held) {
+      if (light.name && light.name !== this.held && (this.tracked?.has(light.name) ?? true)) {
         next.set(light.name, light);
       }
     }
     this.state.liveProbes.value = next;
-    if (!this.state.selectedProbe.value || !next.has(this.state.selectedProbe.value)) {
-      this.state.selectedProbe.value = next.keys().next().value ?? null;
-    }
+    next.forEach((_, name) => this.awaited.delete(name));
+    this.selectShown();
     this.refresh();
   }
 
+  /** Select another probe if the selected one is gone. */
+  private selectShown(): void {
+    const { selectedProbe, liveProbes } = this.state;
+    const selected = selectedProbe.value ?? "";
+    if (!liveProbes.value.has(selected) && !this.awaited.has(selected)) {
+      selectedProbe.value = liveProbes.value.keys().next().value ?? null;
+    }
+  }
+
+  private refused(error: RoomLightError): void {
+    this.awaited.clear();
+    this.selectShown();
+    this.report(error);
+  }
+
   private forgetProbes(names: readonly string[]): void {
+    this.tracked = new Set(names);
     const kept = new Map([...this.state.liveProbes.value].filter(([name]) => names.includes(name)));
     if (kept.size !== this.state.liveProbes.value.size) {
       this.state.liveProbes.value = kept;
-      if (!kept.has(this.state.selectedProbe.value ?? "")) {
-        this.state.selectedProbe.value = kept.keys().next().value ?? null;
-      }
+      this.selectShown();
     }
     this.stream?.subscribe(FORMS); // sends the light of a new probe at once
   }
@@ -158,8 +178,7 @@ export class LiveSession {
     this.state.camera.value = camera;
     if (picture) {
       this.etags.picture = picture.etag;
-      URL.revokeObjectURL(this.state.picture.value?.url ?? "");
-      this.state.picture.value = { url: URL.createObjectURL(picture.blob), frame: picture.frame };
+      this.state.picture.value = { blob: picture.blob, frame: picture.frame };
     }
     await this.addHistory(history);
     if (hasFrame) {
@@ -173,6 +192,9 @@ export class LiveSession {
     const known = this.state.history.value;
     if (update.stride !== this.stride && known.length > 0) {
       ({ entries } = await this.api.history(this.id, -1)); // entries were removed in between
+      if (this.closed) {
+        return;
+      }
       this.state.shownEntry.value = null;
       this.state.history.value = entries;
     } else if (entries.length > 0) {

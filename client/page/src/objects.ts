@@ -31,6 +31,7 @@ export class PlacedObjects {
   readonly busy = new Signal(false);
   quality: Quality = "preview";
   private placed = 0;
+  private cleared = 0;
 
   constructor(
     private readonly state: State,
@@ -50,6 +51,7 @@ export class PlacedObjects {
   }
 
   clear(): void {
+    this.cleared++;
     this.list.value = [];
     this.showComposite(null);
   }
@@ -64,16 +66,22 @@ export class PlacedObjects {
       return this.showComposite(null);
     }
     this.busy.value = true;
+    const { cleared } = this;
     try {
       const { data, frame, poses } = await session.composite({
         objects: shown.map(asRequest),
         quality: this.quality,
         format: "jpeg",
       });
+      if (cleared !== this.cleared || this.list.value.length === 0) {
+        return; // another session is shown, or the last object was removed
+      }
       this.list.value = this.list.value.map((object) => ({ ...object, pose: object.pose ?? poses[object.name] ?? null }));
-      this.showComposite({ url: URL.createObjectURL(data), frame });
+      this.showComposite({ blob: data, frame });
     } catch (error) {
-      this.refused(error);
+      if (cleared === this.cleared) {
+        this.refused(error);
+      }
     } finally {
       this.busy.value = false;
     }
@@ -97,7 +105,6 @@ export class PlacedObjects {
   }
 
   private showComposite(picture: Picture | null): void {
-    URL.revokeObjectURL(this.composite.value?.url ?? "");
     this.composite.value = picture;
   }
 }

@@ -14,6 +14,8 @@ export interface Connection {
 /** The light at one probe: of the newest frame, or of an earlier one on the timeline. */
 export interface ProbeLight {
   readonly name: string;
+  /** Index of the newest frame in this light; -1 before the first. */
+  readonly frame: number;
   readonly position: Position;
   readonly coverage: number;
   /** Null until it has arrived. */
@@ -27,7 +29,7 @@ export interface ProbeLight {
 
 /** The newest frame's picture. */
 export interface Picture {
-  readonly url: string;
+  readonly blob: Blob;
   readonly frame: number;
 }
 

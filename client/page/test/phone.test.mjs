@@ -96,7 +96,7 @@ async function lit(page, count) {
     (least) => {
       const shown = document.querySelector(".panorama");
       const values = [...document.querySelectorAll(".figures dd")].map((one) => Number.parseFloat(one.textContent));
-      return values[1] >= least && shown.naturalWidth === 128 && !shown.hidden;
+      return values[1] >= least && shown.dataset.frame !== undefined && shown.width === 128 && !shown.hidden;
     },
     count,
     { timeout: 60_000 },

@@ -43,7 +43,7 @@ export async function openPage(browser, { width = 1440, height = 900, colorSchem
 /** Wait until the panels show a session with its room, its picture and the light of a probe. */
 export async function waitForLight(page) {
   await page.waitForFunction(() => document.getElementById("room-waiting").hidden);
-  await page.waitForSelector("#picture-image[src]");
+  await page.waitForSelector("#picture-image[data-frame]");
   await page.waitForFunction(() => document.getElementById("lights").children.length > 0);
 }
 
@@ -54,16 +54,47 @@ export async function violations(page) {
   return found.map(({ id, nodes }) => `${id}: ${nodes.map(({ target, failureSummary }) => `${target} ${failureSummary}`).join("; ")}`);
 }
 
-/** The pixels of an image or a canvas, at most 64 wide. */
+/** Wait until a canvas shows a frame's picture or light: `frame`, or any. */
+export async function waitForFrame(page, selector, frame) {
+  const isShown = ([selector, frame]) => {
+    const shown = document.querySelector(selector).dataset.frame;
+    return frame === undefined ? shown !== undefined : shown === String(frame);
+  };
+  await page.waitForFunction(isShown, [selector, frame], { timeout: PATIENCE_MS });
+}
+
+/** The pixels of a canvas that shows a picture, 64 x 32. Waits until it shows one. */
 export function pixelsOf(page, selector) {
-  return page.evaluate(async (selector) => {
-    const source = document.querySelector(selector);
-    await source.decode?.();
-    const canvas = new OffscreenCanvas(64, 32);
-    const context = canvas.getContext("2d");
-    context.drawImage(source, 0, 0, 64, 32);
-    return [...context.getImageData(0, 0, 64, 32).data];
-  }, selector);
+  return page.evaluate(
+    async ([selector, patience_ms]) => {
+      const canvas = document.querySelector(selector);
+      const end = performance.now() + patience_ms;
+      while (canvas.dataset.frame === undefined) {
+        if (performance.now() > end) {
+          throw new Error(`${selector} shows no picture`);
+        }
+        await new Promise((resolve) => requestAnimationFrame(resolve));
+      }
+      const copy = new OffscreenCanvas(64, 32).getContext("2d");
+      copy.drawImage(canvas, 0, 0, 64, 32);
+      return [...copy.getImageData(0, 0, 64, 32).data];
+    },
+    [selector, PATIENCE_MS],
+  );
+}
+
+/** Wait until the server's state of a session is as wanted; returns it. */
+export async function waitForState(session, isWanted) {
+  const end = Date.now() + PATIENCE_MS;
+  for (;;) {
+    const state = await control("state", { session });
+    if (isWanted(state)) {
+      return state;
+    }
+    if (Date.now() > end) {
+      throw new Error(`the state of ${session} stays ${JSON.stringify(state)}`);
+    }
+  }
 }
 
 /** The largest difference of two lists of pixels. */

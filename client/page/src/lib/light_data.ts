@@ -11,13 +11,14 @@ export const FORMS: readonly LightForm[] = [
   { format: "sh", basis: "threejs" },
 ];
 
-export async function probeLight(name: string, light: Light): Promise<ProbeLight> {
+export async function probeLight(name: string, frame: number, light: Light): Promise<ProbeLight> {
   const hdr = findForm(light, "hdr")?.data;
   const confidence = findForm(light, "confidence")?.data;
   const main = findForm(light, "main_light")?.values as unknown as MainLightValues | undefined;
   const sh = findForm(light, "sh");
   return {
     name,
+    frame,
     position: light.position,
     coverage: light.coverage,
     panorama: hdr ? parseHdr(hdr) : null,

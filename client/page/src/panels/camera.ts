@@ -2,46 +2,60 @@
 
 import { byId, element } from "../lib/dom";
 import { sessionPath, type Api } from "../lib/api";
+import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
 import type { PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
 import type { State } from "../state";
-import { reportError } from "./notices";
+import { notify, reportError } from "./notices";
 
 const CROSS_STEP = 0.02; // of the picture, for an arrow key; with Shift five times as much
 
 export function cameraPanel(api: Api, state: State, objects: PlacedObjects): void {
-  const image = byId<HTMLImageElement>("picture-image");
+  const image = byId<HTMLCanvasElement>("picture-image");
+  const view = new PictureView(image);
   const button = byId<HTMLButtonElement>("picture-button");
   const crossMark = byId("picture-cross");
   const cross = { x: 0.5, y: 0.6 };
-  let pastUrl = "";
+  let loadedPast = "";
 
   const show = () => {
     const past = state.shownEntry.value !== null ? state.entry : null;
     const picture = objects.composite.value ?? state.picture.value;
-    if (past) {
-      byId("camera-frame").textContent = `Frame ${past.index}, thumbnail`;
-      loadPast();
-    } else if (picture) {
-      image.src = picture.url;
-      byId("camera-frame").textContent = `Frame ${picture.frame}`;
-    } else {
-      image.removeAttribute("src");
-      byId("camera-frame").textContent = "";
-    }
-    byId("picture-waiting").hidden = picture !== null || past !== null;
     button.disabled = picture === null || past !== null;
+    if (past) {
+      return loadPast();
+    }
+    loadedPast = "";
+    if (picture) {
+      void showPicture(picture.blob, String(picture.frame), `Frame ${picture.frame}`);
+    } else {
+      view.clear();
+      showText("");
+    }
+  };
+  const showText = (text: string) => {
+    byId("camera-frame").textContent = text;
+    byId("picture-waiting").hidden = text !== "";
+  };
+  const showPicture = async (picture: Blob, frame: string, text: string) => {
+    try {
+      if (await view.show(picture, frame)) {
+        showText(text);
+      }
+    } catch {
+      notify(`The browser cannot decode the picture of frame ${frame}.`);
+    }
   };
 
   const loadPast = latestOnly(async () => {
     const [id, entry] = [state.selected.value, state.shownEntry.value !== null ? state.entry : null];
-    if (id && entry) {
+    const wanted = `${id}/${entry?.index}`;
+    if (id && entry && wanted !== loadedPast) {
       try {
         const file = await api.file(`${sessionPath(id)}/history/${entry.index}/colour`);
-        URL.revokeObjectURL(pastUrl);
-        pastUrl = URL.createObjectURL(file!.blob);
-        if (state.shownEntry.value !== null) {
-          image.src = pastUrl;
+        if (state.shownEntry.value !== null && state.selected.value === id) {
+          loadedPast = wanted;
+          await showPicture(file!.blob, String(entry.index), `Frame ${entry.index}, thumbnail`);
         }
       } catch (error) {
         reportError(error);

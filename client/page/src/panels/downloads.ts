@@ -6,6 +6,8 @@ import type { PlacedObjects } from "../objects";
 import type { State } from "../state";
 import { notify, reportError } from "./notices";
 
+const READ_MS = 60_000; // the browser reads a file after the click
+
 interface Download {
   readonly label: string;
   readonly title: string;
@@ -57,7 +59,7 @@ export function downloadsPanel(api: Api, state: State, objects: PlacedObjects): 
   function savePicture(): void {
     const shown = objects.composite.value ?? state.picture.value;
     if (shown) {
-      offer(shown.url, `${state.selected.value}-${shown.frame}.jpg`);
+      offer(shown.blob, `${state.selected.value}-${shown.frame}.jpg`);
     }
   }
   const enable = () => {
@@ -78,16 +80,16 @@ async function save(api: Api, state: State, { path, ending, needsProbe }: Downlo
   }
   try {
     const file = await api.file(path(session, probe));
-    const url = URL.createObjectURL(file!.blob);
     const name = `${session}${needsProbe ? `-${probe}` : ""}.${ending}`;
-    offer(url, name);
+    offer(file!.blob, name);
     notify(`Saved ${name}`, true);
-    setTimeout(() => URL.revokeObjectURL(url), 60_000);
   } catch (error) {
     reportError(error);
   }
 }
 
-function offer(url: string, name: string): void {
+function offer(file: Blob, name: string): void {
+  const url = URL.createObjectURL(file);
   element("a", { href: url, download: name }).click();
+  setTimeout(() => URL.revokeObjectURL(url), READ_MS);
 }

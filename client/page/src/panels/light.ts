@@ -105,8 +105,10 @@ function drawPanorama(canvas: HTMLCanvasElement, state: State): void {
   const about = probe ? `${probe.name}, ${Math.round(100 * probe.coverage)} percent seen` : "no probe";
   canvas.setAttribute("aria-label", `Panorama of the light: ${about}`);
   if (!probe?.panorama || width === 0) {
+    delete canvas.dataset["frame"];
     return;
   }
+  canvas.dataset["frame"] = String(probe.frame);
   const isKnown = state.coverageTint.value && probe.seen?.length === probe.panorama.width * probe.panorama.height;
   const image = toneMapped(probe.panorama, {
     exposureEv: state.exposureEv.value,

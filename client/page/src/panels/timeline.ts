@@ -4,6 +4,7 @@ import { parseHdr } from "roomlight";
 import type { HistoryEntry } from "../lib/answers";
 import { sessionPath, type Api } from "../lib/api";
 import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
+import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
 import type { ProbeLight, State } from "../state";
 import { reportError } from "./notices";
@@ -102,17 +103,13 @@ class Player {
 
 /** As many thumbnails as fit, evenly from the history. */
 class Thumbnails {
-  private readonly urls = new Map<string, string>();
-  private readonly load = latestOnly(() => this.show());
+  private readonly pictures = new Map<string, HTMLCanvasElement>();
+  readonly update = latestOnly(() => this.show());
 
   constructor(
     private readonly api: Api,
     private readonly state: State,
   ) {}
-
-  update(): void {
-    this.load();
-  }
 
   private async show(): Promise<void> {
     const box = byId("thumbnails");
@@ -121,26 +118,24 @@ class Thumbnails {
     const count = Math.min(entries.length, Math.floor(box.clientWidth / THUMBNAIL_PX));
     const shown = Array.from({ length: count }, (_, at) => entries[Math.floor(((at + 0.5) * entries.length) / count)]!);
     const keys = shown.map(({ index }) => `${selected.value}/${index}`);
-    for (const [key, url] of [...this.urls]) {
-      if (!keys.includes(key)) {
-        URL.revokeObjectURL(url);
-        this.urls.delete(key);
-      }
+    await Promise.all(shown.map(({ index }, at) => this.load(keys[at]!, selected.value!, index)));
+    const pictures = keys.map((key) => this.pictures.get(key) ?? element("span"));
+    if (pictures.some((picture, at) => picture !== box.children[at]) || pictures.length < box.children.length) {
+      box.replaceChildren(...pictures);
     }
-    await Promise.all(shown.map(({ index }, at) => this.fetch(keys[at]!, selected.value!, index)));
-    const pictures = keys.map((key) => {
-      const picture = element("span");
-      picture.style.backgroundImage = this.urls.has(key) ? `url("${this.urls.get(key)}")` : "";
-      return picture;
-    });
-    box.replaceChildren(...pictures);
+    [...this.pictures.keys()].filter((key) => !keys.includes(key)).forEach((key) => this.pictures.delete(key));
   }
 
-  private async fetch(key: string, session: string, index: number): Promise<void> {
-    if (!this.urls.has(key)) {
-      const file = await this.api.file(`${sessionPath(session)}/history/${index}/colour`).catch(() => null);
-      if (file) {
-        this.urls.set(key, URL.createObjectURL(file.blob));
+  /** Decode a thumbnail before it is shown; one that cannot be read stays empty. */
+  private async load(key: string, session: string, index: number): Promise<void> {
+    if (!this.pictures.has(key)) {
+      const canvas = element("canvas");
+      try {
+        const file = await this.api.file(`${sessionPath(session)}/history/${index}/colour`);
+        await new PictureView(canvas).show(file!.blob, String(index));
+        this.pictures.set(key, canvas);
+      } catch {
+        return; // the history may have removed it meanwhile
       }
     }
   }
@@ -166,7 +161,7 @@ async function loadProbes(api: Api, state: State): Promise<void> {
 async function pastLight(api: Api, id: string, index: number, probe: HistoryEntry["probes"][number]): Promise<ProbeLight> {
   const file = await api.file(`${sessionPath(id)}/history/${index}/probes/${encodeURIComponent(probe.name)}`);
   const panorama = parseHdr(new Uint8Array(await file!.blob.arrayBuffer()));
-  return { ...probe, panorama, seen: null, harmonics: null };
+  return { ...probe, frame: index, panorama, seen: null, harmonics: null };
 }
 
 /** Columns of the time per frame; a mark above where frames were lost; a line at the shown one. */

@@ -3,6 +3,7 @@
 import { RoomLightError } from "roomlight";
 import "../tokens.css";
 import { Api } from "../lib/api";
+import { PictureView } from "../lib/picture";
 import { openCamera, sendPhotos } from "./camera";
 import { EMPTY, PhotoLink, StreamLink, type LinkView } from "./link";
 import "./phone.css";
@@ -29,7 +30,8 @@ const video = Object.assign(element("video", "camera"), { muted: true, playsInli
 const state = element("p", "state");
 const note = element("p", "note");
 const problem = element("p", "problem");
-const panorama = Object.assign(element("img", "panorama"), { alt: "Light found: panorama", hidden: true });
+const panorama = Object.assign(element("canvas", "panorama"), { role: "img", ariaLabel: "Light found: panorama", hidden: true });
+const panoramaView = new PictureView(panorama);
 const figures = element("dl", "figures");
 const button = element("button", "start", "Start");
 const tokenForm = Object.assign(element("form", "token"), { hidden: true });
@@ -58,8 +60,6 @@ function build(): void {
   show(EMPTY);
 }
 
-let picture = "";
-
 function show(view: LinkView): void {
   state.textContent = view.state;
   state.dataset["kind"] = view.kind;
@@ -67,11 +67,8 @@ function show(view: LinkView): void {
   values.processed.textContent = String(view.processed);
   values.seen.textContent = view.coverage === null ? "–" : `${Math.round(100 * view.coverage)} %`;
   problem.textContent = view.problem;
-  if (view.panorama && panorama.dataset["frame"] !== String(view.processed)) {
-    URL.revokeObjectURL(picture);
-    picture = panorama.src = URL.createObjectURL(view.panorama);
-    panorama.dataset["frame"] = String(view.processed);
-    panorama.hidden = false;
+  if (view.panorama) {
+    panoramaView.show(view.panorama, String(view.processed)).then(() => (panorama.hidden = false), failed);
   }
 }
 

@@ -65,7 +65,9 @@ export class RoomPanel {
   }
 
   private async showMesh(glb: ArrayBuffer | null): Promise<void> {
-    await this.surface.show(glb);
+    if (!(await this.surface.show(glb))) {
+      return; // a newer mesh is shown
+    }
     byId("room-waiting").hidden = this.surface.mesh !== null;
     if (this.surface.mesh && !this.hasView) {
       this.overview(); // again with each larger mesh, until the visitor turns the view

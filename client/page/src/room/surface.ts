@@ -15,12 +15,15 @@ export class RoomSurface {
   mesh: Mesh | null = null;
   /** Some points of the mesh. */
   samples: readonly Vector3[] = [];
+  private asked = 0;
+  private shown = 0;
   private readonly loader = new GLTFLoader();
 
   constructor(private readonly scene: Scene) {}
 
-  /** Show the mesh of a GLB file; null shows nothing. */
-  async show(glb: ArrayBuffer | null): Promise<void> {
+  /** Show the mesh of a GLB file; null shows nothing. Resolves to false if a newer call came first. */
+  async show(glb: ArrayBuffer | null): Promise<boolean> {
+    const order = ++this.asked;
     const loaded = glb ? await this.loader.parseAsync(glb, "") : null;
     let next: Mesh | null = null;
     loaded?.scene.traverse((node) => {
@@ -28,7 +31,12 @@ export class RoomSurface {
         next = node;
       }
     });
+    if (order < this.shown) {
+      return false;
+    }
+    this.shown = order;
     this.replace(next);
+    return true;
   }
 
   /** The first point of the surface along a ray, with the normal toward the ray's origin. */

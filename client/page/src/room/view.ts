@@ -46,6 +46,7 @@ export class RoomView {
   rayAt(clientX: number, clientY: number): Raycaster {
     const { left, top, width, height } = this.canvas.getBoundingClientRect();
     const ray = new Raycaster();
+    this.camera.updateMatrixWorld(); // it may have been turned since the last drawing
     const point = new Vector2((2 * (clientX - left)) / width - 1, 1 - (2 * (clientY - top)) / height);
     ray.setFromCamera(point, this.camera);
     return ray;
@@ -54,6 +55,7 @@ export class RoomView {
   /** Where a point of the world is in the window. */
   project(point: Vector3): { x: number; y: number } {
     const { left, top, width, height } = this.canvas.getBoundingClientRect();
+    this.camera.updateMatrixWorld();
     const { x, y } = point.clone().project(this.camera);
     return { x: left + ((x + 1) / 2) * width, y: top + ((1 - y) / 2) * height };
   }
