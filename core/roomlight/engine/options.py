@@ -14,6 +14,8 @@ ModelName = Literal["auto", "classical", "completion", "single", "video"]
 ClippingName = Literal["learned", "constants"]
 """`SessionOptions.clipping`."""
 
+HEDGE: Final = 0.5
+"""Default of `SessionOptions.hedge`."""
 WORKING_SIZE: Final = (320, 240)
 """Frames are reduced to this size (width, height; swapped for upright images), the paper's: eight pixels for one of a
 panorama of 120 rows."""
@@ -29,6 +31,7 @@ class SessionOptions:
             streams of 35 captures that no choice was made with, the networks inside the package had 1.0 to 1.2 of
             warp-and-fill's log-L2, classical 0.82 to 0.94.
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
+        hedge: share of the classical fill in the light that networks infer, 0 to 1; see `network_backend`.
         clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
         parts: a folder with the model directories `clipping` and `completion`, instead of those inside the package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
@@ -43,6 +46,7 @@ class SessionOptions:
 
     model: ModelName = "auto"
     weights: Path | None = None
+    hedge: float = HEDGE
     clipping: ClippingName = "learned"
     parts: Path | None = None
     provider: Provider = "auto"
@@ -60,6 +64,8 @@ class SessionOptions:
         ):
             if getattr(self, name) not in get_args(allowed):
                 raise OptionError(f"{name} must be one of {', '.join(get_args(allowed))}; got {getattr(self, name)!r}")
+        if not 0 <= self.hedge <= 1:
+            raise OptionError(f"hedge must be 0 (networks alone) to 1 (the classical fill alone), got {self.hedge}")
         if not 16 <= self.height <= 2048:
             raise OptionError(f"height must be 16 to 2048 rows of the panorama, got {self.height}")
         if self.keyframes < 1:

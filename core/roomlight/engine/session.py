@@ -111,7 +111,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
 
 def _backend(options: SessionOptions, graphs: LightingGraphs | None) -> Backend:
     if graphs is not None:
-        return NetworkBackend(graphs)
+        return NetworkBackend(graphs, hedge=options.hedge)
     if options.model == "completion":
         return CompletionBackend(shipped_completion(options.provider, (options.parts or SHIPPED) / "completion"))
     return ClassicalBackend()
@@ -339,7 +339,7 @@ class Session:
             ModelError: the weights cannot be used (see `choose_graphs`).
         """
         session = cls(options or snapshot.options, graphs=graphs)
-        for name in ("clipping", "height", "keyframes", "unknown_depth"):
+        for name in ("clipping", "hedge", "height", "keyframes", "unknown_depth"):
             saved, given = getattr(snapshot.options, name), getattr(session.options, name)
             if saved != given:
                 raise StateError(f"the session was saved with {name}={saved!r}, not {given!r}")

@@ -10,11 +10,12 @@ from roomlight.engine.blend import CLOSER_M, PanoramaState, filled_detail
 from roomlight.engine.fusion import FusedVolume
 from roomlight.engine.graphs import load_graphs
 from roomlight.engine.mesh import FrameMesh, PartialPanorama
-from roomlight.engine.network_backend import NetworkBackend, _ProbeNetworks
+from roomlight.engine.network_backend import NetworkBackend, _ProbeNetworks, hedged
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.sglv import Sglv, render_panorama
 from roomlight.engine.volume import VolumeGrid, initial_volume
 from roomlight.errors import ModelError
+from roomlight.metrics import log_l2
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.networks import Observation, VideoModel
 from rooms import BoxRoom, camera_at, pan
@@ -33,7 +34,9 @@ def graphs(tiny_video):
 
 
 def _options(tiny_video, form, height=HEIGHT):
-    return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height)
+    return SessionOptions(
+        model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height, hedge=0.0
+    )
 
 
 def _observation(sglv, frame, before):
@@ -151,6 +154,28 @@ def test_single_view_inference_moves_half_way(graphs):
     first, second = (backend.estimate(memory, state, **given) for _ in range(2))
     np.testing.assert_allclose(second.hdr, (first.hdr + state.radiance) / 2, rtol=1e-5)
     np.testing.assert_array_equal(second.weight, first.weight)
+
+
+@pytest.mark.parametrize("form", ["single", "video"])
+def test_the_hedge_is_between_networks_and_fill(tiny_video, form):
+    alone, half, fill = (
+        Session(dataclasses.replace(_options(tiny_video, form), hedge=share)) for share in (0.0, 0.5, 1.0)
+    )
+    for session in (alone, half, fill):
+        session.track(PROBE)
+        session.push(FRAMES[0])
+    networks, mean, classical = (np.log1p(session.light(0).panorama) for session in (alone, half, fill))
+    np.testing.assert_allclose(mean, (networks + classical) / 2, atol=0.03)
+    unseen = half.light(0).observed == 0
+    assert np.abs(networks - classical)[unseen].max() > 0.03
+    np.testing.assert_allclose(mean[unseen], (networks + classical)[unseen] / 2, atol=1e-5)
+
+
+def test_hedged_light_has_no_more_error_than_the_mean_of_both():
+    rng = np.random.default_rng(5)
+    truth, one, other = (rng.exponential(size=(8, 16, 3)).astype(np.float32) for _ in range(3))
+    errors = [log_l2(estimate, truth) for estimate in (one, other, hedged(one, other, share=0.5))]
+    assert errors[2] < (errors[0] + errors[1]) / 2
 
 
 def test_the_video_model_keeps_earlier_frames(tiny_video):

@@ -244,6 +244,12 @@ def test_heights_out_of_range_are_refused(height):
         SessionOptions(height=height)
 
 
+@pytest.mark.parametrize("hedge", [-0.1, 1.5, float("nan")])
+def test_a_hedge_outside_0_to_1_is_refused(hedge):
+    with pytest.raises(ValueError, match=f"hedge must be 0 .* to 1 .*, got {hedge}"):
+        SessionOptions(hedge=hedge)
+
+
 @pytest.mark.parametrize("keyframes", [0, -3])
 def test_a_keyframe_store_of_size_zero_is_refused(keyframes):
     with pytest.raises(ValueError, match=f"keyframes must be 1 or more, got {keyframes}"):

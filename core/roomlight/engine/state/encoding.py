@@ -38,6 +38,7 @@ class _Values(BaseModel):
 class _Options(_Values):
     model: ModelName
     weights: Path | None
+    hedge: float
     clipping: ClippingName
     parts: Path | None
     provider: Provider
