@@ -18,6 +18,7 @@ from roomlight_client.memory import SessionMemory
 from roomlight_client.retry import NO_RETRY, Retry
 
 T = TypeVar("T")
+_LOST_KINDS: Final = ("", "blank", "stopping", "session-moved")
 _PERMANENT: Final = (httpx.UnsupportedProtocol, httpx.LocalProtocolError, httpx.DecodingError)
 
 
@@ -228,12 +229,12 @@ class Recovery:
 
 
 def is_server_lost(error: RemoteError) -> bool:
-    """Return whether there was no answer, or only that of a proxy whose server is away."""
+    """Return whether there was no answer, or only that of a proxy whose server is away, or of a server before."""
     if isinstance(error, UnreachableError):
         return not isinstance(error.__cause__, _PERMANENT)
     if not isinstance(error, RefusedError):
         return False
-    return error.status in (502, 504) or (error.status == 503 and error.kind in ("", "blank", "stopping"))
+    return error.status in (502, 504) or (error.status == 503 and error.kind in _LOST_KINDS)
 
 
 def is_session_gone(error: RemoteError) -> bool:

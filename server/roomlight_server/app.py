@@ -44,6 +44,7 @@ from roomlight_server.registry import Clock, Registry
 from roomlight_server.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
 from roomlight_server.settings import ServerSettings
 from roomlight_server.state.store import StateStore
+from roomlight_server.stop_middleware import StopMiddleware
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -85,7 +86,14 @@ def create_app(
     states = None
     if settings.state_dir is not None:
         interval_s, expiry_s = settings.state_interval_s, settings.state_expiry_s
-        states = StateStore(settings.state_dir, interval_s=interval_s, expiry_s=expiry_s, metrics=metrics, clock=clock)
+        states = StateStore(
+            settings.state_dir,
+            interval_s=interval_s,
+            expiry_s=expiry_s,
+            shared=settings.state_shared,
+            metrics=metrics,
+            clock=clock,
+        )
     registry = Registry(settings, workers, metrics, clock, states)
     guard = ConnectionGuard(settings, metrics)
     budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
@@ -101,7 +109,7 @@ def create_app(
             asyncio.create_task(_expire(context, every_s=min(5.0, settings.idle_expiry_s / 4))),
         ]
         if states is not None:
-            tasks.append(asyncio.create_task(states.run(registry.items)))
+            tasks.append(asyncio.create_task(states.run(registry.items, registry.end_moved)))
         try:
             yield
         finally:
@@ -179,6 +187,7 @@ def create_app(
                 *(composite_routes.POSES_HEADER, recording_routes.OFFSET_HEADER, room_routes.KEYFRAMES_HEADER),
             ],
         )
+    app.add_middleware(StopMiddleware, stopping=lambda: registry.stopping)
     app.add_middleware(RequestIdMiddleware)  # the outermost: answers of all others carry the id
     app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
     return app

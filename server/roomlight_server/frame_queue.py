@@ -138,6 +138,11 @@ class FrameQueue:
         self._waiting = None
 
     @property
+    def last_index(self) -> int | None:
+        """Index of the last accepted frame; None before the first."""
+        return None if self._last is None else self._last.index
+
+    @property
     def has_waiting(self) -> bool:
         """Whether a frame is waiting."""
         return self._waiting is not None
@@ -146,9 +151,12 @@ class FrameQueue:
         """Return the counts of all frames so far."""
         queued = (self._waiting is not None) + (self._processing is not None)
         used = sum(self._counts[name] for name in ("processed", "superseded", "skipped"))
-        last = None if self._last is None else self._last.index
         return FrameCounts(
-            accepted=used + queued, queued=queued, last_index=last, durable_index=self._durable(), **self._counts
+            accepted=used + queued,
+            queued=queued,
+            last_index=self.last_index,
+            durable_index=self._durable(),
+            **self._counts,
         )
 
     def saved(self) -> SavedQueue:
@@ -176,7 +184,7 @@ class FrameQueue:
             digest = b"" if saved.result is None else bytes.fromhex(saved.digest)
             self._last = Entry(saved.last_index, digest)
             if saved.result is not None:
-                self._last.settle(saved.result)
+                self._last.settle(saved.result.model_copy(update={"epoch": None}))  # of another owner
 
     def _done(self, entry: Entry) -> None:
         entry.frame = entry.message = None  # a replay needs only the outcome

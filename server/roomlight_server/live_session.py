@@ -28,6 +28,7 @@ from roomlight_server.request_context import request_id
 from roomlight_server.session_lighting import SessionLighting
 from roomlight_server.session_parts import MAX_CACHED_LIGHTS, CompositeTurn, FrameSlots, Limits, volume_of
 from roomlight_server.state.journal import Journal
+from roomlight_server.state.lease import MOVED, SessionLease
 from roomlight_server.state.live_state import LiveState
 from roomlight_server.workers import Workers
 
@@ -62,6 +63,7 @@ class LiveSession:
         # never held together with those of `EngineAccess`.
         self._ingest_lock = asyncio.Lock()
         self._slots = FrameSlots(limits.frames_in_flight)
+        self.lease: SessionLease | None = None
         self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
         self._runner: asyncio.Task[None] | None = None
         self._reference = request.reference_exposure
@@ -126,6 +128,8 @@ class LiveSession:
         message, digest = await self._workers.run_in_decode_pool(parse_frame, body, self._limits.frame)
         index = index_of(message, index)
         self.check_open()
+        if self.lease is not None:
+            await self.lease.check_frame(index, self._queue.last_index)
         repeated = self._queue.replay_of(index, digest)
         if repeated is not None:
             return Entry(index, digest, outcome=replayed(repeated.outcome))
@@ -178,8 +182,12 @@ class LiveSession:
                 frame = await self._decoded_late(entry)
             report = await self._workers.run_in_engine_pool(engine.push, frame)
             result = self._result(engine, entry.index, report)
+            if self.lease is not None:
+                await self.lease.check()  # only the owner answers
         except ProblemError as error:
             self._reject(entry, error)
+            if error.kind == MOVED:
+                self._end(error)
         except FrameError as error:
             rule = str(error)
             self._reject(entry, ProblemError("bad-frame", rule, field="frame", value=entry.index, rule=rule))
@@ -223,6 +231,7 @@ class LiveSession:
             stage_ms={stage: round(ms, 2) for stage, ms in report.stage_ms.items()},
             coverage=self.lighting.coverage,
             durable_index=self.durable_index,
+            epoch=None if self.lease is None else self.lease.epoch,
         )
 
     # --- composites, reading ----------------------------------------------------------------------------------
@@ -318,9 +327,9 @@ class LiveSession:
         """The reason why the session has ended, or None."""
         return self._access.ended
 
-    def close(self) -> None:
+    def close(self, reason: ProblemError | None = None) -> None:
         """End the session: answer all waiting requests and release the engine after its running frame."""
-        self._end(ProblemError("session-closed", "the session was deleted or has expired"))
+        self._end(reason or ProblemError("session-closed", "the session was deleted or has expired"))
 
     def _end(self, reason: ProblemError) -> None:
         self._access.end(reason)

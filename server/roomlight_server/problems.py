@@ -69,6 +69,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "object-memory": (503, "Object limit of the server reached"),
     "recording-memory": (503, "Recording limit of the server reached"),
     "too-many-connections": (503, "Connection limit reached"),
+    "session-moved": (503, "Another server owns the session"),
     "state-unavailable": (503, "Saved session cannot be read or removed now"),
     "stopping": (503, "Server is stopping"),
 }

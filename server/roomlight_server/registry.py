@@ -9,7 +9,7 @@ from dataclasses import replace
 
 from roomlight.engine.graphs import LightingGraphs
 from roomlight.engine.memory import Footprint
-from roomlight.engine.session import Session
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, OptionError
 from roomlight.wire.messages import SessionRequest
 from roomlight_server.live_session import LiveSession
@@ -18,8 +18,9 @@ from roomlight_server.problems import ProblemError
 from roomlight_server.quotas import Quotas
 from roomlight_server.session_parts import Limits
 from roomlight_server.settings import ServerSettings
+from roomlight_server.state.listing import SavedHead
 from roomlight_server.state.restoring import Restorer
-from roomlight_server.state.store import StateStore
+from roomlight_server.state.store import Saveable, StateStore
 from roomlight_server.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -71,6 +72,12 @@ class Registry:
         existing = await self.recall(owner, name)
         if existing is not None:
             return self._reopen(existing, request), False
+        if self._states is None:
+            return await self._open_new(owner, name, request)
+        async with self._states.lock(owner, name):
+            return await self._open_new(owner, name, request)
+
+    async def _open_new(self, owner: str, name: str, request: SessionRequest) -> tuple[LiveSession, bool]:
         graphs = await self._graphs_of(request)
         existing = self._current(owner, name)  # another request may have opened it in the meantime
         if existing is not None:
@@ -78,16 +85,17 @@ class Registry:
         self._check_capacity()
         self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
         base = self._workers.base_options
+        model = base.model if request.mode == "auto" else request.mode
         options = replace(
             base,
-            model="classical" if graphs is None else base.model if request.mode == "auto" else request.mode,
+            model="classical" if model == "auto" and graphs is None else model,
             height=request.height,
             unknown_depth=request.unknown_depth,
         )
-        live = self._live(name, request, Session(options, graphs=graphs), graphs)
+        live = self._live(name, request, _engine(options, graphs), graphs)
         self._check_size(owner, live)
         if self._states is not None:
-            live.journal = self._states.journal()
+            live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name)
         self._add(owner, live)
         _log.info("session opened", extra={"session": name, "model": live.state().model})
         return live, True
@@ -96,9 +104,16 @@ class Registry:
         """Return the session from memory, or restore it from disk; None if there is none.
 
         Raises:
-            ProblemError: The saved state cannot be used (409) or not be read now (503), or there is no room (429, 503).
+            ProblemError: The saved state cannot be used (409) or not be read now (503), there is no room (429, 503), or
+                another server has owned the session in the meantime (503): the next request restores it.
         """
         found = self._current(owner, name)
+        if found is not None and found.lease is not None:
+            try:
+                await found.lease.check()
+            except ProblemError:
+                self.end_moved((owner, name), found)
+                raise
         if found is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
             return found
         async with self._states.lock(owner, name):
@@ -106,13 +121,14 @@ class Registry:
             if found is not None or not self._states.has(owner, name):
                 return found
             self._check_capacity()
+            lease = await self._states.claim(owner, name)  # before it is read: nobody else writes it any more
             reading = await self._states.read(owner, name)
             graphs = await self._graphs_of(reading.values.request)
             engine, state = await self._restorer.restore(reading, graphs)
             live = self._live(name, reading.values.request, engine, graphs)
             self._check_size(owner, live)
             live.resume(state)
-            live.journal = self._states.restored(reading)
+            live.journal, live.lease = self._states.restored(reading), lease
             self._add(owner, live)
             _log.info("session restored", extra={"session": name, "frame": state.light_frame})
             return live
@@ -121,9 +137,7 @@ class Registry:
         try:
             return await self._workers.graphs_of(request.mode)
         except (ModelError, OptionError) as error:
-            rule = "must be a model of the server; `auto` is its default model"
-            detail = f"the server has no weights of the model: {error}"
-            raise ProblemError("model-not-here", detail, field="mode", value=request.mode, rule=rule) from error
+            raise _no_model(request.mode, error) from error
 
     def _live(self, name: str, request: SessionRequest, engine: Session, graphs: LightingGraphs | None) -> LiveSession:
         return LiveSession(
@@ -174,6 +188,11 @@ class Registry:
         idle = [(live, 0.0 if live.users else now_s - live.last_used_s) for live in own]
         return sorted(idle, key=lambda each: each[1])
 
+    async def saved(self, owner: str) -> list[SavedHead]:
+        """Return the sessions of an owner that are on disk and not in memory, last used first."""
+        heads = [] if self._states is None else await self._states.listed(owner)
+        return [head for head in heads if (owner, head.values.name) not in self._sessions]
+
     def delete(self, owner: str, name: str) -> None:
         """End a session.
 
@@ -203,6 +222,16 @@ class Registry:
             elif not await self._states.erase(owner, name):
                 self.delete(owner, name)  # raises: it is nowhere
 
+    def end_moved(self, key: tuple[str, str], live: Saveable) -> None:
+        """End a session that another server owns; what is not saved of it is lost."""
+        found = self._sessions.get(key)
+        if found is live and found.lease is not None:
+            del self._sessions[key]
+            found.close(found.lease.problem)
+            if found.journal is not None:
+                found.journal.closed = True
+            self._record_end(found.name, "moved")
+
     def items(self) -> list[tuple[tuple[str, str], LiveSession]]:
         """Return the sessions in memory by (owner, id)."""
         return list(self._sessions.items())
@@ -221,7 +250,7 @@ class Registry:
             del self._sessions[key]
             live.close()
             if self._states is not None:
-                self._states.touch(*key)
+                self._states.left_memory(key[0], live)
             self._record_end(live.name, "expired" if self._states is None else "saved")
 
     def _may_be_saved_yet(self, live: LiveSession, limit_s: float) -> bool:
@@ -274,6 +303,20 @@ class Registry:
         used_s = [live.last_used_s for (each, _), live in self._sessions.items() if owner in (None, each)]
         wait_s = min(used_s, default=self._clock()) + self._settings.idle_expiry_s - self._clock()
         return max(1, min(60, math.ceil(wait_s)))
+
+
+def _engine(options: SessionOptions, graphs: LightingGraphs | None) -> Session:
+    """Return a new engine session. Raises ProblemError if the weights of its model are missing."""
+    try:
+        return Session(options, graphs=graphs)
+    except ModelError as error:  # of `completion`, whose weights are not among the graphs
+        raise _no_model(options.model, error) from error
+
+
+def _no_model(model: str, error: Exception) -> ProblemError:
+    rule = "must be a model of the server; `auto` is its default model"
+    detail = f"the server has no weights of the model: {error}"
+    return ProblemError("model-not-here", detail, field="mode", value=model, rule=rule)
 
 
 def _conflict(existing: SessionRequest, request: SessionRequest) -> ProblemError:

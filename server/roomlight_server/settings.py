@@ -51,6 +51,7 @@ class ServerSettings(BaseSettings):
         frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
         idle_expiry_s: A session without requests for this time is deleted; with a state directory, it leaves memory.
         state_dir: Folder in which sessions are saved, so that they survive a restart. Default: they are not saved.
+        state_shared: Other servers use the state directory too; a session belongs to one of them at a time.
         state_interval_s: A change of a session is on disk after this time at the latest.
         state_expiry_s: A saved session without requests for this time is erased.
         body_timeout_s: Time limit for receiving the body of a request.
@@ -114,6 +115,7 @@ class ServerSettings(BaseSettings):
     frames_in_flight: Annotated[int, Field(ge=1, le=64)] = 4
     idle_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 600.0
     state_dir: Path | None = None
+    state_shared: bool = False
     state_interval_s: Annotated[float, Field(ge=0.1, le=3600)] = 5.0
     state_expiry_s: Annotated[float, Field(gt=0, le=1e8)] = 86_400.0
     body_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0

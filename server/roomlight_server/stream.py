@@ -38,6 +38,7 @@ from roomlight_server.context import Context
 from roomlight_server.light_routes import answer_bytes, check_size, encode_lights, memory_of
 from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
+from roomlight_server.state.lease import MOVED
 
 _log = logging.getLogger("roomlight.server")
 router = APIRouter()
@@ -133,6 +134,8 @@ class _Connection:
         except _ConnectionEndedError:
             raise
         except ProblemError as error:
+            if error.kind == MOVED:  # a new connection reaches the owner
+                await self._close(4000 + error.problem.status, error.kind)
             problem = error
         except Exception:
             index = None if frame is None else stated_index(frame)
@@ -180,6 +183,8 @@ class _Connection:
         except ValidationError as error:
             raise ProblemError.from_wire(to_wire_error(error, kind="invalid")) from error
         self._count("received", message.type)
+        if self._live.lease is not None:
+            await self._live.lease.check()
         if isinstance(message, LightCall):
             async with self._answering_errors(request=message.request):
                 with self._context.budget.reservation() as held:
@@ -224,6 +229,8 @@ class _Connection:
             await self._update_due.wait()
             self._update_due.clear()
             ended = self._live.ended
+            if ended is not None and ended.kind == MOVED:
+                await self._close(4000 + ended.problem.status, ended.kind)
             if ended is not None:
                 if self._frame_tasks:  # they have their outcomes now: send these first
                     await asyncio.wait(tuple(self._frame_tasks))

@@ -211,6 +211,8 @@ export interface components {
             };
             /** @default null */
             readonly durable_index?: number | null;
+            /** @default null */
+            readonly epoch?: number | null;
             /**
              * @default frame
              * @constant
@@ -268,6 +270,8 @@ export interface components {
          *         stage_ms: processing time of each stage.
          *         coverage: coverage of each named probe after the last processed frame.
          *         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
+         *         epoch: number of the server that answered among all servers that have owned the session, from 1; null: servers
+         *             share no state directory. It never decreases.
          */
         readonly FrameResult: {
             readonly index: number;
@@ -283,6 +287,7 @@ export interface components {
                 readonly [key: string]: number;
             };
             readonly durable_index?: number | null;
+            readonly epoch?: number | null;
         };
         /**
          * @description A recorded frame.

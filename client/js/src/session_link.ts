@@ -161,7 +161,7 @@ export class SessionRequests {
 
 /** No answer, or that of a proxy whose server is away. */
 function isServerLost({ status, kind }: RoomLightError): boolean {
-  return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping"].includes(kind));
+  return status === 0 || status === 502 || status === 504 || (status === 503 && ["", "stopping", "session-moved"].includes(kind));
 }
 
 /** The server cannot use the state that it has saved. */

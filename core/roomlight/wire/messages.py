@@ -170,6 +170,8 @@ class FrameResult(WireModel):
         stage_ms: processing time of each stage.
         coverage: coverage of each named probe after the last processed frame.
         durable_index: frames up to this index are on the server's disk and survive its restart; null: none are.
+        epoch: number of the server that answered among all servers that have owned the session, from 1; null: servers
+            share no state directory. It never decreases.
     """
 
     index: int
@@ -179,6 +181,7 @@ class FrameResult(WireModel):
     stage_ms: dict[str, float] = Field(default_factory=dict)
     coverage: dict[str, float] = Field(default_factory=dict)
     durable_index: int | None = None
+    epoch: int | None = None
 
 
 class FrameCounts(WireModel):

@@ -21,7 +21,10 @@ from roomlight.errors import OutputError, ServerError, StateError
 from roomlight.wire.messages import SessionRequest
 from roomlight_server.metrics import Metrics
 from roomlight_server.problems import ProblemError
+from roomlight_server.state.fence import Fence, LeaseLostError
 from roomlight_server.state.journal import Journal
+from roomlight_server.state.lease import SessionLease
+from roomlight_server.state.listing import SavedHead, SavedList
 from roomlight_server.state.live_state import LiveState, SavedValues
 from roomlight_server.state.session_folder import STATE, Reading, Written, erase, read_session, write_session
 
@@ -32,6 +35,8 @@ SAVES_PER_INTERVAL: Final = 2.5
 CLOSE_S: Final = 3.0
 """Time for saves that are running when the server stops, and as much for the last ones."""
 _EXPIRY_PERIOD_S: Final = 60.0
+LEASE_PERIOD_S: Final = 2.0
+"""A session that another server owns leaves memory after this time, if no request has noticed it before."""
 
 
 @runtime_checkable
@@ -41,6 +46,7 @@ class Saveable(Protocol):
     name: str
     request: SessionRequest
     journal: Journal | None
+    lease: SessionLease | None
 
     async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
         """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
@@ -55,7 +61,14 @@ class StateStore:
     """The saved sessions of a server, in one folder each. Used on the event loop; files are handled on threads."""
 
     def __init__(
-        self, root: Path, *, interval_s: float, expiry_s: float, metrics: Metrics, clock: Callable[[], float]
+        self,
+        root: Path,
+        *,
+        interval_s: float,
+        expiry_s: float,
+        shared: bool,
+        metrics: Metrics,
+        clock: Callable[[], float],
     ) -> None:
         """Make the directory and lock it for this process.
 
@@ -63,13 +76,17 @@ class StateStore:
             root: The state directory. Only this user can read its folder `sessions`.
             interval_s: A change is on disk after this time at the latest, unless the disk is slower.
             expiry_s: A saved session that is not in memory and was not used for this time is erased.
+            shared: Other servers use the directory too; see `fence`.
             metrics: Counts writes.
             clock: Monotonic clock in seconds.
 
         Raises:
-            ServerError: The directory cannot be used, or another server uses it.
+            ServerError: The directory cannot be used, or another server uses it and not both share it.
         """
-        self._root, self._expiry_s, self._metrics, self._clock = root / "sessions", expiry_s, metrics, clock
+        self._root, self._metrics, self._clock = root / "sessions", metrics, clock
+        # other servers touch what they have open once in a period
+        self._expiry_s = max(expiry_s, 3 * _EXPIRY_PERIOD_S) if shared else expiry_s
+        self._list = SavedList(self._root)
         self._period_s = interval_s / SAVES_PER_INTERVAL
         self.tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
@@ -78,7 +95,10 @@ class StateStore:
         self._next_expiry_s = clock()
         self.failing: str | None = None
         """Why sessions cannot be written now; None: they can."""
-        self._lock_file = _locked(root, self._root)
+        self._lock_file = _locked(root, self._root, shared)
+        self._fence = Fence(root) if shared else None
+        self._fence_pool = ThreadPoolExecutor(4, thread_name_prefix="fence")  # not behind writes, which take 0.1 s
+        self._next_lease_check_s = clock() + LEASE_PERIOD_S
 
     # --- saving -----------------------------------------------------------------------------------------------
 
@@ -86,10 +106,14 @@ class StateStore:
         """Return the journal of a new session."""
         return Journal(self._clock)
 
-    async def run(self, sessions: Sessions) -> None:
-        """Save changed sessions and erase expired ones, until cancelled."""
+    async def run(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
+        """Save changed sessions and erase expired ones, until cancelled.
+
+        `end_moved` is called with a session that another server owns.
+        """
         while True:
             await asyncio.sleep(self.tick_s)
+            await self._check_leases(sessions, end_moved)
             for key, live in sessions():
                 if key not in self._saving and live.journal is not None and live.journal.is_due(self._period_s):
                     self._start_saving(key, live)
@@ -99,6 +123,17 @@ class StateStore:
             if self._clock() >= self._next_expiry_s:
                 self._next_expiry_s = self._clock() + _EXPIRY_PERIOD_S
                 await self._in_thread(self._erase_expired, {self._folder(*key).name for key in open_sessions})
+
+    async def _check_leases(self, sessions: Sessions, end_moved: Callable[[tuple[str, str], Saveable], object]) -> None:
+        if self._fence is None or self._clock() < self._next_lease_check_s:
+            return
+        self._next_lease_check_s = self._clock() + LEASE_PERIOD_S
+        for key, live in list(sessions()):
+            if live.lease is not None:
+                try:
+                    await live.lease.check()
+                except ProblemError:
+                    end_moved(key, live)
 
     def _start_saving(self, key: tuple[str, str], live: Saveable) -> None:
         task = self._saving[key] = asyncio.create_task(self.save(key, live))
@@ -139,9 +174,16 @@ class StateStore:
             if journal.closed:  # deleted in the meantime
                 return
             with self._metrics.state_write_seconds.time():
-                written = await self._in_thread(
-                    write_session, self._folder(*key), state, values, dict(journal.messages), journal.bases
-                )
+                write = write_session if live.lease is None else live.lease.guarded(write_session)
+                try:
+                    written = await self._in_thread(
+                        write, self._folder(*key), state, values, dict(journal.messages), journal.bases
+                    )
+                except LeaseLostError:
+                    self._metrics.state_writes.labels("refused").inc()
+                    _log.warning("a session is not saved: another server owns it", extra={"session": live.name})
+                    journal.closed = True
+                    return
             journal.saved(written.bases, state.light_frame, state.queue.last_index)
             self._record_success(written)
 
@@ -171,14 +213,49 @@ class StateStore:
             for task in late:
                 task.cancel()
                 _log.error("a session could not be saved in time")
+        for _, live in sessions():
+            self._release(live)
         await asyncio.to_thread(self._pool.shutdown, wait=True, cancel_futures=True)
+        await asyncio.to_thread(self._fence_pool.shutdown, wait=True)
         os.close(self._lock_file)
+
+    # --- owners -----------------------------------------------------------------------------------------------
+
+    async def claim(self, owner: str, name: str) -> SessionLease | None:
+        """Become the owner of a session among servers that share the directory. Hold its `lock`.
+
+        Returns:
+            The lease; None if no other server shares the directory.
+
+        Raises:
+            ProblemError: The directory cannot be used now (503).
+        """
+        if self._fence is None:
+            return None
+        fence, key, loop = self._fence, self._folder(owner, name).name, asyncio.get_running_loop()
+        try:
+            lease = await loop.run_in_executor(self._fence_pool, fence.claim, key)
+        except (OSError, OutputError) as error:
+            _log.error("a session cannot be claimed: %s", error, extra={"session": name})
+            detail = "the owner of the session cannot be written now; retry later"
+            raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
+        _log.info("session claimed", extra={"session": name, "epoch": lease.record.epoch})
+        return SessionLease(name, fence, lease, self._fence_pool)
+
+    def _release(self, live: Saveable) -> None:
+        """Let another server own a session, if all of it is on disk."""
+        if live.lease is not None and live.journal is not None and live.journal.unsaved_s == 0:
+            live.lease.release()
 
     # --- saved sessions ---------------------------------------------------------------------------------------
 
     def has(self, owner: str, name: str) -> bool:
         """Return whether a session is on disk."""
         return (self._folder(owner, name) / STATE).exists()
+
+    async def listed(self, owner: str) -> list[SavedHead]:
+        """Return the sessions of an owner that are on disk, those in memory too; last used first."""
+        return await self._in_thread(self._list.of, digest_of_owner(owner))
 
     @asynccontextmanager
     async def lock(self, owner: str, name: str) -> AsyncGenerator[None]:
@@ -220,17 +297,20 @@ class StateStore:
         folder = self._folder(owner, name)
         try:
             found = folder.exists()
-            await self._in_thread(erase, folder)
-        except OSError as error:
+            lease = await self.claim(owner, name) if found else None  # its owner writes nothing afterwards
+            await self._in_thread(erase if lease is None else lease.guarded(erase), folder)
+        except (OSError, LeaseLostError) as error:
             _log.error("a saved session cannot be removed: %s", error, extra={"session": name})
-            detail = f"the saved state cannot be removed ({error.strerror}); retry later"
+            reason = error.strerror if isinstance(error, OSError) else "another server has just restored it"
+            detail = f"the saved state cannot be removed ({reason}); retry later"
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
         return found
 
-    def touch(self, owner: str, name: str) -> None:
-        """Begin the time to expiry of a saved session again, because it leaves memory."""
+    def left_memory(self, owner: str, live: Saveable) -> None:
+        """Begin the time to expiry of a saved session again, and let another server own it."""
         with contextlib.suppress(OSError):
-            os.utime(self._folder(owner, name) / STATE)
+            os.utime(self._folder(owner, live.name) / STATE)
+        self._release(live)
 
     def _erase_expired(self, open_folders: set[str]) -> None:
         limit = time.time() - self._expiry_s
@@ -238,10 +318,22 @@ class StateStore:
         with contextlib.suppress(OSError):  # the directory cannot be read: next time
             folders = list(self._root.iterdir())
         for folder in folders:
-            with contextlib.suppress(OSError):  # it was erased in the meantime, or cannot be removed: next time
-                if folder.is_dir() and folder.name not in open_folders and _used_s(folder) < limit:
-                    erase(folder)
+            # it was erased or restored in the meantime, or cannot be removed: next time
+            with contextlib.suppress(OSError, OutputError, LeaseLostError):
+                if folder.name in open_folders and self._fence is not None:
+                    os.utime(folder / STATE)  # other servers do not know that it is open
+                elif folder.is_dir() and folder.name not in open_folders and _used_s(folder) < limit:
+                    self._erase_one(folder)
                     _log.info("a saved session has expired")
+        if self._fence is not None:
+            self._fence.forget(limit, open_folders | {folder.name for folder in folders})
+
+    def _erase_one(self, folder: Path) -> None:
+        if self._fence is None:
+            erase(folder)
+            return
+        with self._fence.guarded(self._fence.claim(folder.name)):
+            erase(folder)
 
     def _folder(self, owner: str, name: str) -> Path:
         return self._root / hashlib.sha256(f"{digest_of_owner(owner)}/{name}".encode()).hexdigest()[:32]
@@ -267,7 +359,7 @@ def _used_s(folder: Path) -> float:
     return (state if state.exists() else folder).stat().st_mtime
 
 
-def _locked(root: Path, sessions: Path) -> int:
+def _locked(root: Path, sessions: Path, shared: bool) -> int:
     """Make the directory and its folder of sessions, and lock it; return the descriptor that holds the lock."""
     import fcntl  # not on Windows, where only this setting fails
 
@@ -279,8 +371,9 @@ def _locked(root: Path, sessions: Path) -> int:
     except OSError as error:
         raise ServerError(f"state_dir: {root}: cannot be used ({error.strerror}); choose another folder") from error
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
     except OSError as error:
         os.close(descriptor)
-        raise ServerError(f"state_dir: {root}: is used by another server; stop it or choose another folder") from error
+        advice = "stop it, choose another folder, or set state_shared for all of them"
+        raise ServerError(f"state_dir: {root}: is used by another server; {advice}") from error
     return descriptor

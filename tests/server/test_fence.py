@@ -1,0 +1,320 @@
+"""Servers that share a state directory: one of them owns a session, and those before it neither answer nor write."""
+
+import re
+import threading
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+from websockets.exceptions import ConnectionClosed
+from websockets.sync.client import connect
+
+from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
+from roomlight.errors import ServerError
+from roomlight_server.app import create_app
+from roomlight_server.settings import ServerSettings
+from roomlight_server.state import fence as fences
+from roomlight_server.state import store
+from roomlight_server.state.fence import Fence, LeaseLostError
+
+KEY = "0f3a9c"
+YAWS = (0, 12, 24, 36, 48)
+PROBE = {"position": [0.2, 1.2, -0.5]}
+LIGHT = "/v1/sessions/room/probes/table?format=npy"
+TRIES = 20_000
+"""Requests until a condition holds: the machine is busy with other tests."""
+
+
+@pytest.fixture
+def fence(tmp_path):
+    return Fence(tmp_path)
+
+
+# --- the fence ----------------------------------------------------------------------------------------------------
+
+
+def test_each_claim_has_the_next_epoch(fence):
+    leases = [fence.claim(KEY) for _ in range(5)]
+    assert [lease.record.epoch for lease in leases] == [1, 2, 3, 4, 5]
+    assert [fence.holds(lease) for lease in leases] == [False, False, False, False, True]
+    assert fence.claim("another").record.epoch == 1
+
+
+def test_claims_at_once_have_different_epochs(tmp_path):
+    Fence(tmp_path)
+    with ThreadPoolExecutor(8) as pool:
+        leases = list(pool.map(lambda _: Fence(tmp_path).claim(KEY), range(40)))
+    assert sorted(lease.record.epoch for lease in leases) == list(range(1, 41))
+    assert sum(Fence(tmp_path).holds(lease) for lease in leases) == 1
+
+
+def test_only_the_owner_may_write(fence):
+    old = fence.claim(KEY)
+    with fence.guarded(old):
+        pass
+    new = fence.claim(KEY)
+    with pytest.raises(LeaseLostError), fence.guarded(old):
+        raise AssertionError("the old owner writes")
+    with fence.guarded(new):
+        pass
+
+
+def test_a_claim_waits_for_a_running_write(fence):
+    order, lease = [], fence.claim(KEY)
+    writing, finish = threading.Event(), threading.Event()
+
+    def write():
+        with fence.guarded(lease):
+            writing.set()
+            finish.wait(60)
+            order.append("written")
+
+    def claim():
+        found = fence.claim(KEY)
+        order.append("claimed")
+        return found
+
+    writer = InThread(write)
+    assert writing.wait(60)
+    claiming = InThread(claim)
+    finish.set()
+    writer.result()
+    assert claiming.result().record.epoch == 2
+    assert order == ["written", "claimed"]
+
+
+def test_a_claim_does_not_wait_for_ever(fence, monkeypatch):
+    monkeypatch.setattr(fences, "LOCK_WAIT_S", 0.01)
+    lease = fence.claim(KEY)
+    with fence.guarded(lease), pytest.raises(TimeoutError, match="is locked by another server"):
+        fence.claim(KEY)
+    assert fence.holds(lease)
+
+
+def test_a_released_session_is_not_taken_over(fence):
+    assert not fence.claim(KEY).taken_over
+    second = fence.claim(KEY)
+    assert second.taken_over
+    fence.release(second)
+    assert not fence.holds(second)
+    third = fence.claim(KEY)
+    assert (third.taken_over, third.record.epoch) == (False, 3)
+    fence.release(second)  # it is not the owner any more
+    assert fence.holds(third)
+
+
+def test_a_damaged_record_is_owned_by_nobody(fence, tmp_path, caplog):
+    lease = fence.claim(KEY)
+    (tmp_path / "owners" / KEY).write_bytes(b"\0" * 40)
+    assert not fence.holds(lease)
+    assert "is damaged" in caplog.text
+    new = fence.claim(KEY)
+    assert fence.holds(new)
+    assert not fence.holds(lease)  # its epoch is 1 too
+    assert new.taken_over
+
+
+def test_records_of_erased_sessions_are_removed(fence, tmp_path):
+    lease, other = fence.claim(KEY), fence.claim("another")
+    fence.forget(0.0, set())
+    assert fence.holds(lease)
+    fence.forget(1e12, {"another"})
+    assert not fence.holds(lease)
+    assert fence.holds(other)
+    assert sorted(path.name for path in (tmp_path / "owners").iterdir()) == ["another", "locks"]
+
+
+# --- servers ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(autouse=True)
+def requests_alone_notice_a_loss(monkeypatch):
+    monkeypatch.setattr(store, "LEASE_PERIOD_S", 1e6)
+
+
+def server_on(folder, **settings):
+    chosen = {"state_dir": folder, "state_shared": True, "state_interval_s": 0.1, "idle_expiry_s": 1e6, "drain_s": 0}
+    return RunningServer(**chosen | settings)
+
+
+def filled(server, count=3):
+    server.open()
+    assert server.call("PUT", "/v1/sessions/room/probes/table", PROBE).status == 201
+    for index in range(count):
+        assert server.push(index, frame(YAWS[index])).json["status"] == "processed"
+
+
+def wait_until_saved(server, index):
+    for _ in range(TRIES):
+        if server.state()["frames"]["durable_index"] == index:
+            return
+    raise AssertionError(server.state())
+
+
+def state_file(folder):
+    return next((folder / "sessions").glob("*/state")).read_bytes()
+
+
+def moved(answer):
+    return (answer.status, answer.kind, answer.headers["retry-after"]) == (503, "session-moved", "1")
+
+
+def test_a_server_that_lost_a_session_refuses_it(tmp_path):
+    with server_on(tmp_path) as first, server_on(tmp_path) as second:
+        filled(first)
+        wait_until_saved(first, 2)
+        assert first.push(3, frame(YAWS[3])).json["epoch"] == 1
+        wait_until_saved(first, 3)
+        assert second.state()["frames"]["last_index"] == 3  # restores it
+        assert moved(first.push(4, frame(YAWS[4])))
+        assert first.registry.items() == []
+        assert second.push(4, frame(YAWS[4])).json["epoch"] == 2
+
+
+@pytest.mark.parametrize("path", ["", "/probes/table?format=sh", "/frames/3"])
+def test_each_request_finds_that_the_session_moved(tmp_path, path):
+    with server_on(tmp_path) as first, server_on(tmp_path) as second:
+        filled(first)
+        wait_until_saved(first, 2)
+        second.state()
+        method, body = ("PUT", frame(YAWS[3])) if "frames" in path else ("GET", None)
+        assert moved(first.call(method, f"/v1/sessions/room{path}", body))
+        assert first.state()["frames"]["last_index"] == 2  # the next request restores it here
+        assert moved(second.call("GET", "/v1/sessions/room"))
+
+
+def test_lost_frames_are_asked_for_and_light_is_the_same(tmp_path):
+    with RunningServer() as whole:
+        filled(whole, 5)
+        light = whole.call("GET", LIGHT).body
+    with server_on(tmp_path, state_interval_s=3600) as first, server_on(tmp_path) as second:
+        filled(first, 1)
+        for _ in range(TRIES):  # a probe is urgent: it is saved, with the frames before it
+            first.call("PUT", "/v1/sessions/room/probes/other", {"position": [0.1, 1.0, -0.4]})
+            first.call("DELETE", "/v1/sessions/room/probes/other")
+            if first.state()["frames"]["durable_index"] == 0:
+                break
+        for index in (1, 2, 3):
+            assert first.push(index, frame(YAWS[index])).status == 200
+        gap = second.push(4, frame(YAWS[4]))
+        assert moved(gap)
+        assert gap.json["detail"] == "this server took the session over after frame 0; send the frames after it again"
+        assert second.state()["frames"]["last_index"] == 0
+        for index in (1, 2, 3, 4):
+            assert second.push(index, frame(YAWS[index])).json["epoch"] == 2
+        assert second.call("GET", LIGHT).body == light
+
+
+def test_a_gap_is_refused_once(tmp_path):
+    with server_on(tmp_path) as first, server_on(tmp_path) as second:
+        filled(first)
+        wait_until_saved(first, 2)
+        assert moved(second.push(7, frame(YAWS[3])))
+        assert second.push(7, frame(YAWS[3])).status == 200
+
+
+def test_a_server_that_lost_a_session_does_not_write_it(tmp_path):
+    with server_on(tmp_path, state_interval_s=3600) as first, server_on(tmp_path) as second:
+        filled(first, 1)
+        for _ in range(TRIES):
+            if any((tmp_path / "sessions").glob("*/state")):
+                break
+            first.state()
+        second.open()
+        for index in range(3):
+            assert second.push(index, frame(YAWS[index])).status in (200, 409)
+        second.stop()
+        written = state_file(tmp_path)
+        first.stop()  # saves what is unsaved
+        assert state_file(tmp_path) == written
+        assert first.app.state.context.metrics.state_writes.labels("refused")._value.get() in (0, 1)
+
+
+def test_a_write_after_the_loss_is_refused(tmp_path):
+    with server_on(tmp_path, state_interval_s=3600) as first:
+        filled(first, 2)
+        fence = Fence(tmp_path)
+        for folder in (tmp_path / "owners").iterdir():
+            if folder.is_file():
+                fence.claim(folder.name)
+        before = [path.read_bytes() for path in (tmp_path / "sessions").glob("*/state")]
+        first.stop()
+        assert [path.read_bytes() for path in (tmp_path / "sessions").glob("*/state")] == before
+        assert first.app.state.context.metrics.state_writes.labels("refused")._value.get() == 1
+
+
+def test_a_frame_in_the_engine_is_not_answered_after_a_loss(tmp_path, monkeypatch):
+    HeldSession.reset()
+    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    with server_on(tmp_path) as first:
+        first.open()
+        pushed = InThread(first.push, 0)
+        HeldSession.wait_entered()
+        fence = Fence(tmp_path)
+        key = next(path.name for path in (tmp_path / "owners").iterdir() if path.is_file())
+        fence.claim(key)
+        HeldSession.release()
+        assert moved(pushed.result())
+
+
+def test_a_stopped_server_releases_its_sessions(tmp_path):
+    with server_on(tmp_path, state_interval_s=3600) as first:
+        filled(first)
+    with server_on(tmp_path) as second:
+        found = second.push(9, frame(YAWS[3]))  # a gap of the client's own
+        assert (found.status, found.json["epoch"]) == (200, 2)
+
+
+def test_deleting_on_another_server_ends_the_session(tmp_path):
+    with server_on(tmp_path) as first, server_on(tmp_path) as second:
+        filled(first)
+        wait_until_saved(first, 2)
+        assert second.call("DELETE", "/v1/sessions/room").status == 204
+        assert moved(first.push(3, frame(YAWS[3])))
+        assert first.call("GET", "/v1/sessions/room").status == 404
+        assert list((tmp_path / "sessions").iterdir()) == []
+
+
+def test_a_moved_session_leaves_memory_without_requests(tmp_path, monkeypatch):
+    monkeypatch.setattr(store, "LEASE_PERIOD_S", 500.0)
+    now_s = [1000.0]
+    with server_on(tmp_path, clock=lambda: now_s[0]) as first, server_on(tmp_path) as second:
+        filled(first)
+        for _ in range(TRIES):
+            now_s[0] += 0.1
+            if first.state()["frames"]["durable_index"] == 2:
+                break
+        second.state()
+        now_s[0] += 500
+        for _ in range(TRIES):
+            if first.registry.items() == []:
+                break
+            first.call("GET", "/healthz")
+        assert first.registry.items() == []
+
+
+def test_a_stream_of_a_moved_session_is_closed(tmp_path):
+    with server_on(tmp_path) as first, server_on(tmp_path) as second:
+        filled(first)
+        wait_until_saved(first, 2)
+        with connect(f"ws://127.0.0.1:{first.port}/v1/sessions/room/stream", compression=None) as socket:
+            second.state()
+            socket.send(frame(YAWS[3], index=3))
+            with pytest.raises(ConnectionClosed) as closed:
+                socket.recv(timeout=60)
+        assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (4503, "session-moved")
+
+
+@pytest.mark.parametrize("shared", [(False, True), (True, False)])
+def test_sharing_must_be_set_for_all_servers(tmp_path, shared):
+    with (
+        RunningServer(state_dir=tmp_path, state_shared=shared[0]),
+        pytest.raises(ServerError, match=re.escape("set state_shared for all of them")),
+    ):
+        create_app(ServerSettings(state_dir=tmp_path, state_shared=shared[1]))
+
+
+def test_a_single_server_has_no_epochs(tmp_path):
+    with RunningServer(state_dir=tmp_path) as server:
+        server.open(options=SMALL)
+        assert server.push(0).json["epoch"] is None
+    assert not (tmp_path / "owners").exists()
