@@ -1,6 +1,7 @@
 """Composites of a session's last frame: the scene of a request, its limits, and the answer's bytes."""
 
 import io
+import itertools
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -8,15 +9,17 @@ from typing import Any, Final
 
 import numpy as np
 
+from roomlight.captures import CaptureOptions, open_capture
 from roomlight.compositing.compositor import Compositor, check_in_view
 from roomlight.compositing.layer_files import encode_layers, encode_picture
 from roomlight.compositing.layers import Composite
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.scene import AtPixel, AtPose, AtPosition, Scene, SceneObject, parse_scene
-from roomlight.engine.session import Session
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ObjectError, SceneError
 from roomlight.frame import Frame
-from roomlight.wire.compositing import CompositeFormat, CompositeQuality, CompositeRequest
+from roomlight.sample import sample_capture
+from roomlight.wire.compositing import CompositeFormat, CompositeMaterial, CompositeQuality, CompositeRequest
 from roomlight.wire.frame_message import column_major
 from roomlight_server.problems import ProblemError
 
@@ -136,3 +139,27 @@ def encode(made: Composite, form: CompositeFormat) -> bytes:
         for name, content in encode_layers(made).items():
             archive.writestr(zipfile.ZipInfo(name), content)
     return data.getvalue()
+
+
+def warm_up() -> None:
+    """Compile every kernel of composites: shapes of each material on a frame of the sample, in two qualities."""
+    first, second = (frame.resized(160, 120) for frame in open_capture(sample_capture(), CaptureOptions(max_frames=2)))
+    engine = Session(SessionOptions(model="classical", height=16))
+    engine.push(first)
+    engine.push(second)
+    places = itertools.product((60.0, 80.0, 100.0), (70.0, 90.0))
+    kinds = ("diffuse", "glossy", "metal", "mirror", "glass", None)
+    objects = [
+        {
+            "shape": "sphere" if kind else "cube",
+            "size_m": 0.1,
+            "pixel": pixel,
+            "material": kind and CompositeMaterial(kind=kind),
+        }
+        for kind, pixel in zip(kinds, places, strict=True)
+    ]
+    scene = scene_of(CompositeRequest.model_validate({"objects": objects}), {}, 1.0)
+    for quality in ("preview", "good"):
+        picture = make(engine, second, scene, quality).picture
+        for form in ("png", "jpeg", "exr", "layers"):
+            encode(picture, form)

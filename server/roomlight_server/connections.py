@@ -42,12 +42,17 @@ class Transport(Protocol):
 
 
 class ConnectionGuard:
-    """Counts the connections of a server, in all and by address."""
+    """Counts the connections of a server, in all and by address.
+
+    When all are taken, an idle connection (without a request) makes room for a new one: the one that is idle for the
+    longest time, of the address with the most connections. So idle connections do not keep other clients out.
+    """
 
     def __init__(self, settings: ServerSettings, metrics: Metrics) -> None:
         """Create a guard without connections."""
         self.settings, self._metrics = settings, metrics
         self._addresses: dict[Transport, str] = {}
+        self._idle: dict[Transport, None] = {}  # in the order in which they became idle
         self._counts: Counter[str] = Counter()
         self._owners: dict[Transport, str] = {}
         self._transports_of: dict[str, set[Transport]] = {}
@@ -74,21 +79,42 @@ class ConnectionGuard:
                 del self._transports_of[owner]
 
     def admit(self, transport: Transport, address: str) -> ProblemError | None:
-        """Count a new connection, or return the reason to refuse it."""
+        """Count a new connection, which is idle, or return the reason to refuse it."""
         total, each = self.settings.max_connections, self.settings.max_connections_per_address
-        if len(self._addresses) >= total:
-            rule = f"at most {total} connections"
-        elif self._counts[address] >= each:
+        if self._counts[address] >= each:
             rule = f"at most {each} connections per address"
+        elif len(self._addresses) >= total and not self._make_room():
+            rule = f"at most {total} connections"
         else:
             self._addresses[transport] = address
             self._counts[address] += 1
+            self._idle[transport] = None
             return None
         return ProblemError("too-many-connections", f"connection refused: {rule}", rule=rule, retry_after_s=5)
+
+    def _make_room(self) -> bool:
+        """Close an idle connection; return False if there is none."""
+        oldest = max(self._idle, key=lambda each: self._counts[self._addresses[each]], default=None)
+        if oldest is None:
+            return False
+        self.record("idle", self._addresses[oldest])
+        self.release(oldest)
+        oldest.abort()
+        return True
+
+    def idle(self, transport: Transport) -> None:
+        """Record that a connection has no request in progress any more."""
+        if transport in self._addresses:
+            self._idle[transport] = None
+
+    def busy(self, transport: Transport) -> None:
+        """Record that a request of a connection is in progress."""
+        self._idle.pop(transport, None)
 
     def release(self, transport: Transport) -> None:
         """Remove a closed connection, if it was admitted."""
         self._forget_owner(transport)
+        self._idle.pop(transport, None)
         address = self._addresses.pop(transport, None)
         if address is not None:
             self._counts[address] -= 1
@@ -220,6 +246,7 @@ class HttpProtocol(HttpToolsProtocol):
             return
         self._reading_headers = False
         self._stop_timer()
+        self._guard.busy(self.transport)
         super().on_headers_complete()
 
     def on_body(self, body: bytes) -> None:
@@ -235,6 +262,12 @@ class HttpProtocol(HttpToolsProtocol):
             super().on_message_complete()
             if self._cycle is not None and self._cycle.response_complete:
                 self._cycle.more_body = False
+
+    def on_response_complete(self) -> None:
+        """End the answer; the connection is idle unless its client has sent the next request already."""
+        if not self.pipeline:
+            self._guard.idle(self.transport)
+        super().on_response_complete()
 
     def handle_websocket_upgrade(self) -> None:
         """Hand the connection to `StreamProtocol`, which releases it."""

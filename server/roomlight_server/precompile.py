@@ -1,4 +1,4 @@
-"""Compile the kernels of frames and light into numba's cache: `python -m roomlight_server.precompile`.
+"""Compile the kernels of frames, light and composites into numba's cache: `python -m roomlight_server.precompile`.
 
 For images and packages: a server then starts in seconds. The cache is in `NUMBA_CACHE_DIR`, or beside the code. It
 holds for the type of processor that compiled it; another one compiles again at its first start.
@@ -8,13 +8,14 @@ import os
 import sys
 
 from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
-from roomlight_server import light_forms
+from roomlight_server import composites, light_forms
 
 
 def main() -> None:
-    """Run the kernels once; those of composites are compiled by the first composite."""
+    """Run the kernels once."""
     warm_up(choose_graphs(SessionOptions()))
     light_forms.warm_up()
+    composites.warm_up()
     sys.stdout.write(f"kernels compiled into {os.environ.get('NUMBA_CACHE_DIR', 'the folders of the code')}\n")
 
 

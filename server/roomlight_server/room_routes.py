@@ -1,7 +1,7 @@
 """Routes of what a session has seen: list of sessions, picture, camera, room mesh, history, light as USDZ."""
 
 import hashlib
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal, cast
 
 import cv2
 import numpy as np
@@ -15,7 +15,7 @@ from roomlight.engine.session import Session
 from roomlight.engine.volume import VolumeGrid
 from roomlight.wire.frame_header import MAX_INDEX
 from roomlight.wire.frame_message import column_major
-from roomlight.wire.messages import Id, LightForm, ProbeQuery
+from roomlight.wire.messages import FrameCounts, Id, LightForm, ProbeQuery
 from roomlight.wire.room import CameraView, HistoryList, SessionList, SessionSummary, VolumeBox
 from roomlight_server import usdz
 from roomlight_server.context import ContextDep, OwnerDep, ProbeName, ReservationDep, SessionDep
@@ -24,6 +24,7 @@ from roomlight_server.light_routes import COVERAGE_HEADER, FRAME_HEADER, etag_ma
 from roomlight_server.live_session import LiveSession
 from roomlight_server.problems import ProblemError, documented
 from roomlight_server.room_mesh import MAX_TRIANGLES, room_mesh, to_glb
+from roomlight_server.state.listing import SavedHead
 
 router = APIRouter(tags=["room"])
 KEYFRAMES_HEADER: Final = "Roomlight-Keyframes"
@@ -71,8 +72,9 @@ def _data(request: Request, data: bytes, media_type: str, **headers: str) -> Res
 
 @router.get("/v1/sessions", summary="List the sessions", responses=documented("unauthorized"))
 async def list_sessions(context: ContextDep, owner: OwnerDep) -> SessionList:
-    """Return the sessions of this token, last used first."""
+    """Return the sessions of this token: those in memory, last used first, then those on disk alone (`saved`)."""
     listed = [_summary(live, idle_s) for live, idle_s in context.registry.listed(owner)]
+    listed += [_saved_summary(head) for head in await context.registry.saved(owner)]
     settings = context.settings
     return SessionList(sessions=listed, max_sessions=settings.max_sessions, idle_expiry_s=settings.idle_expiry_s)
 
@@ -87,6 +89,22 @@ def _summary(live: LiveSession, idle_s: float) -> SessionSummary:
         probes=list(state.probes),
         keyframes=state.keyframes,
         idle_s=round(idle_s, 1),
+    )
+
+
+def _saved_summary(head: SavedHead) -> SessionSummary:
+    values = head.values
+    used = sum(values.queue.counts[name] for name in ("processed", "superseded", "skipped"))
+    last = values.queue.last_index
+    counts = FrameCounts(accepted=used, queued=0, last_index=last, durable_index=last, **values.queue.counts)
+    return SessionSummary(
+        id=values.name,
+        status="saved",
+        model=cast("Literal['classical', 'completion', 'single', 'video']", head.model),
+        frames=counts,
+        probes=list(values.probes),
+        keyframes=len(values.bases),
+        idle_s=round(head.idle_s, 1),
     )
 
 

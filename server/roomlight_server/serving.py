@@ -7,6 +7,7 @@ import os
 import signal
 import socket
 import sys
+import threading
 from collections.abc import Callable
 from contextlib import ExitStack
 from typing import Any, Final
@@ -24,7 +25,7 @@ from roomlight_server.settings import ServerSettings
 _log = logging.getLogger("roomlight.server")
 STOP_S: Final = 10.0
 """Time after SIGTERM by which the process has ended: frames in progress have 2.5 of it, open answers 1, saving sessions
-5, threads 1."""
+5, threads 1. What hangs nevertheless is ended by `_end_late`."""
 DRAIN_LIMIT_S: Final = 2.5
 GRACE_S: Final = 1
 """Time to finish answers after the listening socket is closed."""
@@ -43,8 +44,14 @@ class GracefulServer(uvicorn.Server):
     in progress are finished. Then it stops listening, and sessions are saved if the server keeps them.
     """
 
+    def __init__(self, config: uvicorn.Config, *, when_stopping: Callable[[], object] = lambda: None) -> None:
+        """Create a server; `when_stopping` is called when the stop begins."""
+        super().__init__(config)
+        self._when_stopping = when_stopping
+
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop; at most `STOP_S`."""
+        self._when_stopping()
         app: Any = self.config.app
         context: Context = app.state.context
         context.begin_stop()
@@ -59,8 +66,23 @@ class GracefulServer(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def make_server(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
-    """Return a uvicorn server that is not started yet."""
+def _limit_stop() -> None:
+    """End this process `STOP_S` from now, if it has not ended by itself."""
+    timer = threading.Timer(STOP_S, _end_late)
+    timer.daemon = True
+    timer.start()
+
+
+def _end_late() -> None:
+    _log.error("the stop took longer than %g s; what is left of it is dropped", STOP_S)
+    sys.stderr.flush()
+    os._exit(1)
+
+
+def make_server(
+    settings: ServerSettings, app: FastAPI, *, when_stopping: Callable[[], object] = lambda: None
+) -> uvicorn.Server:
+    """Return a uvicorn server that is not started yet; `when_stopping` is called when its stop begins."""
     return GracefulServer(
         uvicorn.Config(
             app,
@@ -78,7 +100,8 @@ def make_server(settings: ServerSettings, app: FastAPI) -> uvicorn.Server:
             ssl_keyfile=settings.tls_key,
             timeout_keep_alive=KEEP_ALIVE_S,
             timeout_graceful_shutdown=GRACE_S,
-        )
+        ),
+        when_stopping=when_stopping,
     )
 
 
@@ -159,6 +182,6 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
                 address = address_of(settings, bound)
                 context.public_url = address if settings.on_lan else None
                 listening(address)
-                make_server(settings, app).run(sockets=[bound, *local])
+                make_server(settings, app, when_stopping=_limit_stop).run(sockets=[bound, *local])
         finally:
             context.workers.decode_processes.stop()  # also if it cannot listen

@@ -92,9 +92,57 @@ def test_connections_of_one_address_are_limited(caplog):
             pass
 
 
+BUSY = b"PUT /v1/sessions/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 100\r\n\r\n"
+"""A request whose body does not arrive."""
+
+
+def wait_until_busy(server, count):
+    guard = server.app.state.context.guard
+    while len(guard._addresses) - len(guard._idle) < count:
+        pass
+
+
 def test_connections_are_limited_in_all():
-    with RunningServer(max_connections=2) as server, dial(server), dial(server), dial(server) as third:
-        assert answer_of(third)[1]["rule"] == "at most 2 connections"
+    with RunningServer(max_connections=2) as server, dial(server) as first, dial(server) as second:
+        for each in (first, second):
+            each.sendall(BUSY)
+        wait_until_busy(server, 2)
+        with dial(server) as third:
+            assert answer_of(third)[1]["rule"] == "at most 2 connections"
+
+
+@pytest.mark.parametrize("before", [b"", GET + b"\r\n", GET], ids=["nothing", "answered", "headers"])
+def test_an_idle_connection_makes_room(before, caplog):
+    """Idle connections of several addresses refused all others for as long as they were kept."""
+    with RunningServer(max_connections=2) as server, dial(server) as idle, dial(server) as busy:
+        idle.sendall(before)
+        if before.endswith(b"\r\n\r\n"):
+            assert answer_of(idle)[0] == 200
+        busy.sendall(BUSY)
+        wait_until_busy(server, 1)
+        assert server.call("GET", "/healthz").status == 200
+        assert is_closed(idle)
+        assert len(refusals(caplog, "idle")) == 1
+        busy.sendall(b"x" * 100)
+        assert answer_of(busy)[0] == 422
+
+
+def test_the_address_with_most_connections_makes_room(caplog):
+    with RunningServer(max_connections=3) as server, dial(server) as first:
+        many = [socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.2", 0)) for _ in range(2)]
+        wait_until_admitted(server, 3)
+        assert server.call("GET", "/healthz").status == 200
+        assert is_closed(many[0])
+        assert [vars(r)["address"] for r in refusals(caplog, "idle")] == ["127.0.0.2"]
+        first.sendall(GET + b"\r\n")
+        assert answer_of(first)[0] == 200
+        for each in many:
+            each.close()
+
+
+def wait_until_admitted(server, count):
+    while len(server.app.state.context.guard._addresses) < count:
+        pass
 
 
 def test_a_websocket_is_counted_until_it_closes():

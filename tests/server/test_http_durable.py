@@ -350,6 +350,38 @@ def test_idle_sessions_leave_memory_and_come_back(tmp_path):
         assert 'roomlight_sessions_ended_total{reason="saved"} 1.0' in text
 
 
+def test_sessions_on_disk_are_listed(saved, tmp_path):
+    tokens = ("first-token-of-this-test", "second-token-of-this-test")
+    folder = copied(saved[0], tmp_path / "state")
+    with server_on(folder) as server:
+        server.open("another")
+        server.push(0, name="another")
+        listed = {one["id"]: one for one in server.call("GET", "/v1/sessions").json["sessions"]}
+        assert {name: one["status"] for name, one in listed.items()} == {"room": "saved", "another": "open"}
+        state = saved[1]
+        for field in ("model", "keyframes"):
+            assert listed["room"][field] == state[field]
+        assert listed["room"]["probes"] == ["table"]
+        assert listed["room"]["frames"] == state["frames"]
+        assert server.registry._sessions.keys() == {("anyone", "another")}  # listing restores nothing
+        assert server.state()["frames"]["processed"] == 4
+        listed = server.call("GET", "/v1/sessions").json["sessions"]
+        assert [(one["id"], one["status"]) for one in listed] == [("room", "open"), ("another", "open")]
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        assert [one["id"] for one in server.call("GET", "/v1/sessions").json["sessions"]] == ["another"]
+    with server_on(folder, tokens=tokens) as server:
+        assert server.call("GET", "/v1/sessions", token=tokens[0]).json["sessions"] == []
+
+
+def test_a_damaged_file_is_not_listed(saved, tmp_path):
+    folder = copied(saved[0], tmp_path / "state")
+    state = next((folder / "sessions").glob("*/state"))
+    for damage in (b"", b"RLSTATE1", state.read_bytes()[:60], b"x" * 100):
+        state.write_bytes(damage)
+        with server_on(folder) as server:
+            assert server.call("GET", "/v1/sessions").json["sessions"] == []
+
+
 def test_saved_sessions_expire(saved, tmp_path):
     folder = copied(saved[0], tmp_path / "state")
     state = next((folder / "sessions").glob("*/state"))

@@ -236,3 +236,11 @@ def test_a_model_without_weights_is_answered_with_409():
         assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
         assert "auto" in answer.json["rule"]
         assert server.call("GET", "/v1/sessions/untrained").status == 404
+
+
+def test_a_session_has_the_model_that_it_asks_for():
+    """`completion` was answered by the classical model, because it has no graphs of its own."""
+    with RunningServer() as server:
+        for mode in ("classical", "completion", "single", "video"):
+            opened = server.call("PUT", f"/v1/sessions/{mode}", SMALL | {"mode": mode})
+            assert (opened.status, opened.json.get("model")) == (201, mode), opened

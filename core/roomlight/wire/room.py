@@ -17,12 +17,14 @@ class SessionSummary(WireModel):
     """A session in the list of a token's sessions.
 
     Attributes:
+        status: `saved` is on disk and not in memory; its next request restores it.
         probes: names of the tracked probes.
-        idle_s: seconds since its last request; 0 while a request or a WebSocket uses it.
+        idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
+            since it was written or left memory.
     """
 
     id: Id
-    status: Literal["open", "failed"]
+    status: Literal["open", "failed", "saved"]
     model: Literal["classical", "completion", "single", "video"]
     frames: FrameCounts
     probes: list[str]

@@ -21,6 +21,7 @@ import json
 import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -87,6 +88,27 @@ def unpack_records(file: bytes, source: str) -> list[Record]:
         start = stop
     if stop != len(file):
         raise StateError(f"{source}: {len(file) - stop} bytes follow the end of the saved state")
+    return records
+
+
+def read_first_records(path: Path, count: int) -> list[Record]:
+    """Read and check the first records of a file, without the rest of it.
+
+    Raises:
+        OSError: The file cannot be read.
+        StateError: The file is no saved state, has another version, or these records are damaged.
+    """
+    source, name = str(path), _NAME + str(FORMAT).encode()
+    records: list[Record] = []
+    with path.open("rb") as file:
+        if file.read(len(name)) != name:
+            raise StateError(f"{source}: is not a saved state of version {FORMAT}")
+        for _ in range(count):
+            head = file.read(_HEAD.size + _DIGEST_BYTES)
+            length = _HEAD.unpack(head[: _HEAD.size])[1] if len(head) == _HEAD.size + _DIGEST_BYTES else 0
+            data = head + file.read(min(length, path.stat().st_size))
+            tag, content, _ = _content(data, 0, source)
+            records.append(_record(tag, content, source))
     return records
 
 
