@@ -29,6 +29,7 @@ from roomlight.errors import ServerError
 from roomlight.placement import point_in_view
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
+from roomlight.wire.messages import ModelName
 from roomlight_bench.server_process import ServerProcess
 from roomlight_server.decode_worker import decode_to_box
 from roomlight_server.intake import parse_frame
@@ -43,6 +44,7 @@ class DurabilityOptions:
     """What to do.
 
     Attributes:
+        model: Model of the session.
         kills: Number of times that the server is killed.
         interval_s: `--state-interval-s` of the server.
         longest_s: The server is killed after 0 to this many seconds of new frames.
@@ -51,6 +53,7 @@ class DurabilityOptions:
         seed: Seed of the random times.
     """
 
+    model: ModelName = "classical"
     kills: int = 200
     interval_s: float = 2.0
     longest_s: float = 4.0
@@ -64,6 +67,7 @@ class DurabilityReport:
     """What was found.
 
     Attributes:
+        model: Model of the session.
         kills: Number of kills.
         frames: Frames of the uninterrupted session.
         acknowledged: Frames that were answered `processed`, sent again or not.
@@ -78,6 +82,7 @@ class DurabilityReport:
         write_ms: Mean time of a write.
     """
 
+    model: str = ""
     kills: int = 0
     frames: int = 0
     acknowledged: int = 0
@@ -105,6 +110,7 @@ class DurabilityReport:
         restore = f"{statistics.median(self.restore_ms):.0f} (at most {max(self.restore_ms):.0f})"
         table = Table("measure", "value", title="A server that is killed while a client streams", title_justify="left")
         for row in (
+            ("model", self.model),
             ("kills", str(self.kills)),
             (
                 "frames; acknowledged; sent again",
@@ -137,11 +143,16 @@ def run_durability(
 class _Uninterrupted:
     """An engine that gets every frame once."""
 
-    def __init__(self, bodies: list[bytes], probes: dict[str, Position], height: int) -> None:
+    def __init__(self, bodies: list[bytes], probes: dict[str, Position], options: DurabilityOptions) -> None:
         self._bodies = bodies
-        self._session = Session(SessionOptions(model="classical", height=height))
+        self._session = Session(SessionOptions(model=options.model, height=options.height))
         self._handles = {name: self._session.track(position) for name, position in probes.items()}
         self._next = 0
+
+    @property
+    def model(self) -> str:
+        """The model in use."""
+        return self._session.model
 
     def digests(self, index: int) -> dict[str, str]:
         """Return the digest of the light of each probe after the frame `index`."""
@@ -164,8 +175,8 @@ class _Run:
         self._bodies = [pack_frame(frame, colour="jpeg") for frame in captured]
         self._options, self._folder = options, folder
         self._random = random.Random(options.seed)
-        self._whole = _Uninterrupted(self._bodies, self._probes, options.height)
-        self._report = DurabilityReport()
+        self._whole = _Uninterrupted(self._bodies, self._probes, options)
+        self._report = DurabilityReport(self._whole.model)
         self._acknowledged_s: dict[int, float] = {}
         self._promised = -1
         self._opened = False
@@ -200,14 +211,14 @@ class _Run:
         server.kill()
 
     def _server(self) -> AbstractContextManager[ServerProcess]:
-        arguments = ["--model", "classical", "--state-dir", str(self._folder)]
+        arguments = ["--model", self._options.model, "--state-dir", str(self._folder)]
         arguments += ["--state-interval-s", str(self._options.interval_s)]
         return ServerProcess(arguments, variables={"ROOMLIGHT_DECODE_TIMEOUT_S": "60"}, wait_ready=False)
 
     def _begin(self, port: int) -> None:
         """Open the session, or check what was restored of it; send the frames after that again, and compare."""
         if not self._opened:
-            options = {"mode": "classical", "height": self._options.height, "reference_exposure": 1.0}
+            options = {"mode": self._options.model, "height": self._options.height, "reference_exposure": 1.0}
             state = _json(port, "PUT", _SESSION, options)
             for name, position in self._probes.items():
                 _json(port, "PUT", f"{_SESSION}/probes/{name}", {"position": position})

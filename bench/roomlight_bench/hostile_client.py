@@ -2,14 +2,17 @@
 
 It reads a JSON object from standard input: `port`, `token`, `attack` and `seconds`. It writes a line when it begins,
 repeats the attack until the time is over, and writes a JSON object of what it did: requests, and answers by status. All
-connections come from 127.0.0.2, so that the limit of connections per address is its own.
+connections come from 127.0.0.2, so that the limit of connections per address is its own; idle ones come from ten
+addresses.
 """
 
 import asyncio
 import json
 import re
+import struct
 import sys
 import time
+import zlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from contextlib import suppress
@@ -29,6 +32,8 @@ from roomlight.wire.frame_message import FrameLimits, pack, parse
 from roomlight.wire.light_message import MEDIA_TYPE
 
 ADDRESS: Final = "127.0.0.2"
+IDLE_ADDRESSES: Final = tuple(f"127.0.0.{last}" for last in range(2, 12))
+IDLE: Final = 1100
 ROWS: Final = 512
 _END_S: Final = 10.0
 _JSON: Final = {"Content-Type": "application/json"}
@@ -47,11 +52,18 @@ class Hostile:
         frames = list(open_capture(sample_capture(), CaptureOptions(max_frames=8)))
         self._bodies = [pack_frame(frame, colour="jpeg") for frame in frames]
         self._point = point_in_view(frames[0])
-        scans = (60, 64) if attack == "decode-bombs" else ()
-        self._bombs = [self._with_colour("jpeg", _slow_jpeg(count)) for count in scans]
+        self._bombs = []
+        if attack == "decode-bombs":
+            images = [
+                ("jpeg", _slow_jpeg(60)),
+                ("jpeg", _slow_jpeg(64)),
+                ("jpeg", _slow_jpeg(3000)),
+                ("png", _slow_png()),
+            ]
+            self._bombs = [self._with_colour(encoding, data) for encoding, data in images]
 
     async def decode_bombs(self) -> None:
-        """Send images of 12 megapixels and 60 scans in four sessions."""
+        """Send images of 12 megapixels and 60 to 100 scans, and of 500 compressed texts, in four sessions."""
 
         async def repeat(session: int) -> None:
             await self._open(f"bomb{session}")
@@ -81,16 +93,33 @@ class Hostile:
 
         await self._all(repeat() for _ in range(8))
 
+    async def refused_bodies(self) -> None:
+        """Send bodies of 9 GB with a wrong token on eight connections."""
+        head = b"PUT /v1/sessions/a/frames/0 HTTP/1.1\r\nHost: localhost\r\nAuthorization: Bearer wrong\r\n"
+
+        async def repeat() -> None:
+            while True:
+                with suppress(OSError):
+                    reader, writer = await self._connect()
+                    writer.write(head + b"Content-Length: 9000000000\r\n\r\n")
+                    self._count(await reader.read(12))
+                    while not writer.is_closing():
+                        writer.write(bytes(2**18))
+                        await writer.drain()
+                    writer.close()
+
+        await self._all(repeat() for _ in range(8))
+
     async def idle_connections(self) -> None:
-        """Hold as many connections without a request as the server accepts."""
+        """Hold as many connections without a request as the server accepts, from ten addresses."""
         held: list[asyncio.StreamWriter] = []
         while True:
             with suppress(OSError):
-                held.append((await self._connect())[1])
-                self.requests += 1
-            if len(held) >= 400:
+                held.append((await self._connect(IDLE_ADDRESSES[self.requests % len(IDLE_ADDRESSES)]))[1])
+            self.requests += 1
+            if len(held) >= IDLE:
                 held.pop(0).close()
-            await asyncio.sleep(0.005)
+            await asyncio.sleep(0.002)
 
     async def hung_up_posts(self) -> None:
         """Request 64 late points twenty times and hang up; then again."""
@@ -199,8 +228,8 @@ class Hostile:
         confidence = None if message.confidence is None else bytes(message.confidence)
         return pack(checked, data, bytes(message.depth), confidence)
 
-    async def _connect(self) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
-        return await asyncio.open_connection("127.0.0.1", self._port, local_addr=(ADDRESS, 0))
+    async def _connect(self, address: str = ADDRESS) -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        return await asyncio.open_connection("127.0.0.1", self._port, local_addr=(address, 0))
 
     def _request(self, method: str, path: str, body: bytes, headers: dict[str, str]) -> bytes:
         given = {"Host": "localhost", "Authorization": f"Bearer {self._token}", "Content-Length": str(len(body))}
@@ -240,9 +269,10 @@ class Hostile:
 
 
 ATTACKS: Final[dict[str, tuple[str, Callable[[Hostile], Awaitable[None]]]]] = {
-    "decode-bombs": ("JPEGs of 12 megapixels and 60 scans, four at a time", Hostile.decode_bombs),
+    "decode-bombs": ("JPEGs of 12 megapixels and 60 scans or more, four at a time", Hostile.decode_bombs),
     "large-headers": ("headers of 65 MB, eight at a time", Hostile.large_headers),
-    "idle-connections": ("400 connections without a request", Hostile.idle_connections),
+    "refused-bodies": ("bodies of 9 GB with a wrong token, eight at a time", Hostile.refused_bodies),
+    "idle-connections": ("1,100 connections without a request, of ten addresses", Hostile.idle_connections),
     "hung-up-posts": ("20 hung-up posts of 64 late points", Hostile.hung_up_posts),
     "large-answers": ("40 posts of ten specular maps of 256 pixels", Hostile.large_answers),
     "tall-probes": ("16 probes of 512 rows, frames without a pause", Hostile.tall_probes),
@@ -259,6 +289,15 @@ def _slow_jpeg(scans: int) -> bytes:
     data = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_PROGRESSIVE, 1, cv2.IMWRITE_JPEG_QUALITY, 60])[1].tobytes()
     starts = [match.start() for match in re.finditer(b"\xff\xda", data)]
     return data[:-2] + data[starts[-1] : -2] * (scans - len(starts)) + b"\xff\xd9"
+
+
+def _slow_png() -> bytes:
+    """Return a PNG of 4032 x 3024 pixels with 500 compressed texts of 8 MB each."""
+    data = cv2.imencode(".png", np.zeros((3024, 4032, 3), np.uint8))[1].tobytes()
+    text = b"zTXt" + b"a\0\0" + zlib.compress(bytes(8_000_000), 9)
+    chunk = struct.pack(">I", len(text) - 4) + text + struct.pack(">I", zlib.crc32(text))
+    after_header = 33  # signature and IHDR
+    return data[:after_header] + 500 * chunk + data[after_header:]
 
 
 async def _attack(hostile: Hostile, name: str, seconds: float) -> None:

@@ -20,11 +20,14 @@ def bench_durability(
         float, typer.Option(min=0.1, max=600, help="Kill after up to this many seconds of new frames.")
     ] = 4.0,
     height: Annotated[int, typer.Option(min=16, max=512, help="Rows of the panoramas.")] = 48,
+    model: arguments.Model = "classical",
     seed: Annotated[int, typer.Option(help="Seed of the random times.")] = 1,
     json_out: arguments.FiguresJson = None,
 ) -> None:
     """Kill a server on this machine while a client streams: frames that are lost, light, time to restore."""
-    options = DurabilityOptions(kills=kills, interval_s=interval_s, longest_s=longest_s, height=height, seed=seed)
+    options = DurabilityOptions(
+        model=model, kills=kills, interval_s=interval_s, longest_s=longest_s, height=height, seed=seed
+    )
     with console.err.status("measuring") as status:
         report = run_durability(options, progress=status.update)
     console.print_table(console.out, report.table())

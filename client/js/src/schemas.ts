@@ -699,14 +699,16 @@ export interface components {
          * @description A session in the list of a token's sessions.
          *
          *     Attributes:
+         *         status: `saved` is on disk and not in memory; its next request restores it.
          *         probes: names of the tracked probes.
-         *         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it.
+         *         idle_s: seconds since its last request; 0 while a request or a WebSocket uses it. Of a saved session, seconds
+         *             since it was written or left memory.
          */
         readonly SessionSummary: {
             /** @description ^[A-Za-z0-9_-]{1,64}$ */
             readonly id: string;
             /** @enum {string} */
-            readonly status: "open" | "failed";
+            readonly status: "open" | "failed" | "saved";
             /** @enum {string} */
             readonly model: "classical" | "completion" | "single" | "video";
             readonly frames: components["schemas"]["FrameCounts"];
