@@ -2,10 +2,11 @@
 
 import asyncio
 import gc
+import importlib
 import sys
 from collections.abc import AsyncGenerator
 from contextlib import asynccontextmanager
-from typing import Final
+from typing import Any, Final
 
 from fastapi import FastAPI
 
@@ -20,13 +21,19 @@ START_S: Final = 300.0
 """Limit on loading: compiling the kernels for the first time takes a minute, several on a busy machine."""
 
 
-def replica_app(settings: ServerSettings) -> FastAPI:
+def replica_app(settings: ServerSettings, *, local: bool) -> FastAPI:
     """Return the application of a replica; its start ends when kernels and networks are loaded.
+
+    Args:
+        settings: Settings of the server.
+        local: The cluster is of this machine alone: Ray's own port of the replica listens on loopback.
 
     Raises:
         ModelError: The weights of the default model cannot be loaded.
         ServerError: The state directory cannot be used.
     """
+    if local:
+        _listen_on_loopback()
     configure_logging(settings.log_level)
     sys.setswitchinterval(SWITCH_S)
     gc.enable()  # Ray switches it off in some of its processes
@@ -48,3 +55,14 @@ def replica_app(settings: ServerSettings) -> FastAPI:
 
     app.router.lifespan_context = until_ready
     return app
+
+
+def _listen_on_loopback() -> None:
+    """Bind the port of Ray Serve's calls between deployments, which needs no token, to loopback; Ray has no option."""
+    replica: Any = importlib.import_module("ray.serve._private.replica")
+    add_port = replica.add_port_to_grpc_server
+
+    def add_loopback_port(server: object, address: str) -> int:
+        return add_port(server, address.replace("[::]", "127.0.0.1"))
+
+    replica.add_port_to_grpc_server = add_loopback_port

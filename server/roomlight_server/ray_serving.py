@@ -34,8 +34,17 @@ VARIABLES: Final = {
     "RAY_SERVE_HTTP_PROXY_CALLBACK_IMPORT_PATH": "roomlight_server.ray_proxy.middlewares",
     "RAY_SERVE_SESSION_ID_HEADER_KEY": "x-session-id",
     "RAY_SERVE_ENABLE_HA_PROXY": "0",  # it routes POST alone by session
+    "RAY_SERVE_QUEUE_LENGTH_RESPONSE_DEADLINE_S": "1",  # of 0.1: a busy replica is asked again and again otherwise
+    "RAY_DEDUP_LOGS": "0",  # a line of the log is one event
+    "RAY_COLOR_PREFIX": "0",
 }
 """Variables of all processes of the cluster; on a cluster of its own `ray start` needs them too."""
+LOCAL_VARIABLES: Final = {
+    "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # the node's address is that of loopback; otherwise Ray replaces it
+    "RAY_worker_niceness": "0",  # of 15: replicas would get no time beside other programs
+    "RAY_enable_metrics_collection": "0",  # `/metrics` has them
+}
+"""Variables of a cluster of this machine alone."""
 
 
 def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable[[str], object]) -> None:
@@ -61,6 +70,7 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
     with _cluster(ray, replicas):
         running = _running(serve)
         _deploy(ray, serve, settings, replicas)
+        _log.info("ready", extra={"replicas": replicas, "ray": ray.get_runtime_context().gcs_address})
         listening(_url(settings))
         if running:
             _log.info("replicas changed", extra={"replicas": replicas})
@@ -85,7 +95,7 @@ def shared_settings(settings: ServerSettings, replicas: int) -> ServerSettings:
     if settings.state_dir is None:
         raise ServerError("--ray needs --state-dir: a folder that all replicas share, from which sessions are restored")
     if settings.on_lan:
-        raise ServerError("--ray cannot be used with --lan; use --host, --token-file, --tls-cert and --tls-key")
+        raise ServerError("--ray listens on one address: unset on_lan, and use --host and --token-file")
     return settings.model_copy(update={"state_dir": settings.state_dir.absolute(), "state_shared": True})
 
 
@@ -95,12 +105,18 @@ def load_ray() -> tuple[Any, Any]:
     Raises:
         ServerError: Ray is not installed.
     """
-    os.environ.update(VARIABLES)
+    os.environ.update(VARIABLES | LOCAL_VARIABLES if _is_local() else VARIABLES)
     try:
         return importlib.import_module("ray"), importlib.import_module("ray.serve")
     except ImportError as error:
         advice = "install it with: pip install 'roomlight[ray]'"
         raise ServerError(f"--ray needs Ray Serve, which is not installed ({error}); {advice}") from error
+
+
+def _is_local() -> bool:
+    """Return whether the cluster is of this machine alone."""
+    address = os.environ.get(ADDRESS_VARIABLE, "")
+    return not address or address.startswith("127.")
 
 
 @contextmanager
@@ -115,7 +131,6 @@ def _cluster(ray: Any, replicas: int) -> Generator[None]:
                 num_cpus=max(replicas + 1, 4),  # a unit is a replica; one more can be added
                 object_store_memory=OBJECT_STORE_BYTES,
                 include_dashboard=False,
-                _node_ip_address="127.0.0.1",
                 _system_config={"automatic_object_spilling_enabled": False},  # pictures of rooms stay off the disk
                 **quiet,
             )
@@ -147,7 +162,7 @@ def _deploy(ray: Any, serve: Any, settings: ServerSettings, replicas: int) -> No
         ssl_keyfile=_text(settings.tls_key),
     )
     deployment = serve.deployment(
-        serve.ingress(app_builder(settings))(),
+        serve.ingress(app_builder(settings, local=_is_local()))(),
         name=APPLICATION,
         num_replicas=replicas,
         max_ongoing_requests=settings.max_connections,  # a WebSocket counts as long as it is open
@@ -163,19 +178,20 @@ def _deploy(ray: Any, serve: Any, settings: ServerSettings, replicas: int) -> No
     # `serve.run` gives each deployment a new version, which would restart all replicas to change their number
     deployment = deployment.options(version=_version(settings), _internal=True)
     try:
-        serve.start(http_options=options, proxy_location="EveryNode")
+        quiet = schema.LoggingConfig(log_level="WARNING")
+        serve.start(http_options=options, proxy_location="EveryNode", logging_config=quiet)
         serve.run(deployment.bind(), name=APPLICATION, route_prefix="/")
     except (RuntimeError, TimeoutError, ray.exceptions.RayError) as error:
         raise ServerError(f"the replicas do not start: {error}") from error
 
 
-def app_builder(settings: ServerSettings) -> Callable[[], FastAPI]:
+def app_builder(settings: ServerSettings, *, local: bool) -> Callable[[], FastAPI]:
     """Return the function that makes the application in the process of a replica."""
 
     def build() -> FastAPI:
         from roomlight_server.ray_replica import replica_app
 
-        return replica_app(settings)
+        return replica_app(settings, local=local)
 
     return build
 

@@ -26,6 +26,16 @@ BENCHMARKS: Final = (
         "Kill a server on this machine while a client streams: frames that are lost, light, time to restore.",
     ),
     CommandEntry(
+        "replicas",
+        "roomlight_cli.commands.bench_replicas",
+        "Compare replicas under Ray Serve with a plain server on this machine (3 minutes; extra `ray`).",
+    ),
+    CommandEntry(
+        "capacity",
+        "roomlight_cli.commands.bench_capacity",
+        "Compute the machines for a number of phones from what a server does on this machine (half a minute).",
+    ),
+    CommandEntry(
         "composite",
         "roomlight_cli.commands.bench_composite",
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",

@@ -9,6 +9,7 @@ from roomlight_cli import arguments
 from roomlight_cli.console import err
 from roomlight_cli.lazy import single_command_app
 from roomlight_server.lan import lan_options, phone_url, qr_text
+from roomlight_server.ray_serving import serve_on_ray
 from roomlight_server.serving import serve as run_server
 from roomlight_server.settings import ServerSettings, load_settings
 from roomlight_server.tls import fingerprint
@@ -19,6 +20,7 @@ _ACCESS: Final = "Who may use it"
 _LIMITS: Final = "Limits"
 _LOGS: Final = "Logs"
 _STATE: Final = "Saved sessions"
+_REPLICAS: Final = "More than one server"
 
 
 def _flag(panel: str, text: str, *names: str, **bounds: Any) -> Any:
@@ -85,6 +87,19 @@ def serve(
         float | None,
         _flag(_STATE, "Erase a saved session after this many seconds without a request (default: 86400, a day)."),
     ] = None,
+    state_shared: Annotated[
+        bool,
+        _flag(
+            _REPLICAS,
+            "Other servers use --state-dir too; a session belongs to one of them at a time.",
+            "--state-shared",
+        ),
+    ] = False,
+    ray: Annotated[
+        bool,
+        _flag(_REPLICAS, "Run replicas under Ray Serve; needs --state-dir and the extra roomlight[ray].", "--ray"),
+    ] = False,
+    replicas: Annotated[int, _flag(_REPLICAS, "Number of replicas with --ray (default: 2).", min=1, max=1000)] = 2,
     max_body_bytes: Annotated[int | None, _flag(_LIMITS, "Largest frame in bytes (default: 16 MiB).")] = None,
     engine_threads: Annotated[
         int | None, _flag(_LIMITS, "Sessions whose frames are processed at the same time (default: 1).")
@@ -117,6 +132,7 @@ def serve(
         "max_probes": max_probes,
         "idle_expiry_s": idle_expiry_s,
         "state_dir": state_dir,
+        "state_shared": state_shared or None,
         "state_interval_s": state_interval_s,
         "state_expiry_s": state_expiry_s,
         "max_body_bytes": max_body_bytes,
@@ -127,6 +143,11 @@ def serve(
         "tls_cert": tls_cert,
         "tls_key": tls_key,
     }
+    if ray:
+        if lan:
+            raise typer.BadParameter("--ray cannot be used with --lan; use --host, --token-file, --tls-cert, --tls-key")
+        serve_on_ray(load_settings(**options), replicas=replicas, listening=_print_address)
+        return
     if not lan:
         run_server(load_settings(**options), listening=_print_address)
         return
