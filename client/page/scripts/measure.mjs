@@ -1,7 +1,8 @@
 // First paint, frame rate and Lighthouse's scores of a page that is being served:
 //   node scripts/measure.mjs http://127.0.0.1:8090/
 // Stream a recording at the same time (`roomlight stream`) for a frame rate while frames arrive. Without a graphics
-// processor Chromium renders in software, and the frame rate is far below that of a real screen.
+// processor Chromium renders in software, and the frame rate is far below that of a real screen: the processor time of
+// the main thread is then what a screen of 60 Hz would be limited by (16.7 ms). PROFILE=1 lists functions by time.
 
 import { existsSync } from "node:fs";
 import lighthouse from "lighthouse";
@@ -18,43 +19,106 @@ const browser = await chromium.launch({
   args: ["--no-sandbox", `--remote-debugging-port=${PORT}`, ...(process.env.GPU ? [] : software)],
 });
 
+/** Processor time of the page's main thread so far, by kind, milliseconds. Waiting for a processor is not in it. */
+async function mainThread(devtools) {
+  const { metrics } = await devtools.send("Performance.getMetrics");
+  const ms = (name) => 1000 * metrics.find((metric) => metric.name === name).value;
+  const [script, layout, style, all] = ["ScriptDuration", "LayoutDuration", "RecalcStyleDuration", "TaskDuration"].map(ms);
+  return { script, layout, style, other: all - script - layout - style };
+}
+
+/** Frames of the screen for some seconds, and what the page did meanwhile. */
+const watch = (seconds) =>
+  new Promise((resolve) => {
+    const { roomlightPage } = globalThis;
+    const arrived = () => Number(document.getElementById("picture-image").dataset.frame ?? -1);
+    const first = { draws: roomlightPage.frames, arrived: arrived(), parts: structuredClone(roomlightPage.parts) };
+    const gaps = [];
+    let last = performance.now();
+    const end = last + 1000 * seconds;
+    const tick = (now) => {
+      gaps.push(now - last);
+      last = now;
+      if (now < end) {
+        return requestAnimationFrame(tick);
+      }
+      const parts = [...roomlightPage.parts].map(([part, { count, total_ms, longest_ms }]) => {
+        const before = first.parts.get(part) ?? { count: 0, total_ms: 0 };
+        return { part, count: count - before.count, total_ms: total_ms - before.total_ms, longest_ms };
+      });
+      gaps.sort((a, b) => a - b);
+      resolve({
+        ticks: gaps.length,
+        p95_ms: gaps[Math.floor(0.95 * gaps.length)],
+        longest_ms: gaps.at(-1),
+        draws: roomlightPage.frames - first.draws,
+        arrived: arrived() - first.arrived,
+        parts,
+      });
+    };
+    requestAnimationFrame(tick);
+  });
+
+/** Turn the room's view all the time, as a drag does. */
+const turn = () => {
+  const step = () => {
+    document.getElementById("room-canvas").dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" }));
+    globalThis.turning = requestAnimationFrame(step);
+  };
+  step();
+};
+
+async function measureFrames(page, devtools, what) {
+  const before = await mainThread(devtools);
+  const { ticks, p95_ms, longest_ms, draws, arrived, parts } = await page.evaluate(watch, WATCHED_S);
+  const after = await mainThread(devtools);
+  console.log(
+    `${what}: ${(ticks / WATCHED_S).toFixed(1)} frames/s of the page, 95 % within ${p95_ms.toFixed(0)} ms, longest ` +
+      `${longest_ms.toFixed(0)} ms; ${arrived} frames of the stream, ${draws} drawings of the room in ${WATCHED_S} s`,
+  );
+  const kinds = Object.entries(after).map(([kind, ms]) => [kind, ms - before[kind]]);
+  const all = kinds.reduce((sum, [, ms]) => sum + ms, 0);
+  const each = (count) => (count > 0 ? `${(all / count).toFixed(1)} ms` : "no");
+  console.log(
+    `  main thread, processor time: ${each(ticks)} a frame of the page, ${each(arrived)} a frame of the stream ` +
+      `(${kinds.map(([kind, ms]) => `${kind} ${(ms / ticks).toFixed(2)}`).join(", ")} ms a frame of the page)`,
+  );
+  for (const { part, count, total_ms, longest_ms: longest } of parts.filter(({ count }) => count > 0)) {
+    console.log(`  ${part}: ${count} times, ${(total_ms / count).toFixed(2)} ms each, longest ${longest.toFixed(1)} ms`);
+  }
+}
+
 const page = await browser.newPage({ viewport: { width: 1440, height: 900 } });
 await page.goto(url);
 await page.waitForSelector("#workspace:not([hidden])", { timeout: 60_000 });
+await page.waitForFunction(() => document.getElementById("room-waiting").hidden, undefined, { timeout: 60_000 });
+const devtools = await page.context().newCDPSession(page);
+await devtools.send("Performance.enable", { timeDomain: "threadTicks" });
 const before = await page.textContent("#timeline-text");
 const arrives = (text) => document.getElementById("timeline-text").textContent !== text;
-await page.waitForFunction(arrives, before, { timeout: 20_000 }).catch(() => undefined);
-const rate = await page.evaluate(
-  (seconds) =>
-    new Promise((resolve) => {
-      const gaps = [];
-      const first = globalThis.roomlightPage.frames;
-      const shown = document.getElementById("timeline-text").textContent;
-      let last = performance.now();
-      const end = last + 1000 * seconds;
-      const tick = (now) => {
-        gaps.push(now - last);
-        last = now;
-        if (now < end) {
-          return requestAnimationFrame(tick);
-        }
-        gaps.sort((a, b) => a - b);
-        resolve({
-          fps: gaps.length / seconds,
-          longest_ms: gaps.at(-1),
-          p95_ms: gaps[Math.floor(0.95 * gaps.length)],
-          draws: globalThis.roomlightPage.frames - first,
-          moved: shown !== document.getElementById("timeline-text").textContent,
-        });
-      };
-      requestAnimationFrame(tick);
-    }),
-  WATCHED_S,
+const moves = await page.waitForFunction(arrives, before, { timeout: 20_000 }).then(
+  () => "while frames arrive",
+  () => "no frames arrive",
 );
-console.log(
-  `${rate.moved ? "while frames arrive" : "no frames arrive"}: ${rate.fps.toFixed(1)} frames/s of the page, 95 % within ` +
-    `${rate.p95_ms.toFixed(0)} ms, longest ${rate.longest_ms.toFixed(0)} ms; the room was drawn ${rate.draws} times in ${WATCHED_S} s`,
-);
+await measureFrames(page, devtools, moves);
+await page.evaluate(turn);
+await measureFrames(page, devtools, `${moves}, the view turns`);
+if (process.env.PROFILE) {
+  await devtools.send("Profiler.enable");
+  await devtools.send("Profiler.start");
+  await page.evaluate(watch, WATCHED_S);
+  const { profile } = await devtools.send("Profiler.stop");
+  const self = new Map();
+  profile.samples.forEach((id, at) => self.set(id, (self.get(id) ?? 0) + profile.timeDeltas[at] / 1000));
+  const byName = new Map();
+  for (const { id, callFrame } of profile.nodes) {
+    const name = `${callFrame.functionName || "anonymous"} ${callFrame.url.split("/").at(-1)}:${callFrame.lineNumber}:${callFrame.columnNumber}`;
+    byName.set(name, (byName.get(name) ?? 0) + (self.get(id) ?? 0));
+  }
+  for (const [name, ms] of [...byName].sort((a, b) => b[1] - a[1]).slice(0, 25)) {
+    console.log(`  ${ms.toFixed(0)} ms ${name}`);
+  }
+}
 await page.close();
 
 const paints_ms = [];

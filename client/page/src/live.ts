@@ -217,7 +217,7 @@ export class LiveSession {
   }
 
   private async readMesh(): Promise<void> {
-    const mesh = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/mesh?triangles=60000`, this.etags.mesh));
+    const mesh = await unlessEmpty(this.api.file(`${sessionPath(this.id)}/mesh?triangles=${this.state.meshTriangles.value}`, this.etags.mesh));
     if (mesh && !this.closed) {
       this.etags.mesh = mesh.etag;
       this.state.mesh.value = await mesh.blob.arrayBuffer();

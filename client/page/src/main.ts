@@ -4,6 +4,7 @@ import { RoomLightError, type Position } from "roomlight";
 import { Api } from "./lib/api";
 import { LiveSession } from "./live";
 import { PlacedObjects } from "./objects";
+import { parts } from "./lib/parts";
 import { cameraPanel, chosen } from "./panels/camera";
 import { askForToken, dialogs } from "./panels/dialogs";
 import { downloadsPanel } from "./panels/downloads";
@@ -144,12 +145,13 @@ function follow(sessions: NonNullable<State["sessions"]["value"]>): void {
   }
 }
 
-/** For the tests and scripts/measure.mjs: how often the room was drawn, and where a probe is in the window. */
+/** For the tests and scripts/measure.mjs: drawings of the room, time by part, and where a probe is in the window. */
 Object.assign(globalThis, {
   roomlightPage: {
     get frames() {
       return room?.view.frames ?? 0;
     },
+    parts,
     probeAt: (name: string) => room?.view.project(room.probes.spheres.get(name)!.position),
   },
 });

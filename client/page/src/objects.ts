@@ -89,6 +89,9 @@ export class PlacedObjects {
 
   /** Take back an object that the server cannot place there. */
   private refused(error: unknown): void {
+    if (error instanceof RoomLightError && error.kind === "composite-running") {
+      return this.update(); // one that this page or another one asked for
+    }
     const isPlace = error instanceof RoomLightError && BAD_PLACES.has(error.kind);
     if (isPlace) {
       const kept = this.list.value.filter(({ pose }) => pose !== null);

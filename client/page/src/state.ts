@@ -43,6 +43,8 @@ export class State {
 
   readonly camera = new Signal<CameraState | null>(null);
   readonly picture = new Signal<Picture | null>(null);
+  /** Triangles that the 3D view can draw. */
+  readonly meshTriangles = new Signal(60_000);
   readonly mesh = new Signal<ArrayBuffer | null>(null);
   readonly history = new Signal<readonly HistoryEntry[]>([]);
   /** Position in `history` that is shown; null: live. */

@@ -11,7 +11,7 @@ const ARGUMENTS = [
 ];
 const AXE = readFileSync(createRequire(import.meta.url).resolve("axe-core/axe.min.js"), "utf8");
 
-const PATIENCE_MS = 60_000; // the first composite of a process may compile kernels
+const PATIENCE_MS = 150_000; // the first composite of a process may compile kernels
 
 export const PAGE_URL = process.env.PAGE_URL;
 
@@ -32,7 +32,7 @@ export async function control(command, parameters = {}) {
 /** A new window with the page. `errors` collects what the page's scripts report. */
 export async function openPage(browser, { width = 1440, height = 900, colorScheme = "light", url = PAGE_URL } = {}) {
   const page = await browser.newPage({ viewport: { width, height }, colorScheme });
-  page.setDefaultTimeout(60_000);
+  page.setDefaultTimeout(PATIENCE_MS);
   const errors = [];
   page.on("pageerror", (error) => errors.push(String(error)));
   page.on("console", (message) => message.type() === "error" && errors.push(message.text()));

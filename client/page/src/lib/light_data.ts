@@ -1,6 +1,7 @@
 // The light of a probe as the page needs it, from the forms that it asks for.
 
 import { findForm, Harmonics, parseHdr, type Light, type LightForm, type MainLightValues } from "roomlight";
+import { timed } from "./parts";
 import type { ProbeLight } from "../state";
 
 /** The forms of each probe that the page asks for. */
@@ -21,7 +22,7 @@ export async function probeLight(name: string, frame: number, light: Light): Pro
     frame,
     position: light.position,
     coverage: light.coverage,
-    panorama: hdr ? parseHdr(hdr) : null,
+    panorama: hdr ? timed("decode light", () => parseHdr(hdr)) : null,
     seen: confidence ? await greyOf(confidence) : null,
     harmonics: sh ? Harmonics.of(sh).coefficients.flat() : null,
     lights: main?.lights ?? (main ? [main] : []),

@@ -2,6 +2,8 @@
 
 import type { LightSourceValues, Position } from "roomlight";
 import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
+import { Drawing } from "../lib/drawing";
+import { timed } from "../lib/parts";
 import { autoExposure, FALSE_COLOUR_STOPS, hueOf, luminance, toneMapped, turbo } from "../lib/tone";
 import type { ProbeLight, State } from "../state";
 
@@ -16,7 +18,7 @@ interface ProbeEvents {
 
 export function lightPanel(state: State, events: ProbeEvents): void {
   const canvas = byId<HTMLCanvasElement>("panorama-canvas");
-  const draw = () => drawPanorama(canvas, state);
+  const { request: draw } = new Drawing(canvas, "panorama", () => drawPanorama(canvas, state));
   const select = byId<HTMLSelectElement>("probe-select");
   let isFirst = true;
 
@@ -32,7 +34,7 @@ export function lightPanel(state: State, events: ProbeEvents): void {
     }
     draw();
   };
-  state.watchProbes(show);
+  state.watchProbes(() => timed("light panel", show));
   state.selected.watch(() => (isFirst = true));
   state.falseColour.watch((on) => {
     byId("legend").hidden = !on;

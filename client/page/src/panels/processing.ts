@@ -2,6 +2,7 @@
 
 import { byId, element } from "../lib/dom";
 import type { HistoryEntry } from "../lib/answers";
+import { timed } from "../lib/parts";
 import type { State } from "../state";
 import { totalMs } from "./timeline";
 
@@ -24,7 +25,7 @@ export function processingPanel(state: State): void {
     const counts = COUNTS.map(([key, label, meaning]) => count(label, entry?.[key] ?? 0, meaning, true));
     byId("counts").replaceChildren(count("Processed", processed ?? history.value.length, "In the light", false), ...counts);
   };
-  state.history.watch(show);
+  state.history.watch(() => timed("processing panel", show));
   state.shownEntry.watch(show);
   state.sessions.watch(show);
 }

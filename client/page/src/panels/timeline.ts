@@ -5,6 +5,8 @@ import type { HistoryEntry } from "../lib/answers";
 import { sessionPath, type Api } from "../lib/api";
 import { byId, element, fitCanvas, onThemeChange, themeColour } from "../lib/dom";
 import { PictureView } from "../lib/picture";
+import { Drawing } from "../lib/drawing";
+import { timed } from "../lib/parts";
 import { latestOnly } from "../lib/signal";
 import type { ProbeLight, State } from "../state";
 import { reportError } from "./notices";
@@ -17,6 +19,7 @@ export function timelinePanel(api: Api, state: State): void {
   const scrub = byId<HTMLInputElement>("scrub");
   const thumbnails = new Thumbnails(api, state);
   const player = new Player(state);
+  const chart = new Drawing(byId("timeline-chart"), "timeline", () => drawChart(state));
 
   const show = () => {
     const { history, entry } = state;
@@ -29,11 +32,11 @@ export function timelinePanel(api: Api, state: State): void {
     scrub.setAttribute("aria-valuetext", text);
     byId("timeline-text").textContent = text;
     byId("go-live").setAttribute("aria-pressed", String(state.shownEntry.value === null));
-    drawChart(state, at);
+    chart.request();
   };
   const loadPast = latestOnly(() => loadProbes(api, state));
   state.history.watch(() => {
-    show();
+    timed("timeline panel", show);
     thumbnails.update();
   });
   state.shownEntry.watch(() => {
@@ -165,23 +168,33 @@ async function pastLight(api: Api, id: string, index: number, probe: HistoryEntr
 }
 
 /** Columns of the time per frame; a mark above where frames were lost; a line at the shown one. */
-function drawChart(state: State, shown: number): void {
+function drawChart(state: State): void {
   const { context, width, height } = fitCanvas(byId<HTMLCanvasElement>("timeline-chart"));
   const entries = state.history.value;
-  const slowest = Math.max(1, ...entries.map(totalMs));
+  const shown = state.shownEntry.value ?? entries.length - 1;
+  const times_ms = entries.map(totalMs);
+  const slowest_ms = times_ms.reduce((most, time) => Math.max(most, time), 1);
   const step = width / Math.max(1, entries.length);
   const top = 6;
-  entries.forEach((entry, at) => {
-    const tall = ((height - top) * totalMs(entry)) / slowest;
-    context.globalAlpha = at === shown ? 1 : 0.5;
-    context.fillStyle = themeColour(at === shown ? "--accent" : "--control-line");
+  const [plain, accent, bad] = [themeColour("--control-line"), themeColour("--accent"), themeColour("--bad")];
+  const column = (at: number) => {
+    const tall = ((height - top) * times_ms[at]!) / slowest_ms;
     context.fillRect(at * step, Math.round(height - tall), Math.max(1, step - 1), Math.round(tall));
-    context.globalAlpha = 1;
+  };
+  context.globalAlpha = 0.5;
+  context.fillStyle = plain;
+  entries.forEach((_, at) => at !== shown && column(at));
+  context.globalAlpha = 1;
+  context.fillStyle = bad;
+  entries.forEach((entry, at) => {
     if (at > 0 && lostFrames(entry) > lostFrames(entries[at - 1]!)) {
-      context.fillStyle = themeColour("--bad");
       context.fillRect(at * step, 0, Math.max(2, step - 1), 3);
     }
   });
+  if (entries[shown]) {
+    context.fillStyle = accent;
+    column(shown);
+  }
 }
 
 /** Time of all stages of a frame. */

@@ -41,7 +41,7 @@ export class RoomObjects {
       made.group.matrix.copy(new Matrix4().fromArray([...object.pose!]));
     }
     this.relight();
-    this.view.draw();
+    this.view.drawSoon();
   }
 
   /** Light the stand-ins as the probe next to the first object sees the room. */

@@ -21,6 +21,7 @@ import {
 import type { LightSourceValues } from "roomlight";
 import { onThemeChange, themeColour } from "../lib/dom";
 import type { CameraState } from "../lib/answers";
+import { timed } from "../lib/parts";
 import { hueOf, strengthOf } from "../lib/tone";
 import type { State } from "../state";
 import type { RoomView } from "./view";
@@ -28,11 +29,17 @@ import type { RoomView } from "./view";
 const FRUSTUM_M = 0.28;
 const ARROW_M = 0.75; // of the strongest light
 const UP = new Vector3(0, 1, 0);
+const IDENTITY = new Matrix4().elements;
+const SHAFT = new CylinderGeometry(1, 1, 1, 12);
+const HEAD = new ConeGeometry(1, 1, 20);
 
 export class RoomOverlays {
   readonly path = new Group();
   readonly volume = new Group();
   readonly lights = new Group();
+  private shown = { path: "", intrinsics: "", volume: "" };
+  private line: Line | null = null;
+  private camera: LineSegments | null = null;
   private readonly lines = new LineBasicMaterial();
   private readonly faint = new LineBasicMaterial({ transparent: true, opacity: 0.5 });
 
@@ -52,27 +59,52 @@ export class RoomOverlays {
 
   /** Show the camera: of the shown entry of the timeline, or the newest. */
   updateCamera(): void {
-    const { camera, entry } = { camera: this.state.camera.value, entry: this.state.entry };
-    clear(this.path);
-    clear(this.volume);
-    if (camera && camera.path.length > 0) {
-      const points = camera.path.map(({ camera_to_world: pose }) => new Vector3(pose[12], pose[13], pose[14]));
-      this.path.add(new Line(new BufferGeometry().setFromPoints(points), this.lines));
-      const isPast = this.state.shownEntry.value !== null;
-      const past = isPast ? camera.path.find(({ index }) => index === entry?.index) : undefined;
-      const pose = past?.camera_to_world ?? camera.camera_to_world;
-      if (pose && camera.intrinsics) {
-        this.path.add(this.frustum(camera.intrinsics, new Matrix4().fromArray([...pose])));
+    timed("camera path", () => this.showCamera(this.state.camera.value));
+    this.view.drawSoon();
+  }
+
+  private showCamera(camera: CameraState | null): void {
+    const { path = [], intrinsics = null, volume = null } = camera ?? {};
+    const ends = `${path.length} ${path[0]?.index} ${path.at(-1)?.index}`;
+    if (this.changed("path", ends)) {
+      this.line = replaced(this.path, this.line, path.length > 0 ? this.lineOf(path) : null);
+    }
+    if (this.changed("intrinsics", JSON.stringify(intrinsics))) {
+      this.camera = replaced(this.path, this.camera, intrinsics ? this.frustum(intrinsics) : null);
+    }
+    if (this.changed("volume", JSON.stringify(volume))) {
+      clear(this.volume);
+      if (volume) {
+        this.volume.add(this.box(volume));
       }
     }
-    if (camera?.volume) {
-      this.volume.add(this.box(camera.volume));
+    const isPast = this.state.shownEntry.value !== null;
+    const past = isPast ? path.find(({ index }) => index === this.state.entry?.index) : undefined;
+    const pose = past?.camera_to_world ?? camera?.camera_to_world;
+    if (this.camera) {
+      this.camera.visible = pose != null;
+      this.camera.matrix.fromArray([...(pose ?? IDENTITY)]);
     }
-    this.view.draw();
+  }
+
+  private changed(what: keyof RoomOverlays["shown"], key: string): boolean {
+    const isNew = this.shown[what] !== key;
+    this.shown[what] = key;
+    return isNew;
+  }
+
+  private lineOf(path: CameraState["path"]): Line {
+    const points = path.map(({ camera_to_world: pose }) => new Vector3(pose[12], pose[13], pose[14]));
+    return new Line(new BufferGeometry().setFromPoints(points), this.lines);
   }
 
   /** Show the main lights at the selected probe: arrows that end at it. */
   updateLights(): void {
+    timed("light arrows", () => this.showLights());
+    this.view.drawSoon();
+  }
+
+  private showLights(): void {
     clear(this.lights);
     const probe = this.state.probe;
     const strongest = Math.max(0, ...(probe?.lights ?? []).map(strengthOf));
@@ -82,16 +114,16 @@ export class RoomOverlays {
         this.lights.add(arrow(new Vector3(...probe!.position), light, length));
       }
     }
-    this.view.draw();
   }
 
-  private frustum({ fx, fy, cx, cy, width, height }: NonNullable<CameraState["intrinsics"]>, pose: Matrix4): LineSegments {
+  private frustum({ fx, fy, cx, cy, width, height }: NonNullable<CameraState["intrinsics"]>): LineSegments {
     const corner = (u: number, v: number) =>
       new Vector3(((u - cx) / fx) * FRUSTUM_M, (-(v - cy) / fy) * FRUSTUM_M, -FRUSTUM_M);
     const corners = [corner(0, 0), corner(width, 0), corner(width, height), corner(0, height)];
     const points = corners.flatMap((here, at) => [new Vector3(), here, here, corners[(at + 1) % 4]!]);
     const lines = new LineSegments(new BufferGeometry().setFromPoints(points), this.lines);
-    lines.applyMatrix4(pose);
+    lines.matrixAutoUpdate = false;
+    lines.frustumCulled = false;
     return lines;
   }
 
@@ -116,9 +148,11 @@ function arrow(probe: Vector3, light: LightSourceValues, length: number): Group 
     [new MeshBasicMaterial({ color: 0x1d1c19, side: BackSide }), 0.007],
   ] as const;
   for (const [material, outline] of paints) {
-    const shaft = new Mesh(new CylinderGeometry(0.014 + outline, 0.014 + outline, length + 2 * outline, 12), material);
+    const shaft = new Mesh(SHAFT, material);
+    shaft.scale.set(0.014 + outline, length + 2 * outline, 0.014 + outline);
     shaft.position.y = 0.29 + length / 2;
-    const head = new Mesh(new ConeGeometry(0.05 + 1.6 * outline, 0.13 + 3 * outline, 20), material);
+    const head = new Mesh(HEAD, material);
+    head.scale.set(0.05 + 1.6 * outline, 0.13 + 3 * outline, 0.05 + 1.6 * outline);
     head.rotation.x = Math.PI; // points at the probe
     head.position.y = 0.23;
     group.add(shaft, head);
@@ -128,13 +162,25 @@ function arrow(probe: Vector3, light: LightSourceValues, length: number): Group 
   return group;
 }
 
+/** Take lines out of a group and put others in. */
+function replaced<T extends Line>(group: Group, old: T | null, made: T | null): T | null {
+  if (old) {
+    group.remove(old);
+    old.geometry.dispose();
+  }
+  if (made) {
+    group.add(made);
+  }
+  return made;
+}
+
+/** Empty a group, and free its lines and the colours of its arrows. */
 function clear(group: Group): void {
   group.traverse((node) => {
-    if (node instanceof Mesh || node instanceof Line) {
+    if (node instanceof Line) {
       node.geometry.dispose();
-      if (node.material instanceof MeshBasicMaterial) {
-        node.material.dispose();
-      }
+    } else if (node instanceof Mesh) {
+      (node.material as MeshBasicMaterial).dispose();
     }
   });
   group.clear();

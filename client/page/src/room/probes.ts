@@ -61,7 +61,7 @@ export class RoomProbes {
       material.set("rim", name === selectedProbe.value ? 1 : 0);
       material.accent = accent;
     }
-    this.view.draw();
+    this.view.drawSoon();
   }
 
   /** The probe that a ray meets before any surface. */

@@ -13,6 +13,8 @@ import { RoomView } from "./view";
 
 const CLICK_PX = 5; // a shorter movement is a click
 
+const SOFTWARE_TRIANGLES = 20_000; // without a graphics processor
+
 export interface RoomEvents {
   onDrag: (name: string, position: Position) => void;
   onDrop: (name: string, position: Position) => void;
@@ -35,6 +37,7 @@ export class RoomPanel {
   ) {
     const canvas = byId<HTMLCanvasElement>("room-canvas");
     this.view = new RoomView(canvas);
+    state.meshTriangles.value = this.view.isSoftware ? SOFTWARE_TRIANGLES : state.meshTriangles.value;
     this.surface = new RoomSurface(this.view.scene);
     this.overlays = new RoomOverlays(this.view, state);
     this.objects = new RoomObjects(this.view, state, objects);

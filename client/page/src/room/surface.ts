@@ -1,6 +1,7 @@
 // The room's fused mesh: unlit, with the colours of the frames, and the surface that clicks and drags meet.
 
 import { Box3, FrontSide, Mesh, MeshBasicMaterial, Vector3, type Raycaster, type Scene } from "three";
+import { timed } from "../lib/parts";
 import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
 
 const SAMPLES = 1000;
@@ -24,7 +25,13 @@ export class RoomSurface {
   /** Show the mesh of a GLB file; null shows nothing. Resolves to false if a newer call came first. */
   async show(glb: ArrayBuffer | null): Promise<boolean> {
     const order = ++this.asked;
-    const loaded = glb ? await this.loader.parseAsync(glb, "") : null;
+    if (glb) {
+      await idle();
+    }
+    const loaded = glb && order === this.asked ? await this.loader.parseAsync(glb, "") : null;
+    if (glb && !loaded) {
+      return false;
+    }
     let next: Mesh | null = null;
     loaded?.scene.traverse((node) => {
       if (node instanceof Mesh && !next) {
@@ -35,7 +42,7 @@ export class RoomSurface {
       return false;
     }
     this.shown = order;
-    this.replace(next);
+    timed("mesh", () => this.replace(next));
     return true;
   }
 
@@ -66,6 +73,13 @@ export class RoomSurface {
       this.samples = samplesOf(next);
     }
   }
+}
+
+/** Resolves when the browser has nothing else to do, after half a second at the latest. */
+function idle(): Promise<unknown> {
+  return new Promise((resolve) =>
+    "requestIdleCallback" in globalThis ? requestIdleCallback(resolve, { timeout: 500 }) : setTimeout(resolve),
+  );
 }
 
 /** Points of a mesh without its outermost vertices, which are often noise. */

@@ -2,23 +2,35 @@
 
 import { Box2, Box3, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer, type Matrix4 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { Drawing } from "../lib/drawing";
+import { Resolution } from "./resolution";
 
 const FILLED = 0.94; // of the view by the points of `lookAt`
+const DATA_MS = 60; // changes that frames bring within this time are drawn together
 const TURN_STEP = Math.PI / 24; // of an arrow key
 
 export class RoomView {
   readonly scene = new Scene();
   readonly camera = new PerspectiveCamera(50, 1, 0.02, 200);
   readonly controls: OrbitControls;
-  /** Called before each drawing, e.g. to keep the size of markers. */
-  readonly beforeDrawing: (() => void)[] = [];
   frames = 0;
+  /** Whether the browser draws without a graphics processor. */
+  readonly isSoftware: boolean;
   private readonly renderer: WebGLRenderer;
-  private requested = false;
+  private readonly drawing: Drawing;
+  private readonly resolution = new Resolution(() => this.draw());
+  private factor = 1; // of the resolution
 
   /** Throws an Error if the browser has no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement) {
-    this.renderer = new WebGLRenderer({ canvas, antialias: true, alpha: true });
+    const fast = canvas.getContext("webgl2", { antialias: true, failIfMajorPerformanceCaveat: true });
+    this.isSoftware = fast === null;
+    const context = fast ?? canvas.getContext("webgl2", { antialias: false }); // antialiasing takes most of the time
+    if (!context) {
+      throw new Error("the browser has no WebGL 2");
+    }
+    this.renderer = new WebGLRenderer({ canvas, context });
+    this.drawing = new Drawing(canvas, "3D view", (now_ms) => this.render(now_ms));
     this.renderer.setClearAlpha(0);
     this.camera.position.set(3, 3, 4);
     this.controls = new OrbitControls(this.camera, canvas);
@@ -29,17 +41,28 @@ export class RoomView {
     this.resize();
   }
 
-  /** Draw once, with the next frame of the screen. */
+  /** Draw with the next frame of the screen: for what the visitor does. */
   draw(): void {
-    if (!this.requested) {
-      this.requested = true;
-      requestAnimationFrame(() => {
-        this.requested = false;
-        this.beforeDrawing.forEach((prepare) => prepare());
-        this.renderer.render(this.scene, this.camera);
-        this.frames++;
-      });
+    this.drawing.request();
+  }
+
+  /** Draw soon: for what a frame of the stream brings, in several answers. */
+  drawSoon(): void {
+    this.drawing.requestWithin(DATA_MS);
+  }
+
+  private render(now_ms: number): void {
+    const factor = this.resolution.next(now_ms);
+    if (factor !== this.factor) {
+      this.factor = factor;
+      this.renderer.setPixelRatio(this.pixelRatio);
     }
+    this.renderer.render(this.scene, this.camera);
+    this.frames++;
+  }
+
+  private get pixelRatio(): number {
+    return this.factor * Math.min(devicePixelRatio, 2);
   }
 
   /** A ray through a point of the window. */
@@ -102,7 +125,7 @@ export class RoomView {
   private resize(): void {
     const { clientWidth: width, clientHeight: height } = this.canvas;
     if (width > 0 && height > 0) {
-      this.renderer.setPixelRatio(Math.min(devicePixelRatio, 2));
+      this.renderer.setPixelRatio(this.pixelRatio);
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
