@@ -38,6 +38,7 @@ FLAGS: Final = {
     "pixel": "--pixel",
     "pose_direction": "--pose-direction",
     "provider": "--provider",
+    "relative": "--relative",
     "seed": "--seed",
     "surround_max": "--surround-max",
     "unknown_depth": "--unknown-depth",

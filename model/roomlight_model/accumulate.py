@@ -2,6 +2,9 @@
 
 The differentiable twin of `roomlight.engine.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
 linear. Depths are distances from the probe; the margin of the conservative rule has the same unit.
+
+The engine's rule for light that changes has no twin: the light of training rooms is constant, and there it takes
+nothing (tested).
 """
 
 from typing import NamedTuple
@@ -15,11 +18,16 @@ from roomlight.engine.blend import DARK, FILL_COLOUR, HIGHER, NOISE
 
 
 class Panorama(NamedTuple):
-    """The accumulated state of a probe: radiance L^i, depth and blending weight."""
+    """The accumulated state of a probe: radiance L^i, depth and blending weight.
+
+    clipped and guessed are as in `roomlight.engine.blend.PanoramaState`; None: nothing was clipped.
+    """
 
     radiance: Float[Tensor, "b 3 h w"]
     depth: Float[Tensor, "b 1 h w"]
     weight: Float[Tensor, "b 1 h w"]
+    clipped: Float[Tensor, "b 1 h w"] | None = None
+    guessed: Float[Tensor, "b 1 h w"] | None = None
 
 
 def blend(
@@ -53,9 +61,13 @@ def first_panorama(
     *,
     weight: Float[Tensor, "b 1 h w"],
     unseen_depth: float,
+    clipped: Float[Tensor, "b 1 h w"] | None = None,
+    guessed: Float[Tensor, "b 1 h w"] | None = None,
 ) -> Panorama:
     """Return the state after frame 0: the recursion from weight 0 and depth `unseen_depth` everywhere."""
-    return Panorama(blend(hdr, ldr, weight), weight * depth + (1 - weight) * unseen_depth, weight)
+    taken = weight.detach()
+    planes = [None if plane is None else taken * plane for plane in (clipped, guessed)]
+    return Panorama(blend(hdr, ldr, weight), weight * depth + (1 - weight) * unseen_depth, weight, *planes)
 
 
 def conservative(
@@ -78,6 +90,13 @@ class Clipping(NamedTuple):
 
     share: Float[Tensor, "b 1 h w"]
     bound: Float[Tensor, "b 1 h w"]
+
+    @classmethod
+    def of(
+        cls, radiance: Float[Tensor, "b 3 h w"], share: Float[Tensor, "b 1 h w"], guessed: Float[Tensor, "b 1 h w"]
+    ) -> "Clipping":
+        """Return what is known of a radiance whose luminance was estimated by `guessed`; without a gradient."""
+        return cls(share, _luminance(radiance.detach()) - guessed)
 
 
 def better_share(kept: Clipping, new: Clipping) -> Float[Tensor, "b 1 h w"]:
@@ -113,10 +132,12 @@ def accumulate(
     *,
     depth: Float[Tensor, "b 1 h w"],
     weight: Float[Tensor, "b 1 h w"],
+    clipped: Float[Tensor, "b 1 h w"] | None = None,
+    guessed: Float[Tensor, "b 1 h w"] | None = None,
 ) -> Panorama:
     """Return the state after one more frame (eqs. videoBlend, depthAccu, maskAccu).
 
-    `weight` must be the result of `conservative`.
+    `weight` must be the result of `conservative` and, where clipping is known, of `with_brackets`.
     """
     # eq. videoBlend: L^i = L_M L_tilde + (1 - L_M) ((1 - L_hat_M) L_dot + L_hat_M L^{i-1})
     kept = (1 - state.weight) * hdr + state.weight * state.radiance
@@ -125,4 +146,13 @@ def accumulate(
     accumulated_depth = weight * depth + (1 - weight) * state.depth
     # eq. maskAccu
     accumulated_weight = (state.weight + weight).clamp(max=1.0)
-    return Panorama(radiance, accumulated_depth, accumulated_weight)
+    if clipped is None or guessed is None or state.clipped is None or state.guessed is None:
+        return Panorama(radiance, accumulated_depth, accumulated_weight)
+    taken = weight.detach()
+    return Panorama(
+        radiance,
+        accumulated_depth,
+        accumulated_weight,
+        taken * clipped + (1 - taken) * state.clipped,
+        taken * guessed + (1 - taken) * state.guessed,
+    )

@@ -76,6 +76,14 @@ def train(
             "(0: leave out none). People film the lit side of a room.",
         ),
     ] = 0.0,
+    relative: Annotated[
+        bool,
+        typer.Option(
+            "--relative",
+            help="single-blend, single-joint: divide each example's error by that of the classical fill, and count "
+            "what exceeds it twice. Easy rooms then count as hard ones.",
+        ),
+    ] = False,
     frames: Annotated[
         int | None,
         typer.Option(
@@ -139,6 +147,7 @@ def train(
         rendering_weight=rendering_weight,
         depth=depth,
         surround_max=surround_max,
+        relative=relative,
         frames=frames or (31 if video else 1),
         window=window,
         variants=variants,

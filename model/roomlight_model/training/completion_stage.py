@@ -15,15 +15,12 @@ from roomlight.engine.completion import HEIGHT
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
+from roomlight_model.training.stages import EVEN, WORSE_WEIGHT
 
 SPHERE_WEIGHT: Final = 0.01
 """Weight of the error of light on surfaces: without it the network predicts the mean of the logarithm everywhere, and
 with that too little energy."""
-_EVEN: Final = 0.02
-"""Added to the classical fill's error, by which each example's error is divided: an easy room counts as a hard one."""
 _SCALE: Final = 0.06
-WORSE_WEIGHT: Final = 1.0
-"""Weight of the part of an example's error that exceeds the classical fill's: harm counts more than help."""
 _LOBES: Final = 64
 _GLOSSY_POWER: Final = 24
 
@@ -52,7 +49,7 @@ class CompletionStage:
         """Return the loss of a batch: log-L2 relative to the classical fill's, and the light on surfaces."""
         panels, truth = completion_batch(self.examples, chosen, rng, augment=True)
         error, fill, surfaces = _errors(completed(network, panels), panels, truth)
-        relative = (error + WORSE_WEIGHT * (error - fill).clamp(min=0)) / (fill + _EVEN)
+        relative = (error + WORSE_WEIGHT * (error - fill).clamp(min=0)) / (fill + EVEN)
         return relative.mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:
@@ -65,7 +62,7 @@ class CompletionStage:
                 panels, truth = completion_batch(self.held_out, chosen, rng, augment=False)
                 light = completed(network, panels)
                 error, fill, _ = _errors(light, panels, truth)
-                ratios += ((error + _EVEN / 4) / (fill + _EVEN / 4)).tolist()
+                ratios += ((error + EVEN / 4) / (fill + EVEN / 4)).tolist()
                 ours += error.tolist()
                 classical += fill.tolist()
                 energy += ((light * weight).sum((1, 2, 3)) / (truth * weight).sum((1, 2, 3)).clamp(min=1e-6)).tolist()

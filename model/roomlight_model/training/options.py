@@ -53,6 +53,8 @@ class TrainOptions:
         augment: Whether to draw frames at random and augment them.
         surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
             first frame (`training.subsets.surround`); 0 trains on all.
+        relative: Single-view blending and joint stages: divide each example's error by that of the fill of its
+            observed light, and count what exceeds it twice (`training.stages.relative_errors`).
         held_out: Sequences of the first folder that are kept from training; a resumed run keeps the same ones.
         bf16: Whether the networks compute in bfloat16.
         seed: Seed of all random choices.
@@ -84,6 +86,7 @@ class TrainOptions:
     smoothness_weight: float = 0.01
     augment: bool = True
     surround_max: float = 0.0
+    relative: bool = False
     held_out: int = HELD_OUT
     bf16: bool = True
     seed: int = 0
@@ -115,6 +118,8 @@ class TrainOptions:
             value = getattr(self, name)
             if not low <= value <= high or (name == "learning_rate" and value == 0):
                 raise OptionError(f"{name} is {value}; it must be between {low} and {high}")
+        if self.relative and self.stage not in ("single-blend", "single-joint"):
+            raise OptionError(f"relative needs the stage single-blend or single-joint, not {self.stage}")
         if self.variants and self.stage != "video-blend":
             raise OptionError(f"variants is {self.variants}; only video-blend has fixed 3D networks, it must be 0")
         if min(self.volume_shape) < 8:

@@ -114,6 +114,10 @@ class WalkBatch(Probes):
     mask: Float[Tensor, "b t p 1 h w"] | None = None
     distance_m: Float[Tensor, "b t p 1 h w"] | None = None
     """Distance of the mesh, at most `roomlight.engine.blend.farthest_depth_m`; 0 outside it."""
+    clipped: Float[Tensor, "b t p 1 h w"] | None = None
+    """Share of the mesh's surface whose pixels were clipped; None in sequences kept by earlier versions."""
+    guessed: Float[Tensor, "b t p 1 h w"] | None = None
+    """Luminance of `detail` that was estimated for these pixels."""
     hdr: Float[Tensor, "b t p 3 h w"] | None = None
     """The panoramas of a fixed 3D network at the probes (`unroll.with_renderings`), which replace the volumes."""
 
@@ -133,6 +137,8 @@ class WalkBatch(Probes):
                 ("detail", self.detail),
                 ("mask", self.mask),
                 ("distance_m", self.distance_m),
+                ("clipped", self.clipped),
+                ("guessed", self.guessed),
                 ("hdr", self.hdr),
             )
         }
@@ -181,13 +187,13 @@ def joined(batches: Sequence[WalkBatch]) -> WalkBatch:
     """Join batches, cut to the shortest one's number of frames."""
     shortest = min(batch.frames for batch in batches)
     columns = [vars(batch.cut(0, shortest)) for batch in batches]
-    names = [name for name, value in columns[0].items() if isinstance(value, Tensor)]
+    names = [name for name in columns[0] if all(isinstance(column[name], Tensor) for column in columns)]
     return WalkBatch(**{name: torch.cat([column[name] for column in columns]) for name in names})
 
 
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
     """Add what the probes see of each frame's mesh."""
-    planes: dict[str, list[np.ndarray]] = {"detail": [], "mask": [], "distance_m": []}
+    planes: dict[str, list[np.ndarray]] = {name: [] for name in ("detail", "mask", "distance_m", "clipped", "guessed")}
     for one in walks:
         farthest_m = farthest_depth_m(one.grid.depth_max_m)
         meshes = [FrameMesh(frame) for frame in one.frames]
@@ -198,4 +204,8 @@ def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_heig
         planes["detail"].append(np.array([[np.moveaxis(view.radiance, -1, 0) for view in row] for row in views]))
         planes["mask"].append(np.array([[view.mask[None] for view in row] for row in views], np.float32))
         planes["distance_m"].append(np.array([[view.depth_m[None] for view in row] for row in views]))
+        nothing = np.zeros((1, panorama_height, 2 * panorama_height), np.float32)
+        for name in ("clipped", "guessed"):
+            found = [[getattr(view, name) for view in row] for row in views]
+            planes[name].append(np.array([[nothing if one is None else one[None] for one in row] for row in found]))
     return replace(batch, **{name: torch.from_numpy(np.stack(values)) for name, values in planes.items()})

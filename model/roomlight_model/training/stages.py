@@ -14,7 +14,7 @@ stay as they are. They add the smoothness loss.
 """
 
 from functools import cache
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -29,6 +29,13 @@ from roomlight_model.sphere_rendering import SphereSamples, disc, look_up, sampl
 from roomlight_model.training.batches import Batch, Probes
 from roomlight_model.training.options import TrainingStage, TrainOptions
 from roomlight_model.volume_networks import SGVolume
+
+EVEN: Final = 0.02
+"""Added to the fill's error, by which each example's error is divided: an easy room counts as a hard one."""
+WORSE_WEIGHT: Final = 1.0
+"""Weight of the part of an example's error that exceeds the fill's: harm counts more than help."""
+RELATIVE_SCALE: Final = 0.1
+"""Typical error of the fill: relative errors keep the size of plain ones, beside the other losses."""
 
 
 class Losses(NamedTuple):
@@ -176,9 +183,13 @@ def _blend_losses(
     device: torch.device,
 ) -> Losses:
     hdr, blended = predicted_panoramas(model, sglv, batch, bf16=options.bf16, device=device)
-    log_l2 = log_l2_loss(blended, batch.truth)
+    if options.relative:
+        log_l2, weight = relative_errors(blended, batch)
+        volume = (weight * log_errors(hdr, batch.truth)).mean()
+    else:
+        log_l2, volume = log_l2_loss(blended, batch.truth), log_l2_loss(hdr, batch.truth)
     if options.stage == "single-joint":  # keeps the volume accurate where nothing is blended in
-        log_l2 = (log_l2 + log_l2_loss(hdr, batch.truth)) / 2
+        log_l2 = (log_l2 + volume) / 2
     samples = draw_sphere(batch, options, generator=generator)
     sphere, wanted = (shade(samples, light_along(samples, light)) for light in (blended, batch.truth))
     return summed(log_l2, rendering_loss(sphere, wanted), options)
@@ -206,6 +217,27 @@ def panorama_directions(height: int, device: torch.device) -> Float[Tensor, "n 3
 def log_l2_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
     """Return the mean squared difference of log(1 + light) (eq. logl2)."""
     return (torch.log1p(prediction.clamp(min=0)) - torch.log1p(truth.clamp(min=0))).square().mean()
+
+
+def log_errors(prediction: Float[Tensor, "b ..."], truth: Float[Tensor, "b ..."]) -> Float[Tensor, " b"]:
+    """Return `log_l2_loss` of each example."""
+    difference = torch.log1p(prediction.clamp(min=0)) - torch.log1p(truth.clamp(min=0))
+    return difference.square().flatten(1).mean(1)
+
+
+def relative_errors(blended: Float[Tensor, "b p 3 h w"], batch: Batch) -> tuple[Float[Tensor, ""], Float[Tensor, " b"]]:
+    """Return the mean error relative to the fill of what was observed, and each example's divisor as a weight.
+
+    A network that is worse than no network in an easy room loses as much as it gains in a hard one; `WORSE_WEIGHT`
+    counts the part of the error that exceeds the fill's again.
+    """
+    assert batch.partial is not None
+    fill = batch.partial
+    if batch.before is not None and batch.kept is not None:
+        fill = torch.where(batch.kept > 0, batch.before, fill)
+    error, least = log_errors(blended, batch.truth), log_errors(fill, batch.truth)
+    weight = RELATIVE_SCALE / (least + EVEN)
+    return (weight * (error + WORSE_WEIGHT * (error - least).clamp(min=0))).mean(), weight
 
 
 def rendering_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:

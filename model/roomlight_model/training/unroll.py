@@ -200,11 +200,16 @@ class Unroll:
         depth_max_m = batch.depth_max_m.repeat_interleave(batch.origins.shape[1])
         state = None if self.probe_state is None else self.probe_state.panorama
         filled = [
-            _filled(None if state is None else Panorama(*(part[k] for part in state)), *values, float(depth_max_m[k]))
+            _filled(
+                None if state is None else Panorama(*(part[k] for part in state[:3])), *values, float(depth_max_m[k])
+            )
             for k, values in enumerate(zip(detail, mask, distance_m, hdr, strict=True))
         ]
         depth = distance_m / depth_max_m[:, None, None, None]
-        return Observation(hdr, torch.stack(filled).to(hdr.device), mask, depth)
+        clipped, guessed = (
+            None if values is None else values[:, frame].flatten(0, 1) for values in (batch.clipped, batch.guessed)
+        )
+        return Observation(hdr, torch.stack(filled).to(hdr.device), mask, depth, clipped, guessed)
 
     def _detach(self) -> None:
         self._volume_state = _detached(self._volume_state)

@@ -15,7 +15,7 @@ from torch import Tensor
 from roomlight.files import write_atomic
 from roomlight_model.training.sequences import WalkBatch
 
-_HALVES: Final = ("lights", "detail", "mask", "hdr")
+_HALVES: Final = ("lights", "detail", "mask", "clipped", "guessed", "hdr")
 """Linear radiance is at most 60,000 (`training.examples`), half precision 65,504."""
 _MOST: Final = 65_504.0
 
