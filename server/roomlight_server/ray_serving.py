@@ -35,6 +35,8 @@ VARIABLES: Final = {
     "RAY_SERVE_SESSION_ID_HEADER_KEY": "x-session-id",
     "RAY_SERVE_ENABLE_HA_PROXY": "0",  # it routes POST alone by session
     "RAY_SERVE_QUEUE_LENGTH_RESPONSE_DEADLINE_S": "1",  # of 0.1: a busy replica is asked again and again otherwise
+    "RAY_SERVE_PROXY_READY_CHECK_TIMEOUT_S": "60",  # of 5: on a busy machine the proxy was killed before it was ready
+    "RAY_SERVE_PROXY_HEALTH_CHECK_TIMEOUT_S": "30",
     "RAY_DEDUP_LOGS": "0",  # a line of the log is one event
     "RAY_COLOR_PREFIX": "0",
 }
@@ -42,6 +44,7 @@ VARIABLES: Final = {
 LOCAL_VARIABLES: Final = {
     "RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0",  # the node's address is that of loopback; otherwise Ray replaces it
     "RAY_worker_niceness": "0",  # of 15: replicas would get no time beside other programs
+    "RAY_worker_register_timeout_seconds": "300",  # of 60: a busy machine starts them slowly
     "RAY_enable_metrics_collection": "0",  # `/metrics` has them
 }
 """Variables of a cluster of this machine alone."""
