@@ -9,6 +9,7 @@ import hashlib
 import importlib
 import logging
 import os
+import secrets
 import signal
 import threading
 from collections.abc import Callable, Generator
@@ -19,7 +20,8 @@ from typing import Any, Final
 from fastapi import FastAPI
 
 from roomlight import __version__
-from roomlight.errors import ServerError
+from roomlight.errors import OutputError, ServerError
+from roomlight.files import write_durable
 from roomlight_server.logs import configure_logging
 from roomlight_server.serving import KEEP_ALIVE_S, STOP_S, listen
 from roomlight_server.settings import ServerSettings
@@ -65,6 +67,8 @@ def serve_on_ray(settings: ServerSettings, *, replicas: int, listening: Callable
             the replicas do not start.
     """
     settings = shared_settings(settings, replicas)
+    if _is_local() and settings.state_dir is not None:
+        _set_token(settings.state_dir)
     ray, serve = load_ray()
     configure_logging(settings.log_level)
     port = _free_port(settings)
@@ -120,6 +124,27 @@ def _is_local() -> bool:
     """Return whether the cluster is of this machine alone."""
     address = os.environ.get(ADDRESS_VARIABLE, "")
     return not address or address.startswith("127.")
+
+
+def _set_token(state_dir: Path) -> None:
+    """Let Ray use a token that only this user can read; Ray's own would be readable by all in `~/.ray`.
+
+    Raises:
+        ServerError: The state directory cannot be used.
+    """
+    os.environ["RAY_AUTH_MODE"] = "token"
+    if os.environ.get("RAY_AUTH_TOKEN") or os.environ.get("RAY_AUTH_TOKEN_PATH"):
+        return
+    path = state_dir / "ray-token"
+    if os.environ.get(ADDRESS_VARIABLE) and not path.exists():
+        return  # the cluster was not started by this command
+    try:
+        state_dir.mkdir(mode=0o700, parents=True, exist_ok=True)
+        if not path.exists():
+            write_durable(path, secrets.token_hex(32).encode())
+    except (OSError, OutputError) as error:
+        raise ServerError(f"state_dir: {state_dir}: cannot be used ({error}); choose another folder") from error
+    os.environ["RAY_AUTH_TOKEN_PATH"] = str(path)
 
 
 @contextmanager
