@@ -153,7 +153,7 @@ def warm_up() -> None:
         {
             "shape": "sphere" if kind else "cube",
             "size_m": 0.1,
-            "pixel": pixel,
+            "pixel": list(pixel),
             "material": kind and CompositeMaterial(kind=kind),
         }
         for kind, pixel in zip(kinds, places, strict=True)

@@ -1,10 +1,12 @@
 """Files for deployment in `server/deploy`: syntax and options, checked by the tools that are installed."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -49,6 +51,78 @@ def test_compose_runs_read_only_without_capabilities():
     roomlight = services["roomlight"]
     assert "ports" not in roomlight  # only the proxy is reached from outside
     assert roomlight["environment"].keys() <= {f"ROOMLIGHT_{name.upper()}" for name in ServerSettings.model_fields}
+
+
+INSTRUCTIONS = {
+    "CMD",
+    "COPY",
+    "ENTRYPOINT",
+    "ENV",
+    "EXPOSE",
+    "FROM",
+    "HEALTHCHECK",
+    "RUN",
+    "STOPSIGNAL",
+    "USER",
+    "VOLUME",
+    "WORKDIR",
+}
+
+
+def instructions(name):
+    """Return the instructions of a Dockerfile as (word, rest), with continued lines joined."""
+    lines = [line for line in text(name).splitlines() if not line.startswith("#")]
+    joined = "\n".join(lines).replace("\\\n", " ")
+    return [(line.split()[0], line.split(maxsplit=1)[1]) for line in joined.splitlines() if line.strip()]
+
+
+def test_the_dockerfile_parses_and_finds_its_files():
+    found = instructions("Dockerfile")
+    assert {word for word, _ in found} <= INSTRUCTIONS
+    stages = [rest.split(" AS ")[-1] for word, rest in found if word == "FROM"]
+    copied = {}
+    for word, rest in found:
+        parts = rest.split()
+        if word == "COPY":
+            flags = [part for part in parts if part.startswith("--")]
+            sources, target = [part for part in parts if part not in flags][:-1], parts[-1]
+            stage = [flag.removeprefix("--from=") for flag in flags if flag.startswith("--from=")]
+            assert set(stage) <= set(stages)
+            if not stage:
+                assert all((DEPLOY.parents[1] / source).exists() for source in sources)
+            copied[Path(target).name] = flags
+        if word == "RUN":
+            subprocess.run(["sh", "-n", "-c", rest], check=True)
+    (entry,) = [json.loads(rest) for word, rest in found if word == "ENTRYPOINT"]
+    assert copied[entry[0]] == ["--chmod=755"]
+    health = next(rest for word, rest in found if word == "HEALTHCHECK")
+    assert json.loads(health[health.index("[") :])[:2] == ["python", "-c"]
+
+
+def test_the_image_gets_every_package():
+    """Only what `.dockerignore` names is copied into the build."""
+    named = {line.removeprefix("!") for line in text("Dockerfile.dockerignore").splitlines() if line.startswith("!")}
+    root = DEPLOY.parents[1]
+    project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))
+    packages = {Path(each).parts[0] for each in project["tool"]["hatch"]["build"]["targets"]["wheel"]["packages"]}
+    assert packages | {"pyproject.toml", "README.md"} <= named
+    assert all((root / name).exists() for name in named)
+
+
+def test_compose_names_only_what_it_declares():
+    compose = yaml.safe_load(text("compose.yaml"))
+    assert set(compose) == {"services", "networks", "volumes", "secrets"}
+    for service in compose["services"].values():
+        volumes = {volume.split(":")[0] for volume in service["volumes"]}
+        assert all(name in compose["volumes"] or (DEPLOY / name).is_file() for name in volumes)
+        assert set(service["networks"]) <= set(compose["networks"])
+        assert set(service.get("secrets", [])) <= set(compose["secrets"])
+        assert set(service.get("depends_on", {})) <= set(compose["services"])
+    build = compose["services"]["roomlight"]["build"]
+    context = (DEPLOY / build["context"]).resolve()
+    assert (context / build["dockerfile"]).is_file()
+    assert compose["networks"]["inside"] == {"internal": True}
+    assert compose["services"]["roomlight"]["networks"] == ["inside"]
 
 
 def test_proxies_choose_the_server_by_session():
@@ -107,6 +181,11 @@ def test_the_unit_is_valid_and_hardened(tmp_path):
     assert run_tool("systemd-analyze", "verify", str(unit)) == ""
     output = run_tool("systemd-analyze", "security", "--offline=yes", "--threshold=20", str(unit))
     assert "Overall exposure level" in output
+
+
+@pytest.mark.skipif(shutil.which("shellcheck") is None, reason="shellcheck is not installed")
+def test_the_entry_point_has_no_warnings():
+    assert run_tool("shellcheck", str(DEPLOY / "entrypoint.sh")) == ""
 
 
 @pytest.mark.skipif(shutil.which("hadolint") is None, reason="hadolint is not installed")

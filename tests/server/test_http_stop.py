@@ -1,79 +1,18 @@
 """SIGTERM on a real process under load: frames are drained, sessions are saved, and the process ends."""
 
-import http.client
 import json
-import os
 import signal
-import subprocess
-import sys
 import threading
 
 import pytest
 
 from http_servers import SMALL, InThread, RunningServer, frame
 from roomlight_server.light_routes import encode_lights
+from server_processes import BOUND_S, Process
 
 SESSIONS = 4
 LATE = {"probes": [{"position": [0.2, 1.2, -0.01 * number]} for number in range(8)], "forms": [{"format": "sh"}]}
 LIGHT = "/probe?x=0.2&y=1.2&z=-0.5&format=npy"
-BOUND_S = 60
-"""Limit on the end of a process: a hang, on a busy machine. The server's own limit is `serving.STOP_S`."""
-
-
-class Process:
-    """A server process, and requests to it. `code` runs before it starts."""
-
-    def __init__(self, *arguments, code="", **variables):
-        run = f"{code}\nfrom roomlight_cli.main import main; main()"
-        command = [sys.executable, "-c", run, "serve", "--port", "0", "--model", "classical", *arguments]
-        environment = os.environ | {"COLUMNS": "200", "ROOMLIGHT_DECODE_TIMEOUT_S": "60"} | variables
-        self._process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=environment)
-        self.lines: list[str] = []
-        self.port, self._ready = 0, threading.Event()
-        self._reader = threading.Thread(target=self._read, daemon=True)
-        self._reader.start()
-        assert self._ready.wait(300)
-
-    def _read(self):
-        assert self._process.stderr is not None
-        for line in self._process.stderr:
-            self.lines.append(line)
-            if line.startswith("Serving on"):
-                self.port = int(line.split()[2].rsplit(":", 1)[1])
-            if '"event": "ready"' in line:
-                self._ready.set()
-        self._ready.set()
-
-    def __enter__(self):
-        return self
-
-    def __exit__(self, *_):
-        self._process.kill()
-        self._process.wait()
-        self._reader.join(BOUND_S)
-        assert self._process.stderr is not None
-        self._process.stderr.close()
-
-    def call(self, method, path, body=None):
-        """Return (status, JSON); (0, None) without a whole answer."""
-        connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=BOUND_S)
-        data = json.dumps(body).encode() if isinstance(body, dict) else body
-        kind = {"Content-Type": "application/json"} if isinstance(body, dict) else {}
-        try:
-            connection.request(method, path, data, kind)
-            answer = connection.getresponse()
-            return answer.status, json.loads(answer.read())
-        except (OSError, http.client.HTTPException):
-            return 0, None
-        finally:
-            connection.close()
-
-    def stop(self):
-        """Send SIGTERM; return the exit code."""
-        self._process.send_signal(signal.SIGTERM)
-        code = self._process.wait(BOUND_S)
-        self._reader.join(BOUND_S)
-        return code
 
 
 def stream(server, name, outcomes, processed):
