@@ -40,6 +40,8 @@ class SessionRouting:
             return
         answer = _Answer(send)
         await self._app(scope | {"headers": routed_headers(scope["path"], scope["headers"])}, receive, answer.send)
+        if scope["type"] == "http":
+            await answer.finish()
 
 
 def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
@@ -57,10 +59,16 @@ class _Answer:
 
     def __init__(self, send: Send) -> None:
         self._send = send
-        self._replaced = False
+        self._started = self._replaced = False
+
+    async def finish(self) -> None:
+        """Answer if Ray has not: it says nothing when a replica dies, and uvicorn would answer 500."""
+        if not self._started:
+            await self._replace([])
 
     async def send(self, message: Message) -> None:
         if message["type"] == "http.response.start":
+            self._started = True
             headers = _once(message.get("headers", []), REQUEST_ID_HEADER.lower().encode())
             if message["status"] >= 500 and not _has_type(headers, MEDIA_TYPE):
                 await self._replace(headers)
@@ -70,7 +78,7 @@ class _Answer:
             await self._send(message)
 
     async def _replace(self, headers: list[tuple[bytes, bytes]]) -> None:
-        self._replaced = True
+        self._started = self._replaced = True
         detail = "the server of the session is away; ask for its state, send lost frames again and go on"
         problem = ProblemError(MOVED, detail, retry_after_s=1)
         body = json.dumps(problem.problem.model_dump(exclude_none=True)).encode()

@@ -38,11 +38,13 @@ def test_clients_cannot_set_the_options_of_ray():
 
 
 def answered(status, headers, body=b"body"):
-    """Pass an answer of the proxy through the middleware; returns status, headers and body."""
+    """Pass an answer through the middleware (status None: there is none); returns status, headers and body."""
     sent = []
 
     async def app(scope, receive, send):
         del scope, receive
+        if status is None:
+            return
         await send({"type": "http.response.start", "status": status, "headers": headers})
         await send({"type": "http.response.body", "body": body})
 
@@ -69,6 +71,11 @@ def test_errors_of_ray_are_problems(status):
     assert named[b"x-request-id"] == b"r1"
     assert int(named[b"content-length"]) == len(body)
     assert b"Traceback" not in body
+
+
+def test_a_request_that_ray_does_not_answer_is_a_problem():
+    found, headers, body = answered(None, [])
+    assert (found, json.loads(body)["status"], dict(headers)[b"retry-after"]) == (503, 503, b"1")
 
 
 @pytest.mark.parametrize(
