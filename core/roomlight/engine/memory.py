@@ -17,8 +17,8 @@ _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11
 """Float32 a voxel: the volume, the sums, the SGLV."""
-_STATE_CHANNELS: Final = 8
-"""Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed, changed."""
+_STATE_CHANNELS: Final = 11
+"""Float32 a pixel of a probe's panorama: radiance, depth, seen, clipped, guessed, changed, viewed_from."""
 
 
 @dataclass(frozen=True)

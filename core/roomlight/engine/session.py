@@ -467,6 +467,7 @@ class Session:
                 weight=estimate.weight,
                 detail_clipped=partial.clipped,
                 detail_guessed=partial.guessed,
+                camera=mesh.camera_to_world[:3, 3] - np.asarray(probe.position),
             )
 
     def _light_of(self, probe: _Probe) -> Light:

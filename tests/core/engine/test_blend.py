@@ -33,6 +33,7 @@ def _state(seed):
         (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5)).astype(np.float32),
         rng.uniform(0, 0.2, SHAPE).astype(np.float32),
         rng.integers(0, 2, SHAPE).astype(np.float32),
+        rng.uniform(-0.2, 0.2, (*SHAPE, 3)).astype(np.float32),
     )
 
 
@@ -47,6 +48,7 @@ def _views(seed, *, binary=False):
         "weight": weight,
         "detail_clipped": (rng.random(SHAPE) * (rng.random(SHAPE) < 0.5) * mask).astype(np.float32),
         "detail_guessed": (rng.uniform(0, 0.2, SHAPE) * mask).astype(np.float32),
+        "camera": rng.uniform(-0.2, 0.2, 3).astype(np.float32),
     }
 
 
@@ -261,7 +263,7 @@ def test_nothing_clipped_gives_the_bits_of_the_papers_rule():
     for step in range(6):
         view = _views(step) | {"detail_clipped": np.zeros(SHAPE, np.float32)}
         accumulate(with_planes, **view)
-        accumulate(without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight")})
+        accumulate(without, **{key: view[key] for key in ("hdr", "detail", "detail_depth_m", "weight", "camera")})
     for name in ("radiance", "depth_m", "seen"):
         np.testing.assert_array_equal(getattr(with_planes, name), getattr(without, name))
 
@@ -308,3 +310,39 @@ def test_an_edge_shifted_by_a_pixel_is_no_change():
 def test_a_change_behind_or_before_the_surface_does_not_count():
     state = _after({"detail": 1.0, "depth_m": 2.0}, *3 * [{"detail": 0.1, "depth_m": 2.5}])
     np.testing.assert_allclose(state.radiance, 1.0)
+
+
+def _moved(view, across_m):
+    """The view of a camera that far to the side of the probe; the panorama's middle column looks along x."""
+    return _constant(depth_m=2.0, **view) | {"camera": np.array([0.0, 0.0, across_m], np.float32)}
+
+
+@pytest.mark.parametrize(("across_m", "wanted"), [(0.0, 0.2), (0.15, 0.2), (0.2, 3.0), (1.0, 3.0)])
+def test_other_light_from_elsewhere_is_no_change(across_m, wanted):
+    """At 2 m, 5 degrees are 17 cm."""
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for view in (_moved(LIT, 0.0), *3 * [_moved(DARK_AGAIN, across_m)]):
+        accumulate(state, **view)
+    np.testing.assert_allclose(state.radiance[HEIGHT // 2, HEIGHT], wanted, rtol=1e-6)
+
+
+def test_a_walking_camera_sees_a_lamp_switched_off():
+    """What every frame shows as it was is known from the last frame's place."""
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    for step in range(20):
+        accumulate(state, **_moved(LIT if step < 18 else DARK_AGAIN, 0.05 * step))
+    np.testing.assert_allclose(state.radiance, 0.2, rtol=1e-6)
+
+
+def test_a_view_through_a_window_that_moves_with_the_camera_is_no_change():
+    """Bright sky above dark ground, far behind a window 2 m away: its horizon falls by a row, 3 degrees, a step."""
+    height, rows = 60, np.arange(60)[:, None]
+    state = PanoramaState.fresh(height, 3.0)
+    ones = np.ones((height, 2 * height), np.float32)
+    for step in range(9):
+        sky = np.repeat(np.where(rows < 28 + step, 5.0, 0.0)[..., None] * np.ones((1, 2 * height, 1)), 3, axis=-1)
+        camera = np.array([0.0, -step * 2.0 * np.radians(3.0), 0.0], np.float32)
+        view = {"hdr": 0 * sky, "detail": sky, "detail_depth_m": 2 * ones, "weight": ones, "camera": camera}
+        accumulate(state, **{key: np.asarray(value, np.float32) for key, value in view.items()})
+    np.testing.assert_array_equal(state.radiance[:28, 60], 5.0)
+    np.testing.assert_array_equal(state.radiance[28:, 60], 0.0)

@@ -17,6 +17,12 @@ LEAST_CHANGE: Final = np.float32(0.05)
 """Smallest change of luminance, relative to white: the noise of dark places is no change."""
 CHANGED_FRAMES: Final = np.float32(2)
 """Consecutive frames that must show a change before it is taken over."""
+SAME_VIEW: Final = np.float32(np.cos(np.radians(5)))
+"""Cosine of the angle, seen from the surface, up to which two cameras see the same of it. A hand-held camera that walks
+turns by 1 to 3 degrees about a surface from frame to frame."""
+APART, AGREES, DIFFERS, BEGINS = np.uint8(0), np.uint8(1), np.uint8(2), np.uint8(3)
+"""A pixel of a frame against the accumulated one: not the same surface; not other light; other light; other light than
+a camera at the same place showed before."""
 
 
 class StateArrays(NamedTuple):
@@ -28,6 +34,7 @@ class StateArrays(NamedTuple):
     clipped: Float32[np.ndarray, "h w"]
     guessed: Float32[np.ndarray, "h w"]
     changed: Float32[np.ndarray, "h w"]
+    viewed_from: Float32[np.ndarray, "h w 3"]
 
 
 class DetailArrays(NamedTuple):
@@ -40,6 +47,8 @@ class DetailArrays(NamedTuple):
     weight: Float32[np.ndarray, "h w"]
     lowest: Float32[np.ndarray, "h w"]
     highest: Float32[np.ndarray, "h w"]
+    brightest: Float32[np.ndarray, "h w"]
+    camera: Float32[np.ndarray, "3"]
 
 
 @njit(nogil=True, cache=True)
@@ -62,9 +71,52 @@ def luminance(red, green, blue):
     return np.float32(0.2126) * red + np.float32(0.7152) * green + np.float32(0.0722) * blue
 
 
+@njit(nogil=True, cache=True)
+def same_view(before, now, ray, distance):
+    """Return whether two cameras, relative to the probe, see the point at `distance` along `ray` from one direction."""
+    one, other, both = np.float32(0), np.float32(0), np.float32(0)
+    for axis in range(3):
+        point = distance * ray[axis]
+        first, second = before[axis] - point, now[axis] - point
+        one, other, both = one + first * first, other + second * second, both + first * second
+    return both >= SAME_VIEW * np.sqrt(one * other)
+
+
 @njit(nogil=True, cache=True, fastmath=True)
-def accumulate_rows(state, hdr, detail, closer_m, start, stop):
-    """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3]."""
+def compare_rows(state, detail, rays, closer_m, found, start, stop):
+    """Write into `found` [h, w] how rows start..stop of a frame compare with the state; see `BEGINS`.
+
+    Where it agrees, counts of changes are reset, and the camera becomes the one that the surface was seen from.
+    """
+    zero = np.float32(0)
+    radiance, columns = state.radiance, state.depth.shape[1]
+    for row in range(start, stop):
+        for column in range(columns):
+            found[row, column] = APART
+            away = state.depth[row, column] - detail.depth[row, column]
+            if abs(away) >= closer_m or detail.weight[row, column] <= zero or state.seen[row, column] <= zero:
+                continue
+            shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
+            bound = shown - state.guessed[row, column]
+            lowest, most = detail.lowest[row, column], CHANGED * shown + LEAST_CHANGE
+            if lowest > most or CHANGED * detail.highest[row, column] + LEAST_CHANGE < bound:
+                ray = rays[row * columns + column]
+                same = same_view(state.viewed_from[row, column], detail.camera, ray, detail.depth[row, column])
+                found[row, column] = BEGINS if same else DIFFERS
+                continue
+            found[row, column] = AGREES
+            state.changed[row, column] = zero
+            if CHANGED * lowest + LEAST_CHANGE >= bound and detail.brightest[row, column] <= most:
+                for axis in range(3):
+                    state.viewed_from[row, column, axis] = detail.camera[axis]
+
+
+@njit(nogil=True, cache=True, fastmath=True)
+def accumulate_rows(state, hdr, detail, taken, closer_m, start, stop):
+    """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
+
+    taken [h, w]:  whose light has changed: the frame's replaces it.
+    """
     one, zero = np.float32(1), np.float32(0)
     radiance, new = state.radiance, detail.radiance
     for row in range(start, stop):
@@ -73,25 +125,23 @@ def accumulate_rows(state, hdr, detail, closer_m, start, stop):
             before = state.seen[row, column]
             clipped = state.clipped[row, column]
             nearer = state.depth[row, column] - detail.depth[row, column]
+            fresh = blend > zero and nearer >= closer_m
             if nearer < closer_m:
                 weight, blend = blend, max(blend - one, zero)
-                if nearer > -closer_m and weight > zero and before > zero:
+                if nearer > -closer_m and weight > zero and before > zero and clipped > zero:
                     shown = luminance(radiance[row, column, 0], radiance[row, column, 1], radiance[row, column, 2])
                     bound = shown - state.guessed[row, column]
-                    if clipped > zero:
-                        new_bound = luminance(new[row, column, 0], new[row, column, 1], new[row, column, 2])
-                        new_bound -= detail.guessed[row, column]
-                        better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
-                        blend = max(blend, better * min(weight, one))
-                    brighter = detail.lowest[row, column] > CHANGED * shown + LEAST_CHANGE
-                    darker = CHANGED * detail.highest[row, column] + LEAST_CHANGE < bound
-                    count = state.changed[row, column] + one if brighter or darker else zero
-                    if count >= CHANGED_FRAMES:
-                        blend, count = max(blend, min(weight, one)), zero
-                    state.changed[row, column] = count
+                    new_bound = luminance(new[row, column, 0], new[row, column, 1], new[row, column, 2])
+                    new_bound -= detail.guessed[row, column]
+                    better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
+                    blend = max(blend, better * min(weight, one))
+                if taken[row, column]:
+                    blend = max(blend, min(weight, one))
             for c in range(3):
                 held = (one - before) * hdr[row, column, c] + before * radiance[row, column, c]
                 radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * held
+                if fresh or taken[row, column]:
+                    state.viewed_from[row, column, c] = detail.camera[c]
             state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
             state.seen[row, column] = min(before + blend, one)
             state.clipped[row, column] = blend * detail.clipped[row, column] + (one - blend) * clipped

@@ -28,7 +28,7 @@ from roomlight.engine.volume import VolumeGrid
 from roomlight.errors import RoomLightError, StateError
 
 _ROLES = ("keyframe", "latest")
-_PLANES = ("radiance", "depth_m", "seen", "clipped", "guessed", "changed")
+_PLANES = ("radiance", "depth_m", "seen", "clipped", "guessed", "changed", "viewed_from")
 
 
 class _Values(BaseModel):
