@@ -60,6 +60,12 @@ COMMANDS: Final = (
         _MEASURE,
     ),
     CommandEntry(
+        "eval-views",
+        "roomlight_cli.commands.eval_views",
+        "Predict later frames of recordings from the frames before them.",
+        _MEASURE,
+    ),
+    CommandEntry(
         "eval-composite",
         "roomlight_cli.commands.eval_composite",
         "Compare virtual objects in pictures with the same rooms with the object really in them.",

@@ -39,6 +39,7 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
         "eval",
         "eval-dataset",
         "eval-walks",
+        "eval-views",
         "eval-composite",
         "bench",
         "dataset",
