@@ -1,6 +1,6 @@
 // The selected session: its stream, and what is read again after each frame.
 
-import { RoomLightError, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
+import { RoomLightError, type Light, type Lights, type Position, type Session, type Stream, type StreamStatus } from "roomlight";
 import type { History } from "./lib/answers";
 import { sessionPath, type Api } from "./lib/api";
 import { FORMS, probeLight } from "./lib/light_data";
@@ -88,6 +88,14 @@ export class LiveSession {
     this.pendingMove = { name, position };
     this.show(name, position);
     this.requestPreview();
+  }
+
+  /** The light at points of the room; null while there is no connection. */
+  async lightAt(positions: readonly Position[]): Promise<readonly Light[] | null> {
+    const probes = positions.map((position) => ({ position }));
+    return this.stream?.status.state === "open"
+      ? (await this.stream.light({ probes, forms: [{ format: "hdr" }] })).results
+      : null;
   }
 
   /** The end of a drag: the server tracks the probe at its new place. */

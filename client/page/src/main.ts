@@ -65,6 +65,8 @@ async function startRoom(): Promise<void> {
       onDrag: (name, position) => live?.preview(name, position),
       onDrop: (name, position) => live?.release(name, position),
       onPick: pick,
+      lightAt: async (positions) => (await live?.lightAt(positions)) ?? null,
+      report: reportError,
     });
   } catch (error) {
     document.getElementById("room-waiting")!.textContent = "This browser has no WebGL 2, so the room is not shown.";

@@ -5,13 +5,24 @@ import type { CameraState } from "./lib/answers";
 import { latestOnly, Signal } from "./lib/signal";
 import type { Picture, State } from "./state";
 
-export type Shape = "sphere" | "cube" | "chair" | "vase";
-export type Surface = "mirror" | "glossy" | "diffuse";
+export type Shape = "sphere" | "cube" | "plane" | "chair" | "vase" | "file";
+/** `own`: what the server gives the shape, or what the file says. */
+export type Surface = "mirror" | "glossy" | "diffuse" | "own";
 export type Quality = "preview" | "good" | "final";
+
+/** An uploaded GLB file. */
+export interface ObjectFile {
+  /** Of the server. */
+  readonly id: string;
+  readonly name: string;
+  readonly data: Blob;
+}
 
 export interface PlacedObject {
   readonly name: string;
   readonly shape: Shape;
+  /** The shape `file`. */
+  readonly file: ObjectFile | null;
   readonly material: Surface;
   readonly size_m: number;
   /** Where it was clicked: a pixel of the frame, or a point of the room. */
@@ -112,9 +123,10 @@ export class PlacedObjects {
   }
 }
 
-function asRequest({ name, shape, material, size_m, place, pose }: PlacedObject): CompositeObject {
+function asRequest({ name, shape, file, material, size_m, place, pose }: PlacedObject): CompositeObject {
   const where = pose ? { pose, anchor: "origin" as const } : place;
-  return { name, shape, size_m, material: { kind: material }, ...where };
+  const what = shape === "file" ? { object: file!.id } : { shape };
+  return { name, ...what, size_m, ...(material === "own" ? {} : { material: { kind: material } }), ...where };
 }
 
 /** Whether the middle of a placed object is in the picture; the server refuses objects that are not. */

@@ -4,9 +4,12 @@ import { byId, element } from "../lib/dom";
 import { sessionPath, type Api } from "../lib/api";
 import { PictureView } from "../lib/picture";
 import { latestOnly } from "../lib/signal";
-import type { PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
+import type { ObjectFile, PlacedObject, PlacedObjects, Quality, Shape, Surface } from "../objects";
 import type { State } from "../state";
 import { notify, reportError } from "./notices";
+
+/** The GLB file for new objects. */
+let chosenFile: ObjectFile | null = null;
 
 const CROSS_STEP = 0.02; // of the picture, for an arrow key; with Shift five times as much
 
@@ -108,21 +111,50 @@ export function cameraPanel(api: Api, state: State, objects: PlacedObjects): voi
     objects.update();
   });
   byId("object-form").addEventListener("submit", (event) => event.preventDefault());
+  listenToFile(api);
+}
+
+/** Ask for a GLB file when that is chosen, and upload it; without one there is a sphere. */
+function listenToFile(api: Api): void {
+  const shape = byId<HTMLSelectElement>("object-shape");
+  const input = byId<HTMLInputElement>("object-file");
+  const option = shape.querySelector<HTMLOptionElement>('option[value="file"]')!;
+  const without = () => (shape.value = chosenFile ? "file" : "sphere");
+  shape.addEventListener("change", () => shape.value === "file" && input.click());
+  input.addEventListener("cancel", without);
+  input.addEventListener("change", async () => {
+    const file = input.files?.[0];
+    input.value = "";
+    try {
+      if (file) {
+        const { id } = await api.client().upload(new Uint8Array(await file.arrayBuffer()), { kind: "glb" });
+        chosenFile = { id, name: file.name, data: file };
+        option.textContent = file.name;
+        byId<HTMLSelectElement>("object-material").value = "own";
+        shape.value = "file";
+      }
+    } catch (error) {
+      reportError(error);
+      without();
+    }
+  });
 }
 
 /** The object that the form describes. */
-export function chosen(): Pick<PlacedObject, "shape" | "material" | "size_m"> {
+export function chosen(): Pick<PlacedObject, "shape" | "file" | "material" | "size_m"> {
   const value = (id: string) => byId<HTMLSelectElement | HTMLInputElement>(id).value;
   const size_cm = Number(value("object-size"));
+  const shape = value("object-shape") as Shape;
   return {
-    shape: value("object-shape") as Shape,
+    shape: shape === "file" && !chosenFile ? "sphere" : shape,
+    file: shape === "file" ? chosenFile : null,
     material: value("object-material") as Surface,
     size_m: size_cm >= 1 && size_cm <= 300 ? size_cm / 100 : 0.2,
   };
 }
 
 function chip({ name, material }: PlacedObject, objects: PlacedObjects): HTMLLIElement {
-  const label = `${name}, ${material}`;
+  const label = material === "own" ? name : `${name}, ${material}`;
   const remove = { type: "button", "aria-label": `Remove ${label}`, click: () => objects.remove(name) };
   return element("li", { class: "chip" }, label, element("button", remove, "×"));
 }

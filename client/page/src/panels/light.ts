@@ -40,7 +40,10 @@ export function lightPanel(state: State, events: ProbeEvents): void {
     byId("legend").hidden = !on;
     draw();
   });
-  state.coverageTint.watch(draw);
+  state.coverageTint.watch((on) => {
+    byId<HTMLInputElement>("coverage-tint").checked = on;
+    draw();
+  });
   state.exposureEv.watch((ev) => {
     byId<HTMLInputElement>("exposure").value = String(ev);
     byId("exposure-value").textContent = `${ev > 0 ? "+" : ev < 0 ? "−" : ""}${Math.abs(ev)} EV`;

@@ -9,6 +9,7 @@ import {
   RGBAFormat,
   RepeatWrapping,
   ShaderMaterial,
+  type Texture,
 } from "three";
 import type { ProbeLight } from "../state";
 
@@ -65,6 +66,11 @@ export class MirrorMaterial extends ShaderMaterial {
 
   set(name: "gain" | "tint" | "rim", value: number): void {
     this.uniforms[name]!.value = value;
+  }
+
+  /** The panorama, with how well it was seen in alpha. */
+  get texture(): Texture {
+    return this.uniforms["panorama"]!.value as Texture;
   }
 
   set accent(colour: string) {

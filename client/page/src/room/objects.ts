@@ -1,66 +1,132 @@
-// The virtual objects in the 3D view, lit by the harmonics of the nearest probe.
+// The virtual objects in the 3D view, each lit by the server's panorama at its place.
 
-import { Group, LightProbe, Matrix4, Vector3 } from "three";
+import { findForm, parseHdr, type Light, type Position } from "roomlight";
+import { environmentTexture } from "roomlight/three";
+import { MeshStandardMaterial, type Group, type Texture } from "three";
+import { timed } from "../lib/parts";
+import { latestOnly } from "../lib/signal";
 import type { PlacedObject, PlacedObjects } from "../objects";
 import type { State } from "../state";
 import { MirrorMaterial } from "./mirror";
-import { disposeOf, standIn } from "./shapes";
+import { disposeOf, materialsOf, shapeOf } from "./shapes";
 import type { RoomView } from "./view";
 
+const PAUSE_MS = 1000; // between two requests for the light of all objects
+
+interface Shown {
+  readonly group: Group;
+  readonly object: PlacedObject;
+  environment: Texture | null;
+  /** What identifies the light that it shows. */
+  etag: string;
+}
+
+export interface ObjectEvents {
+  /** The light at points of the room; null while there is no session. */
+  lightAt: (positions: readonly Position[]) => Promise<readonly Light[] | null>;
+  report: (error: unknown) => void;
+}
+
 export class RoomObjects {
-  private readonly shown = new Map<string, { group: Group; object: PlacedObject }>();
-  private readonly mirror = new MirrorMaterial();
-  private readonly light = new LightProbe();
+  private readonly shown = new Map<string, Shown>();
+  private readonly refresh = latestOnly(() => this.build());
+  private readonly readLight = latestOnly(() => this.light(), PAUSE_MS);
 
   constructor(
     private readonly view: RoomView,
     private readonly state: State,
     private readonly objects: PlacedObjects,
-  ) {
-    view.scene.add(this.light);
+    private readonly events: ObjectEvents,
+  ) {}
+
+  /** Show the placed objects. */
+  update(): void {
+    this.refresh();
   }
 
-  update(): void {
-    const placed = this.objects.list.value.filter(({ pose }) => pose !== null);
-    const names = new Set(placed.map(({ name }) => name));
-    for (const [name, { group }] of [...this.shown]) {
-      if (!names.has(name)) {
-        this.view.scene.remove(group);
-        disposeOf(group, this.mirror);
-        this.shown.delete(name);
+  /** The room's light has changed. */
+  relight(): void {
+    if (this.shown.size > 0) {
+      this.readLight();
+    }
+  }
+
+  /** Apply the exposure. */
+  expose(): void {
+    const gain = 2 ** this.state.exposureEv.value;
+    for (const { group } of this.shown.values()) {
+      for (const material of materialsOf(group)) {
+        if (material instanceof MirrorMaterial) {
+          material.set("gain", gain);
+        } else if (material instanceof MeshStandardMaterial) {
+          material.envMapIntensity = gain;
+        }
       }
     }
-    for (const object of placed) {
-      let made = this.shown.get(object.name);
-      if (!made) {
-        made = { group: standIn(object, this.mirror), object };
-        made.group.matrixAutoUpdate = false;
-        this.shown.set(object.name, made);
-        this.view.scene.add(made.group);
-      }
-      made.group.matrix.copy(new Matrix4().fromArray([...object.pose!]));
-    }
-    this.relight();
     this.view.drawSoon();
   }
 
-  /** Light the stand-ins as the probe next to the first object sees the room. */
-  relight(): void {
-    const first = this.shown.values().next().value?.group;
-    if (!first) {
-      return;
-    }
-    const here = new Vector3().setFromMatrixPosition(first.matrix);
-    const distance = (position: readonly number[]) => here.distanceTo(new Vector3(...position));
-    const [nearest] = [...this.state.probes.values()].sort((a, b) => distance(a.position) - distance(b.position));
-    const gain = 2 ** this.state.exposureEv.value;
-    if (nearest) {
-      this.mirror.show(nearest);
-      this.mirror.set("gain", gain);
-      if (nearest.harmonics) {
-        this.light.sh.fromArray([...nearest.harmonics]);
-        this.light.intensity = gain;
+  private async build(): Promise<void> {
+    const placed = this.objects.list.value.filter(({ pose }) => pose !== null);
+    const names = new Set(placed.map(({ name }) => name));
+    for (const [name, one] of [...this.shown]) {
+      if (!names.has(name)) {
+        this.view.scene.remove(one.group);
+        disposeOf(one.group);
+        one.environment?.dispose();
+        this.shown.delete(name);
       }
     }
+    for (const object of placed.filter(({ name }) => !this.shown.has(name))) {
+      try {
+        const group = await shapeOf(object);
+        group.matrixAutoUpdate = false;
+        group.matrix.fromArray([...object.pose!]);
+        this.shown.set(object.name, { group, object, environment: null, etag: "" });
+        this.view.scene.add(group);
+      } catch (error) {
+        this.events.report(error);
+      }
+    }
+    this.view.drawSoon();
+    this.relight();
+  }
+
+  private async light(): Promise<void> {
+    const all = [...this.shown.values()];
+    const positions = all.map(({ object: { pose } }) => [pose![12]!, pose![13]!, pose![14]!] as const);
+    try {
+      const lights = (positions.length > 0 && (await this.events.lightAt(positions))) || [];
+      lights.forEach((light, at) => this.apply(all[at]!, light));
+    } catch (error) {
+      this.events.report(error);
+    }
+    this.expose();
+  }
+
+  private apply(one: Shown, light: Light): void {
+    const form = findForm(light, "hdr");
+    if (!form?.data || light.etag === one.etag || this.shown.get(one.object.name) !== one) {
+      return;
+    }
+    one.etag = light.etag;
+    const { data } = form;
+    timed("light of an object", () => {
+      const materials = [...materialsOf(one.group)];
+      if (materials.some((material) => material instanceof MeshStandardMaterial)) {
+        const panorama = environmentTexture(form);
+        one.environment?.dispose();
+        one.environment = this.view.environmentOf(panorama);
+        panorama.dispose();
+      }
+      for (const material of materials) {
+        if (material instanceof MirrorMaterial) {
+          material.show({ panorama: parseHdr(data), seen: null });
+        } else if (material instanceof MeshStandardMaterial) {
+          material.envMap = one.environment;
+          material.needsUpdate = true;
+        }
+      }
+    });
   }
 }

@@ -1,11 +1,14 @@
 // The panel of the room in 3D: surface, probes, overlays and objects, and what clicks and buttons do there.
 
-import { Matrix4, Vector3 } from "three";
+import { Matrix4, Vector3, type MeshBasicMaterial } from "three";
 import type { Position } from "roomlight";
 import { byId } from "../lib/dom";
 import type { PlacedObjects } from "../objects";
 import type { State } from "../state";
-import { RoomObjects } from "./objects";
+import { themeColour, onThemeChange } from "../lib/dom";
+import { timed } from "../lib/parts";
+import { markSeldomSeen, RoomCoverage } from "./coverage";
+import { RoomObjects, type ObjectEvents } from "./objects";
 import { RoomOverlays } from "./overlays";
 import { RoomProbes, type DragMode } from "./probes";
 import { RoomSurface, type SurfacePoint } from "./surface";
@@ -15,7 +18,7 @@ const CLICK_PX = 5; // a shorter movement is a click
 
 const SOFTWARE_TRIANGLES = 20_000; // without a graphics processor
 
-export interface RoomEvents {
+export interface RoomEvents extends ObjectEvents {
   onDrag: (name: string, position: Position) => void;
   onDrop: (name: string, position: Position) => void;
   /** A click on a surface with a tool. */
@@ -28,6 +31,7 @@ export class RoomPanel {
   private readonly surface: RoomSurface;
   private readonly overlays: RoomOverlays;
   private readonly objects: RoomObjects;
+  private readonly coverage: RoomCoverage;
   private hasView = false; // whether the visitor has chosen it
 
   constructor(
@@ -40,7 +44,8 @@ export class RoomPanel {
     state.meshTriangles.value = this.view.isSoftware ? SOFTWARE_TRIANGLES : state.meshTriangles.value;
     this.surface = new RoomSurface(this.view.scene);
     this.overlays = new RoomOverlays(this.view, state);
-    this.objects = new RoomObjects(this.view, state, objects);
+    this.objects = new RoomObjects(this.view, state, objects, events);
+    this.coverage = new RoomCoverage(this.view.scene);
     this.probes = new RoomProbes(this.view, this.surface, state, canvas, {
       mode: () => checked("drag") as DragMode,
       ...events,
@@ -56,11 +61,27 @@ export class RoomPanel {
       this.probes.update();
       this.overlays.updateLights();
       this.objects.relight();
+      this.showCoverage();
     };
     state.watchProbes(light);
-    state.exposureEv.watch(light);
-    state.coverageTint.watch(light);
-    const camera = () => this.overlays.updateCamera();
+    state.exposureEv.watch(() => {
+      this.probes.update();
+      this.objects.expose();
+      this.showCoverage();
+    });
+    state.coverageTint.watch((on) => {
+      this.probes.update();
+      this.markMesh();
+      this.showCoverage();
+      byId<HTMLInputElement>("show-coverage").checked = on;
+      byId("coverage-legend").hidden = !on;
+    });
+    onThemeChange(() => this.showCoverage());
+    const camera = () => {
+      this.overlays.updateCamera();
+      this.coverage.walls(state.camera.value?.volume ?? null);
+      this.showCoverage();
+    };
     state.camera.watch(camera);
     state.shownEntry.watch(camera);
     objects.list.watch(() => this.objects.update());
@@ -72,10 +93,30 @@ export class RoomPanel {
       return; // a newer mesh is shown
     }
     byId("room-waiting").hidden = this.surface.mesh !== null;
+    if (this.surface.mesh) {
+      this.coverage.paint(this.surface.mesh.material as MeshBasicMaterial);
+      this.markMesh();
+    }
     if (this.surface.mesh && !this.hasView) {
       this.overview(); // again with each larger mesh, until the visitor turns the view
     }
     this.view.draw();
+  }
+
+  private showCoverage(): void {
+    const { probe, coverageTint, exposureEv } = this.state;
+    const sphere = probe && this.probes.spheres.get(probe.name);
+    this.coverage.light(probe, sphere?.material.texture ?? null);
+    this.coverage.show(coverageTint.value, themeColour("--accent"), 2 ** exposureEv.value);
+    this.view.drawSoon();
+  }
+
+  /** Mark what few cameras have seen, for the tint; without the tint it costs nothing. */
+  private markMesh(): void {
+    const { mesh } = this.surface;
+    if (mesh && this.state.coverageTint.value) {
+      timed("coverage of the mesh", () => markSeldomSeen(mesh, this.state.camera.value));
+    }
   }
 
   private overview(): void {
@@ -111,6 +152,9 @@ export class RoomPanel {
       if (pose) {
         this.view.lookFrom(new Matrix4().fromArray([...pose]));
       }
+    });
+    byId("show-coverage").addEventListener("change", ({ target }) => {
+      this.state.coverageTint.value = (target as HTMLInputElement).checked;
     });
     for (const name of ["path", "volume", "lights"] as const) {
       byId<HTMLInputElement>(`show-${name}`).addEventListener("change", ({ target }) => {

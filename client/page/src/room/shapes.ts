@@ -1,8 +1,24 @@
-// Stand-ins for the virtual objects in the 3D view; the camera's picture shows them as the server renders them.
+// The virtual objects as the server renders them: its shapes, or the uploaded file, with their material.
 
-import { BoxGeometry, Group, LatheGeometry, Mesh, MeshStandardMaterial, SphereGeometry, Vector2, type Material } from "three";
-import type { PlacedObject } from "../objects";
-import type { MirrorMaterial } from "./mirror";
+import {
+  Box3,
+  BoxGeometry,
+  BufferGeometry,
+  DoubleSide,
+  Group,
+  LatheGeometry,
+  Mesh,
+  MeshPhysicalMaterial,
+  PlaneGeometry,
+  SphereGeometry,
+  Vector2,
+  Vector3,
+  type Material,
+} from "three";
+import { GLTFLoader } from "three/addons/loaders/GLTFLoader.js";
+import { mergeGeometries } from "three/addons/utils/BufferGeometryUtils.js";
+import type { PlacedObject, Shape } from "../objects";
+import { MirrorMaterial } from "./mirror";
 
 type Box = readonly [x: number, y: number, z: number, width: number, height: number, depth: number];
 
@@ -17,45 +33,82 @@ const CHAIR: readonly Box[] = [
   ...([0.68, 0.81, 0.94] as const).map((y): Box => [0, y, -0.22, 0.4, 0.09, 0.025]),
 ];
 
-/** The outline of the server's vase: radius and height, relative to the height. */
+/** The outline of the server's vase, outside and inside: radius and height, relative to the height. */
 const VASE: readonly (readonly [number, number])[] = [
   [0, 0], [0.17, 0], [0.19, 0.02], [0.24, 0.15], [0.29, 0.32], [0.27, 0.5], [0.18, 0.68], [0.115, 0.8], [0.11, 0.88],
-  [0.135, 0.95], [0.165, 1],
+  [0.135, 0.95], [0.165, 1], [0.145, 0.99], [0.11, 0.93], [0.09, 0.86], [0.1, 0.78], [0.16, 0.66], [0.25, 0.5],
+  [0.26, 0.32], [0.21, 0.15], [0.15, 0.04], [0, 0.03],
 ];
 
-/** An object about its origin, as the server places it. */
-export function standIn({ shape, material, size_m }: PlacedObject, mirror: MirrorMaterial): Group {
-  const paint: Material = material === "mirror" ? mirror : matte(material === "glossy" ? 0.25 : 1, shape);
+const GREY = [0.8, 0.8, 0.8] as const; // linear RGB
+const WOOD = [0.45, 0.28, 0.15] as const;
+const GLOSSY_IOR = 1.576; // reflects 5 % at normal incidence
+
+/** An object about its origin, as the server places it. Rejects if its file cannot be read. */
+export async function shapeOf({ shape, material, size_m, file }: PlacedObject): Promise<Group> {
   const group = new Group();
-  if (shape === "sphere") {
-    group.add(new Mesh(new SphereGeometry(size_m / 2, 48, 32), paint));
-  } else if (shape === "cube") {
-    group.add(new Mesh(new BoxGeometry(size_m, size_m, size_m), paint));
-  } else if (shape === "vase") {
-    const outline = VASE.map(([radius, height]) => new Vector2(radius * size_m, height * size_m));
-    group.add(new Mesh(new LatheGeometry(outline, 48), paint));
-  } else {
-    for (const [x, y, z, width, height, depth] of CHAIR) {
-      const piece = new Mesh(new BoxGeometry(width * size_m, height * size_m, depth * size_m), paint);
-      piece.position.set(x, y, z).multiplyScalar(size_m);
-      group.add(piece);
-    }
+  if (!file) {
+    group.add(new Mesh(geometryOf(shape, size_m), materialOf(material === "own" ? "diffuse" : material, shape, material === "own")));
+    return group;
   }
+  const { scene } = await new GLTFLoader().parseAsync(await file.data.arrayBuffer(), "");
+  const size = new Box3().setFromObject(scene).getSize(new Vector3());
+  scene.scale.multiplyScalar(size_m / (Math.max(size.x, size.y, size.z) || 1));
+  if (material !== "own") {
+    const paint = materialOf(material, shape, false);
+    scene.traverse((node) => node instanceof Mesh && (node.material = paint));
+  }
+  group.add(scene);
   return group;
 }
 
-/** Free a stand-in's memory, except for the shared mirror. */
-export function disposeOf(group: Group, mirror: MirrorMaterial): void {
-  group.traverse((node) => {
-    if (node instanceof Mesh) {
-      node.geometry.dispose();
-      if (node.material !== mirror) {
-        (node.material as Material).dispose();
-      }
-    }
-  });
+/** The materials of an object, each once. */
+export function materialsOf(group: Group): Set<Material> {
+  const found = new Set<Material>();
+  group.traverse((node) => node instanceof Mesh && [node.material].flat().forEach((one: Material) => found.add(one)));
+  return found;
 }
 
-function matte(roughness: number, shape: string): MeshStandardMaterial {
-  return new MeshStandardMaterial({ color: shape === "chair" ? 0xb18f6b : 0xe7e7e7, roughness });
+/** Free an object's memory. */
+export function disposeOf(group: Group): void {
+  materialsOf(group).forEach((material) => material.dispose());
+  group.traverse((node) => node instanceof Mesh && node.geometry.dispose());
+}
+
+function geometryOf(shape: Shape, size_m: number): BufferGeometry {
+  switch (shape) {
+    case "sphere":
+      return new SphereGeometry(size_m / 2, 48, 32);
+    case "plane":
+      return new PlaneGeometry(size_m, size_m).rotateX(-Math.PI / 2);
+    case "vase":
+      return new LatheGeometry(
+        VASE.map(([radius, height]) => new Vector2(radius * size_m, height * size_m)),
+        48,
+      );
+    case "chair":
+      return mergeGeometries(
+        CHAIR.map(([x, y, z, width, height, depth]) =>
+          new BoxGeometry(width, height, depth).translate(x, y, z).scale(size_m, size_m, size_m),
+        ),
+      );
+    default:
+      return new BoxGeometry(size_m, size_m, size_m);
+  }
+}
+
+/** The server's materials: a white mirror, a glossy or a diffuse grey. */
+function materialOf(kind: "mirror" | "glossy" | "diffuse", shape: Shape, isOwn: boolean): Material {
+  if (kind === "mirror") {
+    return Object.assign(new MirrorMaterial(), { side: DoubleSide });
+  }
+  const made = new MeshPhysicalMaterial({ roughness: kind === "glossy" ? 0.2 : 1, side: DoubleSide });
+  const [red, green, blue] = shape === "chair" && isOwn ? WOOD : GREY;
+  made.color.setRGB(red, green, blue);
+  if (kind === "glossy") {
+    made.ior = GLOSSY_IOR;
+  } else {
+    made.specularIntensity = 0;
+  }
+  return made;
 }

@@ -1,12 +1,26 @@
 // The 3D view: renderer, camera and turning it. It draws only when something has changed.
 
-import { Box2, Box3, PerspectiveCamera, Raycaster, Scene, Vector2, Vector3, WebGLRenderer, type Matrix4 } from "three";
+import {
+  Box2,
+  Box3,
+  PerspectiveCamera,
+  PMREMGenerator,
+  Raycaster,
+  Scene,
+  Vector2,
+  Vector3,
+  WebGLRenderer,
+  type Matrix4,
+  type Texture,
+} from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
 import { Drawing } from "../lib/drawing";
 import { Resolution } from "./resolution";
 
 const FILLED = 0.94; // of the view by the points of `lookAt`
 const DATA_MS = 60; // changes that frames bring within this time are drawn together
+/** Of the resolution, without a graphics processor: there a change of it waits for all drawings before it. */
+const SOFTWARE_FACTOR = 0.7;
 const TURN_STEP = Math.PI / 24; // of an arrow key
 
 export class RoomView {
@@ -19,12 +33,21 @@ export class RoomView {
   private readonly renderer: WebGLRenderer;
   private readonly drawing: Drawing;
   private readonly resolution = new Resolution(() => this.draw());
-  private factor = 1; // of the resolution
+  private factor: number; // of the resolution
+
+  /** Texture for the reflections of three.js's materials, of a panorama of the light. */
+  environmentOf(panorama: Texture): Texture {
+    const generator = new PMREMGenerator(this.renderer);
+    const { texture } = generator.fromEquirectangular(panorama);
+    generator.dispose();
+    return texture;
+  }
 
   /** Throws an Error if the browser has no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement) {
     const fast = canvas.getContext("webgl2", { antialias: true, failIfMajorPerformanceCaveat: true });
     this.isSoftware = fast === null;
+    this.factor = this.isSoftware ? SOFTWARE_FACTOR : 1;
     const context = fast ?? canvas.getContext("webgl2", { antialias: false }); // antialiasing takes most of the time
     if (!context) {
       throw new Error("the browser has no WebGL 2");
@@ -52,7 +75,7 @@ export class RoomView {
   }
 
   private render(now_ms: number): void {
-    const factor = this.resolution.next(now_ms);
+    const factor = this.isSoftware ? SOFTWARE_FACTOR : this.resolution.next(now_ms);
     if (factor !== this.factor) {
       this.factor = factor;
       this.renderer.setPixelRatio(this.pixelRatio);
@@ -129,7 +152,7 @@ export class RoomView {
       this.renderer.setSize(width, height, false);
       this.camera.aspect = width / height;
       this.camera.updateProjectionMatrix();
-      this.draw();
+      this.render(performance.now()); // at once: a resized canvas is empty
     }
   }
 
