@@ -43,7 +43,7 @@ def replica_app(settings: ServerSettings, *, local: bool) -> FastAPI:
     lifespan = app.router.lifespan_context
 
     @asynccontextmanager
-    async def until_ready(started: FastAPI) -> AsyncGenerator[object]:
+    async def until_ready(started: FastAPI) -> AsyncGenerator[Any]:
         async with lifespan(started) as state:
             try:
                 async with asyncio.timeout(START_S):

@@ -95,7 +95,7 @@ class Registry:
         live = self._live(name, request, _engine(options, graphs), graphs)
         self._check_size(owner, live)
         if self._states is not None:
-            live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name)
+            live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name, new=True)
         self._add(owner, live)
         _log.info("session opened", extra={"session": name, "model": live.state().model})
         return live, True

@@ -212,6 +212,15 @@ def test_a_gap_is_refused_once(tmp_path):
         assert second.push(7, frame(YAWS[3])).status == 200
 
 
+def test_a_session_that_is_opened_again_may_begin_anywhere(tmp_path):
+    with server_on(tmp_path) as server:
+        filled(server, 1)
+        wait_until_saved(server, 0)
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        server.open()
+        assert server.push(7, frame(YAWS[1])).json["epoch"] == 3  # deleting claims it too
+
+
 def test_a_server_that_lost_a_session_does_not_write_it(tmp_path):
     with server_on(tmp_path, state_interval_s=3600) as first, server_on(tmp_path) as second:
         filled(first, 1)

@@ -19,10 +19,13 @@ _RETRY_AFTER_S: Final = 1
 class SessionLease:
     """The lease of one open session."""
 
-    def __init__(self, name: str, fence: Fence, lease: Lease, pool: ThreadPoolExecutor) -> None:
-        """Hold the lease of the session `name`; the pool reads the shared directory."""
+    def __init__(self, name: str, fence: Fence, lease: Lease, pool: ThreadPoolExecutor, *, refuses_gap: bool) -> None:
+        """Hold the lease of the session `name`; the pool reads the shared directory.
+
+        `refuses_gap`: see `check_frame`.
+        """
         self._name, self._fence, self._lease, self._pool = name, fence, lease, pool
-        self._refuses_gap = lease.taken_over
+        self._refuses_gap = refuses_gap
         self.lost = False
 
     @property

@@ -221,8 +221,10 @@ class StateStore:
 
     # --- owners -----------------------------------------------------------------------------------------------
 
-    async def claim(self, owner: str, name: str) -> SessionLease | None:
+    async def claim(self, owner: str, name: str, *, new: bool = False) -> SessionLease | None:
         """Become the owner of a session among servers that share the directory. Hold its `lock`.
+
+        `new`: the session begins, so that no frame of an owner before can be missing.
 
         Returns:
             The lease; None if no other server shares the directory.
@@ -240,7 +242,7 @@ class StateStore:
             detail = "the owner of the session cannot be written now; retry later"
             raise ProblemError("state-unavailable", detail, retry_after_s=5) from error
         _log.info("session claimed", extra={"session": name, "epoch": lease.record.epoch})
-        return SessionLease(name, fence, lease, self._fence_pool)
+        return SessionLease(name, fence, lease, self._fence_pool, refuses_gap=lease.taken_over and not new)
 
     def _release(self, live: Saveable) -> None:
         """Let another server own a session, if all of it is on disk."""
