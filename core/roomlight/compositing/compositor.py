@@ -20,6 +20,7 @@ from roomlight.camera import transform_points
 from roomlight.compositing import shadows
 from roomlight.compositing.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
 from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
 from roomlight.compositing.placing import Placement, Plane
@@ -28,9 +29,9 @@ from roomlight.compositing.rendering import RenderedObjects, render_objects
 from roomlight.compositing.scene import AtPixel, Scene, SceneObject
 from roomlight.compositing.scene_geometry import SceneGeometry
 from roomlight.compositing.stage_clock import StageClock
-from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand
+from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand, supports_of
 from roomlight.compositing.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.tracer import ObjectScene, is_rigid
 from roomlight.depth import complete_depth
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
@@ -43,6 +44,8 @@ CAMERA_EVERY: Final = 30
 LIGHT_EVERY_S: Final[dict[Quality, float]] = {"preview": 0.13, "good": 0.0, "final": 0.0}
 """Light is moved toward the session's at most this often; each move costs 12 ms a probe."""
 DEPTH_COLUMNS: Final[dict[Quality, int]] = {"preview": 256, "good": 640, "final": 640}
+SAME_MOVE: Final = 1e-6
+"""Objects whose transforms differ by less have moved together: a micrometre."""
 SHADOW_COLUMNS: Final = 640
 """Shadows of wider frames are computed as for frames of about this width, and interpolated."""
 
@@ -94,6 +97,7 @@ class Compositor:
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
         self._objects: ObjectScene | None = None
         self._matrices: list[bytes] = []
+        self._built_at: list[Float[np.ndarray, "4 4"]] = []
         self._camera, self._camera_age = CameraModel.perfect(), 0
         self._first: Frame | None = None
         self._before: Frame | None = None
@@ -152,14 +156,14 @@ class Compositor:
             self._follow_camera(image)
         with clock.stage("scene"):
             objects = self._built(matrices)
+        supports = [one.support_at(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
         with clock.stage("render"):
-            rendered = self._render(frame, objects)
+            rendered = self._render(frame, objects, supports_of(objects, spheres, supports))
         with clock.stage("depth"):
             depth_m = self._filled(depth_m, frame, crop)
             # shadows fall on surfaces without depth too: black and shiny tables; they do not hide objects
             whole = complete_depth(depth_m) if (depth_m > 0).any() else depth_m
             real = real_depth(whole, frame.intrinsics.width, frame.intrinsics.height, crop)
-        supports = [one.support_at(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
         with clock.stage("shadow"):
             shadow = self._shadows(frame, crop, real.depth_m, spheres, supports, share_of(step_s, SHADOW_S))
         with clock.stage("occlusion"):
@@ -210,12 +214,21 @@ class Compositor:
     def _built(self, matrices: list[Float[np.ndarray, "4 4"]]) -> ObjectScene:
         keys = [matrix.tobytes() for matrix in matrices]
         if self._objects is None or keys != self._matrices:
-            pairs = zip(self._standing, matrices, strict=True)
-            self._objects = ObjectScene([one.held.geometry.transformed(matrix) for one, matrix in pairs])
+            self._objects = self._moved(matrices)
             self._matrices = keys
         return self._objects
 
-    def _render(self, frame: Frame, objects: ObjectScene) -> RenderedObjects:
+    def _moved(self, matrices: list[Float[np.ndarray, "4 4"]]) -> ObjectScene:
+        """Return the objects in their new places: the scene before, moved, if all have moved together."""
+        if self._objects is not None and len(matrices) == len(self._built_at):
+            moves = [new @ np.linalg.inv(old) for new, old in zip(matrices, self._built_at, strict=True)]
+            if is_rigid(moves[0]) and all(np.abs(move - moves[0]).max() < SAME_MOVE for move in moves):
+                return self._objects.moved(moves[0])
+        self._built_at = matrices
+        pairs = zip(self._standing, matrices, strict=True)
+        return ObjectScene([one.held.geometry.transformed(matrix) for one, matrix in pairs])
+
+    def _render(self, frame: Frame, objects: ObjectScene, supports: Supports) -> RenderedObjects:
         glass = self._background_glass and bool((objects.materials.transmission > 0).any())
         return render_objects(
             objects,
@@ -225,6 +238,7 @@ class Compositor:
             quality=self.quality,
             seed=self._seed,
             background=BehindGlass(frame) if glass else None,
+            supports=supports,
         )
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:

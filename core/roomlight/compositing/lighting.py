@@ -6,6 +6,7 @@ distance to the nearest surface want several probes.
 """
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -45,6 +46,8 @@ class LightSampler:
     panorama: Float32[np.ndarray, "h w 3"]
     kept: dict[tuple[int, bytes], LightSamples]
     """Samples of `roomlight.compositing.shadows.light_samples`, by number and normal."""
+    mixed_from: "Mixture | None"
+    """What `mixed` made it of."""
 
     def __init__(self, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> None:
         """Begin; `panorama` is linear RGB [H, 2H, 3], `position` world metres. Tables are made at first use: 2 ms for
@@ -59,6 +62,7 @@ class LightSampler:
         self.position = position
         self.panorama = np.maximum(np.ascontiguousarray(check_panorama(panorama), np.float32), 0)
         self.kept: dict[tuple[int, bytes], LightSamples] = {}
+        self.mixed_from: Mixture | None = None
 
     def environment(self) -> Environment:
         """Return the tables as the kernels read them."""
@@ -84,15 +88,6 @@ class LightSampler:
         environment.fill_radiance(self.environment(), np.zeros_like(rays), rays, out, 0, len(rays))
         return out
 
-    @classmethod
-    def mixed(
-        cls, samplers: "Sequence[LightSampler]", shares: Float[np.ndarray, " k"], position: Position
-    ) -> "LightSampler":
-        """Return the mean of several lights by shares that sum to 1; also of their prefiltered panoramas."""
-        made = cls(_mean_of([one.panorama for one in samplers], shares), position)
-        made.prefiltered = _mean_of([one.prefiltered for one in samplers], shares)
-        return made
-
     @cached_property
     def _tables(
         self,
@@ -104,6 +99,25 @@ class LightSampler:
         """Panoramas blurred by the GGX lobe: roughness evenly from 0 to 1, where 1 is irradiance / pi."""
         mips = prefilter(CubeMap.from_panorama(self.panorama, size=PREFILTERED_SIZE))
         return np.stack([level.to_panorama(PREFILTERED_ROWS) for level in mips.levels]).astype(np.float32)
+
+
+@dataclass(frozen=True, eq=False)
+class Mixture:
+    """What a mixed light is made of.
+
+    Attributes:
+        samplers: The lights.
+        shares: [k] of each in the mean; they sum to 1.
+        even: The mean of all in equal shares: directions drawn from it serve every mixture of the set, so that they
+            rest while an object moves and the shares change.
+        kept: Directions drawn from `even`, with 1 / (pdf number) as weights, and each light's radiance there
+            [k, s, m, 3], by number and normal; common to all mixtures of a set.
+    """
+
+    samplers: tuple[LightSampler, ...]
+    shares: Float[np.ndarray, " k"]
+    even: LightSampler
+    kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]]
 
 
 class ProbeSet:
@@ -122,6 +136,7 @@ class ProbeSet:
             one if len(one.panorama) == height else LightSampler(resize_panorama(one.panorama, height), one.position)
             for one in samplers
         )
+        self._kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]] = {}
         parts = [one.environment() for one in self.samplers]
         self.environment = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -146,6 +161,19 @@ class ProbeSet:
         out = np.empty(len(self.samplers))
         environment.probe_weights(self.environment.position, *position, out)
         return out
+
+    def mixed(self, position: Position) -> LightSampler:
+        """Return the light at a position as one panorama: the probes' mean, also of their prefiltered panoramas."""
+        shares = self.weights(position)
+        made = LightSampler(_mean_of([one.panorama for one in self.samplers], shares), position)
+        made.prefiltered = _mean_of([one.prefiltered for one in self.samplers], shares)
+        made.mixed_from = Mixture(self.samplers, shares, self._even, self._kept)
+        return made
+
+    @cached_property
+    def _even(self) -> LightSampler:
+        count = len(self.samplers)
+        return LightSampler(_mean_of([one.panorama for one in self.samplers], np.full(count, 1 / count)))
 
     @cached_property
     def prefiltered(self) -> Float32[np.ndarray, "k levels rows columns 3"]:

@@ -12,6 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.lighting import LightSampler, ProbeSet
+from roomlight.compositing.missing_light import with_missing_light
 from roomlight.compositing.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
@@ -56,7 +57,7 @@ class SceneProbes:
     """Tracked probes of all objects of a scene."""
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
-        """Begin without probes; `light` replaces the session's, and does not change over time."""
+        """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
         self._session, self._light = session, light
         self._lights: dict[int, EasedLight] = {}  # by the session's handle
         self._set: ProbeSet | None = None
@@ -83,7 +84,7 @@ class SceneProbes:
         """
         if self._session.frames != self._frames and self._light is None:
             for handle, light in self._lights.items():
-                light.aim(self._session.light(handle).panorama)
+                light.aim(self._panorama(handle, light.position))
             self._frames = self._session.frames
         self._waiting_s += elapsed_s
         if self._waiting_s < every_s:
@@ -111,11 +112,14 @@ class SceneProbes:
         if shares.max() > 0.98:
             return probes.samplers[int(shares.argmax())]
         if position not in self._at:
-            self._at[position] = LightSampler.mixed(probes.samplers, shares, position)
+            self._at[position] = probes.mixed(position)
         return self._at[position]
 
     def _panorama(self, handle: int, position: Position) -> Float[np.ndarray, "h w 3"]:
-        return self._session.light(handle).panorama if self._light is None else self._light(position)
+        if self._light is not None:
+            return self._light(position)
+        light = self._session.light(handle)
+        return with_missing_light(light.panorama, light.observed)
 
     def close(self) -> None:
         """Stop tracking."""

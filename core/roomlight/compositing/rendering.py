@@ -16,6 +16,7 @@ from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.compositing.denoise import denoise
 from roomlight.compositing.kernels import paths as path_kernels
 from roomlight.compositing.kernels.film import average_samples
+from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.preview import shade_hits
 from roomlight.compositing.lighting import Environment, ProbeSet
 from roomlight.compositing.materials import MaterialArrays, lobe_table
@@ -83,6 +84,7 @@ class _World(NamedTuple):
     textures: TextureArrays
     light: Environment
     lobe: Float32[np.ndarray, "c r 2"]
+    supports: Supports
 
 
 class _View(NamedTuple):
@@ -152,6 +154,7 @@ def render_objects(
     quality: str | RenderSettings = "good",
     seed: int = 0,
     background: Background | None = None,
+    supports: Supports | None = None,
 ) -> RenderedObjects:
     """Render the objects as seen by the camera and lit by the probes.
 
@@ -163,6 +166,7 @@ def render_objects(
         quality: `preview`, `good`, `final`, or settings of one's own.
         seed: Chooses the sampling points; keep it from frame to frame.
         background: What glass shows of the frame behind it; None: the probes' light. Previews do not use it.
+        supports: Surfaces that the objects stand on, which they reflect as near ones; None: all light is far away.
 
     Raises:
         OptionError: The quality is unknown, or its samples are not a power of two up to 65536.
@@ -173,7 +177,9 @@ def render_objects(
     pixels = _pixels_around(scene, camera, pose)
     film = _film(camera.width * camera.height, extra=settings.denoised)
     if len(pixels):
-        world = _World(scene.surfaces, scene.materials, scene.textures, lights.environment, lobe_table())
+        world = _World(
+            scene.surfaces, scene.materials, scene.textures, lights.environment, lobe_table(), supports or no_supports()
+        )
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
         view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
@@ -187,6 +193,11 @@ def render_objects(
     if settings.denoised and len(pixels):
         radiance = denoise(radiance, alpha, film.albedo.reshape(*shape, 3), film.normal.reshape(*shape, 3))
     return RenderedObjects(radiance, alpha, film.depth_m.reshape(shape), film.object_id.reshape(shape))
+
+
+def no_supports() -> Supports:
+    """Return that objects stand on nothing: all light is far away."""
+    return Supports(*(np.zeros((0, columns), np.float32) for columns in (3, 3, 4)), reach_m=1.0)
 
 
 def _checked_settings(quality: str | RenderSettings) -> RenderSettings:

@@ -215,19 +215,36 @@ def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, 
     key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
     if (held := light.kept.get(key)) is not None:
         return held
+    mixture = light.mixed_from
+    if mixture is None:
+        drawn = _drawn(light, count, toward)
+        made = LightSamples(drawn.directions, drawn.weights * _radiance(light, drawn))
+    else:
+        if key not in mixture.kept:
+            drawn = _drawn(mixture.even, count, toward)
+            mixture.kept[key] = drawn, np.stack([_radiance(one, drawn) for one in mixture.samplers])
+        drawn, radiance = mixture.kept[key]
+        mean = np.tensordot(mixture.shares.astype(np.float32), radiance, axes=1)
+        made = LightSamples(drawn.directions, drawn.weights * mean)
+    light.kept[key] = made
+    return made
+
+
+def _drawn(light: LightSampler, count: int, toward: Float[np.ndarray, "3"] | None) -> LightSamples:
+    """Draw directions; the weights [s, m, 1] are 1 / (pdf count)."""
     share = np.ones(light.panorama.shape[:2], np.float32)
     if toward is not None:
         cosine = panorama_directions(len(light.panorama)) @ toward.astype(np.float32)
         share = np.maximum(cosine, np.float32(0.15))
     weighted = light.panorama * share[..., None]
-    drawn = LightSampler(weighted + _EVEN_SHARE * share[..., None] * weighted.mean(), light.position)
-    directions, density = drawn.sample(_subset_points(count))
-    radiance = light.radiance(directions)
-    weights = radiance / np.maximum(density, np.float32(1e-9))[:, None] / np.float32(count)
-    shape = (TILE * TILE, count, 3)
-    made = LightSamples(directions.reshape(shape), weights.reshape(shape).astype(np.float32))
-    light.kept[key] = made
-    return made
+    sampler = LightSampler(weighted + _EVEN_SHARE * share[..., None] * weighted.mean(), light.position)
+    directions, density = sampler.sample(_subset_points(count))
+    weights = 1 / (np.maximum(density, np.float32(1e-9)) * np.float32(count))
+    return LightSamples(directions.reshape(TILE * TILE, count, 3), weights.reshape(TILE * TILE, count, 1))
+
+
+def _radiance(light: LightSampler, drawn: LightSamples) -> Float32[np.ndarray, "s m 3"]:
+    return light.radiance(drawn.directions.reshape(-1, 3)).reshape(drawn.directions.shape)
 
 
 @lru_cache(maxsize=8)

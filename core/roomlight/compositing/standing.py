@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import transform_points
+from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.placing import (
     Anchor,
     Placement,
@@ -20,10 +21,14 @@ from roomlight.compositing.placing import (
 from roomlight.compositing.probes import box_probes, path_probes
 from roomlight.compositing.scene import AtPixel, AtPose, SceneObject
 from roomlight.compositing.scene_geometry import SceneGeometry
+from roomlight.compositing.tracer import ObjectScene
 from roomlight.frame import Frame
 
 SINK_M: Final = 0.02
 """An object that moves this far below the plane it stood on no longer stands on it."""
+
+SUPPORT_REACH_M: Final = 1.0
+"""Objects reflect their support as a plane up to this distance: half a table."""
 
 
 @dataclass
@@ -103,6 +108,24 @@ def probe_positions(one: StandingObject) -> Float[np.ndarray, "n 3"]:
     path = path[np.linspace(0, len(path) - 1, min(len(path), 500)).astype(np.int64)]
     matrices = [motion.transform_at(float(at), one.pivot) @ one.placement.object_to_world for at in path]
     return path_probes(np.stack([matrix[:3, :3] @ one.centre + matrix[:3, 3] for matrix in matrices]))
+
+
+def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], planes: list[Plane | None]) -> Supports:
+    """Return the planes that objects stand on as the renderer takes them; each plane once."""
+    known: list[Plane] = []
+    for plane in planes:
+        if plane is not None and not any(_same(plane, other) for other in known):
+            known.append(plane)
+    shading = np.stack(spheres).astype(np.float32)
+    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
+    points = np.array([plane.point for plane in known], np.float32).reshape(-1, 3)
+    normals = np.array([plane.normal for plane in known], np.float32).reshape(-1, 3)
+    return Supports(points, normals, shading, SUPPORT_REACH_M)
+
+
+def _same(first: Plane, second: Plane) -> bool:
+    apart = float(np.abs(first.height_of(np.asarray(second.point))))
+    return float(np.dot(first.normal, second.normal)) > 0.999 and apart < SINK_M / 2
 
 
 def clusters(spheres: list[Float[np.ndarray, "4"]]) -> list[list[int]]:

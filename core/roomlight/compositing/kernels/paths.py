@@ -10,7 +10,8 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT, KERNEL, point, tangents
-from roomlight.compositing.kernels.environment import density, probe_weights, radiance, sample
+from roomlight.compositing.kernels.environment import density, probe_weights, sample
+from roomlight.compositing.kernels.ground import arriving
 from roomlight.compositing.kernels.microfacets import dielectric
 from roomlight.compositing.kernels.scattering import draw, evaluate, surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
@@ -69,9 +70,10 @@ def _escape(world, paths, i, film, settings, weights):
         return False
     if settings.background and paths.flags[i] & CLEAR:
         return True
-    d = (paths.direction[i, 0], paths.direction[i, 1], paths.direction[i, 2])
-    probe_weights(world.light.position, paths.origin[i, 0], paths.origin[i, 1], paths.origin[i, 2], weights)
-    r, g, b = radiance(world.light, weights, d[0], d[1], d[2])
+    d = (paths.direction[i, 0] * 1.0, paths.direction[i, 1] * 1.0, paths.direction[i, 2] * 1.0)
+    origin = (paths.origin[i, 0] * 1.0, paths.origin[i, 1] * 1.0, paths.origin[i, 2] * 1.0)
+    probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
+    r, g, b = arriving(world, weights, origin, d)
     scale = 1.0
     if paths.pdf[i] <= 0 and paths.flags[i] & BLURRED:
         scale = settings.brightest / max(r, g, b, settings.brightest)
@@ -140,7 +142,7 @@ def _light_ray(world, paths, i, frame, local_view, found, shadow, count, weights
     drawn = density(world.light, weights, x, y, z)
     if drawn <= 0:
         return count
-    r, g, h = radiance(world.light, weights, x, y, z)
+    r, g, h = arriving(world, weights, origin, (x, y, z))
     scale = drawn / (drawn * drawn + own * own)
     red = paths.throughput[i, 0] * value[0] * r * scale
     green = paths.throughput[i, 1] * value[1] * g * scale

@@ -6,6 +6,7 @@ from numba import njit
 
 from roomlight.compositing.kernels.common import JIT, KERNEL
 from roomlight.compositing.kernels.environment import bilinear_at, place_of, probe_weights, radiance
+from roomlight.compositing.kernels.ground import arriving
 from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
@@ -35,7 +36,7 @@ def _blurred(light, mips, weights, direction, roughness):
 
 
 @njit(**JIT)
-def _shade(world, mips, weights, face, base, shares, normal, d, side):
+def _shade(world, mips, weights, face, base, shares, normal, place, d, side):
     """Return the radiance of an opaque surface toward the viewer, and the mirrored direction."""
     material = world.surfaces.material[face]
     n_v = -(d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2])
@@ -46,7 +47,7 @@ def _shade(world, mips, weights, face, base, shares, normal, d, side):
         _, _, under, roughness, _, lobe = surface(world, material, base, shares[0], shares[1], n_v)
         if lobe[0] + lobe[1] + lobe[2] > 0:
             if roughness < MIRROR_ROUGHNESS:
-                p, q, s = radiance(world.light, weights, mirrored[0], mirrored[1], mirrored[2])
+                p, q, s = arriving(world, weights, place, mirrored)
             else:
                 p, q, s = _blurred(world.light, mips, weights, mirrored, roughness)
             r, g, b = lobe[0] * p, lobe[1] * q, lobe[2] * s
@@ -82,7 +83,7 @@ def shade_hits(world, mips, view, paths, hits, film, begin, end):
         place = points(world.surfaces, face, b, c, side)[0]
         normal = shading_normal(world, face, b, c, d, side)
         probe_weights(world.light.position, place[0], place[1], place[2], weights)
-        red, green, blue = _shade(world, mips, weights, face, base, shares, normal, d, side)
+        red, green, blue = _shade(world, mips, weights, face, base, shares, normal, place, d, side)
         there = shares[2]
         film.radiance[i, 0] = there * (red + emitted[0])
         film.radiance[i, 1] = there * (green + emitted[1])

@@ -1,0 +1,37 @@
+"""Objects by size and beside Mitsuba, on tiny pictures. Speed is not tested."""
+
+import json
+
+import pytest
+
+from roomlight.compositing.rendering import PRESETS
+from roomlight_bench.composite_rivals import Effort, RivalReport, Rivalry, run_rivals, run_sizes
+
+
+def test_every_size_is_timed_in_every_quality():
+    sizes = run_sizes(triangles=(100, 400), sides=(8, 12))
+    assert [row.triangles for row in sizes] == pytest.approx([100, 400, 400], rel=0.05)
+    assert sizes[0].pixels > sizes[2].pixels > 10
+    assert all(set(row.render_ms) == set(PRESETS) and min(row.render_ms.values()) >= 0 for row in sizes)
+    report = RivalReport(sizes)
+    assert report.size_table().row_count == 3
+    assert json.loads(json.dumps(report.to_json()))["criteria"] == []
+
+
+def test_ratios_follow_the_power_law_of_the_errors():
+    ours = tuple(Effort(n, 1.0 * n, 1 / n**0.5) for n in (4, 16, 64))
+    slower = tuple(Effort(n, 5.0 * n, 1 / n**0.5) for n in (4, 16, 64))
+    one = Rivalry("diffuse", ours, slower)
+    assert one.time_ratio() == pytest.approx(5)
+    assert one.error_ratio() == pytest.approx(5**0.5)
+    (met,) = RivalReport(rivals=(one,)).criteria()
+    assert met.holds
+
+
+@pytest.mark.slow
+def test_both_renderers_converge_with_samples():
+    pytest.importorskip("mitsuba")
+    for row in run_rivals(counts=(4, 64), reference=256):
+        for efforts in (row.ours, row.mitsuba):
+            assert efforts[1].error < efforts[0].error < 1
+            assert efforts[1].cpu_ms > 0

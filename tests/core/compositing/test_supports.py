@@ -1,0 +1,95 @@
+"""Objects reflect the surface that they stand on as a near one, and their shade on it."""
+
+import numpy as np
+from shading_reference import look_at
+
+from roomlight.camera import Intrinsics
+from roomlight.compositing.kernels.ground import Supports
+from roomlight.compositing.lighting import ProbeSet
+from roomlight.compositing.materials import diffuse, mirror
+from roomlight.compositing.primitives import sphere
+from roomlight.compositing.rendering import RenderSettings, render_objects
+from roomlight.compositing.tracer import ObjectScene
+from roomlight.conventions import panorama_directions
+
+CAMERA = Intrinsics(180.0, 180.0, 64.0, 48.0, 128, 96)
+EYE = np.array([0.3, 0.5, 1.2])
+CENTRE, RADIUS = np.array([0.3, 0.12, 0.0]), 0.1
+PROBE = (0.0, 0.4, 0.0)
+EDGE_X = 0.3
+FLOOR = np.array([[0, 0, 0]], np.float32), np.array([[0, 1, 0]], np.float32)
+
+
+def supports(shade_radius: float = 0.0) -> Supports:
+    spheres = np.array([[*CENTRE, shade_radius]], np.float32)
+    return Supports(*FLOOR, spheres, reach_m=50.0)
+
+
+def ball(material) -> ObjectScene:
+    pose = np.eye(4)
+    pose[:3, 3] = CENTRE
+    return ObjectScene([sphere(RADIUS, material).transformed(pose)])
+
+
+def split_floor(rows: int = 256) -> ProbeSet:
+    """Return a grey sky above a floor that is white from x = `EDGE_X` on, as a probe at `PROBE` sees it."""
+    d = panorama_directions(rows)
+    down = np.minimum(d[..., 1], -1e-6)
+    white = PROBE[0] + d[..., 0] * (-PROBE[1] / down) > EDGE_X
+    value = np.where(d[..., 1] < 0, white.astype(float), 0.5)
+    return ProbeSet.single(np.repeat(value[..., None], 3, axis=2).astype(np.float32), PROBE)
+
+
+def reflected_floor() -> tuple[np.ndarray, np.ndarray]:
+    """Return where the mirror ball shows the floor, and the floor's x there."""
+    pose = look_at(tuple(EYE), tuple(CENTRE))
+    rays = CAMERA.rays().astype(float) @ pose[:3, :3].T
+    rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
+    toward = (CENTRE - EYE) @ rays[..., None]
+    root = toward[..., 0] ** 2 - ((CENTRE - EYE) @ (CENTRE - EYE) - RADIUS**2)
+    place = EYE + (toward[..., 0] - np.sqrt(np.maximum(root, 0)))[..., None] * rays
+    normal = (place - CENTRE) / RADIUS
+    turned = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
+    shown = (root > 0.002) & (turned[..., 1] < -0.2)
+    x = place[..., 0] - turned[..., 0] / np.minimum(turned[..., 1], -1e-6) * place[..., 1]
+    return shown, x
+
+
+def test_mirror_shows_the_floor_where_it_is() -> None:
+    shown, x = reflected_floor()
+    clear = shown & (np.abs(x - EDGE_X) > 0.02)
+    white = x > EDGE_X
+    assert (clear & white).sum() > 20
+    assert (clear & ~white).sum() > 20
+    pose = look_at(tuple(EYE), tuple(CENTRE))
+    for quality in ("preview", RenderSettings(16, 2, denoised=False)):
+        near = render_objects(ball(mirror()), CAMERA, pose, split_floor(), quality=quality, supports=supports())
+        far = render_objects(ball(mirror()), CAMERA, pose, split_floor(), quality=quality)
+        error = [np.abs(one.radiance[..., 0] - white)[clear].mean() for one in (near, far)]
+        assert error[0] < 0.06
+        assert error[1] > 0.2  # as a far surface the floor is in the wrong place
+
+
+def test_ball_on_the_floor_is_darker_below_than_above() -> None:
+    pose = look_at((0.3, 0.12, 1.2), tuple(CENTRE))
+    light = ProbeSet.single(np.ones((32, 64, 3), np.float32), (0.3, 0.12, 0.0))
+    settings = RenderSettings(64, 3, denoised=False)
+    plain = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, quality=settings)
+    shaded = render_objects(
+        ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, quality=settings, supports=supports(RADIUS)
+    )
+    inside = plain.alpha == 1
+    rows = np.flatnonzero(inside.any(axis=1))
+    top, bottom = (np.zeros_like(inside), np.zeros_like(inside))
+    top[rows[:5]], bottom[rows[-5:]] = inside[rows[:5]], inside[rows[-5:]]
+    assert shaded.radiance[bottom].mean() < 0.87 * plain.radiance[bottom].mean()
+    assert shaded.radiance[top].mean() > 0.95 * plain.radiance[top].mean()
+
+
+def test_light_from_above_knows_no_floor() -> None:
+    pose = look_at(tuple(EYE), tuple(CENTRE))
+    d = panorama_directions(32)
+    light = ProbeSet.single(np.repeat((d[..., 1:2] > 0).astype(np.float32), 3, axis=2), (0.3, 0.12, 0.0))
+    plain = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light)
+    shaded = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, supports=supports(RADIUS))
+    np.testing.assert_allclose(shaded.radiance, plain.radiance, atol=0.02)
