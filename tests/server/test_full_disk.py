@@ -7,6 +7,7 @@ import pytest
 from http_servers import SMALL, RunningServer, frame
 from server_processes import Process
 
+SESSION = "/v1/sessions/room"
 TRIES = 20_000
 """Requests until a condition holds: the machine is busy with other tests."""
 LIMIT_BYTES = 10_000
@@ -23,25 +24,31 @@ def wait_for_state(server, expected):
     raise AssertionError(answer)
 
 
+def wait_until_durable(server, index):
+    answer = None
+    for _ in range(TRIES):
+        answer = server.call("GET", SESSION)[1]
+        if answer["frames"]["durable_index"] == index:
+            return
+    raise AssertionError(answer)
+
+
 @pytest.mark.slow
 def test_a_process_serves_while_it_cannot_write(tmp_path):
-    path = "/v1/sessions/room"
     with Process("--state-dir", str(tmp_path), "--state-interval-s", "0.2") as server:
-        assert server.call("PUT", path, SMALL)[0] == 201
-        assert server.call("PUT", f"{path}/frames/0", frame(0))[0] == 200
-        wait_for_state(server, "saved")
+        assert server.call("PUT", SESSION, SMALL)[0] == 201
+        assert server.call("PUT", f"{SESSION}/frames/0", frame(0))[0] == 200
+        wait_until_durable(server, 0)
         _, hard = resource.prlimit(server.pid, resource.RLIMIT_FSIZE)
         resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (LIMIT_BYTES, hard))
         for index in (1, 2):
-            assert server.call("PUT", f"{path}/frames/{index}", frame(12 * index))[1]["status"] == "processed"
+            assert server.call("PUT", f"{SESSION}/frames/{index}", frame(12 * index))[1]["status"] == "processed"
         wait_for_state(server, "not saved: File too large")
-        assert server.call("PUT", f"{path}/frames/3", frame(36))[1]["status"] == "processed"
-        assert server.call("GET", path)[1]["frames"]["durable_index"] < 3
+        assert server.call("PUT", f"{SESSION}/frames/3", frame(36))[1]["status"] == "processed"
+        assert server.call("GET", SESSION)[1]["frames"]["durable_index"] < 3
         resource.prlimit(server.pid, resource.RLIMIT_FSIZE, (hard, hard))
         wait_for_state(server, "saved")
-        for _ in range(TRIES):
-            if server.call("GET", path)[1]["frames"]["durable_index"] == 3:
-                break
+        wait_until_durable(server, 3)
         assert any("sessions cannot be saved" in line for line in server.lines)
     with RunningServer(state_dir=tmp_path) as restored:
         assert restored.state()["frames"]["last_index"] == 3
