@@ -1,10 +1,9 @@
-"""Which walks are rendered: with first views of the lit side, and of as many frames as requested."""
+"""Which walks are rendered: the first with places for its probes, and of as many frames as requested."""
 
 import numpy as np
 import pytest
 
 from fixture_rooms import lit_room
-from roomlight.conventions import panorama_solid_angles
 from roomlight_generator.sequences import render as room_sequences
 from roomlight_generator.sequences.render import plan_camera_path, render_walks
 from roomlight_generator.sequences.walk import phone_intrinsics
@@ -33,48 +32,26 @@ def small_views(monkeypatch):
     monkeypatch.setattr(room_sequences, "phone_intrinsics", lambda rng: phone_intrinsics(rng, 64, 48))
 
 
-def first_views(room, count):
-    """Brightness of so many walks' first views over the mean of the panoramas at their probes."""
-    paths = [plan_camera_path(room, np.random.default_rng(number), frames=1) for number in range(count)]
-    brightness = []
-    for path in paths:
-        view = room.light.frame(path.intrinsics.resized(40, 30), path.poses[0], seed=0)
-        panoramas = [room.light.panorama(place, height=32, seed=1) for place in path.probes]
-        around = np.sqrt(panoramas).mean(axis=(0, 3))
-        weight = np.broadcast_to(panorama_solid_angles(32), around.shape)
-        brightness.append(np.sqrt(view.radiance).mean() / np.average(around, weights=weight))
-    return np.array(brightness)
+def drawn(monkeypatch, paths):
+    """Let the walks that are tried be these, one after the other."""
+    tried = iter(paths)
+    monkeypatch.setattr(room_sequences, "draw_camera_path", lambda *_, **__: next(tried))
 
 
-@pytest.mark.slow
-@pytest.mark.statistical
-@pytest.mark.parametrize(("of", "views"), [(4, 12), (12, 5)])
-def test_most_walks_begin_with_a_view_of_the_lit_side(room, monkeypatch, of, views):
-    monkeypatch.setattr(room_sequences, "_COMPARED_WALKS", (1, 1, 1))
-    anywhere = first_views(room, views)
-    monkeypatch.setattr(room_sequences, "_COMPARED_WALKS", (of, of, of))
-    chosen = first_views(room, views)
-    assert chosen.mean() > 1.1 * anywhere.mean()  # walls are bright all around: 1.13 for twelve walks
-    assert (chosen > anywhere - 0.1).all()  # the walks compared include the former one
+def test_walks_without_places_for_probes_are_drawn_again(coarse_room, monkeypatch):
+    path = object()
+    drawn(monkeypatch, [None, None, path, object()])
+    assert plan_camera_path(coarse_room, np.random.default_rng(0), frames=1) is path
 
 
-def test_of_the_compared_walks_the_brightest_is_taken(coarse_room, monkeypatch):
-    compared = []
-
-    def brightness(_, path):
-        compared.append(path)
-        return path.poses[0, 0, 3]  # as good as any, and quicker
-
-    monkeypatch.setattr(room_sequences, "_COMPARED_WALKS", (3, 3, 3))
-    monkeypatch.setattr(room_sequences, "_relative_brightness", brightness)
-    taken = plan_camera_path(coarse_room, np.random.default_rng(0), frames=1)
-    assert len(compared) == 3
-    assert taken.poses[0, 0, 3] == max(path.poses[0, 0, 3] for path in compared)
+def test_a_room_without_any_walk_is_named(coarse_room, monkeypatch):
+    drawn(monkeypatch, [None] * 12)
+    with pytest.raises(ValueError, match=f"{coarse_room.room.name}: 12 walks .* no place for 3 probes"):
+        plan_camera_path(coarse_room, np.random.default_rng(0), frames=1)
 
 
 @pytest.mark.usefixtures("small_views")
-def test_a_single_view_is_a_sequence_of_one_frame(coarse_room, monkeypatch):
-    monkeypatch.setattr(room_sequences, "_COMPARED_WALKS", (1, 1, 2))
+def test_a_single_view_is_a_sequence_of_one_frame(coarse_room):
     views = list(render_walks(coarse_room, 1, seed=21, split="train", count=2, frames=1))
     for view in views:
         assert view.colour.shape == (1, 48, 64, 3)

@@ -94,7 +94,7 @@ def through_openings(shell: Shell, origins: np.ndarray, directions: np.ndarray) 
 def test_light_leaves_through_openings_only(name: str, seed: int) -> None:
     shell = shell_of(name, seed)
     rng = np.random.default_rng(seed)
-    opaque = [item for item in shell.items if item.role != "pane"]
+    opaque = [item for item in shell.items if not all(material.glass for material in item.mesh.materials)]
     origins = np.repeat(inside(shell, 40, rng), 200, axis=0)
     directions = rng.normal(size=origins.shape)
     # Half of the rays are aimed at corners and edges, where panels meet.
@@ -199,7 +199,7 @@ def test_the_same_seed_gives_the_same_shell() -> None:
 
 
 def _covered(kind: CoverKind, seed: int) -> Shell:
-    style = ShellStyle(windows=(2, 3), covers=((kind, 1.0),), slanted=0.0, bay=0.0, chamfer=0.0)
+    style = ShellStyle(windows=(2, 3), covers=((kind, 1.0),), slanted=0.0, bay=0.0, chamfer=0.0, second_window=0.0)
     return build_shell(style, finishes(), np.random.default_rng(seed))
 
 
@@ -229,7 +229,7 @@ def test_a_partly_covered_window_keeps_its_whole_opening(kind: CoverKind) -> Non
 
 
 def test_openings_lie_in_the_outer_face_of_the_wall() -> None:
-    style = ShellStyle(windows=(3, 3), wall_m=(0.3, 0.3), covers=(("none", 1.0),), slanted=0.0)
+    style = ShellStyle(windows=(3, 3), wall_m=(0.3, 0.3), covers=(("none", 1.0),), slanted=0.0, second_window=0.0)
     for seed in range(5):
         shell = build_shell(style, finishes(), np.random.default_rng(seed))
         for opening in shell.openings:
@@ -237,6 +237,22 @@ def test_openings_lie_in_the_outer_face_of_the_wall() -> None:
             depths = [float((centre[[0, 2]] - wall.start) @ -wall.inward) for wall in shell.walls]
             assert min(abs(depth - 0.3) for depth in depths) < 1e-5
             assert not shell.contains(float(centre[0]), float(centre[2]))
+
+
+def test_daylight_comes_in_through_the_second_rooms_window() -> None:
+    """The opening lies beyond the second room, and a ray from outside reaches the second room's floor through it."""
+    style = ShellStyle(windows=(0, 0), open_door=0.0, passage=1.0, second_window=1.0, slanted=0.0, skylights=0.0)
+    shells = [build_shell(style, finishes(), np.random.default_rng(seed)) for seed in range(8)]
+    found = [(shell, opening) for shell in shells for opening in shell.openings]
+    assert len(found) >= 4
+    for shell, opening in found:
+        centre = opening.corner + (opening.edge_u + opening.edge_v) / 2
+        assert not shell.contains(float(centre[0]), float(centre[2]))
+        second = np.concatenate([item.mesh.vertices for item in shell.items if item.role == "second_room"])
+        assert (centre >= second.min(0) - 0.01).all()
+        assert (centre <= second.max(0) + 0.01).all()
+        glass = [m for i in shell.items if i.role == "second_room" for m in i.mesh.materials if m.glass]
+        assert glass
 
 
 def test_rooms_without_windows_have_a_door() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.finishes import RECOLOURABLE_ROLES, recoloured, shell_finishes
 from roomlight_generator.rooms.furniture import Catalogue
-from roomlight_generator.rooms.lights import light_room
+from roomlight_generator.rooms.lights import LIGHT_KINDS, LightKind, light_room
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, furnish
 from roomlight_generator.rooms.scene import Item, Scene
@@ -54,10 +54,11 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
         wall_textures=catalogue.surfaces("wall", split),
         floor_textures=catalogue.surfaces("floor", split),
     )
-    shell = build_shell(_shell_style(room_type, rng), finishes, rng)
+    kind = list(LIGHT_KINDS)[int(rng.choice(len(LIGHT_KINDS), p=list(LIGHT_KINDS.values())))]
+    shell = build_shell(_shell_style(room_type, kind, rng), finishes, rng)
     placements = furnish(shell, room_type, catalogue, rng, split=split)
     items = [_randomly_recoloured(placement.item(), rng) for placement in placements]
-    lighting = light_room(shell, placements, items, rng, split=split)
+    lighting = light_room(shell, placements, items, rng, split=split, wanted=kind)
     scene = Scene(items=lighting.items, openings=shell.openings, sky=lighting.sky)
     roles: dict[str, int] = {}
     for placement in placements:
@@ -83,27 +84,32 @@ def _choose_type(split: Split, rng: np.random.Generator) -> RoomType:
     return types[int(rng.integers(len(types)))]
 
 
-def _shell_style(room_type: RoomType, rng: np.random.Generator) -> ShellStyle:
-    """Return the shell style of a room type: the entry in `STYLES` with the type's own sizes and probabilities."""
+def _shell_style(room_type: RoomType, kind: LightKind, rng: np.random.Generator) -> ShellStyle:
+    """Return the shell style of a room type: the entry in `STYLES` with the type's own sizes and probabilities, and
+    with the windows and the second room that a kind of light needs."""
     default = STYLES[room_type.name]
     windows = room_type.windows
-    if rng.random() < room_type.p_windowless:
+    lit_by_windows = kind in ("windows alone", "sunbeams")
+    if kind == "open to bright" or (not lit_by_windows and rng.random() < room_type.p_windowless):
         windows = (0, 0)
     elif windows[0] == 0:
         windows = (1, max(1, windows[1]))
-    behind_doors = 0.72 * room_type.p_second_room
+    second_room = 1.0 if kind == "open to bright" else room_type.p_second_room
+    behind_doors = (0.3 if kind == "open to bright" else 0.72) * second_room
     return replace(
         default,
         area_m2=room_type.area_m2,
         aspect=room_type.aspect,
         height_m=room_type.height_m,
         windows=windows,
+        covers=(("none", 1.0),) if kind == "sunbeams" else default.covers,
         doors=room_type.doors,
         slanted=room_type.p_attic,
         skylights=default.skylights if windows[1] else 0.0,
         l_shape=room_type.p_l_shape,
         open_door=behind_doors,
-        passage=room_type.p_second_room - behind_doors,
+        passage=second_room - behind_doors,
+        second_window=0.7 if kind == "open to bright" else default.second_window,
     )
 
 

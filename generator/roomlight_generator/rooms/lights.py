@@ -23,6 +23,30 @@ from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
 
 Scenario = Literal["sunny", "bright", "overcast", "golden", "dusk", "night"]
 
+LightKind = Literal["mixed", "windows alone", "sunbeams", "open to bright", "bare bulbs"]
+"""What lights a room.
+
+mixed: daylight, lamps or both, as `_LAMPS_ON_PROBABILITY` says; windows alone: daylight without lamps; sunbeams: the
+same with the sun before a window; open to bright: no light of its own, only that of a second room; bare bulbs: at dusk
+or at night, lamps without shades.
+"""
+LIGHT_KINDS: Final[dict[LightKind, float]] = {
+    "mixed": 0.42, "windows alone": 0.2, "sunbeams": 0.16, "open to bright": 0.1, "bare bulbs": 0.12,
+}  # fmt: skip
+"""Share of the rooms for which each kind is wanted; a room without a place for it is mixed."""
+
+_KIND_SCENARIOS: Final[dict[LightKind, tuple[float, ...]]] = {
+    "mixed": (0.24, 0.2, 0.26, 0.1, 0.08, 0.12),
+    "windows alone": (0.25, 0.25, 0.4, 0.1, 0, 0),
+    "sunbeams": (0.75, 0, 0, 0.25, 0, 0),
+    "open to bright": (0.3, 0.3, 0.3, 0.1, 0, 0),
+    "bare bulbs": (0, 0, 0, 0, 0.3, 0.7),
+}
+"""Probability of each of `_SCENARIOS` in a room with windows."""
+
+_BULB_M: Final = (0.02, 0.035)
+"""Radius of a bare bulb."""
+
 _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
     "sunny": ("clear",),
     "bright": ("partly_cloudy", "clear"),
@@ -32,15 +56,12 @@ _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
     "night": ("night",),
 }
 _SCENARIOS: Final[tuple[Scenario, ...]] = ("sunny", "bright", "overcast", "golden", "dusk", "night")
-_SCENARIO_PROBABILITIES: Final = (0.28, 0.2, 0.22, 0.1, 0.08, 0.12)
-"""Probability of each scenario in a room with windows: three quarters of the rooms by day, an eighth by night."""
-
 _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
     "sunny": 0.25,
     "bright": 0.35,
     "overcast": 0.5,
     "golden": 0.5,
-    "dusk": 0.95,
+    "dusk": 1.0,
     "night": 1.0,
 }
 """Probability that at least one lamp is on."""
@@ -52,6 +73,11 @@ _BRIGHT_SECOND_ROOM: Final = 0.4
 """Probability that a lit second room is a bright one: 300 to 3,000 lux on about 8 m2, half of it lost."""
 _SECOND_ROOM_KLM: Final = ((0.1, 0.8), (5.0, 50.0))
 """Flux of the lamp in a dim and in a bright second room."""
+
+_SUNBEAM_SPREAD_DEGREES: Final = 30.0
+"""Largest angle in plan between the sun and the normal of a window, in a room with sunbeams.
+
+In other rooms the sun has any azimuth: it lights what is before the windows more often than the floor behind them."""
 
 _RAYS_PER_BULB: Final = 96
 """Rays cast from each bulb to find the parts that occlude it."""
@@ -73,48 +99,57 @@ def light_room(
     rng: np.random.Generator,
     *,
     split: Split,
+    wanted: LightKind = "mixed",
 ) -> Lighting:
     """Choose a time of day and switch lamps on; `items` holds the placements' items in the same order.
 
+    `wanted` is the kind of light if the room has a place for it; `facts` names the kind that it has.
+
     Every room has light: at dusk and at night at least one lamp is on, and a room without lamps gets a ceiling panel.
-    Lamps together give a mean illuminance between 12 and 900 lux (log-uniform, dimmer at night).
+    Lamps together give a mean illuminance between 30 and 900 lux (log-uniform, dimmer at night).
     """
+    kind = _possible_kind(wanted, shell)
     windows = _has_windows(shell)
-    scenario = _SCENARIOS[int(rng.choice(len(_SCENARIOS), p=_SCENARIO_PROBABILITIES))] if windows else "night"
-    sky = make_sky(str(rng.choice(_SKIES[scenario])), rng, toward=_choose_outward_normal(shell, rng))
+    scenario = _SCENARIOS[int(rng.choice(len(_SCENARIOS), p=_KIND_SCENARIOS[kind]))] if windows else "night"
+    toward = _choose_outward_normal(shell, rng) if kind == "sunbeams" else None
+    sky = make_sky(str(rng.choice(_SKIES[scenario])), rng, toward=toward, spread_degrees=_SUNBEAM_SPREAD_DEGREES)
     lamps = [i for i, placement in enumerate(placements) if _is_lamp(placement)]
-    lit = set(_choose_lamps(placements, lamps, rng)) if rng.random() < _LAMPS_ON_PROBABILITY[scenario] else set[int]()
-    panels: list[Item] = []
-    if not lit and (scenario in ("dusk", "night")):
-        if lamps:
-            lit = set(_choose_lamps(placements, lamps, rng)) or set(lamps)
-        else:
-            panels.append(_ceiling_panel(shell, rng))
+    lit = set[int]()
+    fixtures: list[Item] = []
+    if kind in ("mixed", "bare bulbs") and rng.random() < _LAMPS_ON_PROBABILITY[scenario]:
+        lit = set(_choose_lamps(placements, lamps, rng))
+        if not lit and scenario in ("dusk", "night"):
+            fixtures.append(_ceiling_fixture(shell, rng, bulb=kind == "bare bulbs"))
     kelvin = _choose_kelvin(rng)
     out, sources = list(items), list[dict[str, Any]]()
     flux_klm = _choose_total_flux(shell, rng, evening=windows and scenario == "night")
     weights = {i: _FLUX_WEIGHTS.get(placements[i].model.role, 0.5) * float(rng.uniform(0.6, 1.6)) for i in lit}
-    total = sum(weights.values()) + len(panels)
+    total = sum(weights.values()) + len(fixtures)
     bulbs = {role: kelvin if rng.random() > 0.3 else _choose_kelvin(rng) for role in sorted({*_roles(placements, lit)})}
     for i in sorted(lit):
         own = bulbs[placements[i].model.role] * float(np.exp(rng.normal(0, 0.015)))
         flux = flux_klm * weights[i] / total
-        item = switch_on(items[i], placements[i], flux_klm=flux, colour=blackbody_rgb(own))
+        item = items[i]
+        if kind == "bare bulbs":
+            item = _without_shade(item, placements[i])
+        item = switch_on(item, placements[i], flux_klm=flux, colour=blackbody_rgb(own))
         out[i] = item
         sources.append({"kind": placements[i].model.role, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
-    for panel in panels:
-        out.append(_with_uniform_emission(panel, flux_klm / total, blackbody_rgb(kelvin)))
-        sources.append({"kind": "panel", "flux_lm": round(1000 * flux_klm / total, 1), "kelvin": round(kelvin)})
-    for item, kind, (least, most) in _accessory_lamps(shell, placements, rng, night=scenario in ("dusk", "night")):
+    for fixture in fixtures:
+        out.append(_with_uniform_emission(fixture, flux_klm / total, blackbody_rgb(kelvin)))
+        sources.append({"kind": fixture.name, "flux_lm": round(1000 * flux_klm / total, 1), "kelvin": round(kelvin)})
+    night = scenario in ("dusk", "night")
+    only_second = kind == "open to bright" and not shell.openings
+    for item, source, (least, most) in _accessory_lamps(shell, placements, rng, night=night, only_second=only_second):
         own = _choose_kelvin(rng)
         flux = float(np.exp(rng.uniform(np.log(least), np.log(most))))
         out.append(_with_uniform_emission(item, flux, blackbody_rgb(own)))
-        sources.append({"kind": kind, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
+        sources.append({"kind": source, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
     out = [_with_screens_on(item, rng, split, sources) for item in out]
     shell_items = [_with_daylit_cloth(item, sky, shell, rng, sources) for item in shell.items]
     if shell.openings:
         sources.append({"kind": "window", "count": len(shell.openings), "sun": sky.sun is not None})
-    facts = {"scenario": scenario, "lamps": len(lamps), "lamps_on": len(lit), "sources": sources}
+    facts = {"kind": kind, "scenario": scenario, "lamps": len(lamps), "lamps_on": len(lit), "sources": sources}
     return Lighting(items=(*shell_items, *out), sky=sky, facts=facts)
 
 
@@ -157,6 +192,24 @@ def switch_on(item: Item, placement: Placement, *, flux_klm: float, colour: Rgb)
     return replace(item, mesh=Mesh.joined(parts))
 
 
+def _possible_kind(wanted: LightKind, shell: Shell) -> LightKind:
+    """Return the kind of light that is wanted if the room has a place for it, otherwise mixed."""
+    if wanted in ("windows alone", "sunbeams") and not shell.openings:
+        return "mixed"
+    if wanted == "open to bright" and not (shell.openings or shell.spots):
+        return "mixed"
+    return wanted
+
+
+def _without_shade(item: Item, placement: Placement) -> Item:
+    """Return a lamp without the parts that `switch_on` would let glow, if it has a bulb behind them."""
+    mesh = item.mesh
+    shade = np.array([material.name.startswith("shade") for material in mesh.materials])[mesh.face_materials]
+    if not shade.any() or shade.all() or not len(placement.model.lights):
+        return item
+    return replace(item, mesh=replace(mesh, faces=mesh.faces[~shade], face_materials=mesh.face_materials[~shade]))
+
+
 def _has_windows(shell: Shell) -> bool:
     """Return whether daylight can come in: through an opening, or through translucent cloth over a fully covered
     window."""
@@ -193,7 +246,7 @@ def _choose_total_flux(shell: Shell, rng: np.random.Generator, *, evening: bool)
     """Draw the total flux for a mean illuminance, assuming that half of a lamp's light reaches the visible surfaces."""
     x, z = shell.polygon.T
     area = 0.5 * abs(float(x @ np.roll(z, -1) - z @ np.roll(x, -1)))
-    low, high = (12, 350) if evening else (60, 900)
+    low, high = (30, 350) if evening else (60, 900)
     lux = float(np.exp(rng.uniform(np.log(low), np.log(high))))
     return lux / 1000 * max(area, 2.0) / 0.5
 
@@ -246,26 +299,30 @@ def _with_uniform_emission(item: Item, flux_klm: float, colour: Rgb) -> Item:
     return replace(item, mesh=replace(item.mesh, materials=materials))
 
 
-def _ceiling_panel(shell: Shell, rng: np.random.Generator) -> Item:
-    """Make a flat panel below the middle of the ceiling."""
+def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> Item:
+    """Make a flat panel below the middle of the ceiling, or a bare bulb there."""
     x, z = shell.polygon.mean(0)
     for _ in range(50):
         if shell.contains(float(x), float(z), 0.4):
             break
         x, z = rng.uniform(shell.polygon.min(0), shell.polygon.max(0))
-    side = float(rng.uniform(0.25, 0.7))
-    mesh = with_material(box(side, 0.03, side), Material(name="shade", albedo=(0.8, 0.8, 0.8)))
     top = shell.ceiling_at(float(x), float(z))
-    return Item("ceiling panel", "ceiling_lamp", mesh.placed(float(x), top - 0.05, float(z)))
+    material = Material(name="shade", albedo=(0.8, 0.8, 0.8))
+    if bulb:
+        mesh = with_material(sphere(float(rng.uniform(*_BULB_M)), rings=6, segments=12), material)
+        return Item("bulb", "ceiling_lamp", mesh.placed(float(x), top - 0.1, float(z)))
+    side = float(rng.uniform(0.25, 0.7))
+    mesh = with_material(box(side, 0.03, side), material)
+    return Item("panel", "ceiling_lamp", mesh.placed(float(x), top - 0.05, float(z)))
 
 
 def _accessory_lamps(
-    shell: Shell, placements: Sequence[Placement], rng: np.random.Generator, *, night: bool
+    shell: Shell, placements: Sequence[Placement], rng: np.random.Generator, *, night: bool, only_second: bool
 ) -> list[tuple[Item, str, tuple[float, float]]]:
     """Return light strips below wall units and a lamp in the second room, with the range of each one's flux in klm.
 
     A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or
-    a conservatory.
+    a conservatory. `only_second`: the second room has the only light, and it is bright.
     """
     found: list[tuple[Item, str, tuple[float, float]]] = []
     units = [placement for placement in placements if placement.model.role == "wall_unit"]
@@ -276,9 +333,9 @@ def _accessory_lamps(
             )
             placed = strip.placed(placement.x, placement.y - 0.016, placement.z, degrees=placement.degrees)
             found.append((Item("light strip", "wall_lamp", placed), "strip", (0.1, 0.8)))
-    if shell.spots and rng.random() < 0.65:
+    if shell.spots and (only_second or rng.random() < 0.65):
         x, z, _ = shell.spots[0]
-        bright = rng.random() < _BRIGHT_SECOND_ROOM
+        bright = only_second or rng.random() < _BRIGHT_SECOND_ROOM
         shape = box(0.6, 0.04, 0.6) if bright else sphere(0.12, rings=8, segments=16)
         lamp = with_material(shape, Material(name="globe", albedo=(0.8, 0.8, 0.8)))
         height = 2.2 if bright else min(2.0, shell.height_m - 0.3)

@@ -244,7 +244,7 @@ def _skyline(
     bearing: Float[np.ndarray, " w"], sun: Sun | None, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " w"], str]:
     """Return the elevation, in radians, of the skyline at each azimuth, and its kind."""
-    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.42, 0.3, 0.14, 0.14)))]
+    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.28, 0.3, 0.2, 0.22)))]
     width = len(bearing)
     if kind == "houses":
         line = np.zeros(width)
@@ -252,11 +252,11 @@ def _skyline(
         end = at + width
         while at < end:
             wide = int(rng.integers(6, 22))
-            tall = rng.uniform(0.12, 0.7) if rng.random() < 0.8 else 0.03
+            tall = rng.uniform(0.05, 0.45) if rng.random() < 0.8 else 0.03
             line[np.arange(at, min(at + wide, end)) % width] = tall
             at += wide
     else:
-        low, high, cells = {"trees": (0.1, 0.4, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
+        low, high, cells = {"trees": (0.05, 0.3, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
         noise = fbm(rng, (8, width), (1, cells), octaves=3)[0]
         line = low + (high - low) * np.clip(0.5 + noise, 0, 1)
     if sun is not None:

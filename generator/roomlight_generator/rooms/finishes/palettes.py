@@ -47,16 +47,16 @@ def hue(rng: np.random.Generator) -> float:
 
 
 def white(rng: np.random.Generator) -> Rgb:
-    """Choose a white paint: reflectance .75 to .88, slightly warm, sometimes slightly cool."""
+    """Choose a white paint, fresh (reflectance .84) to old (.62), slightly warm, sometimes slightly cool."""
     warm = rng.random() < 0.75
     return paint(
-        rng.uniform(0.75, 0.88), rng.uniform(0, 0.014), rng.uniform(70, 105) if warm else rng.uniform(200, 260)
+        rng.uniform(0.62, 0.84), rng.uniform(0, 0.014), rng.uniform(70, 105) if warm else rng.uniform(200, 260)
     )
 
 
 def off_white(rng: np.random.Generator) -> Rgb:
     """Choose cream, ivory or pale greige."""
-    return paint(rng.uniform(0.6, 0.78), rng.uniform(0.01, 0.04), rng.uniform(68, 102))
+    return paint(rng.uniform(0.5, 0.74), rng.uniform(0.01, 0.04), rng.uniform(68, 102))
 
 
 def beige(rng: np.random.Generator) -> Rgb:
@@ -72,7 +72,7 @@ def grey(rng: np.random.Generator) -> Rgb:
 def neutral_wall(rng: np.random.Generator) -> Rgb:
     """Choose a neutral wall colour, the most frequent kind."""
     kinds = (white, off_white, beige, grey)
-    return kinds[int(rng.choice(4, p=(0.5, 0.27, 0.11, 0.12)))](rng)
+    return kinds[int(rng.choice(4, p=(0.38, 0.25, 0.18, 0.19)))](rng)
 
 
 def wall_colour(rng: np.random.Generator) -> Rgb:

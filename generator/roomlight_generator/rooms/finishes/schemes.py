@@ -31,6 +31,12 @@ from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 _PLAIN: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo of textures that hold the whole colour."""
 
+_FLOOR_SHADE: Final = (0.65, 0.95)
+"""Range of the factor on a floor's texture: floors are worn, stained or oiled darker than new samples of them.
+
+Floors of 38 real panoramas have 0.30 of the walls' radiance in the median (quartiles 0.19 and 0.49), lamps and windows
+included."""
+
 _FLOORS: Final[dict[str, tuple[float, float, float, float]]] = {
     # Probabilities of wood, tile, carpet, stone.
     "living": (0.62, 0.12, 0.14, 0.12),
@@ -199,9 +205,11 @@ class _FinishChooser:
     def floor(self, kind: str) -> Material:
         """Choose the floor of a room of this kind."""
         rng = self.rng
+        shade = float(rng.uniform(*_FLOOR_SHADE))
+        albedo = (shade, shade, shade)
         if self.floor_textures and rng.random() < 0.35:
             texture = self.floor_textures[int(rng.integers(len(self.floor_textures)))]
-            return Material("floor", _PLAIN, texture=texture, roughness=self.optional_roughness(0.5, 0.1, 0.4))
+            return Material("floor", albedo, texture=texture, roughness=self.optional_roughness(0.5, 0.1, 0.4))
         group: TextureGroup = ("wood_floor", "floor_tile", "carpet", "stone")[int(rng.choice(4, p=_FLOORS[kind]))]
         low, high, chance = {
             "wood_floor": (0.1, 0.35, 0.6),
@@ -211,23 +219,23 @@ class _FinishChooser:
         }[group]
         return Material(
             "floor",
-            _PLAIN,
+            albedo,
             texture=make_texture(group, self.split, rng),
             roughness=self.optional_roughness(chance, low, high),
         )
 
     def ceiling(self, wall: Material) -> Material:
-        """Choose the ceiling's paint, nearly always white."""
+        """Choose the ceiling: mostly white paint, otherwise boards, the walls' paint, another colour or concrete."""
         rng = self.rng
         pick = rng.random()
-        if pick < 0.84:
+        if pick < 0.76:
             colour = white(rng)
-        elif pick < 0.9:
+        elif pick < 0.83:
             boards = make_texture("panelling", self.split, rng)
             return Material("ceiling", _PLAIN, texture=boards, roughness=self.optional_roughness(0.3, 0.25, 0.5))
-        elif pick < 0.95:
+        elif pick < 0.91:
             colour = _mean(wall)
-        elif pick < 0.985:
+        elif pick < 0.95:
             colour = off_white(rng) if rng.random() < 0.5 else wall_colour(rng)
         else:
             return Material("ceiling", _PLAIN, texture=stone.concrete(split_rng(self.split, rng)))

@@ -75,7 +75,7 @@ class RoomType:
     p_l_shape: float = 0.12
     p_second_room: float = 0.45
     wall_items: tuple[tuple[str, float], ...] = ()
-    ceiling: tuple[tuple[CeilingLight, float], ...] = (("middle", 0.75), ("spots", 0.15), ("none", 0.1))
+    ceiling: tuple[tuple[CeilingLight, float], ...] = (("middle", 0.6), ("spots", 0.3), ("none", 0.1))
     clutter: tuple[float, float] = (0.1, 1.0)
     people: float = 0.06
     pets: float = 0.02

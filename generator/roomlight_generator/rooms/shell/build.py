@@ -50,7 +50,9 @@ def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator)
         items += beam_items(room, floor_plan.skylights, finishes.beam, depth_m, rng)
     spots: list[tuple[float, float, float]] = []
     if floor_plan.second is not None:
-        items += _second_room_items(room, floor_plan, finishes, trim, rng)
+        made, second_openings = _second_room_items(room, floor_plan, finishes, trim, rng)
+        items += made
+        openings += second_openings
         spots = _spots(room, floor_plan, rng)
     return Shell(
         items=tuple(items),
@@ -164,11 +166,11 @@ def _second_room_entry(floor_plan: FloorPlan) -> Door | Passage:
 
 def _second_room_items(
     room: Envelope, floor_plan: FloorPlan, finishes: Finishes, trim: Trim, rng: np.random.Generator
-) -> list[Item]:
-    """Build the second room, closed except for the doorway or passage to it."""
+) -> tuple[list[Item], list[Opening]]:
+    """Build the second room, closed except for the doorway or passage to it and its window."""
     second, hole = floor_plan.second, _second_room_entry(floor_plan)
     if second is None:
-        return []
+        return [], []
     plane = room.sides[hole.side].plane
     near = second.sides[3].plane
     cut = [(float((plane.at(s, h, hole.depth_m) - near.origin) @ near.u), h) for s, h in hole_outline(hole)]
@@ -177,10 +179,10 @@ def _second_room_items(
     plain = Trim(skirting_m=trim.skirting_m or 0.08)
     if room_finishes.lower_wall is not None:
         plain = Trim((0.0, 1.1), frozenset(range(4)), skirting_m=plain.skirting_m)
-    items, _ = _room_items(second, floor_plan.second_holes, finishes, room_finishes, plain, rng, cuts={3: [cut]})
+    items, openings = _room_items(second, floor_plan.second_holes, finishes, room_finishes, plain, rng, cuts={3: [cut]})
     items.append(Item("floor", "floor", build_floor(second, room_finishes.floor).mesh()))
     items.append(Item("ceiling", "ceiling", build_ceiling(second, room_finishes.ceiling, []).mesh()))
-    return [Item(f"second room: {item.name}", "second_room", item.mesh) for item in items]
+    return [Item(f"second room: {item.name}", "second_room", item.mesh) for item in items], openings
 
 
 def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> list[tuple[float, float, float]]:
@@ -200,7 +202,7 @@ def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> l
     side = room.sides[hole.side].plane
     middle = side.at((hole.rect[0] + hole.rect[1]) / 2, 0.0, hole.depth_m)
     along = float((middle - far.plane.origin) @ far.plane.u)
-    taken = [(door.rect[0] - 0.1, door.rect[1] + 0.1) for door in floor_plan.second_holes]
+    taken = [(hole.rect[0] - 0.1, hole.rect[1] + 0.1) for hole in floor_plan.second_holes if isinstance(hole, Door)]
     places = [along + float(rng.uniform(-0.3, 0.3))]
     places += [places[0] + step for step in (-2.1 * radius, 2.1 * radius)]
     found: list[tuple[float, float, float]] = []

@@ -95,9 +95,9 @@ def choose_floor_plan(room: Envelope, style: ShellStyle, rng: np.random.Generato
     kind = rng.random()
     closed = int(rng.integers(style.doors[0], style.doors[1] + 1))
     if kind < style.open_door + style.passage:
-        found = _place_second_room(occupancy, design, wall_m, rng, passage=kind >= style.open_door)
-        if found is not None:
-            second, second_holes = found
+        second = _place_second_room(occupancy, design, wall_m, rng, passage=kind >= style.open_door)
+        if second is not None:
+            second_holes = _second_holes(occupancy, second, style, design, wall_m, rng)
     if second is None:
         closed = max(closed, 1)
     for _ in range(closed):
@@ -159,7 +159,7 @@ def _place_closed_door(occupancy: _Occupancy, design: DoorDesign, wall_m: float,
 
 def _place_second_room(
     occupancy: _Occupancy, design: DoorDesign, wall_m: float, rng: np.random.Generator, *, passage: bool
-) -> tuple[Envelope, tuple[AnyHole, ...]] | None:
+) -> Envelope | None:
     """Place an open door or a passage, and the second room behind it; return None if there is no space."""
     double = rng.random() < 0.2
     if passage:
@@ -197,8 +197,7 @@ def _place_second_room(
         if isinstance(hole, Door) and hole.design.swings_in:
             occupancy.swings.append(side.footprint(start, start + width, -hole.keep_clear_m, -0.001))
         height_m = max(height + 0.15, uniform(rng, (2.35, 2.9)))
-        second = envelope(corners, height_m, ())
-        return second, _second_holes(second, design, rng)
+        return envelope(corners, height_m, ())
     return None
 
 
@@ -220,15 +219,39 @@ def _choose_second_room_corners(
     return None
 
 
-def _second_holes(second: Envelope, design: DoorDesign, rng: np.random.Generator) -> tuple[AnyHole, ...]:
-    """With probability one half, add a closed door in the wall opposite the entry."""
+def _second_holes(
+    occupancy: _Occupancy,
+    second: Envelope,
+    style: ShellStyle,
+    design: DoorDesign,
+    wall_m: float,
+    rng: np.random.Generator,
+) -> tuple[AnyHole, ...]:
+    """Choose what is in the wall opposite the entry: a window with no part of the building before it, or a closed
+    door with probability one half."""
     far = second.sides[1]
+    if rng.random() < style.second_window:
+        window = _second_window(second, style, wall_m, rng)
+        if window is not None:
+            behind_m = wall_m + CLEAR_VIEW_M
+            view = far.footprint(window.rect[0], window.rect[1], 0.003, behind_m, flare=0.5 * behind_m)
+            if occupancy.free_outside(view):
+                return (window,)
     width, height = 0.8, min(2.02, second.height_m - 0.2)
     free = far.length_m - width - 2 * design.architrave_m - 0.1
     if free < 0 or rng.random() < 0.5:
         return ()
     start = design.architrave_m + 0.05 + float(rng.random()) * free
     return (Door(1, (start, start + width, 0.0, height), 0.06, replace(design, hinge_right=bool(rng.random() < 0.5))),)
+
+
+def _second_window(second: Envelope, style: ShellStyle, wall_m: float, rng: np.random.Generator) -> Window | None:
+    """Choose a window without curtains over nearly the whole far wall; None if the wall is too short."""
+    far = second.sides[1]
+    window_style = replace(
+        choose_window_style(style, second.height_m, wall_m, abs(area(second.corners)), rng), cover=Cover("none")
+    )
+    return window_style.window(1, 0.12, far.length_m - 0.12)
 
 
 def _place_windows(occupancy: _Occupancy, window_style: WindowStyle, count: int, rng: np.random.Generator) -> None:

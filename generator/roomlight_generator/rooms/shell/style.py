@@ -32,15 +32,15 @@ _WINDOW_KINDS: Final[tuple[tuple[WindowKind, float], ...]] = (
     ("french", 0.25),
 )
 _COVERS: Final[tuple[tuple[CoverKind, float], ...]] = (
-    ("none", 0.4),
-    ("open_curtains", 0.28),
-    ("half_curtains", 0.05),
+    ("none", 0.54),
+    ("open_curtains", 0.22),
+    ("half_curtains", 0.04),
     ("drawn_curtains", 0.02),
-    ("sheer", 0.05),
-    ("sheer_and_curtains", 0.04),
-    ("roller", 0.07),
+    ("sheer", 0.04),
+    ("sheer_and_curtains", 0.03),
+    ("roller", 0.05),
     ("roller_down", 0.02),
-    ("venetian", 0.07),
+    ("venetian", 0.04),
 )
 
 
@@ -51,10 +51,11 @@ class ShellStyle:
     area_m2 is the main room's floor area; aspect the long over the short side of its main rectangle. windows and doors
     (closed ones) are counts, both ends included; fewer are built if no wall has space for them. A room gets at most one
     second room: behind an open door (`open_door`), else behind a doorway without one (`passage`); a room with no door
-    of any kind gets one closed door. Slopes cut `slanted` rooms, on two sides by `two_slopes`, with windows in them by
-    `skylights` (never if windows are (0, 0)). lower_wall is the finish of the walls' lower part, with probability
-    `lower_wall_chance`: tiles or wainscot all around up to lower_wall_m, a backsplash as a band on the wall with the
-    most space for units. An accent wall is painted with probability `accent_wall`, if the finishes have one.
+    of any kind gets one closed door. The second room has a wide window with probability `second_window`. Slopes cut
+    `slanted` rooms, on two sides by `two_slopes`, with windows in them by `skylights` (never if windows are (0, 0)).
+    lower_wall is the finish of the walls' lower part, with probability `lower_wall_chance`: tiles or wainscot all round
+    up to lower_wall_m, a backsplash as a band on the wall with the most space for units. An accent wall is painted with
+    probability `accent_wall`, if the finishes have one.
     """
 
     area_m2: Range = (12.0, 30.0)
@@ -77,6 +78,7 @@ class ShellStyle:
     doors: tuple[int, int] = (0, 2)
     open_door: float = 0.3
     passage: float = 0.12
+    second_window: float = 0.15
     wall_m: Range = (0.1, 0.35)
     skirting: float = 0.9
     crown_moulding: float = 0.25
