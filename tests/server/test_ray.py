@@ -170,7 +170,7 @@ async def streamed(url, name, watch, over):
         stream = await session.stream() if over == "websocket" else None
         push = session.push if stream is None else stream.push
         for index in itertools.count():
-            watch.answered(name, await push(FRAMES[index % len(FRAMES)]))
+            watch.answered(name, await push(FRAMES[index % len(FRAMES)], index))
             if watch.last is not None and index >= watch.last:
                 break
         if stream is not None:
