@@ -153,6 +153,9 @@ Object.assign(globalThis, {
     get frames() {
       return room?.view.frames ?? 0;
     },
+    get litObjects() {
+      return room?.objects.lit ?? [];
+    },
     parts,
     probeAt: (name: string) => room?.view.project(room.probes.spheres.get(name)!.position),
   },

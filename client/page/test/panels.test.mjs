@@ -46,6 +46,44 @@ test("a click on the picture places an object there", async () => {
   await noNotices();
 });
 
+/** A tetrahedron as a GLB file. */
+function tetrahedron() {
+  const points = Float32Array.of(0, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1);
+  const faces = Uint16Array.of(0, 2, 1, 0, 3, 2, 0, 1, 3, 1, 2, 3);
+  const data = Buffer.concat([Buffer.from(points.buffer), Buffer.from(faces.buffer)]);
+  const document = JSON.stringify({
+    asset: { version: "2.0" },
+    scene: 0,
+    scenes: [{ nodes: [0] }],
+    nodes: [{ mesh: 0 }],
+    materials: [{ pbrMetallicRoughness: { baseColorFactor: [0.8, 0.1, 0.1, 1], metallicFactor: 0 } }],
+    meshes: [{ primitives: [{ attributes: { POSITION: 0 }, indices: 1, material: 0 }] }],
+    accessors: [
+      { bufferView: 0, componentType: 5126, count: 4, type: "VEC3", min: [0, 0, 0], max: [1, 1, 1] },
+      { bufferView: 1, componentType: 5123, count: 12, type: "SCALAR" },
+    ],
+    bufferViews: [{ buffer: 0, byteOffset: 0, byteLength: 48 }, { buffer: 0, byteOffset: 48, byteLength: 24 }],
+    buffers: [{ byteLength: data.length }],
+  });
+  const text = Buffer.from(document.padEnd(Math.ceil(document.length / 4) * 4));
+  const chunk = (kind, body) => Buffer.concat([Buffer.from(Uint32Array.of(body.length, kind).buffer), body]);
+  const body = Buffer.concat([chunk(0x4e4f534a, text), chunk(0x004e4942, data)]);
+  return Buffer.concat([Buffer.from("glTF"), Buffer.from(Uint32Array.of(2, 12 + body.length).buffer), body]);
+}
+
+test("an uploaded GLB file is placed, and the 3D view shows it in the light of its place", async () => {
+  const before = await pixelsOf(page, "#picture-image");
+  const file = { name: "corner.glb", mimeType: "model/gltf-binary", buffer: tetrahedron() };
+  await page.setInputFiles("#object-file", file);
+  await page.waitForFunction(() => document.getElementById("object-shape").value === "file");
+  assert.equal(await page.inputValue("#object-material"), "own");
+  const { width, height } = await page.locator("#picture-image").boundingBox();
+  await page.click("#picture-button", { position: { x: 0.5 * width, y: 0.75 * height } });
+  await waitForChange(page, "#picture-image", before);
+  await page.waitForFunction(() => globalThis.roomlightPage.litObjects.includes("file-1"));
+  await noNotices();
+});
+
 test("the keyboard places an object", async () => {
   const before = await pixelsOf(page, "#picture-image");
   await page.selectOption("#object-shape", "cube");
@@ -157,6 +195,12 @@ test("exposure, false colour and the tint change the panorama", async () => {
   await page.check("#false-colour");
   await waitForChange(page, "#panorama-canvas", shown);
   assert.ok(await page.isVisible("#legend"));
+  assert.ok(await page.isVisible("#coverage-legend"));
+  await page.click(".menu summary");
+  assert.ok(await page.isChecked("#show-coverage"));
+  await page.uncheck("#show-coverage");
+  assert.equal(await page.isChecked("#coverage-tint"), false);
+  assert.ok(await page.isHidden("#coverage-legend"));
 });
 
 test("files are downloaded", async () => {
@@ -182,4 +226,30 @@ test("a page without new frames draws nothing", async () => {
   }
   assert.ok(now > 0);
   assert.equal(now, before);
+});
+
+test("a picture that is decoded late does not replace a newer one", async () => {
+  await page.evaluate(() => {
+    const decode = globalThis.createImageBitmap;
+    globalThis.held = [];
+    globalThis.createImageBitmap = async (picture) => {
+      const bitmap = await decode(picture);
+      if (picture.type === "image/jpeg" && document.title.startsWith("late") && globalThis.held.length === 0) {
+        await new Promise((resolve) => globalThis.held.push(resolve));
+      }
+      return bitmap;
+    };
+  });
+  await control("push", { session: "late", count: 1 });
+  await page.click('[data-session="late"]');
+  await page.waitForFunction(() => globalThis.held.length === 1);
+  await control("push", { session: "late", count: 1 });
+  await waitForFrame(page, "#picture-image", 1);
+  const shown = await pixelsOf(page, "#picture-image");
+  await page.evaluate(async () => {
+    globalThis.held[0]();
+    await new Promise((resolve) => requestAnimationFrame(() => requestAnimationFrame(resolve)));
+  });
+  assert.equal(await page.getAttribute("#picture-image", "data-frame"), "1");
+  assert.equal(difference(shown, await pixelsOf(page, "#picture-image")), 0);
 });

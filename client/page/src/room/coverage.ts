@@ -1,5 +1,5 @@
-// What the stream has seen and what is filled: a tint of the mesh where few frames looked, and behind the mesh the walls
-// of the volume's box with the light of the selected probe, tinted where no frame has seen it.
+// What the stream has seen and what is filled: a tint of the mesh where few frames looked, and behind the mesh, on the
+// walls of the volume's box, the light that is filled in at the selected probe because no frame has seen it.
 
 import {
   BackSide,
@@ -40,6 +40,7 @@ const SHELL_FRAGMENT = /* glsl */ `
     vec3 to = normalize(worldPosition - probe);
     vec2 at = vec2(0.5 + atan(to.z, to.x) / 6.28318531, acos(clamp(to.y, -1.0, 1.0)) / 3.14159265);
     vec4 texel = texture2D(panorama, at);
+    if (texel.a > 0.5) discard; // seen: the mesh shows it at its distance
     gl_FragColor = vec4(mix(min(texel.rgb * gain, 1.0), accent, ${FILLED_TINT} * (1.0 - texel.a)), 1.0);
     #include <colorspace_fragment>
   }`;

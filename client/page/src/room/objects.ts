@@ -39,6 +39,11 @@ export class RoomObjects {
     private readonly events: ObjectEvents,
   ) {}
 
+  /** Names of the objects that show the light at their place. */
+  get lit(): string[] {
+    return [...this.shown].filter(([, { etag }]) => etag !== "").map(([name]) => name);
+  }
+
   /** Show the placed objects. */
   update(): void {
     this.refresh();

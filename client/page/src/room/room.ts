@@ -30,7 +30,7 @@ export class RoomPanel {
   readonly probes: RoomProbes;
   private readonly surface: RoomSurface;
   private readonly overlays: RoomOverlays;
-  private readonly objects: RoomObjects;
+  readonly objects: RoomObjects;
   private readonly coverage: RoomCoverage;
   private hasView = false; // whether the visitor has chosen it
 
