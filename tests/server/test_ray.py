@@ -15,16 +15,19 @@ import subprocess
 import sys
 import tempfile
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
-pytest.importorskip("ray", reason="the extra `ray` is not installed")
-
 from roomlight_client import AsyncClient, Client, Retry
 from rooms import BoxRoom, pan
 
-pytestmark = [pytest.mark.slow, pytest.mark.timeout(1500)]
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.timeout(1500),
+    pytest.mark.skipif(find_spec("ray") is None, reason="the extra `ray` is not installed"),
+]
 
 FRAMES = tuple(pan(BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3)), 14, width=64, height=48))
 POINT = (0.4, 1.2, -0.3)
