@@ -15,6 +15,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -85,8 +86,10 @@ class RayServer:
     def _wait_for(self, text):
         end_s = time.monotonic() + START_S
         while text not in self.log():
-            assert self._process.poll() is None, self.log()
             assert time.monotonic() < end_s, self.log()
+            with suppress(subprocess.TimeoutExpired):
+                self._process.wait(0.2)
+                raise AssertionError(self.log())
 
     def log(self):
         return self._log.read_text(errors="replace")
