@@ -65,10 +65,9 @@ class SavedList:
         version = (stat.st_ino, stat.st_size, stat.st_mtime_ns)
         known = self._known.get(folder.name)
         if known is None or known[0] != version:
-            try:
+            values, model = None, ""
+            with contextlib.suppress(StateError, ValidationError, LookupError, TypeError):
                 server, engine = read_first_records(path, _RECORDS)
-                found = SavedValues.model_validate(server.values), str(engine.values["options"]["model"])
-            except (StateError, ValidationError, LookupError, TypeError):
-                found = None, ""
-            self._known[folder.name] = (version, *found)
+                values, model = SavedValues.model_validate(server.values), str(engine.values["options"]["model"])
+            self._known[folder.name] = (version, values, model)
         return stat.st_mtime

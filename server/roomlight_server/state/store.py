@@ -45,8 +45,12 @@ class Saveable(Protocol):
 
     name: str
     request: SessionRequest
-    journal: Journal | None
     lease: SessionLease | None
+
+    @property
+    def journal(self) -> Journal | None:
+        """What is unsaved of the session; None if sessions are not saved."""
+        ...
 
     async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
         """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
