@@ -145,11 +145,11 @@ def server(tmp_path_factory):
 
 
 class Watch:
-    """Counts the frames of all streams, runs work on threads once enough are answered, and says when to stop."""
+    """Counts the frames of all streams, runs work on threads once enough are answered; `done` is set after the last."""
 
-    def __init__(self, *due, last=None):
+    def __init__(self, *due):
         self.answers = []
-        self.last = last  # index of each stream's last frame, once all work is done
+        self.done = asyncio.Event()
         self._due = list(due)
         self._running = []
 
@@ -160,28 +160,51 @@ class Watch:
             self._running.append(asyncio.create_task(self._run(work, *args)))
 
     async def _run(self, work, *args):
-        await asyncio.to_thread(work, *args)
-        if not self._due:
-            self.last = max(index for _, index, _ in self.answers) + MORE
+        try:
+            await asyncio.to_thread(work, *args)
+        finally:
+            if not self._due:
+                self.done.set()
 
     async def ended(self):
         await asyncio.gather(*self._running)
 
 
+def frame_at(index):
+    return FRAMES[index % len(FRAMES)]
+
+
 async def streamed(url, name, watch, over):
-    """Send frames, one after the other, until all work is done; returns the light afterwards, and the state."""
+    """Send frames, one after the other, until all work is done, and some more; returns light and state afterwards."""
     async with AsyncClient(url, retry=PATIENT, reconnect=PATIENT) as client:
         session = await client.open(name, model="classical", height=16, reference_exposure=1.0)
         await session.track("table", POINT)
         stream = await session.stream() if over == "websocket" else None
         push = session.push if stream is None else stream.push
+        left = MORE
         for index in itertools.count():
-            watch.answered(name, await push(FRAMES[index % len(FRAMES)], index))
-            if watch.last is not None and index >= watch.last:
+            watch.answered(name, await push(frame_at(index), index))
+            left -= watch.done.is_set()
+            if left == 0:
                 break
         if stream is not None:
             await stream.close()
+        # the ring has changed: with the next frame the client sends what the new owner of its session lacks
+        watch.answered(name, await session.push(frame_at(index + 1), index + 1))
         return await session.light_at("table"), await session.state()
+
+
+async def uninterrupted(url, wanted):
+    """Return the light after each of the wanted frames, of a session that nothing happens to."""
+    lights = {}
+    async with AsyncClient(url) as client:
+        session = await client.open("whole", model="classical", height=16, reference_exposure=1.0)
+        await session.track("table", POINT)
+        for index in range(max(wanted) + 1):
+            assert (await session.push(frame_at(index), index)).epoch == 1
+            if index in wanted:
+                lights[index] = await session.light_at("table")
+    return lights
 
 
 def test_streams_go_on_when_replicas_come_and_go(server):
@@ -193,34 +216,33 @@ def test_streams_go_on_when_replicas_come_and_go(server):
         killed.append(victim)
         os.kill(victim, signal.SIGKILL)
 
-    watch = Watch((KILL_AFTER, kill), (ADD_AFTER, server.scale, 4))
-
     async def main():
+        watch = Watch((KILL_AFTER, kill), (ADD_AFTER, server.scale, 4))
         names = [f"phone-{number}" for number in range(STREAMS)]
         kinds = ("websocket", "requests")
         streams = [streamed(server.url, name, watch, kinds[number % 2]) for number, name in enumerate(names)]
         found = dict(zip(names, await asyncio.gather(*streams), strict=True))
         await watch.ended()
-        whole, _ = await streamed(server.url, "whole", Watch(last=watch.last), "requests")
-        return found, whole
+        wanted = {state.frames.last_index for _, state in found.values()}
+        return found, await uninterrupted(server.url, wanted), watch.answers
 
-    found, whole = asyncio.run(main())
+    found, whole, answers = asyncio.run(main())
 
     for name, (light, state) in found.items():
-        assert state.frames.last_index == watch.last, name
-        assert light.panorama.tobytes() == whole.panorama.tobytes(), name
-        assert (light.frame, light.coverage) == (whole.frame, whole.coverage), name
+        expected = whole[state.frames.last_index]
+        assert light.panorama.tobytes() == expected.panorama.tobytes(), name
+        assert (light.frame, light.coverage) == (expected.frame, expected.coverage), name
 
     claims = server.claims()
     assert len({(session, epoch) for session, epoch, _ in claims}) == len(claims)  # one owner for each epoch
     owners = {(session, epoch): pid for session, epoch, pid in claims}
     for name in found:
-        answers = [(index, epoch) for session, index, epoch in watch.answers if session == name]
-        assert [index for index, _ in answers] == list(range(watch.last + 1))
-        epochs = [epoch for _, epoch in answers if epoch is not None]
+        own = [(index, epoch) for session, index, epoch in answers if session == name]
+        assert [index for index, _ in own] == list(range(found[name][1].frames.last_index + 1))
+        epochs = [epoch for _, epoch in own if epoch is not None]
         assert epochs == sorted(epochs), name
         assert all((name, epoch) in owners for epoch in epochs)
-    assert any(epoch > 1 for _, _, epoch in watch.answers if epoch)  # the killed replica had a session
+    assert any(epoch > 1 for _, _, epoch in answers if epoch)  # the killed replica had a session
     assert killed[0] not in server.replicas()
     assert len(server.replicas()) == 4
 
