@@ -225,12 +225,13 @@ class Registry:
     def end_moved(self, key: tuple[str, str], live: Saveable) -> None:
         """End a session that another server owns; what is not saved of it is lost."""
         found = self._sessions.get(key)
-        if found is live and found.lease is not None:
-            del self._sessions[key]
-            found.close(found.lease.problem)
-            if found.journal is not None:
-                found.journal.closed = True
-            self._record_end(found.name, "moved")
+        if found is None or found is not live or found.lease is None:
+            return
+        del self._sessions[key]
+        found.close(found.lease.problem)
+        if found.journal is not None:
+            found.journal.closed = True
+        self._record_end(found.name, "moved")
 
     def items(self) -> list[tuple[tuple[str, str], LiveSession]]:
         """Return the sessions in memory by (owner, id)."""
