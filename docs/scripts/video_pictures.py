@@ -36,7 +36,7 @@ FILM_MS = 160
 FILM_PANORAMA = (400, 200)
 SPHERE_STEPS = 20
 SPHERE_MS = 120
-SPHERE_SHARE = 0.17
+SPHERE_SHARE = 0.24
 """A sphere's diameter as a share of its distance."""
 SPHERE_COLUMNS = 480
 

@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from recordings import BoxRecordings
 from roomlight.conventions import LUMINANCE
 from roomlight.engine import blend as serving
+from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
     Clipping,
     Panorama,
@@ -16,6 +18,7 @@ from roomlight_model.accumulate import (
     first_panorama,
     with_brackets,
 )
+from roomlight_model.networks import Observation, _accepted
 
 HEIGHT = 12
 DEPTH_MAX_M = 3.0
@@ -74,6 +77,66 @@ def test_clipped_observations_give_way_as_in_serving():
         after = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
         for ours, theirs in zip(after, (kept.radiance, kept.depth_m, kept.seen), strict=True):
             torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
+
+
+def test_a_sequence_of_exposures_agrees_with_serving():
+    """Eight frames of one surface, clipped in part, of estimated radiance; the networks' weight is given.
+
+    The engine's rule for changed light takes nothing here: the light of the surface is constant.
+    """
+    random, shape = np.random.default_rng(8), (HEIGHT, 2 * HEIGHT)
+    light = random.uniform(0.2, 9, (*shape, 1)) * np.ones(3)
+    kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
+    nothing = planes(np.zeros(shape, np.float32))
+    state = Panorama(planes(kept.radiance), planes(kept.depth_m), planes(kept.seen), nothing, nothing)
+    replaced = 0
+    for white in (1, 4, 2, 8, 1, 8, 16, 4):
+        clipped = (light[..., 0] >= white).astype(np.float32)
+        guessed = clipped * random.uniform(0, white, shape).astype(np.float32)
+        view = {
+            "hdr": random.exponential(2.0, (*shape, 3)).astype(np.float32),
+            "detail": (np.minimum(light, white) + guessed[..., None]).astype(np.float32),
+            "detail_depth_m": (2 + random.uniform(-0.05, 0.05, shape)).astype(np.float32),
+            "weight": random.random(shape).astype(np.float32),
+        }
+        serving.accumulate(kept, **view, detail_clipped=clipped, detail_guessed=guessed)
+        seen = Observation(
+            *(planes(view[name]) for name in ("hdr", "detail")),
+            planes((view["weight"] > 0).astype(np.float32)),
+            planes(view["detail_depth_m"]),
+            planes(clipped),
+            planes(guessed),
+        )
+        raw = planes(view["weight"])
+        weight = _accepted(raw, seen, state, margin=serving.CLOSER_M)
+        ruled = conservative(raw, seen.depth, state.depth, margin=serving.CLOSER_M)
+        replaced += int((weight > ruled).sum())
+        state = accumulate(
+            state, seen.hdr, seen.ldr, depth=seen.depth, weight=weight, clipped=seen.clipped, guessed=seen.guessed
+        )
+    assert replaced > 100
+    wanted = (kept.radiance, kept.depth_m, kept.seen, kept.clipped, kept.guessed)
+    for ours, theirs in zip(state, wanted, strict=True):
+        torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-4)
+
+
+def test_constant_light_changes_nothing_in_serving(monkeypatch):
+    """Hence training needs no twin of the rule for changed light: a walk in a box room, at changing exposure."""
+    taken = []
+
+    def counted(state, found, rule=serving._taken):
+        taken.append(rule(state, found))
+        return taken[-1]
+
+    monkeypatch.setattr(serving, "_taken", counted)
+    session = Session(SessionOptions(model="classical", height=60))
+    recording = BoxRecordings(1).read(0, frames=range(0, 31, 2))
+    for position in recording.probe_positions:
+        session.track(tuple(position.tolist()))
+    for number, depth_mm in enumerate(recording.depth_mm):
+        session.push(recording.frame(number, depth_mm))
+    assert len(taken) == 3 * 16
+    assert sum(int(one.sum()) for one in taken) == 0
 
 
 def test_what_is_filled_in_agrees_with_serving():

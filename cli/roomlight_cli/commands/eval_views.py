@@ -22,8 +22,10 @@ _MODELS: Final[tuple[ModelName, ...]] = ("single", "video")
 def eval_views(
     captures: Annotated[list[Path], typer.Argument(help="Captures; they need no ground truth.")],
     model: Annotated[
-        list[ModelName] | None,
-        typer.Option(rich_help_panel=arguments.MODEL_PANEL, help="Beside the classical one; repeatable."),
+        ModelName | None,
+        typer.Option(
+            rich_help_panel=arguments.MODEL_PANEL, help="Beside the classical one; default: single and video."
+        ),
     ] = None,
     ahead: Annotated[int, typer.Option(min=1, help="How many frames after the last known one to predict.")] = 10,
     spacing: Annotated[int, typer.Option(min=1, help="Predict every n-th frame.")] = 5,
@@ -38,9 +40,8 @@ def eval_views(
     Directions that the earlier frames have shown are scored apart from the others. Compared are mean colour,
     warp-and-fill, the classical model and, by default, the single-view and the recurrent networks.
     """
-    sessions = [
-        SessionOptions(model=name, weights=weights, provider=provider, height=HEIGHT) for name in model or _MODELS
-    ]
+    names = _MODELS if model is None else (model,)
+    sessions = [SessionOptions(model=name, weights=weights, provider=provider, height=HEIGHT) for name in names]
     with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()

@@ -153,7 +153,7 @@ def _probe_detail(
     nothing = np.zeros((height, 2 * height, 3), np.float32)
     farthest_m = farthest_depth_m(grid.depth_max_m)
     *earlier, last = (mesh.render_panorama(position, height=height).within(farthest_m) for mesh in meshes)
-    for detail in earlier:
+    for mesh, detail in zip(meshes, earlier, strict=False):
         weight = detail.mask.astype(np.float32)
         accumulate(
             state,
@@ -163,6 +163,7 @@ def _probe_detail(
             weight=weight,
             detail_clipped=detail.clipped,
             detail_guessed=detail.guessed,
+            camera=mesh.camera_to_world[:3, 3] - position,
         )
     filled = filled_detail(state, last.radiance, last.depth_m, mask=last.mask, hdr=nothing)
     kept = (state.seen > 0) & ~(last.mask & state.is_closer(last.depth_m))

@@ -74,12 +74,18 @@ def energies(options, frames):
 HAS_COMPLETION = (SHIPPED / "completion" / DESCRIPTION).is_file()
 
 
-@pytest.fixture(scope="module", params=["classical", "brightening", *(["shipped"] if HAS_COMPLETION else [])])
+HAS_VIDEO = (SHIPPED / "video" / DESCRIPTION).is_file()
+SHIPPED_MODELS = [
+    *(["completion"] if HAS_COMPLETION else []),
+    *([pytest.param("video", marks=pytest.mark.slow)] if HAS_VIDEO else []),
+]
+
+
+@pytest.fixture(scope="module", params=["classical", "brightening", *SHIPPED_MODELS])
 def options(request, tmp_path_factory):
-    """The classical model; a completion that makes the inferred light half as bright again; the one in the package."""
+    """The classical model; a completion that makes the inferred light half as bright again; networks in the package."""
     if request.param != "brightening":
-        name = "classical" if request.param == "classical" else "completion"
-        return SessionOptions(model=name, provider="cpu", height=60)
+        return SessionOptions(model=request.param, provider="cpu", height=60)
     parts = tmp_path_factory.mktemp("parts")
     write_part(parts / "completion", "completion", constant=float(np.log(1.5)))
     (parts / "clipping").symlink_to(SHIPPED / "clipping")
@@ -112,7 +118,8 @@ def test_inferred_light_is_bounded_by_what_is_white(walked, options):
 
 
 def test_looking_twice_gives_the_same_light(options, frames):
-    """The same view again and again: a fixed point, reached from the first frames."""
+    """The same view again and again: a fixed point, reached from the first frames. Recurrent networks approach theirs
+    more slowly: by 0.15 % in the twelfth frame."""
     found, _ = energies(options, [frames[8]] * 12)
-    assert found[-1] == pytest.approx(found[-2], rel=1e-3)
+    assert found[-1] == pytest.approx(found[-2], rel=3e-3 if options.model == "video" else 1e-3)
     assert found[-1] <= NOISE * found[0]
