@@ -6,7 +6,7 @@ from shading_reference import look_at
 from roomlight.camera import Intrinsics
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.lighting import ProbeSet
-from roomlight.compositing.materials import diffuse, mirror
+from roomlight.compositing.materials import Material, diffuse, mirror
 from roomlight.compositing.primitives import sphere
 from roomlight.compositing.rendering import RenderSettings, render_objects
 from roomlight.compositing.tracer import ObjectScene
@@ -25,7 +25,7 @@ def supports(shade_radius: float = 0.0) -> Supports:
     return Supports(*FLOOR, spheres, reach_m=50.0)
 
 
-def ball(material) -> ObjectScene:
+def ball(material: Material) -> ObjectScene:
     pose = np.eye(4)
     pose[:3, 3] = CENTRE
     return ObjectScene([sphere(RADIUS, material).transformed(pose)])
