@@ -97,12 +97,10 @@ class PanoramaState:
     def fresh(cls, height: int, depth_max_m: float) -> "PanoramaState":
         """Return the state before the first frame: nothing observed."""
         shape = (height, 2 * height)
-        return cls(
-            np.zeros((*shape, 3), np.float32),
-            np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32),
-            *(np.zeros(shape, np.float32) for _ in range(4)),
-            np.zeros((*shape, 3), np.float32),
-        )
+        unseen = np.full(shape, UNSEEN_DEPTH * depth_max_m, np.float32)
+        seen, clipped, guessed, changed = (np.zeros(shape, np.float32) for _ in range(4))
+        radiance, viewed_from = (np.zeros((*shape, 3), np.float32) for _ in range(2))
+        return cls(radiance, unseen, seen, clipped, guessed, changed, viewed_from)
 
     def copy(self) -> "PanoramaState":
         """Return a copy that later frames do not change."""

@@ -1,7 +1,7 @@
 """Ten walks in closed rooms: light of directions that no frame shows does not grow when frames show the same again.
 
-The camera pans over a part of the room, and twice more over the same part, with the small movements of a hand. What the
-first pass showed may make the unseen part brighter or darker; the later passes show nothing new.
+The camera pans over a part of the room, and twice more over the same part, with the small movements of a hand and a
+narrower view. What the first pass showed may make the unseen part brighter or darker. The later ones show nothing new.
 """
 
 from dataclasses import replace
@@ -15,6 +15,8 @@ from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 
 PASSES, FRAMES, HEIGHT = 3, 7, 60
+WIDE_DEG, NARROW_DEG = 75.0, 62.0
+"""Fields of view of the first pass and of the later ones. The hand turns the camera by less than half the gap."""
 NOISE = 1.05
 """Movements of the hand show other edges of the view: the unseen part beside them changes by some percent."""
 DEFAULT = ["classical", *(["completion"] if (SHIPPED / "completion" / DESCRIPTION).is_file() else [])]
@@ -32,8 +34,10 @@ def closed_walk(seed):
         along = index % FRAMES / (FRAMES - 1)
         along = along if (index // FRAMES) % 2 == 0 else 1 - along  # and back
         position = np.array([0.0, 1.4, 0.0]) + rng.normal(0, 0.01, 3)
-        pose = camera_at(position, start + turn * along + rng.normal(0, 1), pitch + rng.normal(0, 1))
-        frame = room.frame(pose, index=index, width=80, height=60)
+        shake = rng.normal(0, 1, 2) * (index >= FRAMES)
+        pose = camera_at(position, start + turn * along + shake[0], pitch + shake[1])
+        fov = WIDE_DEG if index < FRAMES else NARROW_DEG
+        frame = room.frame(pose, index=index, width=80, height=60, fov_degrees=fov)
         clipped = frame.image.max(-1) >= 1
         frames.append(replace(frame, image=np.minimum(frame.image, 1), clipped=clipped))
     return room, (0.3, 1.1, -0.2), frames
