@@ -7,6 +7,7 @@ import signal
 import subprocess
 import sys
 import threading
+from typing import Any
 
 BOUND_S = 60
 """Limit on a request, and on the end of a process: a hang, on a busy machine. The server's own is `serving.STOP_S`."""
@@ -46,7 +47,7 @@ class Process:
         assert self._process.stderr is not None
         self._process.stderr.close()
 
-    def call(self, method, path, body=None):
+    def call(self, method, path, body=None) -> tuple[int, Any]:
         """Return (status, JSON); (0, None) without a whole answer."""
         connection = http.client.HTTPConnection("127.0.0.1", self.port, timeout=BOUND_S)
         data = json.dumps(body).encode() if isinstance(body, dict) else body
