@@ -133,6 +133,8 @@ class CapacityReport:
         )
         headings = ("phones", "machines", "by frames", "by memory", "frames, MB/s", "states, MB/s", "states, MB/s each")
         table = Table(*headings, title=title, title_justify="left")
+        for column in table.columns:
+            column.no_wrap = True  # numbers would be cut to dots
         for row in self.rows:
             traffic = f"{row.frame_traffic / 1e6:,.0f}", f"{row.state_traffic / 1e6:,.0f}"
             each = f"{row.state_traffic / row.machines / 1e6:,.0f}"

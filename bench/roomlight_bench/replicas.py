@@ -96,6 +96,8 @@ class ReplicaReport:
             title += f", load of other work before the run {self.busy:.1f}"
         headings = ("servers", "ready, s", "frame of one phone, ms", "ratio", "frames/s of all", "ratio", "frame, ms")
         table = Table(*headings, title=title, title_justify="left")
+        for column in table.columns:
+            column.no_wrap = True
         plain = self.rows[0]
         for row in self.rows:
             name = "plain" if row.replicas == 0 else f"Ray, {row.replicas} replica{'s' if row.replicas > 1 else ''}"
