@@ -39,7 +39,7 @@ class SessionRouting:
             await self._app(scope, receive, send)
             return
         answer = _Answer(send)
-        await self._app(scope | {"headers": routed_headers(scope["path"], scope["headers"])}, receive, answer.send)
+        await self._app({**scope, "headers": routed_headers(scope["path"], scope["headers"])}, receive, answer.send)
         if scope["type"] == "http":
             await answer.finish()
 
@@ -73,7 +73,7 @@ class _Answer:
             if message["status"] >= 500 and not _has_type(headers, MEDIA_TYPE):
                 await self._replace(headers)
                 return
-            message = message | {"headers": headers}
+            message = {**message, "headers": headers}
         if not self._replaced:
             await self._send(message)
 

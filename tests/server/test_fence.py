@@ -150,6 +150,16 @@ def wait_until_saved(server, index):
     raise AssertionError(server.state())
 
 
+def wait_until_quiet(server):
+    """Ask until all changes are on disk."""
+    states = server.app.state.context.states
+    for _ in range(TRIES):
+        server.state()
+        if not states._saving and all(live.journal.unsaved_s == 0 for _, live in server.registry.items()):
+            return
+    raise AssertionError(states.failing)
+
+
 def state_file(folder):
     return next((folder / "sessions").glob("*/state")).read_bytes()
 
@@ -193,6 +203,7 @@ def test_lost_frames_are_asked_for_and_light_is_the_same(tmp_path):
             first.call("DELETE", "/v1/sessions/room/probes/other")
             if first.state()["frames"]["durable_index"] == 0:
                 break
+        wait_until_quiet(first)  # from now on nothing is saved for an hour
         for index in (1, 2, 3):
             assert first.push(index, frame(YAWS[index])).status == 200
         gap = second.push(4, frame(YAWS[4]))
@@ -228,6 +239,7 @@ def test_a_server_that_lost_a_session_does_not_write_it(tmp_path):
             if list((tmp_path / "sessions").glob("*/state")):
                 break
             first.state()
+        wait_until_quiet(first)
         first.push(1, frame(YAWS[1]))
         first.push(2, frame(YAWS[2]))  # unsaved for an hour
         second.call("PUT", "/v1/sessions/room/probes/other", PROBE)
