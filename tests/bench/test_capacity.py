@@ -27,7 +27,7 @@ def test_traffic_is_that_of_all_phones():
     found = machines_for(100, COST, ASSUMED)
     assert found.frame_traffic == pytest.approx(100 * 2 * 40e3)
     assert found.state_traffic == pytest.approx(100 * 4e6 * 2.5 / 10)
-    assert machines_for(100, COST, replace(ASSUMED, state_interval_s=0)).state_traffic == 0
+    assert machines_for(100, COST, replace(ASSUMED, state_interval_s=0.0)).state_traffic == 0
     rare = replace(ASSUMED, fps=0.01)
     assert machines_for(100, COST, rare).state_traffic == pytest.approx(100 * 4e6 * 0.01)  # no frame, no change
 
@@ -50,7 +50,7 @@ def test_the_capacity_page_follows_from_its_figures():
         row = f"| {phones:,} | {found.machines:,} | {found.by_frames:,} | {found.by_memory:,} | "
         assert row in text
         traffic = [
-            machines_for(phones, cost, Assumptions(state_interval_s=each)).state_traffic for each in (5, 30, 300)
+            machines_for(phones, cost, Assumptions(state_interval_s=each)).state_traffic for each in (5.0, 30.0, 300.0)
         ]
         rows = re.findall(rf"^\| {phones:,} \| ([\d.]+) (.B)/s \| ([\d.]+) (.B)/s \| ([\d.]+) (.B)/s \|$", text, re.M)
         units = {"MB": 1e6, "GB": 1e9, "TB": 1e12}
