@@ -39,8 +39,8 @@ def drawn(monkeypatch, paths):
 
 
 def test_walks_without_places_for_probes_are_drawn_again(coarse_room, monkeypatch):
-    path = object()
-    drawn(monkeypatch, [None, None, path, object()])
+    path, later = (plan_camera_path(coarse_room, np.random.default_rng(number), frames=1) for number in range(2))
+    drawn(monkeypatch, [None, None, path, later])
     assert plan_camera_path(coarse_room, np.random.default_rng(0), frames=1) is path
 
 

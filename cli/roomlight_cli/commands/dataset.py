@@ -222,9 +222,9 @@ def furniture(
 @app.command()
 def sample(
     out: Annotated[Path, typer.Option(help="Capture folder to write: a new or an empty one.")],
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of another room; default: the shipped room's.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the room.")] = None,
 ) -> None:
-    """Generate the sample capture that the package ships, or another room of its kind."""
+    """Generate a sample capture such as the one in the package: a walk through one room, with true light."""
     if out.exists() and (not out.is_dir() or any(out.iterdir())):  # said now, not after a minute of rendering
         raise OutputError(f"{out}: exists already; choose another folder or delete it")
     with console.err.status("solving the room's light and rendering the frames"):
