@@ -155,7 +155,7 @@ def wait_until_quiet(server):
     states = server.app.state.context.states
     for _ in range(TRIES):
         server.state()
-        if not states._saving and not any(live.journal.is_due(3600) for _, live in server.registry.items()):
+        if not states._saving and not any(live.journal.is_due(3600.0) for _, live in server.registry.items()):
             return
     raise AssertionError(states.failing)
 
