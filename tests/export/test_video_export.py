@@ -64,7 +64,7 @@ def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
     prepared = [PreparedWalk.of(sequence, SHAPE)]
     batch = with_views(collate_walks(prepared, panorama_height=HEIGHT), prepared, panorama_height=HEIGHT)
     options = replace(OPTIONS, model=model.config)
-    session = Session(SessionOptions(model="video", weights=folder, provider="cpu", height=HEIGHT))
+    session = Session(SessionOptions(model="video", weights=folder, provider="cpu", height=HEIGHT, hedge=0.0))
     handles = [session.track(tuple(position)) for position in sequence.example.positions.tolist()]
     with torch.no_grad():
         unroll = Unroll(model, batch, options, generator=torch.Generator().manual_seed(0), device=CPU)

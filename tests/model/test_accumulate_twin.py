@@ -52,7 +52,7 @@ def test_agrees_with_serving(kernel):
         depth = planes(frame["detail_depth_m"])
         weight = conservative(planes(frame["weight"]), depth, state.depth, margin=serving.CLOSER_M)
         state = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
-    for ours, theirs in zip(state, (kept.radiance, kept.depth_m, kept.seen), strict=True):
+    for ours, theirs in zip(state[:3], (kept.radiance, kept.depth_m, kept.seen), strict=True):
         torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 
@@ -75,7 +75,7 @@ def test_clipped_observations_give_way_as_in_serving():
         assert 0.1 < float((better > 0).float().mean()) < 0.9
         weight = with_brackets(weight, raw, better, distance=state.depth - depth, margin=serving.CLOSER_M)
         after = accumulate(state, planes(frame["hdr"]), planes(frame["detail"]), depth=depth, weight=weight)
-        for ours, theirs in zip(after, (kept.radiance, kept.depth_m, kept.seen), strict=True):
+        for ours, theirs in zip(after[:3], (kept.radiance, kept.depth_m, kept.seen), strict=True):
             torch.testing.assert_close(ours, planes(theirs), atol=2e-5, rtol=1e-5)
 
 

@@ -33,7 +33,7 @@ BENCHMARKS: Final = (
     CommandEntry(
         "capacity",
         "roomlight_cli.commands.bench_capacity",
-        "Compute the machines for a number of phones from what a server does on this machine (half a minute).",
+        "Compute the machines for 100, 10,000 and a million phones from what a server does here (half a minute).",
     ),
     CommandEntry(
         "composite",
