@@ -101,7 +101,8 @@ def test_a_sequence_of_exposures_agrees_with_serving():
         }
         serving.accumulate(kept, **view, detail_clipped=clipped, detail_guessed=guessed)
         seen = Observation(
-            *(planes(view[name]) for name in ("hdr", "detail")),
+            planes(view["hdr"]),
+            planes(view["detail"]),
             planes((view["weight"] > 0).astype(np.float32)),
             planes(view["detail_depth_m"]),
             planes(clipped),

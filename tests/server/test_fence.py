@@ -322,6 +322,7 @@ def test_a_stream_of_a_moved_session_is_closed(tmp_path):
             socket.send(frame(YAWS[3], index=3))
             with pytest.raises(ConnectionClosed) as closed:
                 socket.recv(timeout=60)
+        assert closed.value.rcvd is not None
         assert (closed.value.rcvd.code, closed.value.rcvd.reason) == (4503, "session-moved")
 
 

@@ -181,7 +181,7 @@ async def streamed(url, name, watch, over):
         await session.track("table", POINT)
         stream = await session.stream() if over == "websocket" else None
         push = session.push if stream is None else stream.push
-        left = MORE
+        left, index = MORE, 0
         for index in itertools.count():
             watch.answered(name, await push(frame_at(index), index))
             left -= watch.done.is_set()
@@ -237,8 +237,10 @@ def test_streams_go_on_when_replicas_come_and_go(server):
     assert len({(session, epoch) for session, epoch, _ in claims}) == len(claims)  # one owner for each epoch
     owners = {(session, epoch): pid for session, epoch, pid in claims}
     for name in found:
+        last = found[name][1].frames.last_index
+        assert last is not None
         own = [(index, epoch) for session, index, epoch in answers if session == name]
-        assert [index for index, _ in own] == list(range(found[name][1].frames.last_index + 1))
+        assert [index for index, _ in own] == list(range(last + 1))
         epochs = [epoch for _, epoch in own if epoch is not None]
         assert epochs == sorted(epochs), name
         assert all((name, epoch) in owners for epoch in epochs)

@@ -7,6 +7,7 @@ import os
 import stat
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -95,7 +96,7 @@ def test_the_proxies_import_the_middleware():
 
 def test_replicas_share_an_absolute_folder(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    settings = ray_serving.shared_settings(ServerSettings(state_dir="state"), 3)
+    settings = ray_serving.shared_settings(ServerSettings(state_dir=Path("state")), 3)
     assert (settings.state_dir, settings.state_shared) == (tmp_path / "state", True)
 
 

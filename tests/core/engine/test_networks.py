@@ -250,17 +250,17 @@ def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
         hdr, held = (random.uniform(0, 3, (*shape, 3)).astype(np.float32) for _ in range(2))
         before = random.uniform(1, 9, shape).astype(np.float32)
         seen = np.ones(shape, np.float32)
-        unclipped = np.zeros((3, *shape), np.float32)
+        unclipped, three = np.zeros(shape, np.float32), np.zeros_like(held)
         small = coarse.weigh(
-            PanoramaState(held, before, seen, *unclipped, np.zeros_like(held)),
+            PanoramaState(held, before, seen, unclipped, unclipped, unclipped, three),
             hdr,
             PartialPanorama(radiance, mask, depth),
             GRID.depth_max_m,
         )
         around = (np.arange(3 * HEIGHT)[:, None] % 3 != 1) | (np.arange(6 * HEIGHT) % 3 != 1)
         partial = PartialPanorama(_thrice(radiance), _thrice(mask) | around, np.where(around, 0.7, _thrice(depth)))
-        planes = np.where(around, 5, _thrice(before)), _thrice(seen), *(_thrice(plane) for plane in unclipped)
-        state = PanoramaState(_thrice(held), *planes, np.zeros_like(_thrice(held)))
+        depth_m, none = np.where(around, 5, _thrice(before)), _thrice(unclipped)
+        state = PanoramaState(_thrice(held), depth_m, _thrice(seen), none, none, none, _thrice(three))
         large = fine.weigh(state, _thrice(hdr), partial, GRID.depth_max_m)
         # means of nine equal floats differ from them in the last bit or two
         np.testing.assert_allclose(large[1::3, 1::3], small, atol=1e-5)
