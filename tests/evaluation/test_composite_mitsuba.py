@@ -1,5 +1,6 @@
 """The Mitsuba scene of the composites' truth: camera, depth and object agree with RoomLight's conventions."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -16,7 +17,8 @@ def test_the_composite_covers_the_rendered_object():
     changed = np.abs(images[OURS] - scene.frame.image).max(axis=-1) > 0.02
     assert scene.covered.sum() > 100
     assert changed[scene.masks["object"]].mean() > 0.9
-    away = ~scene.covered & ~scene.masks["shadow"]
+    affected = (scene.covered | scene.masks["shadow"]).astype(np.uint8)
+    away = cv2.dilate(affected, np.ones((11, 11), np.uint8)) == 0  # the two shadows end at different places
     assert changed[away].mean() < 0.02
     v, u = np.argwhere(scene.covered).mean(axis=0)
     assert np.hypot(u - 100, v - 75) < 12  # the camera looks at the object
