@@ -15,7 +15,7 @@ from roomlight.engine.completion import HEIGHT
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
-from roomlight_model.training.stages import EVEN, WORSE_WEIGHT
+from roomlight_model.training.stages import EVEN, relative_error
 
 SPHERE_WEIGHT: Final = 0.01
 """Weight of the error of light on surfaces: without it the network predicts the mean of the logarithm everywhere, and
@@ -49,8 +49,7 @@ class CompletionStage:
         """Return the loss of a batch: log-L2 relative to the classical fill's, and the light on surfaces."""
         panels, truth = completion_batch(self.examples, chosen, rng, augment=True)
         error, fill, surfaces = _errors(completed(network, panels), panels, truth)
-        relative = (error + WORSE_WEIGHT * (error - fill).clamp(min=0)) / (fill + EVEN)
-        return relative.mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
+        return relative_error(error, fill).mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:
         """Score held-out examples: mean ratio of log-L2 to the classical fill's (`loss`), energy, both log-L2."""

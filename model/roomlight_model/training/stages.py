@@ -183,13 +183,9 @@ def _blend_losses(
     device: torch.device,
 ) -> Losses:
     hdr, blended = predicted_panoramas(model, sglv, batch, bf16=options.bf16, device=device)
-    if options.relative:
-        log_l2, weight = relative_errors(blended, batch)
-        volume = (weight * log_errors(hdr, batch.truth)).mean()
-    else:
-        log_l2, volume = log_l2_loss(blended, batch.truth), log_l2_loss(hdr, batch.truth)
+    log_l2, weight = relative_errors(blended, batch) if options.relative else (log_l2_loss(blended, batch.truth), 1)
     if options.stage == "single-joint":  # keeps the volume accurate where nothing is blended in
-        log_l2 = (log_l2 + volume) / 2
+        log_l2 = (log_l2 + (weight * log_errors(hdr, batch.truth)).mean()) / 2
     samples = draw_sphere(batch, options, generator=generator)
     sphere, wanted = (shade(samples, light_along(samples, light)) for light in (blended, batch.truth))
     return summed(log_l2, rendering_loss(sphere, wanted), options)
@@ -236,8 +232,12 @@ def relative_errors(blended: Float[Tensor, "b p 3 h w"], batch: Batch) -> tuple[
     if batch.before is not None and batch.kept is not None:
         fill = torch.where(batch.kept > 0, batch.before, fill)
     error, least = log_errors(blended, batch.truth), log_errors(fill, batch.truth)
-    weight = RELATIVE_SCALE / (least + EVEN)
-    return (weight * (error + WORSE_WEIGHT * (error - least).clamp(min=0))).mean(), weight
+    return RELATIVE_SCALE * relative_error(error, least).mean(), RELATIVE_SCALE / (least + EVEN)
+
+
+def relative_error(error: Float[Tensor, " b"], fill: Float[Tensor, " b"]) -> Float[Tensor, " b"]:
+    """Return each example's error divided by the fill's; the part that exceeds it counts again (`WORSE_WEIGHT`)."""
+    return (error + WORSE_WEIGHT * (error - fill).clamp(min=0)) / (fill + EVEN)
 
 
 def rendering_loss(prediction: Tensor, truth: Tensor) -> Float[Tensor, ""]:
