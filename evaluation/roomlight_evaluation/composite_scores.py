@@ -5,7 +5,7 @@ the mean squared error in linear light and in sRGB, and the mean absolute differ
 """
 
 import json
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.conventions import LUMINANCE, linear_to_srgb
 from roomlight_evaluation.composite_methods import HARMONICS, METHODS
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, bootstrap
 
 METRICS: Final = ("rmse", "srgb", "log")
 
@@ -90,18 +90,18 @@ class CompositeScores:
 
     def mean(self, method: str, region: str, metric: str, material: str | None = None) -> MeanWithInterval:
         """Return the mean over scenes, of one material or all, with its interval."""
-        return _bootstrap([self._values(method, region, metric, material)], _first)
+        return bootstrap([self._values(method, region, metric, material)], _first)
 
     def ratio(
         self, method: str, region: str, metric: str, material: str | None = None, *, to: str = HARMONICS
     ) -> MeanWithInterval:
         """Return the method's mean over another's, with the interval over the same resampled scenes."""
         pair = [self._values(name, region, metric, material) for name in (method, to)]
-        return _bootstrap(pair, _ratio)
+        return bootstrap(pair, _ratio)
 
     def darkening(self, method: str) -> MeanWithInterval:
         """Return the mean log change in shadows over scenes: `truth`, or a method's."""
-        return _bootstrap([[one.darkening[method] for one in self.scenes]], _first)
+        return bootstrap([[one.darkening[method] for one in self.scenes]], _first)
 
     def _values(self, method: str, region: str, metric: str, material: str | None) -> list[float]:
         chosen = [one for one in self.scenes if material in (None, one.material)]
@@ -132,16 +132,3 @@ def _first(means: np.ndarray) -> Any:
 
 def _ratio(means: np.ndarray) -> Any:
     return means[0] / means[1]
-
-
-def _bootstrap(columns: Sequence[Iterable[float]], figure: Callable[[np.ndarray], Any]) -> MeanWithInterval:
-    """Return a figure of the columns' means and its 95 % interval over resampled rows; rows with NaN do not count."""
-    table = np.array([list(column) for column in columns], np.float64)
-    table = table[:, np.isfinite(table).all(axis=0)]
-    count = table.shape[1]
-    if count == 0:
-        return MeanWithInterval(np.nan, np.nan, np.nan)
-    drawn = np.random.default_rng(0).integers(0, count, (BOOTSTRAP_SAMPLES, count))
-    means = table[:, drawn].mean(axis=2)
-    low, high = np.percentile(figure(means), [2.5, 97.5])
-    return MeanWithInterval(float(figure(table.mean(axis=1))), float(low), float(high))

@@ -26,7 +26,7 @@ from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, OptionError
 from roomlight.files import write_json
 from roomlight.frame import Frame
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, bootstrap
 from roomlight_evaluation.estimators import EngineEstimator, Estimator
 
 HEIGHT: Final = 120
@@ -243,12 +243,8 @@ def _score_view(name: str, frame: Frame, reference: Session, estimators: Sequenc
 
 def _ratio(errors: Sequence[float], reference: Sequence[float] | None) -> MeanWithInterval:
     """Return the mean of errors, as a ratio to the mean of others if given; NaN for what has no views."""
-    if not errors:
-        return MeanWithInterval(np.nan, np.nan, np.nan)
-    ours, theirs = np.array(errors), np.ones(len(errors)) if reference is None else np.array(reference)
-    drawn = np.random.default_rng(0).integers(0, len(ours), (BOOTSTRAP_SAMPLES, len(ours)))
-    low, high = np.percentile(ours[drawn].mean(axis=1) / theirs[drawn].mean(axis=1), [2.5, 97.5])
-    return MeanWithInterval(float(ours.mean() / theirs.mean()), float(low), float(high))
+    others = reference if reference is not None and errors else [1.0] * len(errors)
+    return bootstrap([errors, others], lambda means: means[0] / means[1])
 
 
 def _plain(cell: MeanWithInterval) -> dict[str, float | None]:
