@@ -25,7 +25,7 @@ from jaxtyping import Float
 from roomlight.errors import CaptureError
 from roomlight.files import write_json
 from roomlight.metrics import METRICS, PAPER_INTERVALS, interval_means, intervals
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 
 SCHEMA: Final = "roomlight-evaluation-1"
 
@@ -100,7 +100,7 @@ class CaptureScores:
             raise KeyError(f"no scores of {method!r}" + (f" on {capture!r}" if capture else ""))
         values = np.stack([track.means(metric) for track in chosen])  # [pair, column]
         probes = [sum(other.capture == track.capture for other in chosen) for track in chosen]
-        return tuple(_weighted_mean(column, 1 / np.array(probes, np.float64)) for column in values.T)
+        return tuple(mean_with_interval(column, 1 / np.array(probes, np.float64)) for column in values.T)
 
     def to_json(self) -> dict[str, Any]:
         """Return the JSON of this module's docstring as plain dictionaries and lists."""
@@ -171,22 +171,6 @@ def _track(data: dict[str, Any]) -> Track:
         for key, values in data["scores"].items()
     }
     return Track(data["capture"], int(data["probe"]), data["method"], tuple(data["frames"]), scores)
-
-
-def _weighted_mean(values: Float[np.ndarray, " n"], weights: Float[np.ndarray, " n"]) -> MeanWithInterval:
-    """Average the known (finite) values; the bootstrap resamples them with their weights."""
-    known = np.isfinite(values)
-    values, weights = values[known], weights[known]
-    if len(values) == 0:
-        return MeanWithInterval(math.nan, math.nan, math.nan)
-    mean = float(np.average(values, weights=weights))
-    if len(values) == 1:
-        return MeanWithInterval(mean, math.nan, math.nan)
-    # Seeded: a table comes out the same twice, and every method's interval draws the same pairs.
-    drawn = np.random.default_rng(0).integers(0, len(values), (BOOTSTRAP_SAMPLES, len(values)))
-    means = (values * weights)[drawn].sum(axis=1) / weights[drawn].sum(axis=1)
-    low, high = np.percentile(means, [2.5, 97.5])
-    return MeanWithInterval(mean, float(low), float(high))
 
 
 def _or_none(value: float) -> float | None:

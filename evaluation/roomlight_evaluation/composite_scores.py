@@ -15,7 +15,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.conventions import LUMINANCE, linear_to_srgb
 from roomlight_evaluation.composite_methods import HARMONICS, METHODS
-from roomlight_evaluation.confidence import MeanWithInterval, bootstrap
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 
 METRICS: Final = ("rmse", "srgb", "log")
 
@@ -90,18 +90,19 @@ class CompositeScores:
 
     def mean(self, method: str, region: str, metric: str, material: str | None = None) -> MeanWithInterval:
         """Return the mean over scenes, of one material or all, with its interval."""
-        return bootstrap([self._values(method, region, metric, material)], _first)
+        return mean_with_interval(self._values(method, region, metric, material))
 
     def ratio(
         self, method: str, region: str, metric: str, material: str | None = None, *, to: str = HARMONICS
     ) -> MeanWithInterval:
         """Return the method's mean over another's, with the interval over the same resampled scenes."""
-        pair = [self._values(name, region, metric, material) for name in (method, to)]
-        return bootstrap(pair, _ratio)
+        return ratio_of_means(
+            self._values(method, region, metric, material), self._values(to, region, metric, material)
+        )
 
     def darkening(self, method: str) -> MeanWithInterval:
         """Return the mean log change in shadows over scenes: `truth`, or a method's."""
-        return bootstrap([[one.darkening[method] for one in self.scenes]], _first)
+        return mean_with_interval(one.darkening[method] for one in self.scenes)
 
     def _values(self, method: str, region: str, metric: str, material: str | None) -> list[float]:
         chosen = [one for one in self.scenes if material in (None, one.material)]
@@ -124,11 +125,3 @@ def read_lines(path: Path) -> list[SceneScore]:
 def worst_methods_first(scores: CompositeScores, region: str, metric: str) -> list[str]:
     """Return the methods by falling mean error."""
     return sorted(METHODS, key=lambda method: -scores.mean(method, region, metric).mean)
-
-
-def _first(means: np.ndarray) -> Any:
-    return means[0]
-
-
-def _ratio(means: np.ndarray) -> Any:
-    return means[0] / means[1]

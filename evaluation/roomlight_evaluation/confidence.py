@@ -1,10 +1,12 @@
 """A mean with its 95 % bootstrap interval: the figure that every table of an evaluation shows."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
+from jaxtyping import Int
 
 BOOTSTRAP_SAMPLES: Final = 10_000
 """Resamples per interval; the ends of an interval are then stable to 2 % of its width."""
@@ -19,14 +21,33 @@ class MeanWithInterval:
     high: float
 
 
-def bootstrap(columns: Sequence[Iterable[float]], figure: Callable[[np.ndarray], Any]) -> MeanWithInterval:
-    """Return a figure of the columns' means and its 95 % interval over resampled rows; rows with NaN do not count."""
-    table = np.array([list(column) for column in columns], np.float64)
-    table = table[:, np.isfinite(table).all(axis=0)]
+def mean_with_interval(values: Iterable[float], weights: Iterable[float] | None = None) -> MeanWithInterval:
+    """Return the weighted mean of the values that are not NaN; its interval resamples values with their weights."""
+    known = np.array(list(values), np.float64)
+    shares = np.ones_like(known) if weights is None else np.array(list(weights), np.float64)
+    return ratio_of_means(known * shares, np.where(np.isnan(known), np.nan, shares))
+
+
+def ratio_of_means(above: Iterable[float], below: Iterable[float]) -> MeanWithInterval:
+    """Return the mean of one column over that of another, with an interval that resamples their rows together.
+
+    Rows with NaN do not count. A single row has no interval, and no rows no mean.
+    """
+    table = np.array([list(above), list(below)], np.float64)
+    table = table[:, ~np.isnan(table).any(axis=0)]
     count = table.shape[1]
     if count == 0:
         return MeanWithInterval(np.nan, np.nan, np.nan)
-    drawn = np.random.default_rng(0).integers(0, count, (BOOTSTRAP_SAMPLES, count))
-    means = table[:, drawn].mean(axis=2)
-    low, high = np.percentile(figure(means), [2.5, 97.5])
-    return MeanWithInterval(float(figure(table.mean(axis=1))), float(low), float(high))
+    middle = table.mean(axis=1)
+    ratio = float(middle[0] / middle[1])
+    if count == 1 or not np.isfinite(table).all():
+        return MeanWithInterval(ratio, np.nan, np.nan)
+    means = table[:, _resampled_rows(count)].mean(axis=2)
+    low, high = np.percentile(means[0] / means[1], [2.5, 97.5])
+    return MeanWithInterval(ratio, float(low), float(high))
+
+
+@lru_cache(maxsize=8)
+def _resampled_rows(count: int) -> Int[np.ndarray, "b n"]:
+    """Draw rows with replacement; seeded, so that a table comes out the same twice and methods draw equal pairs."""
+    return np.random.default_rng(0).integers(0, count, (BOOTSTRAP_SAMPLES, count))

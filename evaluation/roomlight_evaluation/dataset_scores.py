@@ -13,7 +13,7 @@ from typing import Any, Final, Literal
 import numpy as np
 from jaxtyping import Float, Int
 
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, ratio_of_means
 from roomlight_evaluation.dataset_methods import BLENDED, UNBLENDED
 
 SCHEMA: Final = "roomlight-dataset-evaluation-1"
@@ -85,13 +85,13 @@ class DatasetScores:
     def mean(self, method: str, depth: str, metric: MetricKey) -> MeanWithInterval:
         """Return the mean over sequences; its interval resamples rooms (NaN for a single room)."""
         sums, counts = self._by_room(method, depth, metric)
-        return self._quotient(sums, counts)
+        return ratio_of_means(sums, counts)
 
     def ratio(self, of: tuple[str, str], to: tuple[str, str], metric: MetricKey) -> MeanWithInterval:
         """Return the mean of one (method, depth) over that of another; both resample the same rooms."""
         above, _ = self._by_room(*of, metric)
         below, _ = self._by_room(*to, metric)
-        return self._quotient(above, below)
+        return ratio_of_means(above, below)
 
     def best_baseline(self, metric: MetricKey) -> str | None:
         """Return the method without learning that has the lowest mean; None if there is no such method."""
@@ -160,20 +160,6 @@ class DatasetScores:
         """The room of each sequence, as a number from 0."""
         names = sorted({sequence.room for sequence in self.sequences})
         return np.array([names.index(sequence.room) for sequence in self.sequences])
-
-    @cached_property
-    def _resampled_rooms(self) -> Int[np.ndarray, "b r"]:
-        """Room numbers drawn with replacement; seeded, so that a table comes out the same twice."""
-        return np.random.default_rng(0).integers(0, self.rooms, (BOOTSTRAP_SAMPLES, self.rooms))
-
-    def _quotient(self, above: Float[np.ndarray, " r"], below: Float[np.ndarray, " r"]) -> MeanWithInterval:
-        """Divide two sums over rooms; the interval resamples the rooms (NaN for a single room)."""
-        quotient = float(above.sum() / below.sum())
-        if len(above) < 2:
-            return MeanWithInterval(quotient, np.nan, np.nan)
-        drawn = self._resampled_rooms
-        low, high = np.percentile(above[drawn].sum(1) / below[drawn].sum(1), [2.5, 97.5])
-        return MeanWithInterval(quotient, float(low), float(high))
 
     def _by_room(
         self, method: str, depth: str, metric: MetricKey

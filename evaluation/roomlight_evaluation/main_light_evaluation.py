@@ -33,7 +33,7 @@ from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight.placement import point_in_view
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 
 METHODS: Final = ("tracked", "one panorama", "cube, SH", "cube, peak")
 SETTLED_FRAME: Final = 5
@@ -110,9 +110,9 @@ class MainLightScores:
             jumps=sum(step > JUMP_DEG for step in steps),
             steps=len(steps),
             below=float(np.mean([direction[1] < 0 for track in tracks for direction in track.directions])),
-            error_deg=_mean([float(np.mean(error)) for error in errors]),
-            last_error_deg=_mean([error[-1] for error in errors]),
-            region_error_deg=_mean([float(np.mean(error)) for error in regions]),
+            error_deg=mean_with_interval([float(np.mean(error)) for error in errors]),
+            last_error_deg=mean_with_interval([error[-1] for error in errors]),
+            region_error_deg=mean_with_interval([float(np.mean(error)) for error in regions]),
         )
 
     def to_json(self) -> dict[str, Any]:
@@ -250,11 +250,3 @@ def angle_deg(first: Direction, second: Direction) -> float:
 def _unit(vector: Float[np.ndarray, "3"]) -> Direction:
     length = float(np.linalg.norm(vector))
     return vector.astype(np.float64) / length if length > 1e-12 else np.array([0.0, 1.0, 0.0])
-
-
-def _mean(values: list[float]) -> MeanWithInterval:
-    if not values:
-        return MeanWithInterval(np.nan, np.nan, np.nan)
-    drawn = np.random.default_rng(0).choice(values, (BOOTSTRAP_SAMPLES, len(values)))  # seeded: the same table twice
-    low, high = np.percentile(drawn.mean(axis=1), [2.5, 97.5])
-    return MeanWithInterval(float(np.mean(values)), float(low), float(high))

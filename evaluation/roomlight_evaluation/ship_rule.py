@@ -21,7 +21,7 @@ from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.files import write_json
 from roomlight_evaluation.capture_evaluation import ProgressCallback, evaluate_captures
 from roomlight_evaluation.capture_scores import CaptureScores
-from roomlight_evaluation.confidence import BOOTSTRAP_SAMPLES, MeanWithInterval
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 from roomlight_evaluation.estimators import EngineEstimator, Estimator
 
 TOLERANCE: Final = 1.05
@@ -68,11 +68,11 @@ class ShipRule:
 
     def mean(self, metric: str) -> MeanWithInterval:
         """Return the mean ratio over captures, with a 95 % interval that resamples captures."""
-        return _mean([one.overall for one in self.ratios if one.metric == metric])
+        return mean_with_interval([one.overall for one in self.ratios if one.metric == metric])
 
     def mean_to_warp(self, metric: str) -> MeanWithInterval:
         """Return the mean ratio to warp-and-fill in the last interval."""
-        return _mean([one.to_warp for one in self.ratios if one.metric == metric])
+        return mean_with_interval([one.to_warp for one in self.ratios if one.metric == metric])
 
     def failures(self) -> list[str]:
         """Return what breaks the rule, worst first; empty if the model passes."""
@@ -188,14 +188,6 @@ def write_rule(path: Path, rule: ShipRule, scores: CaptureScores) -> None:
         OutputError: The file cannot be written.
     """
     write_json(path, scores.to_json() | {"ship_rule": rule.to_json()})
-
-
-def _mean(values: Sequence[float]) -> MeanWithInterval:
-    known = np.array(values)
-    drawn = np.random.default_rng(0).integers(0, len(known), (BOOTSTRAP_SAMPLES, len(known)))
-    several = len(known) > 1 and bool(np.isfinite(known).all())
-    low, high = np.percentile(known[drawn].mean(axis=1), [2.5, 97.5]) if several else (np.nan, np.nan)
-    return MeanWithInterval(float(known.mean()), float(low), float(high))
 
 
 def _last_energy(scores: CaptureScores, capture: str) -> float:

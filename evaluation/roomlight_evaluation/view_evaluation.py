@@ -26,7 +26,7 @@ from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, OptionError
 from roomlight.files import write_json
 from roomlight.frame import Frame
-from roomlight_evaluation.confidence import MeanWithInterval, bootstrap
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 from roomlight_evaluation.estimators import EngineEstimator, Estimator
 
 HEIGHT: Final = 120
@@ -110,11 +110,12 @@ class ViewScores:
 
     def mean(self, method: str, region: Region) -> MeanWithInterval:
         """Return the mean error over views, with a 95 % interval that resamples views."""
-        return _ratio(self.errors(method, region), None)
+        return mean_with_interval(self.errors(method, region))
 
     def ratio(self, method: str, region: Region) -> MeanWithInterval:
         """Return the mean error as a ratio to the reference's, with a 95 % interval that resamples views."""
-        return _ratio(self.errors(method, region), self.errors(REFERENCE, region))
+        errors = self.errors(method, region)
+        return ratio_of_means(errors, self.errors(REFERENCE, region) if errors else [])
 
     def share(self, region: Region) -> float:
         """Return the mean share of a view's directions that are of this kind."""
@@ -239,12 +240,6 @@ def _score_view(name: str, frame: Frame, reference: Session, estimators: Sequenc
             assert panorama is not None
             scores.append(ViewScore(name, frame.index, method, region, view.error(panorama, where), share))
     return scores
-
-
-def _ratio(errors: Sequence[float], reference: Sequence[float] | None) -> MeanWithInterval:
-    """Return the mean of errors, as a ratio to the mean of others if given; NaN for what has no views."""
-    others = reference if reference is not None and errors else [1.0] * len(errors)
-    return bootstrap([errors, others], lambda means: means[0] / means[1])
 
 
 def _plain(cell: MeanWithInterval) -> dict[str, float | None]:
