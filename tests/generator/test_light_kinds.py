@@ -107,10 +107,13 @@ def test_windows_are_5_to_100_times_white():
 @pytest.mark.slow
 @pytest.mark.usefixtures("few_rays")
 def test_sunbeams_reach_into_the_room():
+    """A patch is far brighter than the room; above white only in views that it does not fill, as a phone meters."""
     lit_room = lit(first("sunbeams"))
     spots = sun_spots(lit_room.light.tracer, lit_room.light.light.outdoors)
     inside = np.array([lit_room.room.shell.contains(float(x), float(z)) for x, _, z in spots.position])
     assert spots.area[inside].sum() > 0.1  # square metres in the room, not in a reveal
+    typical = np.median([np.median(around) for _, around in first_views(lit_room, views=3)])
+    assert np.median(spots.radiance[inside] @ LUMINANCE) > 10 * typical
 
 
 def test_bare_bulbs_have_no_shade_and_are_glaring():
