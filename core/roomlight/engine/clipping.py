@@ -147,9 +147,9 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     heading = _heading(frame.camera_to_world)
     reduced = replace(frame, depth_m=cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST))
     rays = frame.intrinsics.resized(*size).rays()
-    rays = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
-    square = np.zeros((SIDE, SIDE, CHANNELS), np.float32)
-    view = place.inside(square)
+    rays /= np.sqrt(np.einsum("ijk,ijk->ij", rays, rays))[..., None]
+    planes = np.zeros((CHANNELS, SIDE, SIDE), np.float32)
+    view = place.inside(np.moveaxis(planes, 0, -1))
     view[..., :3] = _area(np.minimum(frame.image / np.float32(white), 1), size)
     view[..., 3] = _area(frame.clipped.astype(np.float32), size)
     view[..., 4] = 1
@@ -157,7 +157,7 @@ def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float3
     view[..., 6] = np.log1p(reduced.depth_m)
     view[..., 7:10] = surface_normals(reduced) @ heading
     view[..., 10] = rays @ frame.camera_to_world[1, :3]
-    return np.ascontiguousarray(np.moveaxis(square, -1, 0))
+    return planes
 
 
 def surface_normals(frame: Frame) -> Float[np.ndarray, "dh dw 3"]:
@@ -170,7 +170,8 @@ def surface_normals(frame: Frame) -> Float[np.ndarray, "dh dw 3"]:
     right, up = points[1:-1, 2:] - points[1:-1, :-2], points[:-2, 1:-1] - points[2:, 1:-1]
     normal = np.cross(right, up)
     result = np.zeros((*depth.shape, 3), np.float32)
-    result[1:-1, 1:-1] = normal / np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-12)
+    length = np.sqrt(np.einsum("ijk,ijk->ij", normal, normal))
+    result[1:-1, 1:-1] = normal / np.maximum(length, 1e-12)[..., None]
     return result
 
 
