@@ -20,6 +20,14 @@ test("an empty server says how to start", async () => {
   await connection("Connected");
 });
 
+test("without a session, a lost server is said in place of the ways to start", async () => {
+  await control("stop");
+  await page.waitForSelector("#loading:not([hidden])");
+  assert.match(await page.locator("#loading").innerText(), /does not answer[\s\S]*connects by itself/);
+  await control("start");
+  await page.waitForSelector("#empty:not([hidden])");
+});
+
 test("the first session is shown by itself", async () => {
   await control("push", { session: "room", count: 3 });
   await waitForLight(page);

@@ -58,12 +58,13 @@ function activity({ idle_s }: SessionSummary): string {
 function showMessage(state: State): void {
   const { sessions, selected, ended, connection } = state;
   const isLoading = sessions.value === null;
-  const shown = ended.value !== null ? "ended" : isLoading ? "loading" : selected.value !== null ? "workspace" : "empty";
+  const isLost = connection.value.state === "disconnected" && selected.value === null;
+  const isWaiting = isLoading || isLost;
+  const shown = ended.value !== null ? "ended" : isWaiting ? "loading" : selected.value !== null ? "workspace" : "empty";
   for (const id of ["loading", "empty", "ended", "workspace"]) {
     byId(id).hidden = id !== shown;
   }
   byId("ended-text").textContent = ended.value ?? "";
-  const isLost = isLoading && connection.value.state === "disconnected";
   byId("loading-title").textContent = isLost ? "The server does not answer" : "Loading";
   const help = `Is roomlight serve still running at ${location.host}? The page connects by itself when it is.`;
   byId("loading").querySelector("p")!.textContent = isLost ? help : "The page asks the server for its sessions.";
