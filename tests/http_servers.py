@@ -27,6 +27,7 @@ class RunningServer:
 
     def __init__(self, *, clock=None, **settings):
         settings.setdefault("wrong_token_delay_s", 0)
+        settings.setdefault("refusal_delay_s", 0)
         settings.setdefault("decode_timeout_s", 120)  # the machine is busy with other tests
         settings.setdefault("port", 0)
         self.settings = ServerSettings(**settings)

@@ -1,4 +1,4 @@
-"""Report of `roomlight bench hostile`: what a neighbour keeps during each attack, as a table, criteria and JSON."""
+"""Report of `roomlight bench hostile`: what a neighbour keeps during each attack, as tables, criteria and JSON."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, Final
@@ -7,6 +7,7 @@ from rich import box
 from rich.console import Group, RenderableType
 from rich.table import Table
 
+from roomlight_bench.hostile_client import ATTACKS
 from roomlight_bench.reporting import Criterion, criteria_table, short_number
 from roomlight_bench.server_report import Latencies
 
@@ -97,6 +98,17 @@ class HostileReport:
             entry |= {"share": row.share, "kept": self.kept(row)}
         values["alone"]["share"] = self.alone.share
         return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
+
+    def markdown(self) -> str:
+        """Return the table of the documentation, and what does not hold below it."""
+        lines = ["| Attack | Frames kept | Frame, ms p50 / p99 | Server, MB |", "| --- | ---: | ---: | ---: |"]
+        for row in (self.alone, *self.attacks):
+            kept = f"{row.processed} of {row.due}" if row is self.alone else f"{self.kept(row):.0%}".replace("%", " %")
+            name = ATTACKS[row.attack][0] if row.attack in ATTACKS else "none"
+            lines.append(f"| {name} | {kept} | {_percentiles(row.frame)} | {row.rss_bytes / 1e6:,.0f} |")
+        failed = [criterion.demand for criterion in self.criteria if not criterion.holds]
+        verdict = f"Does not hold: {'; '.join(failed)}." if failed else "All criteria hold."
+        return "\n".join([*lines, "", verdict, ""])
 
     def table(self) -> RenderableType:
         """Return the table of the neighbour, and the criteria."""

@@ -1,4 +1,4 @@
-"""Parallel loops of kernels on a thread pool.
+"""Parallel loops of kernels, on the calling thread and a thread pool.
 
 Kernels release the GIL and run serially; rows are split here. numba's own threading layer aborts the process when two
 threads enter a parallel region at once, as in a server.
@@ -7,7 +7,7 @@ threads enter a parallel region at once, as in a server.
 import os
 import threading
 from collections.abc import Callable, Generator
-from concurrent.futures import ThreadPoolExecutor, wait
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -24,8 +24,8 @@ def thread_count() -> int:
 
 
 @cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(thread_count(), thread_name_prefix="roomlight")
+def _helpers() -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="roomlight")
 
 
 @contextmanager
@@ -43,10 +43,13 @@ def pausing(pause: Callable[[], object]) -> Generator[None]:
 
 
 def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4) -> None:
-    """Call `work(start, stop)` for pieces of range(count) on the pool; return when all have ended.
+    """Call `work(start, stop)` for pieces of range(count), on this thread and on helpers; return when all have ended.
 
-    More pieces than threads balance rays of unequal length. An exception in a piece is raised here after the other
-    pieces have ended, so that none still writes to the caller's buffers.
+    More pieces than threads balance rays of unequal length. Loops of several threads share the helpers piece by piece,
+    and none waits for a helper: a short loop beside a long one takes the time that it needs on its own thread at most.
+
+    An exception in a piece is raised here after the pieces that had begun have ended, so that none still writes to the
+    caller's buffers; the others do not begin.
     """
     pause = getattr(_pauses, "pause", None)
     if pause is not None:
@@ -56,8 +59,51 @@ def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_t
         work(0, count)
         return
     pieces = min(count, threads * pieces_per_thread)
-    bounds = [count * piece // pieces for piece in range(pieces + 1)]
-    futures = [_pool().submit(work, start, stop) for start, stop in pairwise(bounds)]
-    wait(futures)
-    for future in futures:
-        future.result()
+    loop = _Loop(work, [count * piece // pieces for piece in range(pieces + 1)])
+    for _ in range(min(threads, pieces) - 1):
+        _helpers().submit(loop.help)
+    while loop.run_piece():
+        pass
+    loop.finish()
+
+
+class _Loop:
+    """The pieces of one parallel loop, which its caller and helpers take one after the other."""
+
+    def __init__(self, work: Callable[[int, int], object], bounds: list[int]) -> None:
+        self._work, self._pieces = work, list(pairwise(bounds))[::-1]
+        self._running = 0
+        self._changed = threading.Condition()
+        self._error: BaseException | None = None
+
+    def run_piece(self) -> bool:
+        """Run the next piece; return False if there was none."""
+        with self._changed:
+            if not self._pieces:
+                return False
+            start, stop = self._pieces.pop()
+            self._running += 1
+        error = None
+        try:
+            self._work(start, stop)
+        except BaseException as raised:  # of the kernel, or KeyboardInterrupt: raised in the caller
+            error = raised
+        with self._changed:
+            self._running -= 1
+            if error is not None:
+                self._error = self._error or error
+                self._pieces.clear()
+            self._changed.notify_all()
+        return True
+
+    def help(self) -> None:
+        """Run one piece on a helper, then give way to the other loops."""
+        if self.run_piece():
+            _helpers().submit(self.help)
+
+    def finish(self) -> None:
+        """Wait for the pieces that helpers run, and raise the first error of a piece."""
+        with self._changed:
+            self._changed.wait_for(lambda: not self._running)
+        if self._error is not None:
+            raise self._error

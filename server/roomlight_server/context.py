@@ -52,12 +52,12 @@ SessionId = Annotated[str, _ID_PATH]
 ProbeName = Annotated[str, _ID_PATH]
 
 
-def context_of(request: Request) -> Context:
-    """Return the shared objects of the server."""
+async def context_of(request: Request) -> Context:
+    """Return the shared objects of the server. Like all dependencies it is async: FastAPI runs others on a thread."""
     return request.app.state.context
 
 
-def owner_of(request: Request) -> str:
+async def owner_of(request: Request) -> str:
     """Return the owner of the request's token, as set by `AuthMiddleware`."""
     return request.scope["state"]["owner"]
 

@@ -9,7 +9,7 @@ from pydantic import ValidationError
 
 from roomlight.light.light import Light
 from roomlight.wire.frame_message import to_wire_error
-from roomlight.wire.light_message import MEDIA_TYPE, pack_light, with_data
+from roomlight.wire.light_message import MEDIA_TYPE, light_head, with_data
 from roomlight.wire.messages import (
     HarmonicsBasis,
     HarmonicsKind,
@@ -34,6 +34,7 @@ from roomlight_server.light_forms import (
     max_bytes,
 )
 from roomlight_server.live_session import LiveSession
+from roomlight_server.parts_response import PartsResponse
 from roomlight_server.problems import BODY_PROBLEMS, ProblemError, documented
 from roomlight_server.workers import Workers
 
@@ -199,7 +200,7 @@ async def _answer_many(live: LiveSession, workers: Workers, body: LightRequest, 
     results, parts = await encode_lights(workers, lights, body.forms)
     response = LightResponse(frame=lights[0].frame, results=results)
     if binary:
-        return Response(pack_light(response, parts), media_type=MEDIA_TYPE)
+        return PartsResponse([light_head(response), *parts], MEDIA_TYPE)
     text = await workers.run_in_encode_pool(_to_json, response, parts)
     return Response(text, media_type="application/json")
 

@@ -1,5 +1,6 @@
 """Error responses as problem details (RFC 9457): `application/problem+json` with field, value and rule."""
 
+import asyncio
 import logging
 import re
 from collections.abc import Awaitable, Mapping
@@ -76,6 +77,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""
 BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large")
 """Kinds of problem of any request with a body."""
+_TOKEN_LIMITS: Final = ("owner-quota", "owner-busy")
 
 
 class ProblemError(Exception):
@@ -126,7 +128,18 @@ def _answered(request: Request, error: ProblemError) -> JSONResponse:
 async def on_problem(request: Request, error: Exception) -> JSONResponse:
     """Handle `ProblemError` for FastAPI."""
     assert isinstance(error, ProblemError)
+    await hold_back(error, request.app.state.context.settings.owner_refusal_delay_s)
     return _answered(request, error)
+
+
+async def hold_back(error: ProblemError, delay_s: float) -> None:
+    """Wait before the answer, if the request is beyond a limit of its token.
+
+    Forty connections that repeat such a request at once keep the event loop busy: a frame of another token took several
+    times as long, because each of its steps waited for theirs.
+    """
+    if error.kind in _TOKEN_LIMITS:
+        await asyncio.sleep(delay_s)
 
 
 async def on_invalid(request: Request, error: Exception) -> JSONResponse:

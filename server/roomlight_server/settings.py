@@ -67,6 +67,8 @@ class ServerSettings(BaseSettings):
         send_timeout_s: A connection whose client receives nothing of its answer for this time is closed.
         max_pending_bytes: Memory of all frames being received and answers being made or sent, before 503.
         wrong_token_delay_s: Time after which a request with a wrong token is answered.
+        refusal_delay_s: Time after which a request beyond a limit of its token is answered, if there are several
+            tokens: a client that repeats it at once would take the event loop from the others.
         decode_timeout_s: Time limit for decoding the images of a frame; then its process is killed and the frame is
             rejected.
         max_object_file_bytes: Largest file of an uploaded object.
@@ -134,6 +136,7 @@ class ServerSettings(BaseSettings):
     send_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 30.0
     max_pending_bytes: Annotated[int, Field(ge=2**27)] = 2**30
     wrong_token_delay_s: Annotated[float, Field(ge=0, le=60)] = 1.0
+    refusal_delay_s: Annotated[float, Field(ge=0, le=10)] = 0.5
     decode_timeout_s: Annotated[float, Field(gt=0, le=600)] = 2.0
     max_object_file_bytes: Annotated[int, Field(ge=2**16, le=2**28)] = 32 * 2**20
     max_owner_object_bytes: Annotated[int, Field(ge=2**16)] = 256 * 2**20
@@ -202,6 +205,11 @@ class ServerSettings(BaseSettings):
         """Memory of the frames and answers of one token in progress."""
         half = self.max_pending_bytes // 2 if len(self.tokens) > 1 else self.max_pending_bytes
         return self.max_owner_pending_bytes or half
+
+    @property
+    def owner_refusal_delay_s(self) -> float:
+        """Time after which a request beyond a limit of its token is answered; 0 if there is no other token."""
+        return self.refusal_delay_s if len(self.tokens) > 1 else 0.0
 
     @property
     def object_limits(self) -> ObjectLimits:

@@ -37,7 +37,7 @@ from roomlight_server.bodies import MAX_JSON_BYTES
 from roomlight_server.context import Context
 from roomlight_server.light_routes import answer_bytes, check_size, encode_lights, memory_of
 from roomlight_server.live_session import LiveSession
-from roomlight_server.problems import INTERNAL_DETAIL, ProblemError
+from roomlight_server.problems import INTERNAL_DETAIL, ProblemError, hold_back
 from roomlight_server.state.lease import MOVED
 
 _log = logging.getLogger("roomlight.server")
@@ -136,6 +136,7 @@ class _Connection:
         except ProblemError as error:
             if error.kind == MOVED:  # a new connection reaches the owner
                 await self._close(4000 + error.problem.status, error.kind)
+            await hold_back(error, self._context.settings.owner_refusal_delay_s)
             problem = error
         except Exception:
             index = None if frame is None else stated_index(frame)

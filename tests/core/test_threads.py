@@ -1,12 +1,15 @@
 """`parallel_for` covers the range once, raises errors, and takes the number of threads from the environment."""
 
 import threading
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roomlight import threads
 from roomlight.threads import parallel_for, thread_count
 
 
@@ -49,6 +52,77 @@ def test_no_piece_writes_after_an_error(monkeypatch):
     with pytest.raises(ZeroDivisionError):
         parallel_for(work, 100)
     assert sorted(ended) == sorted(begun)[1:]
+
+
+@pytest.fixture
+def one_helper(monkeypatch):
+    """Two threads for a loop: its own and one helper, whatever the machine."""
+    monkeypatch.setenv("ROOMLIGHT_THREADS", "2")
+    with ThreadPoolExecutor(1, thread_name_prefix="helper") as pool:
+        monkeypatch.setattr(threads, "_helpers", lambda: pool)
+        yield
+
+
+class HeldLoop:
+    """A loop of eight pieces that wait, as those of a large map take a tenth of a second each."""
+
+    def __init__(self):
+        self.entered = {True: threading.Semaphore(0), False: threading.Semaphore(0)}
+        self.gate = {True: threading.Semaphore(0), False: threading.Semaphore(0)}
+        self._loop = in_thread(partial(parallel_for, self._piece, 100))
+        for on_helper in (True, False):
+            assert self.entered[on_helper].acquire(timeout=60)
+
+    def _piece(self, *_):
+        self.entered[on_helper()].release()
+        assert self.gate[on_helper()].acquire(timeout=60)
+
+    def end(self):
+        for gate in self.gate.values():
+            gate.release(8)
+        self._loop.join(60)
+
+
+def in_thread(work):
+    thread = threading.Thread(target=work, daemon=True)
+    thread.start()
+    return thread
+
+
+def on_helper():
+    return threading.current_thread().name.startswith("helper")
+
+
+@pytest.mark.usefixtures("one_helper")
+def test_a_loop_ends_although_another_holds_the_helper():
+    """Each loop of a frame waited for all pieces of another client's map."""
+    held, touched = HeldLoop(), np.zeros(100, int)
+
+    def work(start, stop):
+        touched[start:stop] += 1
+
+    in_thread(partial(parallel_for, work, 100)).join(60)
+    assert (touched == 1).all()
+    held.end()
+
+
+@pytest.mark.usefixtures("one_helper")
+def test_loops_share_a_helper_piece_by_piece():
+    held, begun, helped = HeldLoop(), threading.Event(), threading.Event()
+
+    def work(*_):
+        if on_helper():
+            helped.set()
+        else:
+            begun.set()
+            assert helped.wait(60)
+
+    short = in_thread(partial(parallel_for, work, 100))
+    assert begun.wait(60)
+    held.gate[True].release()  # one of the six pieces that the helper could take one after the other
+    assert helped.wait(60)
+    short.join(60)
+    held.end()
 
 
 @pytest.mark.parametrize(("variable", "threads"), [("3", 3), ("1", 1), ("64", 64)])

@@ -3,6 +3,7 @@
 import json
 import socket
 import threading
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +13,7 @@ from http_servers import SMALL, InThread, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.threads import parallel_for
 from roomlight.wire.light_message import MEDIA_TYPE
-from roomlight_server import composite_routes, fair_share, light_routes, live_session
+from roomlight_server import composite_routes, fair_share, light_routes, live_session, problems
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
 TALL = SMALL | {"height": 512}
@@ -269,6 +270,36 @@ def test_encoding_holds_neither_frames_nor_neighbours(monkeypatch):
         for connection in hostile:
             connection.close()
         held.release(40)
+
+
+class NoteOfDelays:
+    """Replaces `asyncio.sleep`: returns at once."""
+
+    def __init__(self):
+        self.delays_s = []
+
+    async def __call__(self, delay_s):
+        self.delays_s.append(delay_s)
+
+
+@pytest.mark.parametrize(("tokens", "delay_s"), [((A, B), 0.5), ((A,), 0.0)])
+def test_refusals_by_limits_of_a_token_are_held_back(tokens, delay_s, monkeypatch):
+    """Forty connections that repeated a refused request at once kept the event loop busy."""
+    noted = NoteOfDelays()
+    monkeypatch.setattr(problems, "asyncio", SimpleNamespace(sleep=noted))
+    with RunningServer(tokens=tokens, refusal_delay_s=0.5, max_owner_late_probes=2) as server:
+        server.open(token=A)
+        server.push(0, token=A)
+        assert server.call("POST", LATE, late(2), token=A).status == 200
+        assert server.call("GET", "/v1/sessions/none", token=A).kind == "session-not-found"
+        assert noted.delays_s == []
+        assert server.call("POST", LATE, late(3), token=A).kind == "owner-quota"
+        assert noted.delays_s == [delay_s]
+        url, access = f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", {"Authorization": f"Bearer {A}"}
+        with connect(url, additional_headers=access) as stream:
+            stream.send(json.dumps({"type": "light", "request": "r"} | late(3)))
+            assert "owner-quota" in str(stream.recv(60))
+        assert noted.delays_s == [delay_s, delay_s]
 
 
 def test_sessions_of_an_owner_are_bounded():

@@ -1,10 +1,11 @@
 """`roomlight bench hostile`: what a neighbour keeps while another client attacks the server."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from roomlight.files import write_json
+from roomlight.files import write_atomic, write_json
 from roomlight_bench.hostile import HostileOptions, run_hostile
 from roomlight_bench.hostile_client import ATTACKS
 from roomlight_cli import arguments, console
@@ -22,6 +23,9 @@ def bench_hostile(
     fps: Annotated[float, typer.Option(min=0.1, max=60, help="Frames per second of the neighbour.")] = 2.0,
     model: arguments.Model = "auto",
     json_out: arguments.FiguresJson = None,
+    markdown_out: Annotated[
+        Path | None, typer.Option("--markdown", help="Also write the table of the documentation.")
+    ] = None,
 ) -> None:
     """Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory."""
     unknown = [name for name in attack or () if name not in ATTACKS]
@@ -33,3 +37,5 @@ def bench_hostile(
     console.print_table(console.out, report.table())
     if json_out:
         write_json(json_out, report.to_json())
+    if markdown_out:
+        write_atomic(markdown_out, report.markdown().encode())

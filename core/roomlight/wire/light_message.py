@@ -23,8 +23,13 @@ _Response = TypeVar("_Response", bound=LightResponse)
 
 def pack_light(response: LightResponse, parts: Sequence[bytes]) -> bytes:
     """Build the bytes of a message. `parts` are the data of the forms that state `bytes`, in order."""
+    return b"".join([light_head(response), *parts])
+
+
+def light_head(response: LightResponse) -> bytes:
+    """Build the beginning of a message, up to its parts."""
     text = response.model_dump_json(exclude_none=True).encode()
-    return b"".join([_PREFIX.pack(MAGIC, len(text)), text, *parts])
+    return _PREFIX.pack(MAGIC, len(text)) + text
 
 
 def parse_light(body: bytes, model: type[_Response]) -> tuple[_Response, list[list[bytes | None]]]:
