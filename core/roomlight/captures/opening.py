@@ -2,6 +2,7 @@
 
 import zipfile
 from collections.abc import Callable
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -34,6 +35,10 @@ _SIGNS: Final = (
     f"{stray_scanner.VIDEO} (stray-scanner), metadata with rgbd/ or metadata.json with rgb/ and depth/, or a .r3d "
     "file (record3d), rgb.txt with groundtruth.txt (tum), frame-XXXXXX.color.png (seven-scenes)"
 )
+
+_IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr")
+_LISTED: Final = 1000
+"""Most files of a folder that are looked at for a message."""
 
 
 def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Capture:
@@ -86,7 +91,23 @@ def _detect(path: Path) -> str:
         return "tum"
     elif any(path.glob("frame-*.*.*")):
         return "seven-scenes"
-    raise UnknownFormatError(f"{path}: no capture format recognised; looked for {_SIGNS}. Set `format` to force one")
+    raise UnknownFormatError(
+        f"{path}: no capture format recognised; looked for {_SIGNS}. {_bare_images(path)}Set `format` to force one"
+    )
+
+
+def _bare_images(path: Path) -> str:
+    """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
+    if not path.is_dir():
+        return ""
+    names = sorted(found.name for found in islice(path.iterdir(), _LISTED) if found.suffix.lower() in _IMAGES)
+    if not names:
+        return ""
+    listed = ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
+    return (
+        f"The folder holds {listed} without focal lengths and camera poses: add them in {nerfstudio.INDEX}, also for a "
+        "single frame; `roomlight light IMAGE --depth DEPTH` takes one photo without them. "
+    )
 
 
 def _detect_zip(path: Path) -> str:

@@ -11,6 +11,7 @@ Everything is computed in the frame's own linear radiance: its exposure is the l
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
@@ -22,7 +23,7 @@ from roomlight.compositing.camera_match import CameraModel, add_noise, blur_laye
 from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
-from roomlight.compositing.occlusion import on_carrier, real_depth, visibility
+from roomlight.compositing.occlusion import RealDepth, on_carrier, real_depth, visibility
 from roomlight.compositing.placing import Placement, Plane
 from roomlight.compositing.probes import LightAt, SceneProbes
 from roomlight.compositing.rendering import RenderedObjects, render_objects
@@ -161,13 +162,15 @@ class Compositor:
             rendered = self._render(frame, objects, supports_of(objects, spheres, supports))
         with clock.stage("depth"):
             depth_m = self._filled(depth_m, frame, crop)
+            size = frame.intrinsics.width, frame.intrinsics.height
+            real = real_depth(depth_m, *size, crop)
             # shadows fall on surfaces without depth too: black and shiny tables; they do not hide objects
-            whole = complete_depth(depth_m) if (depth_m > 0).any() else depth_m
-            real = real_depth(whole, frame.intrinsics.width, frame.intrinsics.height, crop)
+            whole = complete_depth(depth_m)
+            shaded_m = real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m
         with clock.stage("shadow"):
-            shadow = self._shadows(frame, crop, real.depth_m, spheres, supports, share_of(step_s, SHADOW_S))
+            shadow = self._shadows(frame, crop, shaded_m, spheres, supports, share_of(step_s, SHADOW_S))
         with clock.stage("occlusion"):
-            layer = self._layer(frame, image, depth_m, rendered, object_crop, supports)
+            layer = self._layer(frame, image, (crop, real), rendered, object_crop, supports)
         with clock.stage("combine"):
             return self._combined(frame, image, (crop, shadow), (object_crop, layer), rendered, clock)
 
@@ -267,41 +270,44 @@ class Compositor:
     ) -> Float32[np.ndarray, "ch cw 3"]:
         assert self._objects is not None
         quality = shadows.QUALITIES[self.quality]
-        step = shadow_step(self.quality, frame.intrinsics.width)
-        camera = CropCamera.of(frame.intrinsics, crop)
-        coarse = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step])
-        coarse_camera, pose = camera.every(step), frame.camera_to_world
-        planes = [plane for plane in supports if plane is not None]
-        grid = shadows.surface_grid(coarse, coarse_camera, pose, planes)
-        ratio = np.ones((*coarse.shape, 3), np.float32)
+        casters: list[shadows.Caster] = []
         for members in clusters(spheres):
-            centre = spheres[members[0]][:3].tolist()
+            x, y, z = spheres[members[0]][:3].tolist()
             caster = shadows.Caster(
                 self._objects,
                 np.stack([spheres[member] for member in members]).astype(np.float32),
                 np.array(members, np.int32),
-                self._probes.at((centre[0], centre[1], centre[2])),
+                self._probes.at((x, y, z)),
                 next((supports[member] for member in members if supports[member] is not None), None),
                 None if self.quality == "preview" else self.geometry,
             )
-            ratio *= shadows.coarse_ratio(caster, grid, quality)
-        if self._before is not None:
-            ratio = self._shadow.blend(ratio, grid, coarse, coarse_camera, pose, share=share if share > 0 else 1.0)
-        return shadows.spread_ratio(ratio, grid.known, coarse, depth_m, step)
+            casters.append(caster)
+        pose, eased = frame.camera_to_world, share if share > 0 else 1.0
+        return shadows.shadow_ratio(
+            casters,
+            depth_m,
+            CropCamera.of(frame.intrinsics, crop),
+            pose,
+            replace(quality, step=shadow_step(self.quality, frame.intrinsics.width)),
+            supports=[plane for plane in supports if plane is not None],
+            smooth=lambda ratio, grid, coarse_m, camera: self._shadow.blend(
+                ratio, grid, coarse_m, camera, pose, share=eased
+            ),
+        )
 
     def _layer(
         self,
         frame: Frame,
         image: UInt8[np.ndarray, "h w 3"],
-        depth_m: Float32[np.ndarray, "dh dw"],
+        real_of: tuple[Crop, RealDepth],
         rendered: RenderedObjects,
         crop: Crop,
         supports: list[Plane | None],
-    ) -> Float32[np.ndarray, "ch cw 4"]:
+    ) -> Float32[np.ndarray, "oh ow 4"]:
         """Return premultiplied radiance and alpha of the visible part of the objects, blurred as the frame is."""
         if crop.empty:  # only the shadows are in the picture
             return np.zeros((*crop.shape, 4), np.float32)
-        real = real_depth(depth_m, frame.intrinsics.width, frame.intrinsics.height, crop)
+        real = real_of[1].part(crop.inside(real_of[0]))
         camera = CropCamera.of(frame.intrinsics, crop)
         planes = [plane for plane in supports if plane is not None]
         carrier = on_carrier(real, camera, frame.camera_to_world, planes)
@@ -322,36 +328,26 @@ class Compositor:
         clock: StageClock,
     ) -> Composite:
         (crop, ratio), (inner, pixels) = shadow, layer
-        objects, alpha = np.zeros((*crop.shape, 3), np.float32), np.zeros(crop.shape, np.float32)
-        part = (
-            slice(inner.top - crop.top, inner.bottom - crop.top),
-            slice(inner.left - crop.left, inner.right - crop.left),
-        )
-        objects[part], alpha[part] = pixels[..., :3], pixels[..., 3]
-        encoded = image[crop.slices]
-        compose_srgb8(encoded, frame.image[crop.slices], ratio, objects, alpha)
+        encoded, alpha = image[crop.slices], np.ascontiguousarray(pixels[..., 3])
+        compose_srgb8(encoded, frame.image[crop.slices], ratio, pixels, (inner.top - crop.top, inner.left - crop.left))
         if self._match and self._camera.noise.any() and not inner.empty:
-            noisy = add_noise(
-                encoded[part].astype(np.float32) / np.float32(255),
-                alpha[part],
-                self._camera,
-                frame_index=frame.index,
-                at=(inner.top, inner.left),
-            )
-            encoded[part] = np.rint(noisy * 255).astype(np.uint8)
-        ids = rendered.object_id[crop.slices]
+            part = image[inner.slices]
+            values, corner = part.astype(np.float32) / np.float32(255), (inner.top, inner.left)
+            noisy = add_noise(values, alpha, self._camera, frame_index=frame.index, at=corner)
+            part[:] = np.rint(noisy * 255).astype(np.uint8)
         numbers = np.array([*(one.number for one in self._standing), -1], np.int32)
         return Composite(
             image,
             frame,
             crop,
+            inner,
             clock.wall_ms,
             self.waiting,
-            objects,
+            pixels[..., :3],
             alpha,
             ratio,
-            rendered.depth_m[crop.slices],
-            numbers[ids],  # -1 reads the last entry
+            rendered.depth_m[inner.slices],
+            numbers[rendered.object_id[inner.slices]],  # -1 reads the last entry
             clock.cpu_ms,
         )
 

@@ -27,6 +27,11 @@ class Crop:
         """Rows and columns."""
         return self.bottom - self.top, self.right - self.left
 
+    def inside(self, outer: "Crop") -> tuple[slice, slice]:
+        """Return rows and columns of the rectangle in an image of the pixels of `outer`, which contains it."""
+        top, left = self.top - outer.top, self.left - outer.left
+        return slice(top, top + self.shape[0]), slice(left, left + self.shape[1])
+
     @property
     def empty(self) -> bool:
         """Whether there is no pixel."""

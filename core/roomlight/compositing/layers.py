@@ -19,12 +19,14 @@ from roomlight.threads import parallel_for
 class Composite:
     """A frame with objects, and its layers: image = frame x shadow x (1 - alpha) + objects.
 
-    Layers hold the pixels of `crop` in memory; the properties are of the frame's size.
+    In memory the shadow has the pixels of `crop` and the other layers those of `object_crop`; the properties are of
+    the frame's size.
 
     Attributes:
         image: [h, w, 3] 8-bit sRGB, with the camera's noise on the objects.
         frame: what objects were put into.
         crop: rectangle outside which the frame is unchanged.
+        object_crop: rectangle outside which there is no object, within `crop`.
         stage_ms: milliseconds by stage: place, light, depth, camera, scene, render, shadow, occlusion, combine.
         waiting: names of objects whose pixel belongs to a frame that was not composited yet.
         stage_cpu_ms: processor time by stage, of the whole process.
@@ -33,48 +35,49 @@ class Composite:
     image: UInt8[np.ndarray, "h w 3"]
     frame: Frame
     crop: Crop
+    object_crop: Crop
     stage_ms: dict[str, float]
     waiting: tuple[str, ...]
-    crop_objects: Float32[np.ndarray, "ch cw 3"]
-    crop_alpha: Float32[np.ndarray, "ch cw"]
+    crop_objects: Float32[np.ndarray, "oh ow 3"]
+    crop_alpha: Float32[np.ndarray, "oh ow"]
     crop_shadow: Float32[np.ndarray, "ch cw 3"]
-    crop_depth_m: Float32[np.ndarray, "ch cw"]
-    crop_object_id: Int32[np.ndarray, "ch cw"]
+    crop_depth_m: Float32[np.ndarray, "oh ow"]
+    crop_object_id: Int32[np.ndarray, "oh ow"]
     stage_cpu_ms: dict[str, float] = field(default_factory=dict[str, float])
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:
         """Linear radiance of the objects times alpha, without noise."""
-        return self._whole(self.crop_objects, 0)
+        return self._whole(self.crop_objects, self.object_crop, 0)
 
     @cached_property
     def alpha(self) -> Float32[np.ndarray, "h w"]:
         """Share of a pixel that objects cover, 0 to 1; real things in front taken off."""
-        return self._whole(self.crop_alpha, 0)
+        return self._whole(self.crop_alpha, self.object_crop, 0)
 
     @cached_property
     def shadow(self) -> Float32[np.ndarray, "h w 3"]:
         """Light on the real surfaces with objects / without them, by channel: 1 is unchanged."""
-        return self._whole(self.crop_shadow, 1)
+        return self._whole(self.crop_shadow, self.crop, 1)
 
     @cached_property
     def depth_m(self) -> Float32[np.ndarray, "h w"]:
         """Depth of the objects (z-depth, metres), 0 where there is none."""
-        return self._whole(self.crop_depth_m, 0)
+        return self._whole(self.crop_depth_m, self.object_crop, 0)
 
     @cached_property
     def object_id(self) -> Int32[np.ndarray, "h w"]:
         """Index of the object in the scene, -1 where there is none."""
-        return self._whole(self.crop_object_id, -1)
+        return self._whole(self.crop_object_id, self.object_crop, -1)
 
     @cached_property
     def radiance(self) -> Float32[np.ndarray, "h w 3"]:
         """The composite in linear radiance, unclipped, without added noise."""
         return self.frame.image * self.shadow * (1 - self.alpha[..., None]) + self.objects
 
-    def _whole(self, part: np.ndarray, outside: int) -> np.ndarray:
+    def _whole(self, part: np.ndarray, crop: Crop, outside: int) -> np.ndarray:
         whole = np.full((*self.frame.image.shape[:2], *part.shape[2:]), outside, part.dtype)
-        whole[self.crop.slices] = part
+        whole[crop.slices] = part
         return whole
 
 
@@ -87,6 +90,7 @@ def unchanged(
     return Composite(
         image,
         frame,
+        Crop(0, 0, 0, 0),
         Crop(0, 0, 0, 0),
         clock.wall_ms,
         waiting,
@@ -111,12 +115,16 @@ def compose_srgb8(
     encoded: UInt8[np.ndarray, "h w 3"],
     frame: Float32[np.ndarray, "h w 3"],
     ratio: Float32[np.ndarray, "h w 3"],
-    objects: Float32[np.ndarray, "h w 3"],
-    alpha: Float32[np.ndarray, "h w"],
+    objects: Float32[np.ndarray, "oh ow 4"],
+    corner: tuple[int, int],
 ) -> None:
-    """Write frame x ratio x (1 - alpha) + objects to `encoded`, which holds the encoded frame, where it differs."""
-    arguments = (frame, ratio, objects, alpha, _srgb_table(), encoded)
-    parallel_for(lambda start, stop: compose_rows(*arguments, start, stop), len(alpha))
+    """Write frame x ratio x (1 - alpha) + objects to `encoded`, which holds the encoded frame, where it differs.
+
+    objects:  radiance times alpha, and alpha, of a rectangle of the image.
+    corner:   its first row and column.
+    """
+    arguments = (frame, ratio, objects, corner, _srgb_table(), encoded)
+    parallel_for(lambda start, stop: compose_rows(*arguments, start, stop), len(ratio))
 
 
 @lru_cache(maxsize=1)

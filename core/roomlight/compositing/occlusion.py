@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roomlight.compositing.crop import Crop, CropCamera
-from roomlight.compositing.kernels.edges import guide_by_colour
+from roomlight.compositing.kernels.edges import guide_by_colour, resample_depth
 from roomlight.compositing.placing import Plane
 from roomlight.threads import parallel_for
 
@@ -42,6 +42,10 @@ class RealDepth:
     certain: Bool[np.ndarray, "h w"]
     depth_pixel: float
 
+    def part(self, slices: tuple[slice, slice]) -> "RealDepth":
+        """Return the depth of a rectangle of the crop."""
+        return RealDepth(np.ascontiguousarray(self.depth_m[slices]), self.certain[slices], self.depth_pixel)
+
 
 def real_depth(depth_m: Float[np.ndarray, "dh dw"], width: int, height: int, crop: Crop) -> RealDepth:
     """Resample a depth map to the pixels of a crop of an image of `width` x `height` pixels.
@@ -49,25 +53,15 @@ def real_depth(depth_m: Float[np.ndarray, "dh dw"], width: int, height: int, cro
     Linear within a surface, the nearest sample across edges: a mean of two surfaces is none.
     """
     rows, columns = depth_m.shape
-    scale_x, scale_y = columns / width, rows / height
-    x = (np.arange(crop.left, crop.right, dtype=np.float32) + 0.5) * scale_x - 0.5
-    y = (np.arange(crop.top, crop.bottom, dtype=np.float32) + 0.5) * scale_y - 0.5
-    smooth = ~depth_edges(depth_m)
-    near_x = np.clip(np.rint(x).astype(np.int64), 0, columns - 1)
-    near_y = np.clip(np.rint(y).astype(np.int64), 0, rows - 1)
-    inside = np.ix_(near_y, near_x)
-    nearest, certain = np.ascontiguousarray(depth_m[inside], np.float32), smooth[inside]
+    depth, smooth = np.ascontiguousarray(depth_m, np.float32), ~depth_edges(depth_m)
     if (rows, columns) == (height, width):
-        return RealDepth(nearest, certain, 1.0)
-    maps = np.broadcast_to(x, nearest.shape), np.broadcast_to(y[:, None], nearest.shape)
-    linear = cv2.remap(
-        depth_m.astype(np.float32),
-        np.ascontiguousarray(maps[0], np.float32),
-        np.ascontiguousarray(maps[1], np.float32),
-        cv2.INTER_LINEAR,
-        borderMode=cv2.BORDER_REPLICATE,
-    )
-    return RealDepth(np.where(certain, linear, nearest), certain, 1 / min(scale_x, scale_y))
+        return RealDepth(np.ascontiguousarray(depth[crop.slices]), smooth[crop.slices], 1.0)
+    scale_x, scale_y = columns / width, rows / height
+    out, certain = np.empty(crop.shape, np.float32), np.empty(crop.shape, bool)
+    corner, scale = (crop.top, crop.left), (np.float32(scale_y), np.float32(scale_x))
+    arguments = (depth, smooth, corner, scale, out, certain)
+    parallel_for(lambda start, stop: resample_depth(*arguments, start, stop), len(out))
+    return RealDepth(out, certain, 1 / min(scale_x, scale_y))
 
 
 def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:

@@ -296,10 +296,16 @@ def _preview(scene: ObjectScene, world: _World, lights: ProbeSet, view: _View, f
     found = _shaded(world, lights, centres, paths, hits)
     _store(film, pixels, found)
     chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
-    if len(chosen):
-        part = view.part(chosen)
-        paths, hits = _camera_hits(scene, part, _EDGE_SAMPLES)
-        _store(film, pixels[chosen], _reduced(_shaded(world, lights, part, paths, hits), _EDGE_SAMPLES, extra=False))
+    if len(chosen) == 0:
+        return
+    part = view.part(chosen)
+    paths, hits = _camera_hits(scene, part, _EDGE_SAMPLES)
+    ids = np.where(hits.face >= 0, scene.surfaces.object_id[hits.face], -1).reshape(-1, _EDGE_SAMPLES)
+    mixed = (ids != film.object_id[pixels[chosen], None]).any(axis=1)  # the others stay as their centres are
+    rays = np.repeat(mixed, _EDGE_SAMPLES)
+    paths, hits = _Paths(*(column[rays] for column in paths)), _RayHits(*(column[rays] for column in hits))
+    found = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
+    _store(film, pixels[chosen[mixed]], _reduced(found, _EDGE_SAMPLES, extra=False))
 
 
 def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: _RayHits) -> _Film:

@@ -21,6 +21,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32, Int
 
 from roomlight.compositing.crop import CropCamera
+from roomlight.compositing.kernels.grid import fill_points, fill_surfaces
 from roomlight.compositing.kernels.shadow_rays import (
     Ground,
     LightSamples,
@@ -60,6 +61,14 @@ _MOST_ALBEDO: Final = 0.8
 _LEAST_ROUGHNESS: Final = 0.3
 """Of mirrors that light matte surfaces, as in the renderer's paths."""
 _BLOCK_RAYS: Final = 1 << 17
+_THIRDS: Final = np.full(3, 1 / 3, np.float32)
+"""Mean over channels, as a product: NumPy's mean of short rows is slow."""
+
+
+Smoothing = Callable[
+    [Float32[np.ndarray, "h w 3"], SurfaceGrid, Float32[np.ndarray, "h w"], CropCamera], Float32[np.ndarray, "h w 3"]
+]
+"""Maps a ratio on a grid of surfaces, their depth and their camera to another ratio, such as one eased over time."""
 
 
 @dataclass(frozen=True)
@@ -121,19 +130,14 @@ def surface_grid(
     filled = np.where(known, depth_m, depth_m.max(initial=1.0)).astype(np.float32)
     smooth = np.exp(cv2.bilateralFilter(np.log(filled), 5, 0.02, 2.0)) if min(depth_m.shape) >= 5 else filled
     known &= ~depth_edges(depth_m)
-    rotation, origin = camera_to_world[:3, :3].astype(np.float32), camera_to_world[:3, 3].astype(np.float32)
-    points = np.ascontiguousarray((camera.rays() * smooth[..., None]) @ rotation.T + origin)
-    padded = cv2.copyMakeBorder(points, 1, 1, 1, 1, cv2.BORDER_REPLICATE)
-    right, up = padded[1:-1, 2:] - padded[1:-1, :-2], padded[:-2, 1:-1] - padded[2:, 1:-1]
-    normals = np.cross(right, up)
-    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), np.float32(1e-12))
-    tolerance = SNAP_M + SNAP_SHARE * smooth
-    for plane in supports:
-        height = plane.height_of(points)
-        near = (np.abs(height) < tolerance) & (normals @ plane.normal.astype(np.float32) > 0.7)
-        points[near] -= height[near][:, None] * plane.normal.astype(np.float32)
-        normals[near] = plane.normal
-    return SurfaceGrid(points, normals.astype(np.float32), known)
+    raw, points, normals = (np.empty((*smooth.shape, 3), np.float32) for _ in range(3))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    pose = camera_to_world[:3].astype(np.float32)
+    parallel_for(lambda start, stop: fill_points(smooth, lens, pose, raw, start, stop), len(raw))
+    planes = np.array([(plane.point, plane.normal) for plane in supports], np.float32).reshape(-1, 2, 3)
+    arguments = (raw, smooth, pose[:, 3], planes, (np.float32(SNAP_M), np.float32(SNAP_SHARE)), points, normals)
+    parallel_for(lambda start, stop: fill_surfaces(*arguments, start, stop), len(raw))
+    return SurfaceGrid(points, normals, known)
 
 
 def shadow_ratio(
@@ -142,18 +146,34 @@ def shadow_ratio(
     camera: CropCamera,
     camera_to_world: Float[np.ndarray, "4 4"],
     quality: ShadowQuality,
+    *,
+    supports: list[Plane] | None = None,
+    smooth: Smoothing | None = None,
 ) -> Float32[np.ndarray, "h w 3"]:
     """Return light with objects / light without them on the real surfaces of an image.
 
-    depth_m:  z-depth of the real surfaces at every pixel of `camera`, 0 unknown: ratio 1 or its neighbours'.
+    Args:
+        casters: The objects, in groups that share a light.
+        depth_m: z-depth of the real surfaces at every pixel of `camera`, 0 unknown: ratio 1 or its neighbours'.
+        camera: Of the image.
+        camera_to_world: Its pose.
+        quality: Effort; its `step` is the distance of the pixels that are computed.
+        supports: Planes that objects stand on; default: those of the casters.
+        smooth: Changes the ratio of the computed pixels, given their surfaces, depth and camera.
     """
     step = quality.step
     coarse_depth = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step], np.float32)
-    supports = [caster.support for caster in casters if caster.support is not None]
-    grid = surface_grid(coarse_depth, camera.every(step), camera_to_world, supports)
+    if coarse_depth.size == 0:  # only a rim of the shadow's reach is in the picture
+        return np.ones((*depth_m.shape, 3), np.float32)
+    coarse_camera = camera.every(step)
+    if supports is None:
+        supports = [caster.support for caster in casters if caster.support is not None]
+    grid = surface_grid(coarse_depth, coarse_camera, camera_to_world, supports)
     ratio = np.ones((*coarse_depth.shape, 3), np.float32)
     for caster in casters:
         ratio *= coarse_ratio(caster, grid, quality)
+    if smooth is not None:
+        ratio = smooth(ratio, grid, coarse_depth, coarse_camera)
     return spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
 
 
@@ -181,7 +201,7 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     # by the smooth irradiance: divided by a noisy one, the mean would be too bright
     reflected = found.bounced / np.maximum(found.irradiance, floor)
     glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
-    noise[near] = share * found.doubt / np.maximum(found.unblocked, floor).mean(axis=1)
+    noise[near] = share * found.doubt / (np.maximum(found.unblocked, floor) @ _THIRDS)
     change = Change(dark, noise, glow, near)
     arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
     parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
@@ -302,9 +322,9 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     if lamp is not None:
         hidden = (1 - receivers.seen) * np.maximum(receivers.normals @ lamp.direction, 0)
         irradiance = np.maximum(irradiance - hidden[:, None] * lamp.intensity, np.float32(0.05) * irradiance)
-    variance = squares - blocked.mean(axis=1) ** 2 / np.float32(samples)
+    variance = squares - (blocked @ _THIRDS) ** 2 / np.float32(samples)
     # All of a few samples agreeing still leaves doubt: half a sample.
-    least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * unblocked.mean(axis=1)
+    least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * (unblocked @ _THIRDS)
     return _LightChange(unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2), irradiance, bounced)
 
 
@@ -408,6 +428,6 @@ def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid) -> Float32[np.nd
     fade = np.zeros(grid.known.shape, np.float32)
     for x, y, z, radius in spheres:
         offset = grid.points - np.array([x, y, z], np.float32)
-        far = np.sqrt((offset**2).sum(axis=-1)) / np.float32(REACH * radius)
+        far = np.sqrt(np.einsum("hwc,hwc->hw", offset, offset)) / np.float32(REACH * radius)
         fade = np.maximum(fade, np.clip((1 - far) / np.float32(0.2), 0, 1))
     return fade

@@ -11,6 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
 from roomlight.camera import rigid_inverse
+from roomlight.compositing.kernels.rigid import grow_boxes, turn_vectors
 from roomlight.compositing.materials import Material, MaterialArrays, material_arrays
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.textures import TextureArrays
@@ -22,6 +23,7 @@ MAX_TRIANGLES: Final = 2_000_000
 _RIGID: Final = 1e-6
 _BLOCK: Final = 1 << 15
 """Rays a call from one thread."""
+_NOWHERE: Final = np.zeros(3, np.float32)
 
 
 class Surfaces(NamedTuple):
@@ -117,7 +119,7 @@ class ObjectScene:
     def moved(self, transform: Float[np.ndarray, "4 4"]) -> "ObjectScene":
         """Return the scene with all objects moved together by a rigid transform; the tree is shared, not built anew.
 
-        Rays are moved to the tree instead. For 7,000 triangles this takes 1 ms, a new scene 12 ms.
+        Rays are moved to the tree instead. For 7,000 triangles this takes 0.3 ms, a new scene 12 ms.
 
         transform:  from the world of the scene's own objects, also if this scene is moved already.
 
@@ -127,22 +129,23 @@ class ObjectScene:
         if not is_rigid(transform):
             raise ValueError(f"objects are moved together by a rigid transform; got {transform.tolist()}")
         base = self._base
-        rotation = transform[:3, :3].astype(np.float32)
-        found = copy(base)
+        rotation, offset_m = transform[:3, :3].astype(np.float32), transform[:3, 3].astype(np.float32)
         surfaces = base.surfaces
         tangents = surfaces.tangents.copy()
         tangents[..., :3] = _turned(tangents[..., :3], rotation)
+        found = copy(base)
         found.surfaces = surfaces._replace(
-            corners=_turned(surfaces.corners, rotation) + transform[:3, 3].astype(np.float32),
+            corners=_turned(surfaces.corners, rotation, offset_m),
             normals=_turned(surfaces.normals, rotation),
             tangents=tangents,
         )
         inverse = rigid_inverse(transform)
         found._base = base
         found._shift = _Shift(inverse[:3, :3].astype(np.float32), inverse[:3, 3].astype(np.float32))
-        ends = np.flatnonzero(np.diff(surfaces.object_id, append=-1)) + 1
-        corners = np.split(found.surfaces.corners.reshape(-1, 3), 3 * ends[:-1])
-        found._bounds = np.stack([[own.min(axis=0), own.max(axis=0)] for own in corners]).astype(np.float64)
+        found.__dict__.pop("_shade_radii", None)  # seen from above, a turned object is another size
+        boxes = np.tile(np.array([[np.inf], [-np.inf]]), (len(base.objects), 1, 3))
+        grow_boxes(found.surfaces.corners, surfaces.object_id, boxes)
+        found._bounds = boxes
         found._bounds.setflags(write=False)
         return found
 
@@ -243,11 +246,18 @@ class ObjectScene:
         if self._shift is None:
             return origins, directions
         rotation, offset_m = self._shift
-        return _turned(origins, rotation) + offset_m, _turned(directions, rotation)
+        return _turned(origins, rotation, offset_m), _turned(directions, rotation)
 
 
-def _turned(vectors: Float32[np.ndarray, "*n 3"], rotation: Float32[np.ndarray, "3 3"]) -> Float32[np.ndarray, "*n 3"]:
-    return np.ascontiguousarray(vectors.reshape(-1, 3) @ rotation.T).reshape(vectors.shape)
+def _turned(
+    vectors: Float32[np.ndarray, "*n 3"],
+    rotation: Float32[np.ndarray, "3 3"],
+    offset: Float32[np.ndarray, "3"] = _NOWHERE,
+) -> Float32[np.ndarray, "*n 3"]:
+    """Return rotation x vector + offset, in this thread."""
+    out = np.empty(vectors.shape, np.float32)
+    turn_vectors(vectors.reshape(-1, 3), rotation, offset, out.reshape(-1, 3), 0, out.size // 3)
+    return out
 
 
 def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:

@@ -169,6 +169,30 @@ def test_unknown_format_names_and_paths(tmp_path: Path) -> None:
         open_capture(tmp_path / ("x" * 5000))
 
 
+def test_images_without_an_index_say_what_is_missing(tmp_path: Path) -> None:
+    formats.save(tmp_path / "photo.jpg", b"")
+    formats.save(tmp_path / "depth.png", b"")
+    with pytest.raises(UnknownFormatError, match=r"holds depth\.png, photo\.jpg without focal .*transforms\.json"):
+        open_capture(tmp_path)
+    for number in range(3):
+        formats.save(tmp_path / f"{number}.exr", b"")
+    with pytest.raises(UnknownFormatError, match=r"holds 0\.exr, 1\.exr, 2\.exr and 2 more without"):
+        open_capture(tmp_path)
+
+
+def test_a_single_arkit_frame_is_a_capture(tmp_path: Path) -> None:
+    view = VIEWS[0]
+    formats.save(tmp_path / "image.png", formats.image(".png", view.srgb8))
+    formats.save(tmp_path / "depth.png", formats.image(".png", formats.millimetres(view)))
+    lens = {"fl_x": formats.FX, "fl_y": formats.FY, "cx": formats.CX, "cy": formats.CY}
+    size = {"w": formats.WIDTH, "h": formats.HEIGHT}
+    frame = {"file_path": "image.png", "depth_file_path": "depth.png", "transform_matrix": view.pose.tolist()}
+    (tmp_path / "transforms.json").write_text(json.dumps({"world_up": "y", **lens, **size, "frames": [frame]}))
+    (found,) = open_capture(tmp_path)
+    assert np.abs(found.camera_to_world - view.pose).max() < 1e-6
+    assert np.abs(found.depth_m - view.depth_m).max() < 1e-3
+
+
 def test_frames_are_decoded_one_at_a_time(built: tuple[str, Path]) -> None:
     name, path = built
     if path.is_file():  # an archive: cut the last member's picture short instead

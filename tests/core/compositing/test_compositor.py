@@ -57,6 +57,8 @@ def test_layers_make_the_image(session):
     assert (made.image[outside] == encode_srgb8(frame.image)[outside]).all()
     assert (made.alpha[outside] == 0).all()
     assert (made.shadow[outside] == 1).all()
+    assert made.alpha[made.object_crop.slices].sum() == made.alpha.sum() > 0
+    assert made.crop.union(made.object_crop) == made.crop
 
 
 def test_a_sphere_stands_casts_a_shadow_and_has_its_depth(session):

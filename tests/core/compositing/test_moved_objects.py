@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from roomlight.compositing.lighting import LightSampler, ProbeSet
 from roomlight.compositing.materials import diffuse, mirror
-from roomlight.compositing.primitives import cube, sphere
+from roomlight.compositing.primitives import cube, plane, sphere
 from roomlight.compositing.shadows import light_samples
 from roomlight.compositing.tracer import ObjectScene
 
@@ -49,6 +49,15 @@ def test_moved_scene_has_the_surfaces_of_a_scene_built_anew() -> None:
         assert_allclose(getattr(moved.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
     assert_array_equal(moved.surfaces.object_id, built.surfaces.object_id)
     assert_allclose(moved.bounds(), built.bounds(), atol=1e-6)
+
+
+def test_a_turned_plate_shades_less_ground() -> None:
+    lying = ObjectScene([plane(0.4, 0.4)])
+    before = lying.shade_radii()[0]
+    upright = np.eye(4)
+    upright[1:3, 1:3] = [[0, -1], [1, 0]]
+    assert lying.moved(upright).shade_radii()[0] < 0.1 * before
+    assert lying.moved(turned()).shade_radii()[0] == pytest.approx(before, rel=1e-5)
 
 
 def test_moved_scene_refuses_a_transform_with_a_scale() -> None:

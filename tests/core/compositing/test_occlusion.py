@@ -100,3 +100,14 @@ def test_a_grazing_floor_has_no_depth_edges():
 def test_depth_is_not_averaged_across_edges():
     resampled = real_depth(step_depth(40, 30), 160, 120, Crop(20, 10, 140, 100)).depth_m
     assert set(np.unique(resampled)) == {1.0, 3.0}
+
+
+def test_depth_is_linear_within_a_surface():
+    slope = np.add.outer(0.02 * np.arange(30), 0.01 * np.arange(40)).astype(np.float32) + 2
+    crop = Crop(20, 10, 140, 100)
+    real = real_depth(slope, 160, 120, crop)
+    rows, columns = ((np.arange(first, last) + 0.5) / 4 - 0.5 for first, last in ((10, 100), (20, 140)))
+    assert real.certain.all()
+    assert real.depth_m == pytest.approx(np.add.outer(0.02 * rows, 0.01 * columns) + 2, abs=1e-5)
+    part = real.part(Crop(30, 20, 50, 60).inside(crop))
+    assert (part.depth_m == real.depth_m[10:50, 10:30]).all()

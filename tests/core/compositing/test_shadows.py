@@ -1,5 +1,7 @@
 """Shadows and colour bleeding against closed forms: umbra and penumbra of a small light, a sphere under a white sky."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from light_rooms import lit, unit
@@ -39,6 +41,18 @@ def ball(panorama, radius=0.2, height=0.5, material=None):
 def ratio_of(shadow_caster, quality=FINE):
     grid = surface_grid(floor_depth(), CAMERA, POSE, [FLOOR])
     return coarse_ratio(shadow_caster, grid, quality), grid
+
+
+def test_points_on_a_support_stay_on_their_lines_of_sight():
+    low = camera_at((0.0, 0.4, 1.6), pitch_degrees=-20)
+    rays = CAMERA.rays().astype(np.float64) @ low[:3, :3].T
+    exact = np.where(rays[..., 1] < -0.1, 0.4 / np.maximum(-rays[..., 1], 0.1), 9.0)
+    depth_m = (exact * (1 + np.random.default_rng(1).normal(0, 0.003, exact.shape))).astype(np.float32)
+    grid = surface_grid(depth_m, CAMERA, low, [FLOOR])
+    snapped = np.abs(grid.points[..., 1]) < 1e-4
+    assert snapped.mean() > 0.3
+    truth = low[:3, 3] + exact[..., None] * rays
+    assert np.linalg.norm(grid.points - truth, axis=-1)[snapped].max() < 1e-3
 
 
 def test_umbra_of_a_small_light_is_the_analytic_one():
@@ -122,6 +136,14 @@ def test_coarse_shadows_agree_with_fine_ones():
     coarse = shadow_ratio([ball(panorama, height=0.25)], floor_depth(), CAMERA, POSE, ShadowQuality(2, 32, 0))
     assert np.abs(fine - coarse).mean() < 0.01
     assert np.percentile(np.abs(fine - coarse), 99) < 0.15
+
+
+def test_a_rim_thinner_than_the_step_is_unchanged():
+    held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5))
+    rim = np.ascontiguousarray(floor_depth()[:, :2])
+    ratio = shadow_ratio([held], rim, replace(CAMERA, width=2), POSE, ShadowQuality(4, 16, 0))
+    assert ratio.shape == (120, 2, 3)
+    assert (ratio == 1).all()
 
 
 def test_noise_of_depth_leaves_the_support_flat():

@@ -1,10 +1,41 @@
 # pyright: reportMissingParameterType=false
-"""Joint bilateral interpolation of visibility where depth does not decide it, guided by colour."""
+"""Depth at the pixels of a finer image, and visibility guided by colour where depth does not decide it."""
 
 import math
 
 import numpy as np
 from numba import njit
+
+
+@njit(nogil=True, cache=True, fastmath=True)
+def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
+    """Fill rows start..stop of a finer image: linear where the nearest sample is `smooth`, else the nearest sample.
+
+    corner:        row and column of the finer image's first pixel.
+    scale:         size of its pixels in samples of depth, along rows and columns.
+    out, certain:  [h, w] out: depth, and `smooth` at the nearest sample.
+    """
+    rows, columns = depth.shape
+    half = np.float32(0.5)
+    for i in range(start, stop):
+        y = (np.float32(corner[0] + i) + half) * scale[0] - half
+        near_y = min(max(math.floor(y + half), 0), rows - 1)
+        y = min(max(y, np.float32(0)), np.float32(rows - 1))
+        top = int(y)
+        bottom, down = min(top + 1, rows - 1), y - np.float32(top)
+        for j in range(out.shape[1]):
+            x = (np.float32(corner[1] + j) + half) * scale[1] - half
+            near_x = min(max(math.floor(x + half), 0), columns - 1)
+            certain[i, j] = smooth[near_y, near_x]
+            if not smooth[near_y, near_x]:
+                out[i, j] = depth[near_y, near_x]
+                continue
+            x = min(max(x, np.float32(0)), np.float32(columns - 1))
+            left = int(x)
+            right, across = min(left + 1, columns - 1), x - np.float32(left)
+            upper = depth[top, left] + across * (depth[top, right] - depth[top, left])
+            lower = depth[bottom, left] + across * (depth[bottom, right] - depth[bottom, left])
+            out[i, j] = upper + down * (lower - upper)
 
 
 @njit(nogil=True, cache=True, fastmath=True)

@@ -6,43 +6,44 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.compositing.kernels.common import JIT
+
+
+@njit(**JIT)
+def _code(value, table):
+    limited = min(max(value, np.float32(0)), np.float32(1))
+    return table[int(limited * np.float32(65535) + np.float32(0.5))]
+
 
 @njit(nogil=True, cache=True)
 def encode_values(linear, table, out, start, stop):
     """Encode values start..stop; `table` holds the code of i / 65535."""
     for i in range(start, stop):
-        value = linear[i]
-        if value >= np.float32(1):
-            out[i] = table[65535]
-        elif value > np.float32(0):
-            out[i] = table[int(value * np.float32(65535) + np.float32(0.5))]
-        else:
-            out[i] = table[0]
+        out[i] = _code(linear[i], table)
 
 
 @njit(nogil=True, cache=True)
-def compose_rows(frame, ratio, objects, alpha, table, encoded, start, stop):
+def compose_rows(frame, ratio, objects, corner, table, encoded, start, stop):
     """Encode frame x ratio x (1 - alpha) + objects for rows start..stop; pixels that nothing changes stay.
 
-    frame, ratio, objects:  [h, w, 3] linear.
-    alpha:                  [h, w].
-    table:                  as in `encode_values`.
-    encoded:                [h, w, 3] in: the encoded frame; out: the encoded sum.
+    frame, ratio:  [h, w, 3] linear.
+    objects:       [oh, ow, 4] linear radiance times alpha, and alpha; `corner` is the row and column where they begin.
+    table:         as in `encode_values`.
+    encoded:       [h, w, 3] in: the encoded frame; out: the encoded sum.
     """
     one = np.float32(1)
+    rows, columns = objects.shape[:2]
     for i in range(start, stop):
-        for j in range(alpha.shape[1]):
-            left = one - alpha[i, j]
-            if left == one and ratio[i, j, 0] == one and ratio[i, j, 1] == one and ratio[i, j, 2] == one:
-                continue
-            for c in range(3):
-                value = frame[i, j, c] * ratio[i, j, c] * left + objects[i, j, c]
-                if value >= one:
-                    encoded[i, j, c] = table[65535]
-                elif value > np.float32(0):
-                    encoded[i, j, c] = table[int(value * np.float32(65535) + np.float32(0.5))]
-                else:
-                    encoded[i, j, c] = table[0]
+        y = i - corner[0]
+        for j in range(ratio.shape[1]):
+            x = j - corner[1]
+            left = one - objects[y, x, 3] if 0 <= y < rows and 0 <= x < columns else one
+            if left < one:
+                for c in range(3):
+                    encoded[i, j, c] = _code(frame[i, j, c] * ratio[i, j, c] * left + objects[y, x, c], table)
+            elif ratio[i, j, 0] != one or ratio[i, j, 1] != one or ratio[i, j, 2] != one:
+                for c in range(3):
+                    encoded[i, j, c] = _code(frame[i, j, c] * ratio[i, j, c], table)
 
 
 @njit(nogil=True, cache=True)

@@ -46,17 +46,20 @@ def support_below(supports, x, y, z):
 
 
 @njit(**JIT)
-def light_left(supports, k, x, y, z):
-    """Return the share of light that a point of plane k has left beside and under the objects.
+def light_left(spheres, normal, x, y, z):
+    """Return the share of light that a point of a plane has left beside and under spheres that stand on it.
 
     A sphere of radius r whose centre is at height h and distance d takes r^2 h / d^3 of a uniform sky's irradiance.
+
+    spheres:  [k, 4] centre and radius.
+    normal:   [3] of the plane, unit.
     """
     left = 1.0
-    for m in range(supports.spheres.shape[0]):
-        ox, oy, oz = supports.spheres[m, 0] - x, supports.spheres[m, 1] - y, supports.spheres[m, 2] - z
-        height = ox * supports.normals[k, 0] + oy * supports.normals[k, 1] + oz * supports.normals[k, 2]
+    for k in range(spheres.shape[0]):
+        ox, oy, oz = spheres[k, 0] - x, spheres[k, 1] - y, spheres[k, 2] - z
+        height = ox * normal[0] + oy * normal[1] + oz * normal[2]
         square = ox * ox + oy * oy + oz * oz
-        radius = supports.spheres[m, 3]
+        radius = spheres[k, 3]
         taken = radius * radius * max(height, 0.0) / max(square * math.sqrt(square), 1e-9)
         left *= 1 - min(taken, 1.0)
     return left
@@ -91,7 +94,7 @@ def arriving(world, weights, p, d):
     if known <= 0:
         return r, g, b
     near = min(2 * (1 - far / supports.reach_m), 1.0)
-    left = light_left(supports, k, x, y, z)
+    left = light_left(supports.spheres, n, x, y, z)
     scale = near * left / known
     rest = (1 - near) * left
     return rest * r + scale * red, rest * g + scale * green, rest * b + scale * blue

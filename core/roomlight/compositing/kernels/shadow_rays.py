@@ -8,6 +8,8 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT
+from roomlight.compositing.kernels.environment import place_of
+from roomlight.compositing.kernels.ground import light_left
 
 
 class Receivers(NamedTuple):
@@ -90,9 +92,8 @@ class Ground(NamedTuple):
 def _look_up(panorama, x, y, z):
     """Return row and column of a unit direction."""
     height, width = panorama.shape[0], panorama.shape[1]
-    column = int((0.5 + math.atan2(z, x) * (0.5 / math.pi)) * width)
-    row = int(math.acos(min(max(y, -1.0), 1.0)) * (height / math.pi))
-    return min(row, height - 1), min(max(column, 0), width - 1)
+    place = place_of(x, y, z)
+    return min(int(place[1] * height), height - 1), min(max(int(place[0] * width), 0), width - 1)
 
 
 @njit(nogil=True, cache=True, fastmath=True)
@@ -233,29 +234,12 @@ def object_rays(receivers, spheres, lift_m, numbers, reach, rays, start, stop):
 
 
 @njit(**JIT)
-def _ground_left(ground, x, y, z):
-    """Return the share of light that a point of the ground has left beside and under the objects.
-
-    A sphere of radius r whose centre is at height h and distance d takes r^2 h / d^3 of a uniform sky's irradiance.
-    """
-    left = 1.0
-    for k in range(ground.spheres.shape[0]):
-        ox, oy, oz = ground.spheres[k, 0] - x, ground.spheres[k, 1] - y, ground.spheres[k, 2] - z
-        height = ox * ground.normal[0] + oy * ground.normal[1] + oz * ground.normal[2]
-        square = ox * ox + oy * oy + oz * oz
-        radius = ground.spheres[k, 3]
-        taken = radius * radius * max(height, 0.0) / max(square * math.sqrt(square), 1e-9)
-        left *= 1 - min(taken, 1.0)
-    return left
-
-
-@njit(**JIT)
 def _ground_seen(ground, p, d):
     """Return the share of light left where a ray that goes down from an object meets the ground."""
     n, q = ground.normal, ground.point
     height = max((p[0] - q[0]) * n[0] + (p[1] - q[1]) * n[1] + (p[2] - q[2]) * n[2], 0.0)
     far = height / max(-(d[0] * n[0] + d[1] * n[1] + d[2] * n[2]), 1e-3)
-    return _ground_left(ground, p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2])
+    return light_left(ground.spheres, n, p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2])
 
 
 @njit(nogil=True, cache=True, fastmath=True)

@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
+from roomlight.compositing.kernels.common import JIT
+
 
 class SurfaceGrid(NamedTuple):
     """Real surfaces on a grid of pixels.
@@ -95,6 +97,18 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
             out[i, j, 2] = min(blue / total + glow_blue / glow_total, most)
 
 
+@njit(**JIT)
+def _is_one(ratio, known, row, near, far):
+    """Return whether two neighbours change nothing."""
+    one = np.float32(1)
+    for column in (near, far):
+        if known[row, column] and (
+            ratio[row, column, 0] != one or ratio[row, column, 1] != one or ratio[row, column, 2] != one
+        ):
+            return False
+    return True
+
+
 @njit(nogil=True, cache=True, fastmath=True)
 def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop):
     """Interpolate a ratio image to rows start..stop of a finer grid, across no depth edge.
@@ -105,35 +119,39 @@ def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop
     """
     height, width = depth.shape
     one = np.float32(1)
+    begin = step // 2
     for i in range(start, stop):
-        top = (i - step // 2) // step
-        down = np.float32(i - step // 2) / np.float32(step) - top
+        top = (i - begin) // step
+        down = np.float32(i - begin) / np.float32(step) - top
         first, second = max(top, 0), min(top + 1, height - 1)
-        for j in range(fine_depth.shape[1]):
-            left = (j - step // 2) // step
-            across = np.float32(j - step // 2) / np.float32(step) - left
-            here = fine_depth[i, j]
-            total = np.float32(0)
-            red, green, blue = np.float32(0), np.float32(0), np.float32(0)
-            for dx in range(2):
-                column = min(max(left + dx, 0), width - 1)
-                share_x = across if dx else one - across
-                for dy in range(2):
-                    row = second if dy else first
-                    if not known[row, column]:
-                        continue
-                    weight = (down if dy else one - down) * share_x + np.float32(1e-4)
-                    if here > 0:
-                        change = (depth[row, column] - here) / (edge * here)
-                        near = one / (one + change * change)
-                        weight *= near * near * near
-                    total += weight
-                    # differences from 1: where all are 1, the result is exactly 1
-                    red += weight * (ratio[row, column, 0] - one)
-                    green += weight * (ratio[row, column, 1] - one)
-                    blue += weight * (ratio[row, column, 2] - one)
-            if total > np.float32(1e-9):
-                scale = one / total
+        for left in range(-begin // step, (fine_depth.shape[1] - 1 - begin) // step + 1):
+            near, far = min(max(left, 0), width - 1), min(left + 1, width - 1)
+            columns = range(max(left * step + begin, 0), min((left + 1) * step + begin, fine_depth.shape[1]))
+            if _is_one(ratio, known, first, near, far) and _is_one(ratio, known, second, near, far):
+                for j in columns:
+                    out[i, j, 0], out[i, j, 1], out[i, j, 2] = one, one, one
+                continue
+            for j in columns:
+                across = np.float32(j - begin) / np.float32(step) - left
+                here = fine_depth[i, j]
+                total = np.float32(0)
+                red, green, blue = np.float32(0), np.float32(0), np.float32(0)
+                for dx in range(2):
+                    column = far if dx else near
+                    share_x = across if dx else one - across
+                    for dy in range(2):
+                        row = second if dy else first
+                        if not known[row, column]:
+                            continue
+                        weight = (down if dy else one - down) * share_x + np.float32(1e-4)
+                        if here > 0:
+                            change = (depth[row, column] - here) / (edge * here)
+                            close = one / (one + change * change)
+                            weight *= close * close * close
+                        total += weight
+                        # differences from 1: where all are 1, the result is exactly 1
+                        red += weight * (ratio[row, column, 0] - one)
+                        green += weight * (ratio[row, column, 1] - one)
+                        blue += weight * (ratio[row, column, 2] - one)
+                scale = one / total if total > np.float32(1e-9) else np.float32(0)
                 out[i, j, 0], out[i, j, 1], out[i, j, 2] = one + red * scale, one + green * scale, one + blue * scale
-            else:
-                out[i, j, 0], out[i, j, 1], out[i, j, 2] = one, one, one

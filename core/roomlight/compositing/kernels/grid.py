@@ -1,0 +1,76 @@
+# pyright: reportMissingParameterType=false
+"""Points and normals of the real surfaces on a grid of pixels."""
+
+import math
+
+import numpy as np
+from numba import njit
+
+
+@njit(nogil=True, cache=True, fastmath=True)
+def fill_points(depth, lens, camera_to_world, out, start, stop):
+    """Fill the world positions of rows start..stop of a depth image.
+
+    depth:            [h, w] z-depth.
+    lens:             fx, fy, cx, cy of its pixels.
+    camera_to_world:  [3, 4].
+    out:              [h, w, 3].
+    """
+    m = camera_to_world
+    half = np.float32(0.5)
+    for i in range(start, stop):
+        y = -(np.float32(i) + half - lens[3]) / lens[1]
+        for j in range(depth.shape[1]):
+            x, far = (np.float32(j) + half - lens[2]) / lens[0], depth[i, j]
+            for axis in range(3):
+                out[i, j, axis] = far * (m[axis, 0] * x + m[axis, 1] * y - m[axis, 2]) + m[axis, 3]
+
+
+@njit(nogil=True, cache=True, fastmath=True)
+def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, stop):
+    """Fill normals of rows start..stop by differences of neighbours, and move points near a plane onto it.
+
+    Points move along the line of sight, so that they stay where their pixels show them: moved along the normal, points
+    seen at a low angle would come to lie under the object that stands there.
+
+    raw:              [h, w, 3] world positions.
+    depth:            [h, w] their z-depth.
+    eye:              [3] the camera's position.
+    planes:           [k, 2, 3] a point and the unit normal of each.
+    tolerance:        distance from a plane that counts as noise: metres, and share of the depth.
+    points, normals:  [h, w, 3] out.
+    """
+    height, width = depth.shape
+    for i in range(start, stop):
+        above, below = max(i - 1, 0), min(i + 1, height - 1)
+        for j in range(width):
+            left, right = max(j - 1, 0), min(j + 1, width - 1)
+            ax, ay, az = (
+                raw[i, right, 0] - raw[i, left, 0],
+                raw[i, right, 1] - raw[i, left, 1],
+                raw[i, right, 2] - raw[i, left, 2],
+            )
+            bx, by, bz = (
+                raw[above, j, 0] - raw[below, j, 0],
+                raw[above, j, 1] - raw[below, j, 1],
+                raw[above, j, 2] - raw[below, j, 2],
+            )
+            x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            scale = np.float32(1) / max(math.sqrt(x * x + y * y + z * z), np.float32(1e-12))
+            x, y, z = x * scale, y * scale, z * scale
+            px, py, pz = raw[i, j, 0], raw[i, j, 1], raw[i, j, 2]
+            near = tolerance[0] + tolerance[1] * depth[i, j]
+            for k in range(planes.shape[0]):
+                n, q = planes[k, 1], planes[k, 0]
+                rise = (px - q[0]) * n[0] + (py - q[1]) * n[1] + (pz - q[2]) * n[2]
+                if abs(rise) < near and x * n[0] + y * n[1] + z * n[2] > np.float32(0.7):
+                    above_eye = (eye[0] - q[0]) * n[0] + (eye[1] - q[1]) * n[1] + (eye[2] - q[2]) * n[2]
+                    fall = above_eye - rise
+                    if abs(fall) > np.float32(0.05):
+                        share = rise / fall
+                        px, py, pz = px + share * (px - eye[0]), py + share * (py - eye[1]), pz + share * (pz - eye[2])
+                    else:  # seen edge on
+                        px, py, pz = px - rise * n[0], py - rise * n[1], pz - rise * n[2]
+                    x, y, z = n[0], n[1], n[2]
+            points[i, j, 0], points[i, j, 1], points[i, j, 2] = px, py, pz
+            normals[i, j, 0], normals[i, j, 1], normals[i, j, 2] = x, y, z
