@@ -5,7 +5,7 @@ import logging
 import time
 from collections.abc import AsyncGenerator, Callable
 from contextlib import asynccontextmanager
-from typing import Any
+from typing import Any, Final
 
 from fastapi import FastAPI, Response
 from fastapi.exceptions import RequestValidationError
@@ -70,6 +70,37 @@ _WIRE_MODELS = (
 )
 """Models of frames and of the WebSocket, added to the OpenAPI document although no HTTP body uses them."""
 
+_ROUTES: Final = (
+    session_routes,
+    light_routes,
+    object_routes,
+    composite_routes,
+    stream,
+    room_routes,
+    recording_routes,
+    page_routes,
+    pairing_routes,
+)
+_CORS_REQUEST_HEADERS: Final = (
+    "Authorization",
+    "Content-Type",
+    "If-None-Match",
+    "Prefer",
+    "X-Session-Id",
+    recording_routes.OFFSET_HEADER,
+    REQUEST_ID_HEADER,
+)
+_CORS_ANSWER_HEADERS: Final = (
+    "ETag",
+    "Retry-After",
+    REQUEST_ID_HEADER,
+    light_routes.COVERAGE_HEADER,
+    light_routes.FRAME_HEADER,
+    composite_routes.POSES_HEADER,
+    recording_routes.OFFSET_HEADER,
+    room_routes.KEYFRAMES_HEADER,
+)
+
 
 def create_app(
     settings: ServerSettings, *, clock: Clock = time.monotonic, when_ready: Callable[[], object] | None = None
@@ -81,48 +112,7 @@ def create_app(
         clock: Monotonic clock in seconds, for the expiry of sessions.
         when_ready: Called once when kernels are compiled and weights loaded.
     """
-    metrics = Metrics()
-    workers = Workers(settings, metrics)
-    states = None
-    if settings.state_dir is not None:
-        interval_s, expiry_s = settings.state_interval_s, settings.state_expiry_s
-        states = StateStore(
-            settings.state_dir,
-            interval_s=interval_s,
-            expiry_s=expiry_s,
-            shared=settings.state_shared,
-            metrics=metrics,
-            clock=clock,
-        )
-    registry = Registry(settings, workers, metrics, clock, states)
-    guard = ConnectionGuard(settings, metrics)
-    budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
-    metrics.pending_bytes.set_function(lambda: budget.used)
-    objects = ObjectStore(settings, metrics, clock)
-    recordings = RecordingStore(settings, registry, clock)
-    context = Context(settings, metrics, workers, registry, guard, budget, objects, recordings, states)
-
-    @asynccontextmanager
-    async def lifespan(_: FastAPI) -> AsyncGenerator[None]:
-        tasks = [
-            asyncio.create_task(_prepare(context, when_ready)),
-            asyncio.create_task(_expire(context, every_s=min(5.0, settings.idle_expiry_s / 4))),
-        ]
-        if states is not None:
-            tasks.append(asyncio.create_task(states.run(registry.items, registry.end_moved)))
-        try:
-            yield
-        finally:
-            context.begin_stop()
-            for task in tasks:
-                task.cancel()
-            await asyncio.wait(tasks)
-            await recordings.close()
-            if states is not None:
-                await states.close(registry.items)
-            registry.close()
-            await asyncio.to_thread(workers.stop)
-
+    context = _make_context(settings, clock)
     app = FastAPIOffline(
         docs_url="/docs",
         redoc_url=None,
@@ -130,7 +120,7 @@ def create_app(
         title="RoomLight",
         version=__version__,
         description=_DESCRIPTION,
-        lifespan=lifespan,
+        lifespan=lambda _: _running(context, when_ready),
         redirect_slashes=False,
         generate_unique_id_function=_operation_id,
         exception_handlers={
@@ -142,16 +132,64 @@ def create_app(
         },
     )
     app.state.context = context
-    app.include_router(session_routes.router)
-    app.include_router(light_routes.router)
-    app.include_router(object_routes.router)
-    app.include_router(composite_routes.router)
-    app.include_router(stream.router)
-    app.include_router(room_routes.router)
-    app.include_router(recording_routes.router)
-    app.include_router(page_routes.router)
-    app.include_router(pairing_routes.router)
+    for module in _ROUTES:
+        app.include_router(module.router)
     _add_health(app)
+    _add_middleware(app, context)
+    app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
+    return app
+
+
+def _make_context(settings: ServerSettings, clock: Clock) -> Context:
+    """Make the objects that the routes share."""
+    metrics = Metrics()
+    workers = Workers(settings, metrics)
+    states = None
+    if settings.state_dir is not None:
+        states = StateStore(
+            settings.state_dir,
+            interval_s=settings.state_interval_s,
+            expiry_s=settings.state_expiry_s,
+            shared=settings.state_shared,
+            metrics=metrics,
+            clock=clock,
+        )
+    registry = Registry(settings, workers, metrics, clock, states)
+    guard = ConnectionGuard(settings, metrics)
+    budget = ByteBudget(settings.max_pending_bytes, guard.unsent_bytes, owner_limit=settings.owner_pending_bytes)
+    metrics.pending_bytes.set_function(lambda: budget.used)
+    objects = ObjectStore(settings, metrics, clock)
+    recordings = RecordingStore(settings, registry, clock)
+    return Context(settings, metrics, workers, registry, guard, budget, objects, recordings, states)
+
+
+@asynccontextmanager
+async def _running(context: Context, when_ready: Callable[[], object] | None) -> AsyncGenerator[None]:
+    """Run the tasks of a server; at the end, save the sessions and end all work."""
+    registry, states = context.registry, context.states
+    tasks = [
+        asyncio.create_task(_prepare(context, when_ready)),
+        asyncio.create_task(_expire(context, every_s=min(5.0, context.settings.idle_expiry_s / 4))),
+    ]
+    if states is not None:
+        tasks.append(asyncio.create_task(states.run(registry.items, registry.end_moved)))
+    try:
+        yield
+    finally:
+        context.begin_stop()
+        for task in tasks:
+            task.cancel()
+        await asyncio.wait(tasks)
+        await context.recordings.close()
+        if states is not None:
+            await states.close(registry.items)
+        registry.close()
+        await asyncio.to_thread(context.workers.stop)
+
+
+def _add_middleware(app: FastAPI, context: Context) -> None:
+    """Add the middleware, from the innermost to the outermost."""
+    settings, metrics = context.settings, context.metrics
     app.add_middleware(
         BodyMiddleware,
         frame_bytes=settings.max_body_bytes,
@@ -166,31 +204,18 @@ def create_app(
         hosts=settings.allow_hosts if settings.tokens else LOOPBACK_HOSTS,
         metrics=metrics,
         wrong_token_delay_s=settings.wrong_token_delay_s,
-        guard=guard,
+        guard=context.guard,
     )
     if settings.allow_origins:
         app.add_middleware(
             CORSMiddleware,
             allow_origins=settings.allow_origins,
             allow_methods=["GET", "PUT", "POST", "DELETE"],
-            allow_headers=[
-                "Authorization",
-                "Content-Type",
-                "If-None-Match",
-                "Prefer",
-                "X-Session-Id",
-                recording_routes.OFFSET_HEADER,
-                REQUEST_ID_HEADER,
-            ],
-            expose_headers=[
-                *("ETag", "Retry-After", REQUEST_ID_HEADER, light_routes.COVERAGE_HEADER, light_routes.FRAME_HEADER),
-                *(composite_routes.POSES_HEADER, recording_routes.OFFSET_HEADER, room_routes.KEYFRAMES_HEADER),
-            ],
+            allow_headers=_CORS_REQUEST_HEADERS,
+            expose_headers=_CORS_ANSWER_HEADERS,
         )
-    app.add_middleware(StopMiddleware, stopping=lambda: registry.stopping)
-    app.add_middleware(RequestIdMiddleware)  # the outermost: answers of all others carry the id
-    app.openapi = lambda: _openapi(app, tokens=bool(settings.tokens))
-    return app
+    app.add_middleware(StopMiddleware, stopping=lambda: context.registry.stopping)
+    app.add_middleware(RequestIdMiddleware)  # answers of all others carry the id
 
 
 def _operation_id(route: Any) -> str:  # an APIRoute, or FastAPI's private context of one

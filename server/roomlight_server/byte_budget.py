@@ -79,3 +79,9 @@ class Reservation:
         """
         self._budget.reserve(self.owner, size)
         self.size += size
+
+    def keep(self, size: int) -> None:
+        """Release all but `size` bytes, or nothing if fewer are reserved."""
+        released = max(0, self.size - size)
+        self._budget.release(self.owner, released)
+        self.size -= released

@@ -192,7 +192,10 @@ async def probes(
     check_size(size)
     held.add(memory_of(live, len(body.probes), size))
     with context.metrics.light_seconds.time():
-        return await until_gone(request, _answer_many(live, context.workers, body, binary=binary))
+        answer = await until_gone(request, _answer_many(live, context.workers, body, binary=binary))
+    if isinstance(answer, PartsResponse):
+        held.keep(answer.size)  # what the client has not read yet is counted besides
+    return answer
 
 
 async def _answer_many(live: LiveSession, workers: Workers, body: LightRequest, *, binary: bool) -> Response:

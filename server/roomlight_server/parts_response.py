@@ -10,13 +10,15 @@ class PartsResponse(Response):
     """A response that is sent part after part, as fast as the client reads.
 
     Joining the parts would copy up to 64 MB on the event loop, while the requests of all clients wait.
+
+    Attributes:
+        size: Bytes of all parts.
     """
 
     def __init__(self, parts: Sequence[bytes], media_type: str) -> None:
         """Prepare the response."""
-        size = sum(len(part) for part in parts)
-        super().__init__(media_type=media_type, headers={"Content-Length": str(size)})
-        self._parts = parts
+        self._parts, self.size = parts, sum(len(part) for part in parts)
+        super().__init__(media_type=media_type, headers={"Content-Length": str(self.size)})
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Send the response."""
