@@ -15,4 +15,5 @@ def test_kills_lose_nothing_older_than_the_interval(model, kills):
     assert report.compared >= 2 * kills  # two probes after each restart
     assert report.frames > kills
     assert report.disk_bytes > 10**5
+    assert report.seconds > 0
     assert report.holds
