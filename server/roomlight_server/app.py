@@ -4,7 +4,7 @@ import asyncio
 import logging
 import time
 from collections.abc import AsyncGenerator, Callable
-from contextlib import asynccontextmanager
+from contextlib import AbstractAsyncContextManager, asynccontextmanager
 from typing import Any, Final
 
 from fastapi import FastAPI, Response
@@ -113,6 +113,10 @@ def create_app(
         when_ready: Called once when kernels are compiled and weights loaded.
     """
     context = _make_context(settings, clock)
+
+    def lifespan(_: FastAPI) -> AbstractAsyncContextManager[None]:
+        return _running(context, when_ready)
+
     app = FastAPIOffline(
         docs_url="/docs",
         redoc_url=None,
@@ -120,7 +124,7 @@ def create_app(
         title="RoomLight",
         version=__version__,
         description=_DESCRIPTION,
-        lifespan=lambda _: _running(context, when_ready),
+        lifespan=lifespan,
         redirect_slashes=False,
         generate_unique_id_function=_operation_id,
         exception_handlers={
