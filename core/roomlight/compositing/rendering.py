@@ -15,6 +15,7 @@ from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8, UInt64
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.compositing.denoise import denoise
 from roomlight.compositing.kernels import paths as path_kernels
+from roomlight.compositing.kernels.environment import fill_radiance
 from roomlight.compositing.kernels.film import average_samples
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.kernels.preview import shade_hits
@@ -392,8 +393,6 @@ def _add_background(world: _World, rays: _Queue, film: _Film, background: Backgr
     seen = np.ascontiguousarray(background(rays.direction), np.float32)
     unknown = ~np.isfinite(seen).all(axis=1)
     if unknown.any():
-        from roomlight.compositing.kernels.environment import fill_radiance
-
         light = np.empty((int(unknown.sum()), 3), np.float32)
         fill_radiance(world.light, rays.origin[unknown], rays.direction[unknown], light, 0, len(light))
         seen[unknown] = light

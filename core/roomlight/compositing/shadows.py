@@ -318,10 +318,8 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
             add_bounced(met, face, distance_m, caster.object_ids, looks, levels, ground, bounced)
 
     _in_blocks(work, count, max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres))))
+    # with the lamp also where the room hides it: on a surface wrongly taken for shaded, glow would be a bright spot
     irradiance = _at_least_seen(irradiance, receivers.normals, caster)
-    if lamp is not None:
-        hidden = (1 - receivers.seen) * np.maximum(receivers.normals @ lamp.direction, 0)
-        irradiance = np.maximum(irradiance - hidden[:, None] * lamp.intensity, np.float32(0.05) * irradiance)
     variance = squares - (blocked @ _THIRDS) ** 2 / np.float32(samples)
     # All of a few samples agreeing still leaves doubt: half a sample.
     least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * (unblocked @ _THIRDS)
