@@ -56,10 +56,10 @@ DAYLIGHT_OBJECTS: list[dict[str, Any]] = [
     {
         "name": "teapot",
         "shape": "teapot",
-        "size_m": 0.24,
+        "size_m": 0.26,
         "material": {"kind": "metal", "base_colour": [0.95, 0.64, 0.54], "roughness": 0.2},
-        "position": [-0.64, 0.764, 1.72],
-        "yaw_degrees": 120,
+        "position": [-1.26, 0.764, 1.67],
+        "yaw_degrees": 60,
     },
     {
         "name": "rolling sphere",
@@ -67,7 +67,7 @@ DAYLIGHT_OBJECTS: list[dict[str, Any]] = [
         "size_m": 0.22,
         "material": {"kind": "glossy", "base_colour": [0.6, 0.05, 0.03]},
         "position": [-1.7, 0.0, -0.3],
-        "motion": {"unit": "frames", "keys": [{"at": 6}, {"at": 22, "offset_m": [0.84, 0.0, 1.4]}]},
+        "motion": {"unit": "frames", "keys": [{"at": 6}, {"at": 22, "offset_m": [0.4, 0.0, 1.05]}]},
     },
 ]
 SCALE = 2

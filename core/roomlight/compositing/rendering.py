@@ -198,7 +198,8 @@ def render_objects(
 
 def no_supports() -> Supports:
     """Return that objects stand on nothing: all light is far away."""
-    return Supports(*(np.zeros((0, columns), np.float32) for columns in (3, 3, 4)), reach_m=1.0)
+    points, normals, spheres = (np.zeros((0, columns), np.float32) for columns in (3, 3, 4))
+    return Supports(points, normals, spheres, np.zeros(0, np.int32), reach_m=1.0)
 
 
 def _checked_settings(quality: str | RenderSettings) -> RenderSettings:

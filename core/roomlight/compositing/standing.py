@@ -113,14 +113,17 @@ def probe_positions(one: StandingObject) -> Float[np.ndarray, "n 3"]:
 def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], planes: list[Plane | None]) -> Supports:
     """Return the planes that objects stand on as the renderer takes them; each plane once."""
     known: list[Plane] = []
+    carriers: list[int] = []
     for plane in planes:
-        if plane is not None and not any(_same(plane, other) for other in known):
+        same = [number for number, other in enumerate(known) if plane is not None and _same(plane, other)]
+        if plane is not None and not same:
             known.append(plane)
+        carriers.append(-1 if plane is None else same[0] if same else len(known) - 1)
     shading = np.stack(spheres).astype(np.float32)
     shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
     points = np.array([plane.point for plane in known], np.float32).reshape(-1, 3)
     normals = np.array([plane.normal for plane in known], np.float32).reshape(-1, 3)
-    return Supports(points, normals, shading, SUPPORT_REACH_M)
+    return Supports(points, normals, shading, np.array(carriers, np.int32), SUPPORT_REACH_M)
 
 
 def _same(first: Plane, second: Plane) -> bool:

@@ -1,6 +1,7 @@
 """Objects reflect the surface that they stand on as a near one, and their shade on it."""
 
 import numpy as np
+import pytest
 from shading_reference import look_at
 
 from roomlight.camera import Intrinsics
@@ -22,7 +23,7 @@ FLOOR = np.array([[0, 0, 0]], np.float32), np.array([[0, 1, 0]], np.float32)
 
 def supports(shade_radius: float = 0.0) -> Supports:
     spheres = np.array([[*CENTRE, shade_radius]], np.float32)
-    return Supports(*FLOOR, spheres, reach_m=50.0)
+    return Supports(*FLOOR, spheres, np.zeros(1, np.int32), reach_m=50.0)
 
 
 def ball(material: Material) -> ObjectScene:
@@ -93,3 +94,14 @@ def test_light_from_above_knows_no_floor() -> None:
     plain = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light)
     shaded = render_objects(ball(diffuse((0.5, 0.5, 0.5))), CAMERA, pose, light, supports=supports(RADIUS))
     np.testing.assert_allclose(shaded.radiance, plain.radiance, atol=0.02)
+
+
+@pytest.mark.parametrize("quality", ["preview", RenderSettings(16, 2, denoised=False)])
+def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) -> None:
+    pose = look_at(tuple(EYE), tuple(CENTRE))
+    scene, light = ball(mirror()), split_floor()
+    plain = render_objects(scene, CAMERA, pose, light, quality=quality)
+    for other, ends in (((2.0, 0.1, 0.0, 0.1), True), ((0.4, 0.1, 0.2, 0.1), False)):
+        near = Supports(*FLOOR, np.array([other], np.float32), np.zeros(1, np.int32), reach_m=1.0)
+        beside = render_objects(scene, CAMERA, pose, light, quality=quality, supports=near)
+        assert (np.abs(beside.radiance - plain.radiance).max() < 1e-5) == ends

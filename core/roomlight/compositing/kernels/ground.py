@@ -22,13 +22,30 @@ class Supports(NamedTuple):
         points: [k, 3] on the planes, world metres.
         normals: [k, 3] unit.
         spheres: [m, 4] centre and radius, each as large as an object seen from above.
+        carriers: [m] the plane that each of these objects stands on, -1 for none.
         reach_m: distance along a ray up to which the planes reach; beyond it the panorama is far away again.
     """
 
     points: np.ndarray
     normals: np.ndarray
     spheres: np.ndarray
+    carriers: np.ndarray
     reach_m: float
+
+
+@njit(**JIT)
+def _near_its_objects(supports, k, x, y, z):
+    """Return whether a point is over the part of plane k around an object that stands on it: tables end somewhere."""
+    n = supports.normals[k]
+    for m in range(supports.spheres.shape[0]):
+        if supports.carriers[m] != k:
+            continue
+        ox, oy, oz = supports.spheres[m, 0] - x, supports.spheres[m, 1] - y, supports.spheres[m, 2] - z
+        rise = ox * n[0] + oy * n[1] + oz * n[2]
+        reach = supports.spheres[m, 3] + 0.5 * supports.reach_m
+        if ox * ox + oy * oy + oz * oz - rise * rise < reach * reach:
+            return True
+    return False
 
 
 @njit(**JIT)
@@ -40,7 +57,7 @@ def support_below(supports, x, y, z):
         height = (
             (x - supports.points[k, 0]) * n[0] + (y - supports.points[k, 1]) * n[1] + (z - supports.points[k, 2]) * n[2]
         )
-        if -0.01 < height < least:
+        if -0.01 < height < least and _near_its_objects(supports, k, x, y, z):
             best, least = k, height
     return best, max(least, 0.0)
 
