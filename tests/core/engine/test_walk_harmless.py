@@ -77,6 +77,7 @@ HAS_COMPLETION = (SHIPPED / "completion" / DESCRIPTION).is_file()
 HAS_VIDEO = (SHIPPED / "video" / DESCRIPTION).is_file()
 SHIPPED_MODELS = [
     *(["completion"] if HAS_COMPLETION else []),
+    pytest.param("single", marks=pytest.mark.slow),
     *([pytest.param("video", marks=pytest.mark.slow)] if HAS_VIDEO else []),
 ]
 
