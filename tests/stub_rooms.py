@@ -23,7 +23,7 @@ from roomlight.camera import Intrinsics
 from roomlight.dataset.recording import GLASS, LIGHT, Recording
 
 NAME = f"{__name__}:render_room"
-FOREIGN = {"torch", "av", "onnxruntime", "fastapi", "liblzfse", "filelock", "roomlight.captures", "roomlight_server"}
+FOREIGN = {"torch", "av", "onnxruntime", "fastapi", "lzfse", "filelock", "roomlight.captures", "roomlight_server"}
 TYPES = ("kitchen", "study", "hall")
 
 

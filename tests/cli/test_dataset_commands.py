@@ -32,7 +32,7 @@ from roomlight_cli import console
 from roomlight_cli.commands import dataset as dataset_commands
 console.run(dataset_commands.app)
 """
-BASE_ONLY = "torch,av,onnxruntime,fastapi,uvicorn,liblzfse,filelock,onnx,roomlight.captures"
+BASE_ONLY = "torch,av,onnxruntime,fastapi,uvicorn,lzfse,filelock,onnx,roomlight.captures"
 
 
 def start(*arguments, cwd, **options):

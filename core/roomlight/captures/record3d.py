@@ -22,7 +22,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import liblzfse
+import lzfse
 import numpy as np
 from jaxtyping import Float, UInt8
 
@@ -176,8 +176,8 @@ def _unpacked(data: bytes, label: str, size: int) -> bytes:
     if declared != size:
         raise FrameError(f"{label}: unpacks to {declared} bytes where the metadata's size needs {size}")
     try:
-        unpacked = liblzfse.decompress(data)
-    except (liblzfse.error, MemoryError) as error:  # damaged data makes it ask for ever larger buffers
+        unpacked = lzfse.decompress(data)
+    except (lzfse.error, MemoryError) as error:  # damaged data makes it ask for ever larger buffers
         raise FrameError(f"{label}: the LZFSE data is damaged ({error})") from error
     if len(unpacked) != size:
         raise FrameError(f"{label}: unpacks to {len(unpacked)} bytes where the metadata's size needs {size}")

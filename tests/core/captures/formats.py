@@ -13,7 +13,7 @@ from pathlib import Path
 
 import av
 import cv2
-import liblzfse
+import lzfse
 import numpy as np
 import OpenEXR
 
@@ -190,8 +190,8 @@ def record3d_members(views: list[View]) -> dict[str, bytes]:
     members = {"metadata": record3d_metadata(views)}
     for index, view in enumerate(views):
         members[f"rgbd/{index}.jpg"] = image(".jpg", view.srgb8)
-        members[f"rgbd/{index}.depth"] = liblzfse.compress(view.depth_m.astype("<f4").tobytes())
-        members[f"rgbd/{index}.conf"] = liblzfse.compress(view.confidence.tobytes())
+        members[f"rgbd/{index}.depth"] = lzfse.compress(view.depth_m.astype("<f4").tobytes())
+        members[f"rgbd/{index}.conf"] = lzfse.compress(view.confidence.tobytes())
     return members
 
 

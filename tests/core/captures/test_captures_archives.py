@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import formats
-import liblzfse
+import lzfse
 import pytest
 from capture_checks import one_skipped
 
@@ -27,7 +27,7 @@ def repacked(path: Path, change: Callable[[dict[str, bytes]], object]) -> Path:
 
 
 def test_depth_of_another_size_than_the_metadata_says(tmp_path: Path) -> None:
-    short = liblzfse.compress(VIEWS[1].depth_m[:12].tobytes())
+    short = lzfse.compress(VIEWS[1].depth_m[:12].tobytes())
     path = repacked(tmp_path / "a.r3d", lambda members: members.update({"rgbd/1.depth": short}))
     one_skipped(path, 1, "rgbd/1.depth", "1536 bytes", "3072")
     path = repacked(tmp_path / "b.r3d", lambda members: members.update({"rgbd/1.conf": b"bvx$"}))
@@ -35,7 +35,7 @@ def test_depth_of_another_size_than_the_metadata_says(tmp_path: Path) -> None:
 
 
 def test_a_bomb_is_refused_by_its_declared_size(tmp_path: Path) -> None:
-    bomb = liblzfse.compress(bytes(5_000_000))
+    bomb = lzfse.compress(bytes(5_000_000))
     assert _declared_size(bomb) == 5_000_000
     path = repacked(tmp_path / "a.r3d", lambda members: members.update({"rgbd/2.depth": bomb}))
     one_skipped(path, 2, "rgbd/2.depth", "5000000")
