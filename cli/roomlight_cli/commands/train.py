@@ -104,6 +104,18 @@ def train(
             "in the run's folder, about 10 MB each; 0: draw new ones at every step.",
         ),
     ] = 0,
+    light_changes: Annotated[
+        float,
+        typer.Option(
+            min=0, max=1, help="Video stages: share of sequences in which a lamp is switched or all light changes."
+        ),
+    ] = 0.0,
+    second_looks: Annotated[
+        float,
+        typer.Option(
+            min=0, max=1, help="Video stages: share of sequences that stay at a place or return the same way."
+        ),
+    ] = 0.0,
     units: Annotated[
         Units,
         typer.Option(
@@ -151,6 +163,8 @@ def train(
         frames=frames or (31 if video else 1),
         window=window,
         variants=variants,
+        light_changes=light_changes,
+        second_looks=second_looks,
         seed=seed,
         model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha, units=units)),
     )

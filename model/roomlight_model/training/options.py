@@ -51,6 +51,9 @@ class TrainOptions:
             in the run's folder (`training.walk_cache`); 0 draws new ones at every step.
         smoothness_weight: Video stages: weight of the difference between the panoramas of consecutive frames.
         augment: Whether to draw frames at random and augment them.
+        light_changes: Video stages: share of sequences whose light changes at a frame (`training.light_changes`).
+        second_looks: Video stages: share of sequences that stop at a frame or return the way they came, so that the
+            networks see the same places again.
         surround_max: Train only on sequences whose surroundings are at most this many times as bright as their
             first frame (`training.subsets.surround`); 0 trains on all.
         relative: Single-view blending and joint stages: divide each example's error by that of the fill of its
@@ -85,6 +88,8 @@ class TrainOptions:
     variants: int = 0
     smoothness_weight: float = 0.01
     augment: bool = True
+    light_changes: float = 0.0
+    second_looks: float = 0.0
     surround_max: float = 0.0
     relative: bool = False
     held_out: int = HELD_OUT
@@ -113,11 +118,15 @@ class TrainOptions:
             ("ema", 0, 1),
             ("rendering_weight", 0, 100),
             ("smoothness_weight", 0, 100),
+            ("light_changes", 0, 1),
+            ("second_looks", 0, 1),
             ("surround_max", 0, 100),
         ):
             value = getattr(self, name)
             if not low <= value <= high or (name == "learning_rate" and value == 0):
                 raise OptionError(f"{name} is {value}; it must be between {low} and {high}")
+        if (self.light_changes or self.second_looks) and not is_video(self.stage):
+            raise OptionError(f"light_changes and second_looks need a video stage, not {self.stage}")
         if self.relative and self.stage not in ("single-blend", "single-joint"):
             raise OptionError(f"relative needs the stage single-blend or single-joint, not {self.stage}")
         if self.variants and self.stage != "video-blend":

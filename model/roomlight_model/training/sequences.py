@@ -74,6 +74,16 @@ def draw_frames(count: int, length: int, rng: np.random.Generator) -> list[int]:
     return list(range(start, start + stride * (length - 1) + 1, stride))
 
 
+def look_again(numbers: Sequence[int], rng: np.random.Generator) -> list[int]:
+    """Replace the end of a sequence: it stays at a frame, or returns the way it came. The length stays the same."""
+    turn = int(rng.integers(1, len(numbers)))
+    if rng.random() < 0.5:
+        return [*numbers[:turn], *[numbers[turn - 1]] * (len(numbers) - turn)]
+    period = max(2 * (turn - 1), 1)
+    places = [k % period for k in range(len(numbers))]
+    return [numbers[min(place, period - place) if turn > 1 else 0] for place in places]
+
+
 def read_walk(
     recordings: Recordings,
     index: int,
@@ -83,13 +93,18 @@ def read_walk(
     length: int,
     augment: bool,
     change_light: LightChange | None = None,
+    second_looks: float = 0.0,
 ) -> WalkExample:
     """Read a sequence of `length` frames of a walk; without `augment` the first ones, as they are.
+
+    With `augment`, a share `second_looks` of the sequences shows places again (`look_again`).
 
     A sequence whose first frame's volume does not contain every point begins with the walk's first frame instead.
     """
     count = recordings.frames_of(index)
     numbers = draw_frames(count, length, rng) if augment else list(range(length))
+    if augment and length > 1 and second_looks and rng.random() < second_looks:
+        numbers = look_again(numbers, rng)
     example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
     if numbers[0] and not near(example):
         numbers = [number - numbers[0] for number in numbers]

@@ -37,6 +37,7 @@ from roomlight_model.networks import SingleModel, VideoModel, build
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import Recordings, read_example
 from roomlight_model.training.gradients import BatchGradients
+from roomlight_model.training.light_changes import LightChanges
 from roomlight_model.training.options import OPTIONS, STAGES, TrainOptions, is_video
 from roomlight_model.training.sequences import (
     LightChange,
@@ -107,7 +108,8 @@ class Trainer:
             device: The device of the networks.
             start_from: Weights of an earlier stage.
             data: Returns the description of the sequences for the card.
-            change_light: Video stages: changes the light of sequences at a frame; see `sequences.LightChange`.
+            change_light: Video stages: changes the light of sequences at a frame; see `sequences.LightChange`. None
+                changes it as `options.light_changes` says.
 
         Raises:
             ModelError: The folder's run has other options, `start_from` does not fit the stage, or there are fewer
@@ -118,6 +120,8 @@ class Trainer:
             raise ModelError(f"{len(recordings)} sequences are fewer than a batch of {options.batch}")
         options = starting_options(options, start_from)
         self.options, self.out, self.device = options, out, device
+        if change_light is None and options.light_changes:
+            change_light = LightChanges(options.light_changes)
         self._recordings, self._data, self._change_light = recordings, data, change_light
         self._before = None if start_from is None else start_from.card
         self.model = starting_model(options, start_from, resumes=(out / LAST).exists())
@@ -348,6 +352,7 @@ class Trainer:
                         length=length,
                         augment=options.augment,
                         change_light=self._change_light,
+                        second_looks=options.second_looks,
                     ),
                     options.volume_shape,
                 )
