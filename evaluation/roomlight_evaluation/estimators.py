@@ -51,6 +51,7 @@ class EngineEstimator:
         self._session = Session(options, graphs=graphs)
         self._late = late
         self._handles: dict[Position, int] = {}
+        self._late_handles: dict[Position, int] = {}
         self.name = self._session.model + (", late probe" if late else "")
 
     def push(self, frame: Frame) -> None:
@@ -61,9 +62,16 @@ class EngineEstimator:
         """Return the panorama [h, 2h, 3] at a point after the frames so far."""
         if self._late:
             return self._session.light_at(position).panorama
-        if position not in self._handles:
-            self._handles[position] = self._session.track(position)
-        return self._session.light(self._handles[position]).panorama
+        return self._tracked(position, self._handles)
+
+    def late_light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
+        """Return the panorama [h, 2h, 3] of another probe at the point, tracked from the first call of this method."""
+        return self._tracked(position, self._late_handles)
+
+    def _tracked(self, position: Position, handles: dict[Position, int]) -> Float[np.ndarray, "h w 3"]:
+        if position not in handles:
+            handles[position] = self._session.track(position)
+        return self._session.light(handles[position]).panorama
 
 
 class PredictionFolder:

@@ -77,6 +77,7 @@ class WalkModels:
         """Return new estimators of every comparison on exact depth."""
         alone = FrameAlone(self.single, self.single_graphs)
         classical = replace(self.single, model="classical", weights=None)
+        video = EngineEstimator(self.video, self.video_graphs)
         return [
             MeanColour(),
             WarpAndFill(),
@@ -84,8 +85,8 @@ class WalkModels:
             alone,
             SimpleAverage(alone),
             EngineEstimator(self.single, self.single_graphs),
-            EngineEstimator(self.video, self.video_graphs),
-            LateProbe(self.video, self.video_graphs),
+            video,
+            LateProbe(video),
         ]
 
     def phone_estimators(self) -> list[Estimator]:
@@ -106,15 +107,18 @@ class FrameAlone:
         """Use these networks."""
         self._options, self._graphs = options, graphs
         self._session = Session(options, graphs=graphs)
+        self._answers: dict[Position, Panorama] = {}
 
     def push(self, frame: Frame) -> None:
         """Forget the earlier frames and take this one."""
-        self._session = Session(self._options, graphs=self._graphs)
+        self._session, self._answers = Session(self._options, graphs=self._graphs), {}
         self._session.push(frame)
 
     def light_at(self, position: Position) -> Panorama:
         """Return the panorama [h, 2h, 3] at a point, of the last frame alone."""
-        return self._session.light_at(position).panorama
+        if position not in self._answers:
+            self._answers[position] = self._session.light_at(position).panorama
+        return self._answers[position]
 
 
 class SimpleAverage:
@@ -145,19 +149,19 @@ class LateProbe:
 
     name = "video, late probe"
 
-    def __init__(self, options: SessionOptions, graphs: LightingGraphs) -> None:
-        """Open a session."""
-        self._inner = EngineEstimator(options, graphs)
+    def __init__(self, video: EngineEstimator) -> None:
+        """Track points of the session of `video`, which gets the same frames before this estimator."""
+        self._video = video
         self._frames = 0
 
     def push(self, frame: Frame) -> None:
-        """Take the next frame."""
-        self._inner.push(frame)
+        """Count the frame."""
+        del frame
         self._frames += 1
 
     def light_at(self, position: Position) -> Panorama | None:
         """Return the panorama [h, 2h, 3] at a point, from frame `LATE_FROM` on."""
-        return self._inner.light_at(position) if self._frames >= LATE_FROM else None
+        return self._video.late_light_at(position) if self._frames >= LATE_FROM else None
 
 
 class Renamed:

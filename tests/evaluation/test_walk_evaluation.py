@@ -10,6 +10,7 @@ from recordings import BoxRecordings
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, OptionError
 from roomlight.metrics import log_l2
+from roomlight_evaluation.estimators import EngineEstimator
 from roomlight_evaluation.walk_evaluation import (
     LATE_FROM,
     NO_RNN,
@@ -60,12 +61,18 @@ def test_every_comparison_is_scored_on_every_walk(evaluated):
 def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
     late = [track for track in evaluated.tracks if track.method == "video, late probe"]
     assert all(np.isnan(track.scores["log_l2"]).all() for track in late)
-    estimator = LateProbe(models.video, models.video_graphs)
+    video = EngineEstimator(models.video, models.video_graphs)
+    estimator, position = LateProbe(video), (0.0, 0.0, 0.0)
     frames = list(walk_frames(Walks(1)[0], "exact"))
     for number in range(LATE_FROM):
-        assert estimator.light_at((0.0, 0.0, 0.0)) is None
-        estimator.push(replace(frames[number % FRAMES], index=number))
-    assert estimator.light_at((0.0, 0.0, 0.0)) is not None
+        assert estimator.light_at(position) is None
+        frame = replace(frames[number % FRAMES], index=number)
+        video.push(frame)
+        tracked = video.light_at(position)
+        estimator.push(frame)
+    late = estimator.light_at(position)
+    assert late is not None
+    assert not np.array_equal(late, tracked)  # it has blended no earlier frame
 
 
 def test_each_frame_alone_knows_nothing_of_earlier_ones(models):
