@@ -9,8 +9,8 @@ Addition to the paper's conservative rule: a clipped observation is replaced by 
 radiance only falls and its lower bound only rises by this, so that no two frames replace each other in turn.
 
 Second addition: light that changes. A surface that shows `CHANGED` times more or less light than before in
-`CHANGED_FRAMES` consecutive frames replaces what was accumulated: a lamp was switched on or off, a curtain opened. What
-frames do not show does not change. What looks different from elsewhere is no change: the view through a window, a
+`CHANGED_FRAMES` consecutive frames is seen as if for the first time: a lamp was switched on or off, a curtain opened.
+What frames do not show does not change. What looks different from elsewhere is no change: the view through a window, a
 reflection. Therefore:
 
 - A frame shows more only if its darkest pixel within `AROUND_DEG` does, and less only if its brightest one does.
@@ -133,7 +133,8 @@ def accumulate(
     D^ = L_M D~ + (1 - L_M) D^;  M^ = min(M^ + L_M, 1).  `weight` must be 0 where the frame's mesh is not seen.
 
     Where the state is clipped and the detail shows the same surface, L_M is at least min(weight, 1) times
-    `better_share`. Where its light has changed (see the module), L_M is at least min(weight, 1).
+    `better_share`. Where its light has changed (see the module), L_M is min(weight, 1) and M^ is 0
+    in the sum of L.
 
     `detail_clipped` and `detail_guessed` are as in `PanoramaState`; None: nothing was clipped. `camera` is the frame's
     position in metres from the probe, world axes.
@@ -292,8 +293,11 @@ def accumulate_reference(
     taken = _taken(state, np.where(differs, np.where(near, BEGINS, DIFFERS), np.where(same, AGREES, APART)))
     fresh = (weight > 0) & state.is_closer(detail_depth_m)
     state.viewed_from[fresh | taken | (same & ~differs & confirmed)] = camera
-    blend = np.where(taken, np.maximum(blend, np.minimum(weight, 1)), blend)
-    held = (1 - state.seen[..., None]) * hdr + state.seen[..., None] * state.radiance
+    blend = np.where(taken, np.minimum(weight, 1), blend)
+    known = np.where(taken, 0, state.seen)[..., None]
+    for forgotten in (state.clipped, state.guessed):
+        forgotten[taken] = 0
+    held = (1 - known) * hdr + known * state.radiance
     state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * held
     for kept, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
         kept[:] = blend * new + (1 - blend) * kept

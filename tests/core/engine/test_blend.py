@@ -280,6 +280,17 @@ def test_switched_light_is_taken_up_in_two_frames(before, after, wanted):
     assert (state.changed == 0).all()
 
 
+def test_changed_light_is_blended_as_if_it_were_seen_first():
+    """With a weight below 1, a share of the old light would stay, too little to count as another change."""
+    state = PanoramaState.fresh(HEIGHT, 3.0)
+    old = {"detail": 3.0, "hdr": 2.0, "depth_m": 2.0}
+    new = {"detail": 0.2, "hdr": 0.3, "depth_m": 2.0}
+    for view in (old, old, old, new, new):
+        accumulate(state, **_constant(**view) | {"weight": np.full(SHAPE, 0.75, np.float32)})
+    np.testing.assert_allclose(state.radiance, 0.75 * 0.2 + 0.25 * 0.3, rtol=1e-6)
+    np.testing.assert_array_equal(state.seen, 1)
+
+
 def test_a_flash_of_one_frame_is_no_change():
     state = _after(DARK_AGAIN, LIT, DARK_AGAIN, LIT, DARK_AGAIN)
     np.testing.assert_allclose(state.radiance, 0.2, rtol=1e-6)

@@ -115,15 +115,15 @@ def compare_rows(state, detail, rays, closer_m, found, start, stop):
 def accumulate_rows(state, hdr, detail, taken, closer_m, start, stop):
     """Update rows start..stop of the state (`StateArrays`); `detail` is `DetailArrays`, hdr [h, w, 3].
 
-    taken [h, w]:  whose light has changed: the frame's replaces it.
+    taken [h, w]:  whose light has changed: what was accumulated is forgotten, as if the frame were the first.
     """
     one, zero = np.float32(1), np.float32(0)
     radiance, new = state.radiance, detail.radiance
     for row in range(start, stop):
         for column in range(state.depth.shape[1]):
             blend = detail.weight[row, column]
-            before = state.seen[row, column]
-            clipped = state.clipped[row, column]
+            before = kept = state.seen[row, column]
+            clipped, known = state.clipped[row, column], state.guessed[row, column]
             nearer = state.depth[row, column] - detail.depth[row, column]
             fresh = blend > zero and nearer >= closer_m
             if nearer < closer_m:
@@ -136,14 +136,13 @@ def accumulate_rows(state, hdr, detail, taken, closer_m, start, stop):
                     better = better_share(clipped, bound, detail.clipped[row, column], new_bound)
                     blend = max(blend, better * min(weight, one))
                 if taken[row, column]:
-                    blend = max(blend, min(weight, one))
+                    blend, kept, clipped, known = min(weight, one), zero, zero, zero
             for c in range(3):
-                held = (one - before) * hdr[row, column, c] + before * radiance[row, column, c]
+                held = (one - kept) * hdr[row, column, c] + kept * radiance[row, column, c]
                 radiance[row, column, c] = blend * new[row, column, c] + (one - blend) * held
                 if fresh or taken[row, column]:
                     state.viewed_from[row, column, c] = detail.camera[c]
             state.depth[row, column] = blend * detail.depth[row, column] + (one - blend) * state.depth[row, column]
             state.seen[row, column] = min(before + blend, one)
             state.clipped[row, column] = blend * detail.clipped[row, column] + (one - blend) * clipped
-            guessed = blend * detail.guessed[row, column] + (one - blend) * state.guessed[row, column]
-            state.guessed[row, column] = guessed
+            state.guessed[row, column] = blend * detail.guessed[row, column] + (one - blend) * known
