@@ -21,17 +21,29 @@ def test_every_size_is_timed_in_every_quality():
 def test_ratios_follow_the_power_law_of_the_errors():
     ours = tuple(Effort(n, 1.0 * n, 1 / n**0.5) for n in (4, 16, 64))
     slower = tuple(Effort(n, 5.0 * n, 1 / n**0.5) for n in (4, 16, 64))
-    one = Rivalry("diffuse", ours, slower)
-    assert one.time_ratio() == pytest.approx(5)
-    assert one.error_ratio() == pytest.approx(5**0.5)
-    (met,) = RivalReport(rivals=(one,)).criteria()
-    assert met.holds
+    one = Rivalry("diffuse", ours, {"slow": slower, "equal": ours}, 0.03)
+    assert one.time_ratios() == pytest.approx({"slow": 5, "equal": 1})
+    assert one.error_ratios() == pytest.approx({"slow": 5**0.5, "equal": 1})
+    assert RivalReport(rivals=(one,)).rival_table().row_count == 3
+
+
+def test_limits_are_on_the_fastest_rival_and_on_the_picture():
+    ours = tuple(Effort(n, 1.0 * n, 1 / n**0.5) for n in (4, 16, 64))
+    slower = tuple(Effort(n, 5.0 * n, 1 / n**0.5) for n in (4, 16, 64))
+    for rivals, difference, expected in (
+        ({"slow": slower}, 0.01, [True, True]),
+        ({"slow": slower, "equal": ours}, 0.01, [False, True]),
+        ({"slow": slower}, 0.03, [True, False]),
+    ):
+        report = RivalReport(rivals=(Rivalry("diffuse", ours, rivals, difference),))
+        assert [one.holds for one in report.criteria()] == expected
 
 
 @pytest.mark.slow
 def test_both_renderers_converge_with_samples():
     pytest.importorskip("mitsuba")
-    for row in run_rivals(counts=(4, 64), reference=256):
-        for efforts in (row.ours, row.mitsuba):
+    for row in run_rivals(counts=(4, 64), reference=256, samplers=("multijitter",)):
+        assert row.difference < 0.05  # the same picture but for the noise of 256 samples
+        for efforts in (row.ours, *row.mitsuba.values()):
             assert efforts[1].error < efforts[0].error < 1
             assert efforts[1].cpu_ms > 0

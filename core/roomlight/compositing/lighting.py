@@ -11,11 +11,11 @@ from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Float, Float32, Float64
 
 from roomlight.compositing.kernels import environment
 from roomlight.compositing.kernels.shadow_rays import LightSamples
-from roomlight.conventions import LUMINANCE, Position, panorama_solid_angles
+from roomlight.conventions import LUMINANCE, Position, panorama_directions, panorama_solid_angles
 from roomlight.errors import OptionError, ProbeError
 from roomlight.light.checks import check_panorama
 from roomlight.light.cube import CubeMap
@@ -27,16 +27,50 @@ MAX_PROBES: Final = 64
 PREFILTERED_SIZE: Final = 32
 """Cube map pixels of the prefiltered levels: 2.8 degrees, under lobes of 20 degrees and more; 10 ms a probe."""
 PREFILTERED_ROWS: Final = 64
+IRRADIANCE_ROWS: Final = 48
+"""Rows of the irradiance by direction, interpolated within 0.1 %; 4 ms a probe."""
+CELL_ROWS: Final = 8
+"""Rows of cells of 22 degrees, by which light x scattering is sampled; finer ones took more time than they saved."""
+
+
+_NO_IRRADIANCE: Final = np.zeros((1, 1, 2, 3), np.float32)
+
+
+class SamplingTables(NamedTuple):
+    """What directions are drawn by.
+
+    Attributes:
+        density: Probability per steradian of each pixel's directions.
+        rows: Cumulative probability of the rows.
+        columns: Cumulative probability of the columns within each row.
+        cells: Probability of each of 8 x 16 cells, for `roomlight.compositing.kernels.guiding`.
+        toward: Mean direction of the light in a cell.
+        bands: Cumulative probability down each column of cells.
+        heights: Cosines of the polar angle at the edges of the rows.
+    """
+
+    density: Float32[np.ndarray, "*k h w"]
+    rows: Float32[np.ndarray, "*k h1"]
+    columns: Float32[np.ndarray, "*k h w1"]
+    cells: Float32[np.ndarray, "*k r c"]
+    toward: Float32[np.ndarray, "*k r c 3"]
+    bands: Float64[np.ndarray, "*k c h1"]
+    heights: Float64[np.ndarray, "*k h1"]
 
 
 class Environment(NamedTuple):
-    """Probes as the kernels read them: cumulative rows and columns, and the density per steradian, of each."""
+    """Probes as the kernels read them: panoramas, irradiance / pi by the surface's normal, and `SamplingTables`."""
 
     position: Float32[np.ndarray, "k 3"]
     radiance: Float32[np.ndarray, "k h w 3"]
+    irradiance: Float32[np.ndarray, "k i j 3"]
     density: Float32[np.ndarray, "k h w"]
     rows: Float32[np.ndarray, "k h1"]
     columns: Float32[np.ndarray, "k h w1"]
+    cells: Float32[np.ndarray, "k r c"]
+    toward: Float32[np.ndarray, "k r c 3"]
+    bands: Float64[np.ndarray, "k c h1"]
+    heights: Float64[np.ndarray, "k h1"]
 
 
 class LightSampler:
@@ -65,9 +99,18 @@ class LightSampler:
         self.mixed_from: Mixture | None = None
 
     def environment(self) -> Environment:
-        """Return the tables as the kernels read them."""
+        """Return the tables as the kernels read them, without irradiance."""
         place = np.array([self.position], np.float32)
-        return Environment(place, self.panorama[None], *(table[None] for table in self._tables))
+        return Environment(place, self.panorama[None], _NO_IRRADIANCE, *(table[None] for table in self._tables))
+
+    @cached_property
+    def irradiance(self) -> Float32[np.ndarray, "i j 3"]:
+        """Irradiance / pi of surfaces with the normals of `irradiance_normals`."""
+        finer = -(-IRRADIANCE_ROWS // len(self.panorama))
+        if finer == 1:
+            return _irradiance(self.panorama)
+        rows = finer * len(self.panorama)  # wide pixels: what counts is the light between their centres
+        return _irradiance(self.radiance(panorama_directions(rows).reshape(-1, 3)).reshape(rows, 2 * rows, 3))
 
     def sample(self, points: Float[np.ndarray, "n 2"]) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
         """Draw a direction for each point of [0, 1)^2; returns directions and their density per steradian."""
@@ -89,9 +132,7 @@ class LightSampler:
         return out
 
     @cached_property
-    def _tables(
-        self,
-    ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, " h1"], Float32[np.ndarray, "h w1"]]:
+    def _tables(self) -> SamplingTables:
         return _sampling_tables(self.panorama)
 
     @cached_property
@@ -137,8 +178,20 @@ class ProbeSet:
             for one in samplers
         )
         self._kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]] = {}
-        parts = [one.environment() for one in self.samplers]
-        self.environment = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    @cached_property
+    def environment(self) -> Environment:
+        """Panoramas and tables as the kernels read them; made at first use."""
+        parts = [one.environment()._replace(irradiance=one.irradiance[None]) for one in self.samplers]
+        return Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    @cached_property
+    def panoramas(self) -> Environment:
+        """The same without tables, for kernels that draw no directions."""
+        positions = np.array([one.position for one in self.samplers], np.float32)
+        radiance = np.stack([one.panorama for one in self.samplers])
+        unused = _sampling_tables(radiance[0, :1, :2])  # the kernels want arrays of the same types
+        return Environment(positions, radiance, _NO_IRRADIANCE, *(table[None] for table in unused))
 
     @classmethod
     def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
@@ -152,14 +205,14 @@ class ProbeSet:
         at, along = (np.ascontiguousarray(rays, np.float32) for rays in (positions, directions))
         out = np.empty((len(along), 3), np.float32)
         parallel_for(
-            lambda begin, end: environment.fill_radiance(self.environment, at, along, out, begin, end), len(along)
+            lambda begin, end: environment.fill_radiance(self.panoramas, at, along, out, begin, end), len(along)
         )
         return out
 
     def weights(self, position: Position) -> Float[np.ndarray, " k"]:
         """Return each probe's share of the light at a position; the shares sum to 1."""
         out = np.empty(len(self.samplers))
-        environment.probe_weights(self.environment.position, *position, out)
+        environment.probe_weights(self.panoramas.position, *position, out)
         return out
 
     def mixed(self, position: Position) -> LightSampler:
@@ -188,10 +241,7 @@ def _mean_of(images: Sequence[Float32[np.ndarray, "*s"]], shares: Float[np.ndarr
     return total
 
 
-def _sampling_tables(
-    panorama: Float32[np.ndarray, "h w 3"],
-) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, " h1"], Float32[np.ndarray, "h w1"]]:
-    """Return density per steradian, cumulative rows and cumulative columns of each row."""
+def _sampling_tables(panorama: Float32[np.ndarray, "h w 3"]) -> SamplingTables:
     luminance = (panorama @ LUMINANCE).astype(np.float64)
     # Radiance is read bilinearly: a pixel's mean reaches over its neighbours, by 1/8 on each side.
     padded = np.pad(luminance, ((1, 1), (0, 0)), mode="edge")
@@ -199,12 +249,82 @@ def _sampling_tables(
     luminance = (np.roll(luminance, 1, 1) + 6 * luminance + np.roll(luminance, -1, 1)) / 8
     if luminance.max() <= 0:
         luminance = np.ones_like(luminance)
-    solid_angle = panorama_solid_angles(len(panorama)).astype(np.float64)
+    height = len(panorama)
+    solid_angle = panorama_solid_angles(height).astype(np.float64)
     weight = luminance * solid_angle
     per_row = weight.sum(axis=1)
     total = per_row.sum()
+    weight /= total
     rows = np.concatenate([[0.0], np.cumsum(per_row)]) / total
-    columns = np.concatenate([np.zeros((len(weight), 1)), np.cumsum(weight, axis=1)], axis=1)
+    columns = np.concatenate([np.zeros((height, 1)), np.cumsum(weight, axis=1)], axis=1)
     columns /= np.maximum(columns[:, -1:], 1e-300)
     rows[-1] = columns[:, -1] = 1.0
-    return (luminance / total).astype(np.float32), rows.astype(np.float32), columns.astype(np.float32)
+    cells, toward, bands = _cells(weight)
+    return SamplingTables(
+        (luminance / total).astype(np.float32),
+        rows.astype(np.float32),
+        columns.astype(np.float32),
+        cells,
+        toward,
+        bands,
+        np.cos(np.arange(height + 1) * (np.pi / height)),
+    )
+
+
+def _irradiance(panorama: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "i j 3"]:
+    """Return the irradiance / pi around each direction of a panorama that is to be read bilinearly.
+
+    Light is summed over the pixels of about 32 rows by the cosine to their mean direction, which is exact but for the
+    pixels that the surface's plane cuts.
+    """
+    height = len(panorama)
+    tops = np.arange(min(32, height)) * height // min(32, height)
+    lefts = np.concatenate([tops, tops + height])
+    light = panorama * panorama_solid_angles(height)[..., None]
+    grey = np.maximum(light.sum(axis=-1, keepdims=True), 1e-30)
+    light, grey, moments = (
+        np.add.reduceat(np.add.reduceat(one, tops, axis=0), lefts, axis=1).reshape(-1, one.shape[-1])
+        for one in (light, grey, grey * _mean_directions(height))
+    )
+    normals = np.ascontiguousarray(irradiance_normals().reshape(-1, 3).T)
+    out = np.zeros_like(normals)
+    environment.add_irradiance(normals, (moments / grey).astype(np.float32), (light / np.pi).astype(np.float32), out)
+    return np.ascontiguousarray(out.T).reshape(IRRADIANCE_ROWS, 2 * IRRADIANCE_ROWS, 3)
+
+
+def irradiance_normals() -> Float32[np.ndarray, "i j 3"]:
+    """Return the normals of `LightSampler.irradiance`: as a panorama's directions, with rows on the poles."""
+    theta = np.linspace(0, np.pi, IRRADIANCE_ROWS)[:, None]
+    phi = ((np.arange(2 * IRRADIANCE_ROWS) + 0.5) / (2 * IRRADIANCE_ROWS) - 0.5) * (2 * np.pi)
+    up = np.broadcast_to(np.cos(theta), (IRRADIANCE_ROWS, 2 * IRRADIANCE_ROWS))
+    return np.stack([np.sin(theta) * np.cos(phi), up, np.sin(theta) * np.sin(phi)], axis=-1).astype(np.float32)
+
+
+def _mean_directions(height: int) -> Float64[np.ndarray, "h w 3"]:
+    """Return the mean of each pixel's directions over its solid angle: a little shorter than unit vectors."""
+    theta = np.arange(height + 1) * (np.pi / height)
+    top, bottom = np.cos(theta[:-1]), np.cos(theta[1:])
+    ring = np.diff(theta / 2 - np.sin(2 * theta) / 4) / (top - bottom)
+    ring *= np.sinc(1 / (2 * height))  # over the columns: np.sinc(x) is sin(pi x) / (pi x)
+    phi = ((np.arange(2 * height) + 0.5) / (2 * height) - 0.5) * (2 * np.pi)
+    up = np.broadcast_to((top + bottom)[:, None] / 2, (height, 2 * height))
+    return np.stack([ring[:, None] * np.cos(phi), up, ring[:, None] * np.sin(phi)], axis=-1)
+
+
+def _cells(
+    weight: Float64[np.ndarray, "h w"],
+) -> tuple[Float32[np.ndarray, "r c"], Float32[np.ndarray, "r c 3"], Float64[np.ndarray, "c h1"]]:
+    """Return each cell's probability and mean direction, and the cumulative probability down the columns of cells."""
+    height, width = weight.shape
+    rows, columns = min(CELL_ROWS, height), 2 * min(CELL_ROWS, height)
+    tops, lefts = np.arange(rows) * height // rows, np.arange(columns) * width // columns
+    theta = (np.arange(height) + 0.5) * (np.pi / height)
+    phi = ((np.arange(width) + 0.5) / width - 0.5) * (2 * np.pi)
+    parts = np.stack([np.add.reduceat(weight * by, lefts, axis=1) for by in (1.0, np.cos(phi), np.sin(phi))])
+    whole, along_x, along_z = parts
+    ring, up = np.sin(theta)[:, None], np.cos(theta)[:, None]
+    toward = np.add.reduceat(np.stack([along_x * ring, whole * up, along_z * ring], axis=-1), tops, axis=0)
+    toward /= np.maximum(np.linalg.norm(toward, axis=-1, keepdims=True), 1e-300)
+    bands = np.concatenate([np.zeros((1, columns)), np.cumsum(whole, axis=0)]).T
+    cells = np.add.reduceat(whole, tops, axis=0)
+    return cells.astype(np.float32), toward.astype(np.float32), np.ascontiguousarray(bands)

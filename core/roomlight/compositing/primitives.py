@@ -22,7 +22,7 @@ def sphere(radius_m: float, material: Material | None = None) -> VirtualObject:
     uvs = np.stack(
         [0.5 + np.arctan2(normals[:, 2], normals[:, 0]) / (2 * np.pi), np.arccos(normals[:, 1]) / np.pi], axis=1
     )
-    faces = _joined(faces_of_cube)
+    faces = _by_shorter_diagonals(normals, _joined(faces_of_cube))
     return _object("sphere", TriangleMesh.build(normals * radius_m, faces, normals=normals, uvs=uvs), material)
 
 
@@ -103,6 +103,19 @@ def _joined(pieces: list[tuple[Float[np.ndarray, "n 3"], np.ndarray, Float[np.nd
         faces.append(quads + first)
         first += len(points)
     return np.concatenate(faces)
+
+
+def _by_shorter_diagonals(points: Float[np.ndarray, "n 3"], faces: np.ndarray) -> np.ndarray:
+    """Split the quads of a cube on a sphere along their shorter diagonals: then no edge is hollow."""
+    quads = faces.reshape(6, 2, -1, 3)  # side, half of a quad, quad
+    a, b, c, d = (quads[:, half, :, corner] for half, corner in ((0, 0), (0, 1), (0, 2), (1, 2)))
+    first, second = (np.linalg.norm(points[p] - points[q], axis=-1) for p, q in ((a, c), (b, d)))
+    kept = (first <= second)[..., None]
+    halves = [
+        np.where(kept, np.stack(one, axis=-1), np.stack(other, axis=-1))
+        for one, other in (((a, b, c), (a, b, d)), ((a, c, d), (b, c, d)))
+    ]
+    return np.concatenate(halves, axis=1).reshape(-1, 3)
 
 
 def _box(centre: Float[np.ndarray, "3"], size: Float[np.ndarray, "3"]) -> TriangleMesh:

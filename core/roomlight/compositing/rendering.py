@@ -86,6 +86,7 @@ class _World(NamedTuple):
     light: Environment
     lobe: Float32[np.ndarray, "c r 2"]
     supports: Supports
+    is_open: Bool[np.ndarray, " f"]
 
 
 class _View(NamedTuple):
@@ -107,7 +108,7 @@ class _Paths(NamedTuple):
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
     throughput: Float32[np.ndarray, "n 3"]
-    pdf: Float32[np.ndarray, " n"]
+    share: Float32[np.ndarray, " n"]
     flags: UInt8[np.ndarray, " n"]
     slot: Int32[np.ndarray, " n"]
 
@@ -179,7 +180,13 @@ def render_objects(
     film = _film(camera.width * camera.height, extra=settings.denoised)
     if len(pixels):
         world = _World(
-            scene.surfaces, scene.materials, scene.textures, lights.environment, lobe_table(), supports or no_supports()
+            scene.surfaces,
+            scene.materials,
+            scene.textures,
+            lights.environment if settings.samples else lights.panoramas,
+            lobe_table(),
+            supports or no_supports(),
+            scene.is_open() if settings.samples else np.zeros(0, bool),
         )
         row, column = np.divmod(pixels, camera.width)
         key = _mixed_keys(pixels, seed)
@@ -259,7 +266,7 @@ def _paths(count: int) -> _Paths:
         origin=np.empty((count, 3), np.float32),
         direction=np.empty((count, 3), np.float32),
         throughput=np.empty((count, 3), np.float32),
-        pdf=np.empty(count, np.float32),
+        share=np.empty(count, np.float32),
         flags=np.empty(count, np.uint8),
         slot=np.empty(count, np.int32),
     )
@@ -424,3 +431,4 @@ def _store(film: _Film, pixels: Int64[np.ndarray, " p"], part: _Film) -> None:
     for whole, own in zip(film, part, strict=True):
         if len(whole) and len(own):
             whole[pixels] = own
+    film.radiance[pixels] = np.maximum(part.radiance, 0)  # a control variate's noise can be below zero

@@ -11,10 +11,11 @@ from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
 from roomlight.camera import rigid_inverse
-from roomlight.compositing.kernels.rigid import grow_boxes, turn_vectors
+from roomlight.compositing.kernels.rigid import fill_open, grow_boxes, turn_vectors
 from roomlight.compositing.materials import Material, MaterialArrays, material_arrays
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.textures import TextureArrays
+from roomlight.conventions import panorama_directions
 from roomlight.errors import ObjectError
 from roomlight.threads import parallel_for
 
@@ -23,6 +24,10 @@ MAX_TRIANGLES: Final = 2_000_000
 _RIGID: Final = 1e-6
 _BLOCK: Final = 1 << 15
 """Rays a call from one thread."""
+_OPEN_TESTS: Final = 200_000_000
+"""Most tests of a corner against a plane for `ObjectScene.is_open`: 0.1 s; a sphere of 14,000 triangles."""
+_EVERYWHERE: Final = panorama_directions(12).reshape(-1, 3).T.astype(np.float32)
+"""Directions in which the farthest corners are tested first; most planes have one of them above."""
 _NOWHERE: Final = np.zeros(3, np.float32)
 
 
@@ -164,6 +169,27 @@ class ObjectScene:
         area_m2 = np.abs(a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2]) / 4  # half of a triangle's: two are above each other
         total_m2 = np.bincount(self.surfaces.object_id, area_m2, len(self.objects))
         return np.sqrt(total_m2 / np.pi).astype(np.float32)
+
+    def is_open(self) -> Bool[np.ndarray, " f"]:
+        """Return which triangles have nothing of the scene above their plane: light reaches them unhindered.
+
+        False where that is not known: in scenes with so many triangles and corners that asking would take seconds.
+        """
+        return self._base._is_open  # a rigid motion changes nothing
+
+    @cached_property
+    def _is_open(self) -> Bool[np.ndarray, " f"]:
+        vertices = np.unique(self.surfaces.corners.reshape(-1, 3), axis=0)
+        found = np.zeros(len(self.surfaces.corners), bool)
+        extremes = vertices[np.unique(np.argmax(vertices @ _EVERYWHERE, axis=0))]
+        tolerance = np.float32(0.25 * self.offset_m())
+        fill_open(self.surfaces.corners, extremes, tolerance, np.ones_like(found), found)
+        if int(found.sum()) * len(vertices) > _OPEN_TESTS:
+            return np.zeros_like(found)
+        rest = found.copy()
+        fill_open(self.surfaces.corners, vertices, tolerance, rest, found)
+        found.setflags(write=False)
+        return found
 
     def offset_m(self) -> float:
         """Return how far off a surface rays start: beyond float32's rounding, far below the objects' size."""

@@ -9,7 +9,7 @@ from numba import njit
 
 KERNEL: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": {"contract", "arcp", "nsz"}, "error_model": "numpy"}
 """Of functions that Python calls. Contraction and reciprocals only: infinities must stay infinities."""
-JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False}
+JIT: dict[str, Any] = KERNEL | {"cache": False, "_nrt": False, "forceinline": True}
 """Of functions that kernels call. They are cached within the kernels: code from a cache of their own cannot be inlined.
 A kernel's cache does not notice that they changed: delete `__pycache__` after editing them, or old code runs.
 They allocate nothing, so numba need not count references to the arrays of the tuples that they are given. The two made
@@ -57,16 +57,17 @@ def point(key, index, dimension):
     """
     own = mixed(np.uint64(key) ^ (np.uint64(dimension + 1) * np.uint64(0xD1342543DE82EF95)))
     shuffled = _reversed(_scrambled(_reversed(np.uint64(index)), own & _MASK))
-    first = shuffled  # Sobol's first dimension is the index, reversed; reversed again for the scrambling
-    bits, second, column = shuffled, np.uint64(0), np.uint64(1 << 31)
-    while bits != np.uint64(0):
-        if bits & np.uint64(1):
-            second ^= column
-        bits >>= np.uint64(1)
-        column ^= column >> np.uint64(1)
+    # Sobol's first dimension is the index, reversed; the second is Pascal's matrix times the index (mod 2), reversed:
+    # bit j is the sum of the bits i of which j is a subset. The scrambling reverses both again.
+    second = shuffled
+    second ^= (second >> np.uint64(16)) & np.uint64(0x0000FFFF)
+    second ^= (second >> np.uint64(8)) & np.uint64(0x00FF00FF)
+    second ^= (second >> np.uint64(4)) & np.uint64(0x0F0F0F0F)
+    second ^= (second >> np.uint64(2)) & np.uint64(0x33333333)
+    second ^= (second >> np.uint64(1)) & np.uint64(0x55555555)
     other = mixed(own)
-    a = _reversed(_scrambled(first, other & _MASK))
-    b = _reversed(_scrambled(_reversed(second), other >> np.uint64(32)))
+    a = _reversed(_scrambled(shuffled, other & _MASK))
+    b = _reversed(_scrambled(second, other >> np.uint64(32)))
     return np.float64(a) * (1.0 / 4294967296.0), np.float64(b) * (1.0 / 4294967296.0)
 
 

@@ -72,8 +72,13 @@ def bilinear_at(image, place):
 @njit(**JIT)
 def radiance(light, weights, x, y, z):
     """Return the probes' radiance in a direction, mixed by their weights."""
+    return radiance_at(light, weights, place_of(x, y, z))
+
+
+@njit(**JIT)
+def radiance_at(light, weights, place):
+    """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
     red, green, blue = 0.0, 0.0, 0.0
-    place = place_of(x, y, z)
     for k in range(light.radiance.shape[0]):
         r, g, b = bilinear_at(light.radiance[k], place)
         red += weights[k] * r
@@ -85,9 +90,20 @@ def radiance(light, weights, x, y, z):
 @njit(**JIT)
 def density(light, weights, x, y, z):
     """Return the density per steradian with which `sample` draws a direction."""
+    row, column = pixel_at(light, place_of(x, y, z))
+    return density_at(light, weights, row, column)
+
+
+@njit(**JIT)
+def pixel_at(light, place):
+    """Return the row and column of the pixel that holds a place of `place_of`."""
     height, width = light.density.shape[1], light.density.shape[2]
-    place = place_of(x, y, z)
-    column, row = int(place[0] * width) % width, min(int(place[1] * height), height - 1)
+    return min(int(place[1] * height), height - 1), int(place[0] * width) % width
+
+
+@njit(**JIT)
+def density_at(light, weights, row, column):
+    """Return the density per steradian with which `sample` draws the directions of a pixel."""
     total = 0.0
     for k in range(light.density.shape[0]):
         total += weights[k] * light.density[k, row, column]
@@ -95,9 +111,9 @@ def density(light, weights, x, y, z):
 
 
 @njit(**JIT)
-def _find(cumulative, value):
-    """Return the cell whose cumulative interval holds value, and the place within it in [0, 1)."""
-    low, high = 0, cumulative.shape[0] - 1
+def find(cumulative, begin, end, value):
+    """Return the cell in begin .. end whose cumulative interval holds value, and the place within it in [0, 1)."""
+    low, high = begin, end
     while high - low > 1:
         middle = (low + high) // 2
         if cumulative[middle] <= value:
@@ -109,22 +125,67 @@ def _find(cumulative, value):
 
 
 @njit(**JIT)
-def sample(light, weights, u, v):
-    """Draw a direction from (u, v) in [0, 1)^2: a probe by weight, a row, a column, then evenly in solid angle."""
-    count = light.radiance.shape[0]
+def chosen_probe(weights, u):
+    """Choose a probe by weight; returns it and u, stretched to [0, 1) again."""
     probe = 0
-    while probe < count - 1 and u >= weights[probe]:
+    while probe < weights.shape[0] - 1 and u >= weights[probe]:
         u -= weights[probe]
         probe += 1
-    u = min(max(u / max(weights[probe], 1e-12), 0.0), 0.9999999)
-    height, width = light.density.shape[1], light.density.shape[2]
-    row, down = _find(light.rows[probe], v)
-    column, across = _find(light.columns[probe, row], u)
-    upper, lower = math.cos(row * (math.pi / height)), math.cos((row + 1) * (math.pi / height))
+    return probe, min(max(u / max(weights[probe], 1e-12), 0.0), 0.9999999)
+
+
+@njit(**JIT)
+def direction_in(light, row, column, down, across):
+    """Return the direction at a place of a pixel, even in solid angle, and its place as by `place_of`."""
+    width = light.density.shape[2]
+    upper, lower = light.heights[0, row], light.heights[0, row + 1]
     y = upper + (lower - upper) * down
     ring = math.sqrt(max(1 - y * y, 0.0))
-    azimuth = ((column + across) / width - 0.5) * (2 * math.pi)
-    return ring * math.cos(azimuth), y, ring * math.sin(azimuth)
+    turn = (column + across) / width
+    azimuth = (turn - 0.5) * (2 * math.pi)
+    return (ring * math.cos(azimuth), y, ring * math.sin(azimuth)), (turn, angle(ring, y) * (1 / math.pi))
+
+
+@njit(**JIT)
+def sample(light, weights, u, v):
+    """Draw from (u, v) in [0, 1)^2: a probe by weight, a row, a column, then evenly in solid angle.
+
+    Returns the direction, its place as by `place_of`, and its density per steradian.
+    """
+    probe, u = chosen_probe(weights, u)
+    height, width = light.density.shape[1], light.density.shape[2]
+    row, down = find(light.rows[probe], 0, height, v)
+    column, across = find(light.columns[probe, row], 0, width, u)
+    direction, place = direction_in(light, row, column, down, across)
+    return direction, place, density_at(light, weights, row, column)
+
+
+@njit(**JIT)
+def mean_around(light, weights, normal):
+    """Return the irradiance / pi around a normal, mixed by the probes' weights."""
+    red, green, blue = 0.0, 0.0, 0.0
+    place, rows = place_of(normal[0], normal[1], normal[2]), light.irradiance.shape[1]
+    place = (place[0], (place[1] * (rows - 1) + 0.5) / rows)  # its first and last row are on the poles
+    for k in range(light.irradiance.shape[0]):
+        r, g, b = bilinear_at(light.irradiance[k], place)
+        red += weights[k] * r
+        green += weights[k] * g
+        blue += weights[k] * b
+    return red, green, blue
+
+
+@njit(**KERNEL)
+def add_irradiance(normals, toward, light, out):
+    """Add to `out` [3, n] light x cosine around each normal [3, n], over light [m, 3] from directions `toward`."""
+    count = normals.shape[1]
+    for j in range(len(toward)):
+        x, y, z = toward[j, 0], toward[j, 1], toward[j, 2]
+        red, green, blue = light[j, 0], light[j, 1], light[j, 2]
+        for i in range(count):
+            cosine = max(x * normals[0, i] + y * normals[1, i] + z * normals[2, i], np.float32(0))
+            out[0, i] += cosine * red
+            out[1, i] += cosine * green
+            out[2, i] += cosine * blue
 
 
 @njit(**KERNEL)
@@ -150,5 +211,5 @@ def fill_samples(light, points, out):
     """Fill the direction that each point of [0, 1)^2 draws; of the first probe alone."""
     weights = np.ones(1)
     for i in range(len(points)):
-        x, y, z = sample(light, weights, points[i, 0], points[i, 1])
-        out[i, 0], out[i, 1], out[i, 2] = x, y, z
+        direction, _, _ = sample(light, weights, points[i, 0], points[i, 1])
+        out[i, 0], out[i, 1], out[i, 2] = direction

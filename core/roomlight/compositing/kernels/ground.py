@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT
-from roomlight.compositing.kernels.environment import bilinear_at, place_of, radiance
+from roomlight.compositing.kernels.environment import bilinear_at, place_of, radiance_at
 
 
 class Supports(NamedTuple):
@@ -85,8 +85,14 @@ def light_left(spheres, normal, x, y, z):
 @njit(**JIT)
 def arriving(world, weights, p, d):
     """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas."""
+    return arriving_at(world, weights, p, d, place_of(d[0], d[1], d[2]))
+
+
+@njit(**JIT)
+def arriving_at(world, weights, p, d, place):
+    """Return `arriving` for a direction whose `place_of` is known."""
     light, supports = world.light, world.supports
-    r, g, b = radiance(light, weights, d[0], d[1], d[2])
+    r, g, b = radiance_at(light, weights, place)
     if supports.points.shape[0] == 0:
         return r, g, b
     k, height = support_below(supports, p[0], p[1], p[2])

@@ -1,7 +1,13 @@
 # pyright: reportMissingParameterType=false
 """One bounce of light paths from the camera, for a block of rays: what they met, shadow rays, and the next rays.
 
-Light and scattering are drawn both and combined by the power heuristic (Veach 1995, section 9.2).
+Light and scattering are drawn both and combined by the balance heuristic (Veach 1995, section 9.2): with stratified
+points it left 5 to 20 % less noise than the power heuristic. At the first surface, directions of the light are drawn by
+light x scattering (`guiding`).
+
+Faces that nothing rises above are open: rays from there are not traced, as all of them reach the light. What an open
+face's base reflects of the panoramas is known without noise, from their irradiance; samples give the lobe's light, and
+the difference that the support makes (a control variate).
 """
 
 import math
@@ -10,9 +16,18 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT, KERNEL, point, tangents
-from roomlight.compositing.kernels.environment import density, probe_weights, sample
-from roomlight.compositing.kernels.ground import arriving
-from roomlight.compositing.kernels.microfacets import dielectric
+from roomlight.compositing.kernels.environment import (
+    density_at,
+    mean_around,
+    pixel_at,
+    place_of,
+    probe_weights,
+    radiance_at,
+    sample,
+)
+from roomlight.compositing.kernels.ground import arriving, arriving_at
+from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
+from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import draw, evaluate, surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
 
@@ -25,6 +40,8 @@ BLURRED = 4
 LEAST_BLURRED_ROUGHNESS = 0.3
 """Of lobes that a matte surface is lit by: their lamps can be sampled, where a mirror's would be rare bright dots."""
 _DIMENSIONS = 4
+_SAME_GUIDE = 0.95
+"""Samples of a pixel share a guide while the cosine between their normals is above this: 18 degrees."""
 
 
 @njit(**KERNEL)
@@ -43,7 +60,7 @@ def camera_rays(view, samples, first, paths):
             paths.origin[slot, axis] = m[axis, 3]
             paths.direction[slot, axis] = (m[axis, 0] * x + m[axis, 1] * y - m[axis, 2]) * scale
             paths.throughput[slot, axis] = 1
-        paths.pdf[slot], paths.flags[slot], paths.slot[slot] = -1, PRIMARY, slot
+        paths.share[slot], paths.flags[slot], paths.slot[slot] = 1, PRIMARY, slot
 
 
 @njit(**JIT)
@@ -54,12 +71,12 @@ def _add(out, slot, paths, i, r, g, b):
 
 
 @njit(**JIT)
-def _continue(paths, i, live, origin, direction, weight, pdf, flags):
-    """Store the next ray at place `live`, which is at most i."""
+def _continue(paths, i, live, origin, direction, weight, share, flags):
+    """Store the next ray at place `live`, which is at most i; `share` is 1 where only this ray finds its light."""
     for axis in range(3):
         paths.origin[live, axis], paths.direction[live, axis] = origin[axis], direction[axis]
         paths.throughput[live, axis] = paths.throughput[i, axis] * weight[axis]
-    paths.pdf[live], paths.flags[live], paths.slot[live] = pdf, flags, paths.slot[i]
+    paths.share[live], paths.flags[live], paths.slot[live] = share, flags, paths.slot[i]
 
 
 @njit(**JIT)
@@ -74,12 +91,9 @@ def _escape(world, paths, i, film, settings, weights):
     origin = (paths.origin[i, 0] * 1.0, paths.origin[i, 1] * 1.0, paths.origin[i, 2] * 1.0)
     probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
     r, g, b = arriving(world, weights, origin, d)
-    scale = 1.0
-    if paths.pdf[i] <= 0 and paths.flags[i] & BLURRED:
+    scale = paths.share[i]
+    if scale >= 1 and paths.flags[i] & BLURRED:
         scale = settings.brightest / max(r, g, b, settings.brightest)
-    if paths.pdf[i] > 0:
-        other = density(world.light, weights, d[0], d[1], d[2]) / paths.pdf[i]
-        scale = 1 / (1 + other * other)
     _add(film.radiance, slot, paths, i, r * scale, g * scale, b * scale)
     return False
 
@@ -113,7 +127,7 @@ def _glass(paths, i, live, place, normal, face_normal, ratio, tint, choice, offs
             point_smooth[1] + offset * face_normal[1],
             point_smooth[2] + offset * face_normal[2],
         )
-        _continue(paths, i, live, origin, out, (1.0, 1.0, 1.0), -1.0, flags)
+        _continue(paths, i, live, origin, out, (1.0, 1.0, 1.0), 1.0, flags)
         return
     along = cosine / ratio - refracted
     out = (d[0] / ratio + along * normal[0], d[1] / ratio + along * normal[1], d[2] / ratio + along * normal[2])
@@ -123,54 +137,104 @@ def _glass(paths, i, live, place, normal, face_normal, ratio, tint, choice, offs
         point_flat[2] - offset * face_normal[2],
     )
     clear = flags | CLEAR if paths.flags[i] & (PRIMARY | CLEAR) else flags
-    _continue(paths, i, live, origin, out, tint, -1.0, clear)
+    _continue(paths, i, live, origin, out, tint, 1.0, clear)
 
 
 @njit(**JIT)
-def _light_ray(world, paths, i, frame, local_view, found, shadow, count, weights, points2):
-    """Draw a direction of the light and store its shadow ray at `count`; returns the number of shadow rays."""
+def _take_known(world, paths, i, found, film, at, scale):
+    """Take away what the base reflects of the panoramas from a sample's direction; `_add_known` gave it as a whole."""
+    base = found[2]
+    if base[0] + base[1] + base[2] > 0:
+        r, g, h = radiance_at(world.light, at[0], at[1])
+        _add(film.radiance, paths.slot[i], paths, i, -base[0] * r * scale, -base[1] * g * scale, -base[2] * h * scale)
+
+
+@njit(**JIT)
+def _add_known(world, paths, i, found, film, normal, weights):
+    """Add what the base of an open face reflects of the panoramas; returns the surface that is left to sample.
+
+    Without supports, that is the lobe alone.
+    """
+    f0, f90, base, roughness, _, lobe = found
+    if base[0] + base[1] + base[2] <= 0:
+        return found
+    r, g, h = mean_around(world.light, weights, normal)
+    _add(film.radiance, paths.slot[i], paths, i, base[0] * r, base[1] * g, base[2] * h)
+    if world.supports.points.shape[0] > 0:
+        return found
+    return f0, f90, (0.0, 0.0, 0.0), roughness, 1.0, lobe
+
+
+@njit(**JIT)
+def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
+    """Draw a direction of the light: add its light, or store a shadow ray at `count`; returns their number."""
+    found, frame, local_view, flat, is_open = hit
     normal, a, b, origin = frame
-    x, y, z = sample(world.light, weights, points2[0], points2[1])
+    weights, guide, guided = guiding
+    if guided:
+        d, place, drawn = guided_sample(world.light, weights, guide, points2[0], points2[1])
+    else:
+        d, place, drawn = sample(world.light, weights, points2[0], points2[1])
     local = (
-        a[0] * x + a[1] * y + a[2] * z,
-        b[0] * x + b[1] * y + b[2] * z,
-        normal[0] * x + normal[1] * y + normal[2] * z,
+        a[0] * d[0] + a[1] * d[1] + a[2] * d[2],
+        b[0] * d[0] + b[1] * d[1] + b[2] * d[2],
+        normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2],
     )
     value, own = evaluate(found, local_view, local)
-    if own <= 0 and value[0] + value[1] + value[2] <= 0:
+    if drawn <= 0 or (own <= 0 and value[0] + value[1] + value[2] <= 0):
         return count
-    drawn = density(world.light, weights, x, y, z)
-    if drawn <= 0:
-        return count
-    r, g, h = arriving(world, weights, origin, (x, y, z))
-    scale = drawn / (drawn * drawn + own * own)
-    red = paths.throughput[i, 0] * value[0] * r * scale
-    green = paths.throughput[i, 1] * value[1] * g * scale
-    blue = paths.throughput[i, 2] * value[2] * h * scale
+    r, g, h = arriving_at(world, weights, origin, d, place)
+    scale = 1 / (drawn + own)
+    red, green, blue = value[0] * r * scale, value[1] * g * scale, value[2] * h * scale
+    if is_open:
+        _take_known(world, paths, i, found, film, (weights, place), max(local[2], 0.0) * (scale / math.pi))
+        if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
+            _add(film.radiance, paths.slot[i], paths, i, red, green, blue)
+            return count
     if red + green + blue <= 0:
         return count
-    shadow.light[count, 0], shadow.light[count, 1], shadow.light[count, 2] = red, green, blue
-    shadow.direction[count, 0], shadow.direction[count, 1], shadow.direction[count, 2] = x, y, z
+    shadow.light[count, 0] = paths.throughput[i, 0] * red
+    shadow.light[count, 1] = paths.throughput[i, 1] * green
+    shadow.light[count, 2] = paths.throughput[i, 2] * blue
     for axis in range(3):
-        shadow.origin[count, axis] = origin[axis]
+        shadow.origin[count, axis], shadow.direction[count, axis] = origin[axis], d[axis]
     shadow.slot[count] = paths.slot[i]
     return count + 1
 
 
 @njit(**JIT)
-def _opaque(paths, i, live, found, frame, local_view, choice, points2):
-    """Draw the next ray of an opaque surface; returns 1 if there is one."""
+def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
+    """Draw the next ray of an opaque surface; returns 1 if there is one, 0 if it ends or meets the light."""
+    found, frame, local_view, flat, is_open = hit
     normal, a, b, origin = frame
+    weights, guide, guided = guiding
     light, weight, pdf = draw(found, local_view, choice, points2[0], points2[1])
     if light[2] <= 0 or max(weight[0], weight[1], weight[2]) < 1e-6:
         return 0
-    direction = (
+    d = (
         a[0] * light[0] + b[0] * light[1] + normal[0] * light[2],
         a[1] * light[0] + b[1] * light[1] + normal[1] * light[2],
         a[2] * light[0] + b[2] * light[1] + normal[2] * light[2],
     )
+    place = place_of(d[0], d[1], d[2])
+    share = 1.0
+    if pdf > 0:
+        row, column = pixel_at(world.light, place)
+        if guided:
+            share = pdf / (pdf + guided_density(world.light, weights, guide, row, column))
+        else:
+            share = pdf / (pdf + density_at(world.light, weights, row, column))
+    blurred = paths.flags[i] & BLURRED
+    if is_open and pdf > 0:
+        _take_known(world, paths, i, found, film, (weights, place), share * light[2] / (math.pi * pdf))
+    if is_open and not (blurred and share >= 1) and flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
+        r, g, h = arriving_at(world, weights, origin, d, place)
+        _add(
+            film.radiance, paths.slot[i], paths, i, weight[0] * r * share, weight[1] * g * share, weight[2] * h * share
+        )
+        return 0
     matte = choice >= found[4] or found[3] >= LEAST_BLURRED_ROUGHNESS
-    _continue(paths, i, live, origin, direction, weight, pdf, BLURRED if matte else paths.flags[i] & BLURRED)
+    _continue(paths, i, live, origin, d, weight, share, BLURRED if matte else blurred)
     return 1
 
 
@@ -182,6 +246,9 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
     """
     shadow, escape = queues
     weights = np.empty(world.light.radiance.shape[0])
+    rows, columns = world.light.cells.shape[1], world.light.cells.shape[2]
+    guide = (np.empty((rows, columns)), np.empty(rows))
+    guide_pixel, guide_material, guide_normal = -1, -1, (0.0, 0.0, 0.0)
     live, shadows, escaped = 0, 0, 0
     dimension = 1 + settings.depth * _DIMENSIONS
     last = settings.depth >= settings.max_bounces
@@ -214,7 +281,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 place[0][2] - settings.offset_m * flat[2],
             )
             if not last:
-                _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), paths.pdf[i], paths.flags[i])
+                _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), paths.share[i], paths.flags[i])
                 live += 1
             continue
         normal = shading_normal(world, face, b, c, d, side)
@@ -246,10 +313,25 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         roughness = max(shares[1], LEAST_BLURRED_ROUGHNESS) if paths.flags[i] & BLURRED else shares[1]
         found = surface(world, material, base, shares[0], roughness, local_view[2])
         probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
-        light_point = point(key, number, dimension + 1)
-        shadows = _light_ray(world, paths, i, frame, local_view, found, shadow, shadows, weights, light_point)
+        guided = settings.depth == 0
+        is_open = side > 0 and world.is_open[face]
+        if is_open:
+            found = _add_known(world, paths, i, found, film, normal, weights)
+            if found[5][0] + found[5][1] + found[5][2] + found[2][0] + found[2][1] + found[2][2] <= 0:
+                continue
+        hit = (found, frame, local_view, flat, is_open)
+        if found[4] < 1 or roughness >= MIRROR_ROUGHNESS:
+            if guided:
+                pixel = slot // settings.samples
+                turned = normal[0] * guide_normal[0] + normal[1] * guide_normal[1] + normal[2] * guide_normal[2]
+                if pixel != guide_pixel or material != guide_material or turned < _SAME_GUIDE:
+                    fill_guide(world.light, weights, found, (normal, a, e), local_view, guide)
+                    guide_pixel, guide_material, guide_normal = pixel, material, normal
+            light_point = point(key, number, dimension + 1)
+            guiding = (weights, guide, guided)
+            shadows = _light_ray(world, paths, i, hit, film, shadow, shadows, guiding, light_point)
         own_point = point(key, number, dimension + 2)
-        live += _opaque(paths, i, live, found, frame, local_view, choice, own_point)
+        live += _opaque(world, paths, i, live, hit, film, (weights, guide, guided), choice, own_point)
     return live, shadows, escaped
 
 

@@ -1,5 +1,7 @@
 # pyright: reportMissingParameterType=false
-"""Vectors of triangle corners under a rigid motion, and the boxes around objects."""
+"""Vectors of triangle corners under a rigid motion, the boxes around objects, and faces that nothing rises above."""
+
+import math
 
 from numba import njit
 
@@ -25,3 +27,28 @@ def grow_boxes(corners, object_id, boxes):
                 value = corners[f, k, axis]
                 box[0, axis] = min(box[0, axis], value)
                 box[1, axis] = max(box[1, axis], value)
+
+
+@njit(nogil=True, cache=True)
+def fill_open(corners, vertices, tolerance, asked, out):
+    """Fill whether no vertex is above the plane of each triangle (counter-clockwise side) by more than a tolerance.
+
+    corners:  [f, 3, 3] of the triangles.
+    vertices: [v, 3] that are tested.
+    asked:    [f] triangles to test; the others become False.
+    """
+    for f in range(len(corners)):
+        out[f] = False
+        if not asked[f]:
+            continue
+        px, py, pz = corners[f, 0, 0] * 1.0, corners[f, 0, 1] * 1.0, corners[f, 0, 2] * 1.0
+        ax, ay, az = corners[f, 1, 0] - px, corners[f, 1, 1] - py, corners[f, 1, 2] - pz
+        bx, by, bz = corners[f, 2, 0] - px, corners[f, 2, 1] - py, corners[f, 2, 2] - pz
+        x, y, z = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        limit = x * px + y * py + z * pz + tolerance * math.sqrt(x * x + y * y + z * z)
+        is_open = True
+        for v in range(len(vertices)):
+            if x * vertices[v, 0] + y * vertices[v, 1] + z * vertices[v, 2] > limit:
+                is_open = False
+                break
+        out[f] = is_open
