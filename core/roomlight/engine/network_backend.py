@@ -8,7 +8,8 @@ keeps nothing between frames.
 Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
 then on encoder, GRU, decoder, and the decoder merges with the previous SGLV by V_u. Every state has two buffers, and
 each frame's graphs read one and write the other: nothing is copied. The graphs that need a unit of colour
-(`roomlight.engine.units`) name it as an input.
+(`roomlight.engine.units`) name it as an input. Where the fill has a share of the light (`hedged`), the HDR panorama
+moves half-way here too.
 """
 
 from dataclasses import dataclass, field, replace
@@ -184,7 +185,7 @@ class NetworkBackend:
         weight = memory.weigh(state, rendered, replace(partial, radiance=ldr), depth_max_m)
         hdr = fill_in(rendered, ldr, partial.mask, weight=weight) if self._graphs.filled else rendered
         hdr = hedged(hdr, ldr, share=self._hedge)
-        if self._fused is not None and not first:
+        if (self._fused is not None or self._hedge > 0) and not first:  # the fill has no memory of its own
             hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
         return Estimate(hdr, weight * partial.mask)
 

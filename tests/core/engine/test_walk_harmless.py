@@ -120,7 +120,7 @@ def test_inferred_light_is_bounded_by_what_is_white(walked, options):
 
 def test_looking_twice_gives_the_same_light(options, frames):
     """The same view again and again: a fixed point, reached from the first frames. Recurrent networks approach theirs
-    more slowly: by 0.15 % in the twelfth frame."""
-    found, _ = energies(options, [frames[8]] * 12)
+    more slowly: by 0.2 % in the sixteenth frame."""
+    found, _ = energies(options, [frames[8]] * (16 if options.model == "video" else 12))
     assert found[-1] == pytest.approx(found[-2], rel=3e-3 if options.model == "video" else 1e-3)
     assert found[-1] <= NOISE * found[0]
