@@ -1,21 +1,26 @@
-// First paint, frame rate and Lighthouse's scores of a page that is being served:
-//   node scripts/measure.mjs http://127.0.0.1:8090/
-// Stream a recording at the same time (`roomlight stream`) for a frame rate while frames arrive. Without a graphics
-// processor Chromium renders in software, and the frame rate is far below that of a real screen: the processor time of
-// the main thread is then what a screen of 60 Hz would be limited by (16.7 ms). PROFILE=1 lists functions by time.
+// First paint, frame rate and Lighthouse's scores of the live page:
+//   node scripts/measure.mjs                          with a server and a stream of its own; needs `roomlight` in PATH
+//   node scripts/measure.mjs http://127.0.0.1:8090/   of a page that is being served
+// Chromium renders in software unless GPU=1 is set; then the frame rate is below that of a real screen, and says what the
+// processor can do. PROFILE=1 lists functions by time, TRACE=FILE writes a trace of DevTools while frames arrive.
 
 import { existsSync } from "node:fs";
+import { cpus, loadavg } from "node:os";
 import lighthouse from "lighthouse";
 import { chromium } from "playwright-core";
+import { sampleStream } from "./sample_stream.mjs";
 
 const LOADS = 5;
 const WATCHED_S = 8;
 const PORT = 9333;
-const url = process.argv[2] ?? "http://127.0.0.1:8090/";
+const TRACED = ["devtools.timeline", "disabled-by-default-devtools.timeline.frame", "toplevel", "cc", "gpu", "viz", "benchmark"];
+const stream = process.argv[2] ? null : await sampleStream();
+const url = process.argv[2] ?? stream.url;
 const executablePath = process.env.CHROMIUM ?? ["/usr/bin/chromium", "/usr/bin/google-chrome"].find((path) => existsSync(path));
 const software = ["--use-angle=swiftshader", "--enable-unsafe-swiftshader"];
 const browser = await chromium.launch({
   executablePath,
+  ignoreDefaultArgs: ["--disable-back-forward-cache"],
   args: ["--no-sandbox", `--remote-debugging-port=${PORT}`, ...(process.env.GPU ? [] : software)],
 });
 
@@ -31,9 +36,11 @@ async function mainThread(devtools) {
 const watch = (seconds) =>
   new Promise((resolve) => {
     const { roomlightPage } = globalThis;
-    const arrived = () => Number(document.getElementById("picture-image").dataset.frame ?? -1);
-    const first = { draws: roomlightPage.frames, arrived: arrived(), parts: structuredClone(roomlightPage.parts) };
+    const first = { draws: roomlightPage.frames, parts: structuredClone(roomlightPage.parts) };
     const gaps = [];
+    let arrived = 0;
+    const pictures = new MutationObserver(() => arrived++);
+    pictures.observe(document.getElementById("picture-image"), { attributeFilter: ["data-frame"] });
     let last = performance.now();
     const end = last + 1000 * seconds;
     const tick = (now) => {
@@ -46,13 +53,15 @@ const watch = (seconds) =>
         const before = first.parts.get(part) ?? { count: 0, total_ms: 0 };
         return { part, count: count - before.count, total_ms: total_ms - before.total_ms, longest_ms };
       });
+      pictures.disconnect();
       gaps.sort((a, b) => a - b);
       resolve({
         ticks: gaps.length,
+        late: gaps.filter((gap) => gap > 25).length,
         p95_ms: gaps[Math.floor(0.95 * gaps.length)],
         longest_ms: gaps.at(-1),
         draws: roomlightPage.frames - first.draws,
-        arrived: arrived() - first.arrived,
+        arrived,
         parts,
       });
     };
@@ -70,11 +79,11 @@ const turn = () => {
 
 async function measureFrames(page, devtools, what) {
   const before = await mainThread(devtools);
-  const { ticks, p95_ms, longest_ms, draws, arrived, parts } = await page.evaluate(watch, WATCHED_S);
+  const { ticks, late, p95_ms, longest_ms, draws, arrived, parts } = await page.evaluate(watch, WATCHED_S);
   const after = await mainThread(devtools);
   console.log(
-    `${what}: ${(ticks / WATCHED_S).toFixed(1)} frames/s of the page, 95 % within ${p95_ms.toFixed(0)} ms, longest ` +
-      `${longest_ms.toFixed(0)} ms; ${arrived} frames of the stream, ${draws} drawings of the room in ${WATCHED_S} s`,
+    `${what}: ${(ticks / WATCHED_S).toFixed(1)} frames/s of the page, 95 % within ${p95_ms.toFixed(0)} ms, ${late} ` +
+      `later than 25 ms, longest ${longest_ms.toFixed(0)} ms; ${arrived} frames of the stream, ${draws} drawings of the room in ${WATCHED_S} s`,
   );
   const kinds = Object.entries(after).map(([kind, ms]) => [kind, ms - before[kind]]);
   const all = kinds.reduce((sum, [, ms]) => sum + ms, 0);
@@ -88,10 +97,14 @@ async function measureFrames(page, devtools, what) {
   }
 }
 
+console.log(`${new Date().toISOString()}: ${browser.version()}, ${cpus().length} cores, ${cpus()[0].model}`);
+console.log(`processes that want a core before the start: ${loadavg()[0].toFixed(1)} on average over the last minute`);
 const page = await browser.newPage({ viewport: { width: 1440, height: 900 } });
 await page.goto(url);
 await page.waitForSelector("#workspace:not([hidden])", { timeout: 60_000 });
 await page.waitForFunction(() => document.getElementById("room-waiting").hidden, undefined, { timeout: 60_000 });
+const drawnBy = await page.evaluate(() => (globalThis.roomlightPage.view.isSoftware ? "the processor" : "a graphics processor"));
+console.log(`the room is drawn by ${drawnBy}`);
 const devtools = await page.context().newCDPSession(page);
 await devtools.send("Performance.enable", { timeDomain: "threadTicks" });
 const before = await page.textContent("#timeline-text");
@@ -100,7 +113,13 @@ const moves = await page.waitForFunction(arrives, before, { timeout: 20_000 }).t
   () => "while frames arrive",
   () => "no frames arrive",
 );
+if (process.env.TRACE) {
+  await browser.startTracing(page, { path: process.env.TRACE, categories: TRACED });
+}
 await measureFrames(page, devtools, moves);
+if (process.env.TRACE) {
+  await browser.stopTracing();
+}
 await page.evaluate(turn);
 await measureFrames(page, devtools, `${moves}, the view turns`);
 if (process.env.PROFILE) {
@@ -141,6 +160,7 @@ for (let load = 0; load < LOADS; load++) {
 paints_ms.sort((a, b) => a - b);
 console.log(`first contentful paint: ${paints_ms.map((ms) => ms.toFixed(0)).join(", ")} ms`);
 
+stream?.pause(); // Lighthouse's Speed Index counts each change of the picture as a page that is not complete
 const { lhr } = await lighthouse(url, {
   port: PORT,
   onlyCategories: ["accessibility", "best-practices", "performance"],
@@ -151,9 +171,18 @@ const { lhr } = await lighthouse(url, {
 for (const { title, score } of Object.values(lhr.categories)) {
   console.log(`Lighthouse ${title}: ${score === null ? "none" : Math.round(100 * score)}`);
 }
-for (const { id, score, scoreDisplayMode } of Object.values(lhr.audits)) {
-  if (scoreDisplayMode === "binary" && score === 0) {
-    console.log(`  failed: ${id}`);
+const metrics = lhr.categories.performance.auditRefs.filter(({ weight }) => weight > 0).map(({ id }) => lhr.audits[id]);
+for (const { title, displayValue, score } of metrics) {
+  console.log(`  ${title}: ${displayValue ?? "none"} (${score === null ? "none" : Math.round(100 * score)})`);
+}
+for (const { id, score, scoreDisplayMode, displayValue, details } of Object.values(lhr.audits)) {
+  const isMetric = metrics.some((metric) => metric.id === id);
+  if (!isMetric && score !== null && score < 0.9 && scoreDisplayMode !== "informative") {
+    console.log(`  failed: ${id} ${displayValue ?? ""}`);
+    for (const item of process.env.DETAILS ? (details?.items ?? []) : []) {
+      console.log(`    ${JSON.stringify(item).slice(0, 400)}`);
+    }
   }
 }
 await browser.close();
+stream?.stop();

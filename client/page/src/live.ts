@@ -9,6 +9,7 @@ import type { ProbeLight, State } from "./state";
 
 const FIRST_PROBE = "probe-1";
 const MESH_PAUSE_MS = 1500; // a mesh changes with a keyframe, not with each frame
+const TOGETHER_MS = 100; // new light waits so long for the picture and the camera of its frame
 
 /** Joins a session, keeps the state up to date, and ends with `close`. */
 export class LiveSession {
@@ -23,6 +24,7 @@ export class LiveSession {
   private shown = 0; // the newest of them that is shown
   private tracked: ReadonlySet<string> | null = null; // probes of the session; null until it says so
   private readonly awaited = new Set<string>(); // new probes without light so far
+  private arrived: ReadonlyMap<string, ProbeLight> | null = null; // light that is not shown yet
 
   constructor(
     private readonly api: Api,
@@ -127,16 +129,26 @@ export class LiveSession {
       return; // a newer message was decoded first
     }
     this.shown = order;
+    this.arrived = new Map([...(this.arrived ?? []), ...lights.map((light) => [light.name, light] as const)]);
+    setTimeout(() => this.showArrived(), TOGETHER_MS);
+    this.refresh();
+  }
+
+  /** Show the light that has arrived: with the picture and the camera, so that the screen changes once. */
+  private showArrived(): void {
+    if (!this.arrived || this.closed) {
+      return;
+    }
     const next = new Map(this.state.liveProbes.value);
-    for (const light of lights) {
+    for (const light of this.arrived.values()) {
       if (light.name && light.name !== this.held && (this.tracked?.has(light.name) ?? true)) {
         next.set(light.name, light);
       }
     }
+    this.arrived = null;
     this.state.liveProbes.value = next;
     next.forEach((_, name) => this.awaited.delete(name));
     this.selectShown();
-    this.refresh();
   }
 
   /** Select another probe if the selected one is gone. */
@@ -183,6 +195,7 @@ export class LiveSession {
     if (this.closed) {
       return;
     }
+    this.showArrived();
     this.state.camera.value = camera;
     if (picture) {
       this.etags.picture = picture.etag;
@@ -250,9 +263,10 @@ export class LiveSession {
     }
     this.close();
     const gone = error instanceof RoomLightError && (error.status === 404 || /session-(not-found|closed)|4404|4410/.test(error.message));
+    const reason = String(error instanceof Error ? error.message : error);
     this.state.ended.value = gone
-      ? "It was idle for too long, it was deleted, or the server was started again."
-      : String(error instanceof Error ? error.message : error);
+      ? { title: "The session has ended", text: "It was idle for too long, it was deleted, or the server was started again." }
+      : { title: "The session cannot be reached", text: `The page tries again while the server lists it. The reason: ${reason}` };
   }
 
   /** Errors of a lost connection are shown by the stream's state; others are reported. */

@@ -44,18 +44,22 @@ requestAnimationFrame(() => setTimeout(() => void startRoom())); // three.js aft
 
 state.selected.watch((id) => {
   live?.close();
-  live = null;
   objects.clear();
   state.clearSession();
   state.ended.value = null;
   document.title = id ? `${id} · RoomLight` : "RoomLight";
-  if (id) {
-    live = new LiveSession(api, state, id, reportError);
-    void live.open();
-  }
+  join(id);
 });
 void poll();
+// A page with a connection is not kept for the Back button.
+addEventListener("pagehide", () => live?.close());
+addEventListener("pageshow", ({ persisted }) => persisted && state.ended.value === null && join(state.selected.value));
 document.addEventListener("visibilitychange", () => !document.hidden && void readSessions());
+
+function join(id: string | null): void {
+  live = id === null ? null : new LiveSession(api, state, id, reportError);
+  void live?.open();
+}
 
 /** The room in 3D; without WebGL the other panels still work. */
 async function startRoom(): Promise<void> {
@@ -152,6 +156,9 @@ Object.assign(globalThis, {
   roomlightPage: {
     get frames() {
       return room?.view.frames ?? 0;
+    },
+    get view() {
+      return room?.view ?? null;
     },
     get litObjects() {
       return room?.objects.lit ?? [];

@@ -11,6 +11,12 @@ export interface Connection {
   readonly text: string;
 }
 
+/** The end of a session for the page. */
+export interface Ending {
+  readonly title: string;
+  readonly text: string;
+}
+
 /** The light at one probe: of the newest frame, or of an earlier one on the timeline. */
 export interface ProbeLight {
   readonly name: string;
@@ -38,8 +44,8 @@ export class State {
   /** Null before the first answer. */
   readonly sessions = new Signal<readonly SessionSummary[] | null>(null);
   readonly selected = new Signal<string | null>(null);
-  /** Why the selected session is gone; null while it exists. */
-  readonly ended = new Signal<string | null>(null);
+  /** Why the selected session is not shown; null while it is. */
+  readonly ended = new Signal<Ending | null>(null);
 
   readonly camera = new Signal<CameraState | null>(null);
   readonly picture = new Signal<Picture | null>(null);

@@ -43,6 +43,24 @@ test("another session is a click away", async () => {
   await waitForLight(page);
 });
 
+test("a page that the Back button brings back joins its session again", async () => {
+  const send = (type) => page.evaluate((type) => dispatchEvent(new PageTransitionEvent(type, { persisted: true })), type);
+  await page.evaluate(() => {
+    globalThis.closings = 0;
+    const close = WebSocket.prototype.close;
+    WebSocket.prototype.close = function (...reason) {
+      globalThis.closings++;
+      return close.apply(this, reason);
+    };
+  });
+  await send("pagehide");
+  await page.waitForFunction(() => globalThis.closings > 0);
+  await send("pageshow");
+  await control("push", { session: "room", count: 1 });
+  await page.waitForFunction(() => document.getElementById("camera-frame").textContent === "Frame 3");
+  await connection("Live");
+});
+
 test("a lost server is shown, and the page connects again", async () => {
   await control("stop");
   await page.waitForFunction(() => ["reconnecting", "disconnected"].includes(document.getElementById("connection").dataset.state));

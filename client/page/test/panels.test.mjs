@@ -228,6 +228,27 @@ test("a page without new frames draws nothing", async () => {
   assert.equal(now, before);
 });
 
+test("without a graphics processor the room is coarser while it is turned, and sharp at rest", async () => {
+  assert.ok(await page.evaluate(() => globalThis.roomlightPage.view.isSoftware), "Chromium draws these tests in software");
+  const share = (least, most) =>
+    page.waitForFunction(
+      ([least, most]) => {
+        const canvas = document.getElementById("room-canvas");
+        const share = canvas.width / canvas.clientWidth;
+        return least < share && share < most;
+      },
+      [least, most],
+    );
+  await share(0.99, 1.01);
+  await page.evaluate(() => {
+    const canvas = document.getElementById("room-canvas");
+    globalThis.turning = setInterval(() => canvas.dispatchEvent(new KeyboardEvent("keydown", { key: "ArrowLeft" })));
+  });
+  await share(0.4, 0.7);
+  await page.evaluate(() => clearInterval(globalThis.turning));
+  await share(0.99, 1.01);
+});
+
 test("a picture that is decoded late does not replace a newer one", async () => {
   await page.evaluate(() => {
     const decode = globalThis.createImageBitmap;

@@ -6,15 +6,21 @@ import type { State } from "../state";
 
 export function sessionsPanel(state: State): void {
   const list = byId("sessions");
+  let shown = "";
   const show = () => {
     const sessions = state.sessions.value ?? [];
+    showMessage(state);
+    const content = JSON.stringify([state.selected.value, sessions.map((session) => [session.id, session.status, summary(session)])]);
+    if (content === shown) {
+      return;
+    }
+    shown = content;
     const focused = document.activeElement?.getAttribute("data-session");
     list.replaceChildren(...sessions.map((session) => element("li", {}, button(session, state))));
     if (focused) {
       list.querySelector<HTMLElement>(`[data-session="${CSS.escape(focused)}"]`)?.focus();
     }
     byId("sessions-none").hidden = sessions.length > 0;
-    showMessage(state);
   };
   state.sessions.watch(show);
   state.selected.watch(show);
@@ -32,7 +38,7 @@ export function sessionsPanel(state: State): void {
 }
 
 function button(session: SessionSummary, state: State): HTMLButtonElement {
-  const { id, status, model, frames } = session;
+  const { id, status, model } = session;
   const isCurrent = id === state.selected.value;
   const failed = status === "failed" ? [element("span", { class: "failed" }, "failed")] : [];
   return element(
@@ -46,12 +52,13 @@ function button(session: SessionSummary, state: State): HTMLButtonElement {
     },
     element("b", { title: `${id}, model ${model}` }, id),
     ...failed,
-    element("small", {}, `${frames.processed} frames · ${activity(session)}`),
+    element("small", {}, summary(session)),
   );
 }
 
-function activity({ idle_s }: SessionSummary): string {
-  return idle_s < 5 ? "active" : idle_s < 90 ? `idle ${Math.round(idle_s)} s` : `idle ${Math.round(idle_s / 60)} min`;
+function summary({ frames, idle_s }: SessionSummary): string {
+  const idle = idle_s < 90 ? `idle ${Math.round(idle_s)} s` : `idle ${Math.round(idle_s / 60)} min`;
+  return `${frames.processed} frames · ${idle_s < 5 ? "active" : idle}`;
 }
 
 /** Show the panels of a session, or the message that fits. */
@@ -64,7 +71,8 @@ function showMessage(state: State): void {
   for (const id of ["loading", "empty", "ended", "workspace"]) {
     byId(id).hidden = id !== shown;
   }
-  byId("ended-text").textContent = ended.value ?? "";
+  byId("ended-title").textContent = ended.value?.title ?? "";
+  byId("ended-text").textContent = ended.value?.text ?? "";
   byId("loading-title").textContent = isLost ? "The server does not answer" : "Loading";
   const help = `Is roomlight serve still running at ${location.host}? The page connects by itself when it is.`;
   byId("loading").querySelector("p")!.textContent = isLost ? help : "The page asks the server for its sessions.";

@@ -51,7 +51,7 @@ export class RoomOverlays {
     const recolour = () => {
       this.lines.color.setStyle(themeColour("--accent"));
       this.faint.color.setStyle(themeColour("--control-line"));
-      view.draw();
+      view.drawSoon();
     };
     recolour();
     onThemeChange(recolour);

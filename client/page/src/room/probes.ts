@@ -24,7 +24,7 @@ type Sphere = Mesh<SphereGeometry, MirrorMaterial>;
 
 export class RoomProbes {
   readonly spheres = new Map<string, Sphere>();
-  private readonly geometry = new SphereGeometry(RADIUS_M, 48, 32);
+  private readonly geometry: SphereGeometry;
   private drag: { sphere: Sphere; start: Vector3; grab: Vector3 } | null = null;
 
   constructor(
@@ -34,6 +34,8 @@ export class RoomProbes {
     private readonly canvas: HTMLCanvasElement,
     private readonly events: DragEvents,
   ) {
+    const columns = view.isSoftware ? 24 : 48;
+    this.geometry = new SphereGeometry(RADIUS_M, columns, (2 * columns) / 3);
     canvas.addEventListener("pointerdown", (event) => this.onDown(event), { capture: true });
     canvas.addEventListener("pointermove", (event) => this.onMove(event));
     canvas.addEventListener("pointerup", (event) => this.onUp(event));

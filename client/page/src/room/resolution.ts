@@ -6,37 +6,41 @@ const LATE_FRAMES = 2; // lower the resolution after so many late frames
 const GOOD_FRAMES = 60; // raise it after so many frames in time
 const STEP = 0.8;
 const LOWEST = 0.5; // of the screen's pixels, per axis
-const REST_MS = 700; // without a drawing
+const SOFTWARE = 0.6; // without a graphics processor, where each change waits for all drawings before it
+const REST_MS = 400; // without a drawing of a movement
 
 /** Finds the factor of the resolution, LOWEST to 1, from the time between frames of the screen. */
 export class Resolution {
-  private moving = 1;
+  private moving: number;
   private late = 0;
   private good = 0;
   private watching = false;
-  private isRest = false;
   private timer: ReturnType<typeof setTimeout> | null = null;
 
-  /** `redraw` is called when a view of lower resolution has been at rest: its next drawing has the full one. */
-  constructor(private readonly redraw: () => void) {}
+  /**
+   * `redraw` is called when a view of lower resolution is at rest: its next drawing has the full one.
+   * Without a graphics processor (`isSoftware`) the factor of movements is fixed.
+   */
+  constructor(
+    private readonly redraw: () => void,
+    private readonly isSoftware: boolean,
+  ) {
+    this.moving = isSoftware ? SOFTWARE : 1;
+  }
 
-  /** The factor for a drawing in the frame of this time, milliseconds. */
-  next(now_ms: number): number {
-    if (this.isRest) {
-      this.isRest = false;
-      return 1;
-    }
-    clearTimeout(this.timer ?? undefined);
-    if (this.moving < 1) {
+  /** The factor for a drawing in the frame of this time, milliseconds; `moves`: it shows what the visitor moves. */
+  next(now_ms: number, moves: boolean): number {
+    if (moves && this.moving < 1) {
+      clearTimeout(this.timer ?? undefined);
       this.timer = setTimeout(() => {
-        this.isRest = true;
+        this.timer = null;
         this.redraw();
       }, REST_MS);
     }
-    if (!this.watching) {
+    if (!this.watching && !this.isSoftware) {
       this.watch(now_ms, 2); // a busy graphics processor delays the second frame after a drawing
     }
-    return this.moving;
+    return moves || this.timer !== null ? this.moving : 1;
   }
 
   private watch(last_ms: number, frames: number): void {

@@ -16,7 +16,7 @@ import { RoomView } from "./view";
 
 const CLICK_PX = 5; // a shorter movement is a click
 
-const SOFTWARE_TRIANGLES = 20_000; // without a graphics processor
+const SOFTWARE_TRIANGLES = 16_000; // without a graphics processor
 
 export interface RoomEvents extends ObjectEvents {
   onDrag: (name: string, position: Position) => void;
@@ -100,7 +100,7 @@ export class RoomPanel {
     if (this.surface.mesh && !this.hasView) {
       this.overview(); // again with each larger mesh, until the visitor turns the view
     }
-    this.view.draw();
+    this.view.drawSoon();
   }
 
   private showCoverage(): void {

@@ -14,13 +14,14 @@ import {
   type Texture,
 } from "three";
 import { OrbitControls } from "three/addons/controls/OrbitControls.js";
+import { onThemeChange, themeColour } from "../lib/dom";
 import { Drawing } from "../lib/drawing";
 import { Resolution } from "./resolution";
 
 const FILLED = 0.94; // of the view by the points of `lookAt`
 const DATA_MS = 60; // changes that frames bring within this time are drawn together
-/** Of the resolution, without a graphics processor: there a change of it waits for all drawings before it. */
-const SOFTWARE_FACTOR = 0.7;
+const SOFTWARE_DATA_MS = 200; // the same, without a graphics processor
+const SOFTWARE_RENDERERS = /swiftshader|llvmpipe|softpipe|software|basic render/i;
 const TURN_STEP = Math.PI / 24; // of an arrow key
 
 export class RoomView {
@@ -32,8 +33,9 @@ export class RoomView {
   readonly isSoftware: boolean;
   private readonly renderer: WebGLRenderer;
   private readonly drawing: Drawing;
-  private readonly resolution = new Resolution(() => this.draw());
-  private factor: number; // of the resolution
+  private readonly resolution: Resolution;
+  private factor = 1; // of the resolution
+  private moves = false; // whether the next drawing shows what the visitor moves
 
   /** Texture for the reflections of three.js's materials, of a panorama of the light. */
   environmentOf(panorama: Texture): Texture {
@@ -45,16 +47,17 @@ export class RoomView {
 
   /** Throws an Error if the browser has no WebGL 2. */
   constructor(private readonly canvas: HTMLCanvasElement) {
-    const fast = canvas.getContext("webgl2", { antialias: true, failIfMajorPerformanceCaveat: true });
-    this.isSoftware = fast === null;
-    this.factor = this.isSoftware ? SOFTWARE_FACTOR : 1;
-    const context = fast ?? canvas.getContext("webgl2", { antialias: false }); // antialiasing takes most of the time
+    this.isSoftware = isSoftware();
+    this.resolution = new Resolution(() => this.drawing.request(), this.isSoftware);
+    // Without a graphics processor antialiasing takes most of the time, and a transparent canvas costs more than an opaque one.
+    const context = canvas.getContext("webgl2", { alpha: false, antialias: !this.isSoftware });
     if (!context) {
       throw new Error("the browser has no WebGL 2");
     }
     this.renderer = new WebGLRenderer({ canvas, context });
     this.drawing = new Drawing(canvas, "3D view", (now_ms) => this.render(now_ms));
-    this.renderer.setClearAlpha(0);
+    this.paintBackground();
+    onThemeChange(() => this.paintBackground());
     this.camera.position.set(3, 3, 4);
     this.controls = new OrbitControls(this.camera, canvas);
     this.controls.enableDamping = false;
@@ -64,18 +67,25 @@ export class RoomView {
     this.resize();
   }
 
+  private paintBackground(): void {
+    this.renderer.setClearColor(themeColour("--sunken"));
+    this.drawSoon();
+  }
+
   /** Draw with the next frame of the screen: for what the visitor does. */
   draw(): void {
+    this.moves = true;
     this.drawing.request();
   }
 
   /** Draw soon: for what a frame of the stream brings, in several answers. */
   drawSoon(): void {
-    this.drawing.requestWithin(DATA_MS);
+    this.drawing.requestWithin(this.isSoftware ? SOFTWARE_DATA_MS : DATA_MS);
   }
 
   private render(now_ms: number): void {
-    const factor = this.isSoftware ? SOFTWARE_FACTOR : this.resolution.next(now_ms);
+    const factor = this.resolution.next(now_ms, this.moves);
+    this.moves = false;
     if (factor !== this.factor) {
       this.factor = factor;
       this.renderer.setPixelRatio(this.pixelRatio);
@@ -177,4 +187,13 @@ export class RoomView {
       this.draw();
     }
   }
+}
+
+/** Whether WebGL draws without a graphics processor. Browsers do not always call that a performance caveat. */
+function isSoftware(): boolean {
+  const context = new OffscreenCanvas(1, 1).getContext("webgl2", { failIfMajorPerformanceCaveat: true });
+  const names = context?.getExtension("WEBGL_debug_renderer_info");
+  const renderer = String(context?.getParameter(names?.UNMASKED_RENDERER_WEBGL ?? context.RENDERER) ?? "");
+  context?.getExtension("WEBGL_lose_context")?.loseContext();
+  return context === null || SOFTWARE_RENDERERS.test(renderer);
 }
