@@ -1,4 +1,4 @@
-"""What lights a room: windows alone, sunbeams, a bright second room, bare bulbs; their share and their brightness."""
+"""What lights a room: windows alone, sunbeams, a bright second room, bulbs, spots; their share and brightness."""
 
 from collections import Counter
 from functools import cache
@@ -18,7 +18,7 @@ from roomlight_generator.sequences.walk import FreeSpace
 from roomlight_generator.transport import RoomLight, Tracer, patches
 from roomlight_generator.transport.sun_spots import sun_spots
 
-SEED = 5
+SEED = 6
 
 
 @cache
@@ -128,6 +128,23 @@ def test_bare_bulbs_have_no_shade_and_are_glaring():
     ]
     assert len(glare) >= len(found) > 0
     assert np.median([value for value in glare if value > 0]) > 2
+
+
+def test_spots_are_small_and_bright_in_rows():
+    """Of the spots of all such rooms, half are brighter than 10 kcd/m2; there are at most 24 in a room."""
+    found = [room(index) for index in range(25) if room(index).facts["light"]["kind"] == "spots"]
+    assert found
+    glare = []
+    for built in found:
+        spots = [item for item in built.scene.items if item.name == "spot"]
+        assert 1 < len(spots) <= 24
+        for spot in spots:
+            low, high = spot.mesh.bounds()
+            x, _, z = (low + high) / 2
+            assert max(high[0] - low[0], high[2] - low[2]) < 0.12
+            assert 0 < built.shell.ceiling_at(float(x), float(z)) - high[1] < 0.03
+            glare.append(float(np.dot(spot.mesh.materials[0].emission, LUMINANCE)))
+    assert np.median(glare) > 10
 
 
 def test_the_second_rooms_window_lets_daylight_in():

@@ -23,15 +23,15 @@ from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
 
 Scenario = Literal["sunny", "bright", "overcast", "golden", "dusk", "night"]
 
-LightKind = Literal["mixed", "windows alone", "sunbeams", "open to bright", "bare bulbs"]
+LightKind = Literal["mixed", "windows alone", "sunbeams", "open to bright", "bare bulbs", "spots"]
 """What lights a room.
 
 mixed: daylight, lamps or both, as `_LAMPS_ON_PROBABILITY` says; windows alone: daylight without lamps; sunbeams: the
 same with the sun before a window; open to bright: no light of its own, only that of a second room; bare bulbs: at dusk
-or at night, lamps without shades.
+or at night, lamps without shades; spots: rows of small bright lamps in the ceiling, by day beside the windows' light.
 """
 LIGHT_KINDS: Final[dict[LightKind, float]] = {
-    "mixed": 0.42, "windows alone": 0.2, "sunbeams": 0.16, "open to bright": 0.1, "bare bulbs": 0.12,
+    "mixed": 0.34, "windows alone": 0.17, "sunbeams": 0.13, "open to bright": 0.08, "bare bulbs": 0.1, "spots": 0.18,
 }  # fmt: skip
 """Share of the rooms for which each kind is wanted; a room without a place for it is mixed."""
 
@@ -41,11 +41,18 @@ _KIND_SCENARIOS: Final[dict[LightKind, tuple[float, ...]]] = {
     "sunbeams": (0.75, 0, 0, 0.25, 0, 0),
     "open to bright": (0.3, 0.3, 0.3, 0.1, 0, 0),
     "bare bulbs": (0, 0, 0, 0, 0.3, 0.7),
+    "spots": (0.15, 0.15, 0.3, 0.05, 0.1, 0.25),
 }
 """Probability of each of `_SCENARIOS` in a room with windows."""
 
 _BULB_M: Final = (0.02, 0.035)
 """Radius of a bare bulb."""
+
+_SPOT_M: Final = (0.05, 0.11)
+"""Side of a spot in the ceiling."""
+_SPOT_SPACING_M: Final = (1.0, 2.0)
+"""Distance between the spots of a row."""
+_MOST_SPOTS: Final = 24
 
 _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
     "sunny": ("clear",),
@@ -120,6 +127,8 @@ def light_room(
         lit = set(_choose_lamps(placements, lamps, rng))
         if not lit and scenario in ("dusk", "night"):
             fixtures.append(_ceiling_fixture(shell, rng, bulb=kind == "bare bulbs"))
+    if kind == "spots":
+        fixtures += _ceiling_spots(shell, rng)
     kelvin = _choose_kelvin(rng)
     out, sources = list(items), list[dict[str, Any]]()
     flux_klm = _choose_total_flux(shell, rng, evening=windows and scenario == "night")
@@ -314,6 +323,23 @@ def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> I
     side = float(rng.uniform(0.25, 0.7))
     mesh = with_material(box(side, 0.03, side), material)
     return Item("panel", "ceiling_lamp", mesh.placed(float(x), top - 0.05, float(z)))
+
+
+def _ceiling_spots(shell: Shell, rng: np.random.Generator) -> list[Item]:
+    """Make small square lamps below the ceiling on a grid, at most `_MOST_SPOTS` of them."""
+    side, spacing = float(rng.uniform(*_SPOT_M)), float(rng.uniform(*_SPOT_SPACING_M))
+    (west, north), (east, south) = shell.polygon.min(0), shell.polygon.max(0)
+    columns = np.arange(west + spacing / 2, east, spacing)
+    rows = np.arange(north + spacing / 2, south, spacing)
+    places = [(float(x), float(z)) for z in rows for x in columns if shell.contains(float(x), float(z), 0.3)]
+    if not places:
+        return [_ceiling_fixture(shell, rng, bulb=True)]
+    chosen = np.linspace(0, len(places) - 1, min(len(places), _MOST_SPOTS)).round().astype(int)
+    mesh = with_material(box(side, 0.01, side), Material(name="shade", albedo=(0.8, 0.8, 0.8)))
+    return [
+        Item("spot", "ceiling_lamp", mesh.placed(x, shell.ceiling_at(x, z) - 0.02, z))
+        for x, z in (places[int(number)] for number in chosen)
+    ]
 
 
 def _accessory_lamps(
