@@ -179,6 +179,11 @@ class ObjectScene:
 
     @cached_property
     def _is_open(self) -> Bool[np.ndarray, " f"]:
+        found = self._find_open()
+        found.setflags(write=False)
+        return found
+
+    def _find_open(self) -> Bool[np.ndarray, " f"]:
         vertices = np.unique(self.surfaces.corners.reshape(-1, 3), axis=0)
         found = np.zeros(len(self.surfaces.corners), bool)
         extremes = vertices[np.unique(np.argmax(vertices @ _EVERYWHERE, axis=0))]
@@ -188,7 +193,6 @@ class ObjectScene:
             return np.zeros_like(found)
         rest = found.copy()
         fill_open(self.surfaces.corners, vertices, tolerance, rest, found)
-        found.setflags(write=False)
         return found
 
     def offset_m(self) -> float:
