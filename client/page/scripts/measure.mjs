@@ -100,6 +100,7 @@ async function measureFrames(page, devtools, what) {
 console.log(`${new Date().toISOString()}: ${browser.version()}, ${cpus().length} cores, ${cpus()[0].model}`);
 console.log(`processes that want a core before the start: ${loadavg()[0].toFixed(1)} on average over the last minute`);
 const page = await browser.newPage({ viewport: { width: 1440, height: 900 } });
+page.on("console", (message) => message.type() === "error" && console.log(`error in the console: ${message.text()} ${message.location().url}`));
 await page.goto(url);
 await page.waitForSelector("#workspace:not([hidden])", { timeout: 60_000 });
 await page.waitForFunction(() => document.getElementById("room-waiting").hidden, undefined, { timeout: 60_000 });
