@@ -62,7 +62,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
     late = [track for track in evaluated.tracks if track.method == "video, late probe"]
     assert all(np.isnan(track.scores["log_l2"]).all() for track in late)
     video = EngineEstimator(models.video, models.video_graphs)
-    estimator, position = LateProbe(video), (0.0, 0.0, 0.0)
+    estimator, position, tracked = LateProbe(video), (0.0, 0.0, 0.0), None
     frames = list(walk_frames(Walks(1)[0], "exact"))
     for number in range(LATE_FROM):
         assert estimator.light_at(position) is None
@@ -71,7 +71,7 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
         tracked = video.light_at(position)
         estimator.push(frame)
     late = estimator.light_at(position)
-    assert late is not None
+    assert late is not None and tracked is not None
     assert not np.array_equal(late, tracked)  # it has blended no earlier frame
 
 

@@ -62,9 +62,10 @@ def test_faces_under_nothing_are_open() -> None:
     assert ObjectScene([cube(0.5)]).is_open().all()
     # two cubes side by side: the faces toward each other are closed
     pair = ObjectScene([cube(0.5), moved(cube(0.5), 1.0, 0.0, 0.0)])
-    normals = np.cross(*(pair.surfaces.corners[:, k] - pair.surfaces.corners[:, 0] for k in (1, 2)))
-    first = pair.surfaces.object_id == 0
-    np.testing.assert_array_equal(pair.is_open(), np.where(first, normals[:, 0] <= 0, normals[:, 0] >= 0))
+    first, second = (pair.surfaces.corners[:, k] - pair.surfaces.corners[:, 0] for k in (1, 2))
+    normals = np.cross(first, second)
+    left = pair.surfaces.object_id == 0
+    np.testing.assert_array_equal(pair.is_open(), np.where(left, normals[:, 0] <= 0, normals[:, 0] >= 0))
 
 
 def test_open_faces_move_with_the_objects() -> None:
