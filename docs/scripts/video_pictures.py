@@ -18,7 +18,7 @@ from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import Position, linear_to_srgb8, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
-from roomlight.drawing import HEADING, LABEL_ROWS, Canvas
+from roomlight.drawing import HEADING, LABEL_ROWS, Canvas, text_width
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.frame import Frame
 from roomlight.metrics import log_l2, smoothness
@@ -106,13 +106,19 @@ def draw_progress(streamed: Streamed) -> Image.Image:
     for row, number in enumerate(SHOWN):
         top = LABEL_ROWS + GAP + row * (PANORAMA[1] + GAP)
         canvas.picture((GAP, top), streamed.frames[number - 1].image, size=FRAME)
-        canvas.text((GAP + 6, top + 4), f"{number}", grey=1.0)
+        draw_label(canvas, (GAP, top), str(number))
         for left, name in zip(lefts, names, strict=False):
             panorama = streamed.panoramas[name][number - 1]
             canvas.picture((left, top), panorama, size=PANORAMA)
-            canvas.text((left + 6, top + 4), f"log-L2 {10 * log_l2(panorama, streamed.truth):.2f}", grey=1.0)
+            draw_label(canvas, (left, top), f"log-L2 {10 * log_l2(panorama, streamed.truth):.2f}")
         canvas.picture((lefts[-1], top), streamed.truth, size=PANORAMA)
     return Image.fromarray(canvas.image)
+
+
+def draw_label(canvas: Canvas, corner: tuple[int, int], text: str) -> None:
+    """Draw a label in a picture's top left corner, on a dark ground that bright pictures do not hide."""
+    canvas.box(corner, (text_width(text) + 12, LABEL_ROWS), 0.0, opacity=0.55)
+    canvas.text((corner[0] + 6, corner[1] + 4), text, grey=1.0)
 
 
 def draw_film(streamed: Streamed) -> list[Image.Image]:
