@@ -113,7 +113,6 @@ class _Phone:
 @dataclass(frozen=True, eq=False)
 class _Recording:
     frames: tuple[Frame, ...]
-    last_radiance: Float32[np.ndarray, "h w 3"]
     phone: _Phone
 
 
@@ -158,11 +157,11 @@ def scene_for(
         if found is None:
             continue
         object_to_world, shift_m = found
-        view = _truth(lit_room, geometry, object_to_world, path, number)
+        view, bare = _truth(lit_room, geometry, object_to_world, path, number)
         low, high = geometry.bounds()
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
-        clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(taken.last_radiance)
+        clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(bare.radiance)
         radius_m, distance_m = float(np.linalg.norm(high - low) / 2), _distances(path, view.view, centre)
         masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
         developed = taken.phone.developed(view.view.radiance, FRAMES - 1)[0]
@@ -228,7 +227,7 @@ def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator) -> 
         )
         for k, (linear, eight_bit) in enumerate(pictures)
     ]
-    return _Recording(tuple(frames), views[-1].radiance, phone)
+    return _Recording(tuple(frames), phone)
 
 
 def _standing(
@@ -261,11 +260,11 @@ def _truth(
     object_to_world: Float[np.ndarray, "4 4"],
     path: CameraPath,
     number: int,
-) -> real.ObjectView:
+) -> tuple[real.ObjectView, FrameView]:
     (mesh, look), *_ = geometry.transformed(object_to_world).parts
     kind = "mirror" if look.metallic else "diffuse" if look.specular == 0 else "glossy"
     item = real.object_mesh(mesh.vertices, mesh.normals, mesh.faces, real_material(kind))
-    return real.render_with_object(lit_room.room.scene, item, path.intrinsics, path.poses[-1], seed=number)
+    return real.render_pair(lit_room.room.scene, item, path.intrinsics, path.poses[-1], seed=number)
 
 
 def _distances(path: CameraPath, view: FrameView, centre: Float[np.ndarray, "3"]) -> Float32[np.ndarray, "h w"]:

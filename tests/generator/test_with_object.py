@@ -1,5 +1,6 @@
 """Rooms with a real object: where it can stand, and what it changes."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -7,9 +8,11 @@ from roomlight.camera import Intrinsics
 from roomlight_generator.rooms.scene import Item, Material, Scene, Sky
 from roomlight_generator.rooms.shapes import box, with_material
 from roomlight_generator.sequences.with_object import (
+    GATHER_RAYS,
     find_resting_place,
     height_above_surface,
     object_mesh,
+    render_pair,
     render_with_object,
     with_object,
 )
@@ -62,6 +65,33 @@ def test_an_object_covers_pixels_and_shades_the_floor(material):
     far = np.zeros_like(made.covered)
     far[:, :8] = True
     assert ratio[far].mean() == pytest.approx(1, abs=0.05)
+
+
+def test_many_gather_rays_leave_no_blotches():
+    """The light of a lamp behind a screen comes from a small bright patch of the wall."""
+    shade = Item("screen", "wall", cuboid((0.02, 0.5, 0.5), (-1.75, 1.2, 0), GREY))
+    lamp = Item("lamp", "lamp", cuboid((0.04, 0.2, 0.2), (-1.9, 1.2, 0), LAMP))
+    scene = Scene((room().items[0], shade, lamp), (), room().sky)
+
+    def blotches(rays):
+        """Mean absolute difference of two seeds, in logarithms of light smoothed over pixels."""
+        views = [
+            RoomLight.solve(Tracer(scene), seed, gather_rays=rays).frame(CAMERA, looking_down(), seed=seed)
+            for seed in (0, 1)
+        ]
+        first, second = (np.log(cv2.blur(view.radiance.mean(axis=-1), (5, 5))) for view in views)
+        return float(np.abs(first - second).mean())
+
+    assert blotches(GATHER_RAYS) < 0.6 * blotches(320)
+
+
+def test_a_pair_differs_by_the_object_alone():
+    scene, mesh = room(), block(GREY)
+    made, bare = render_pair(scene, mesh, CAMERA, looking_down(), seed=0)
+    assert made.covered.any()
+    far = np.s_[:, :8]
+    np.testing.assert_array_equal(made.view.depth_m[far], bare.depth_m[far])
+    assert made.view.radiance[far].mean() == pytest.approx(bare.radiance[far].mean(), rel=0.03)
 
 
 def test_resting_places_are_level_and_free():

@@ -17,6 +17,10 @@ from roomlight_generator.transport import FrameView, RoomLight, Tracer
 OBJECT: Final = "object"
 """Name and role of the item."""
 
+GATHER_RAYS: Final = 4096
+"""For each record of indirect light, many times as many as in a dataset: blotches that differ between the views with
+and without the object would pass for its shadow."""
+
 DISTANCE_M: Final = (0.7, 3.2)
 """Distance of resting places from the camera."""
 _LEVEL: Final = 0.995
@@ -72,12 +76,22 @@ def with_object(scene: Scene, mesh: Mesh) -> Scene:
     return replace(scene, items=(*scene.items, Item(OBJECT, OBJECT, mesh)))
 
 
+def render_pair(
+    scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
+) -> tuple[ObjectView, FrameView]:
+    """Render one view of the room with the object and one without it, both with the light solved anew."""
+    return (
+        render_with_object(scene, mesh, intrinsics, camera_to_world, seed=seed),
+        _solved(Tracer(scene), seed).frame(intrinsics, camera_to_world, seed=seed),
+    )
+
+
 def render_with_object(
     scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
 ) -> ObjectView:
     """Solve the light of the room with the object anew and render one view of it."""
     tracer = Tracer(with_object(scene, mesh))
-    view = RoomLight.solve(tracer, seed).frame(intrinsics, camera_to_world, seed=seed)
+    view = _solved(tracer, seed).frame(intrinsics, camera_to_world, seed=seed)
     rays = intrinsics.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
     directions = _unit(rays)
     origins = np.broadcast_to(camera_to_world[:3, 3], directions.shape)
@@ -128,6 +142,10 @@ def height_above_surface(tracer: Tracer, base: Float[np.ndarray, "3"], *, lift_m
     """Return how far a point lies above the surface under or just over it, in metres; negative below the surface."""
     start = np.asarray(base, np.float32)[None] + np.array([[0, lift_m, 0]], np.float32)
     return float(tracer.distances(start, _DOWN)[0]) - lift_m
+
+
+def _solved(tracer: Tracer, seed: int) -> RoomLight:
+    return RoomLight.solve(tracer, seed, gather_rays=GATHER_RAYS)
 
 
 def _fits(

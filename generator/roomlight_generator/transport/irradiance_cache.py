@@ -67,10 +67,12 @@ _FOOT_RANGE: Final = (2e-4, 1.0)
 class IrradianceCache:
     """Irradiance of one room's surfaces, in cells."""
 
-    def __init__(self, tracer: Tracer, light: DirectLight, room_cache: RoomCache, *, seed: int) -> None:
-        """Start empty; room_cache gives the light that gather rays bring."""
+    def __init__(
+        self, tracer: Tracer, light: DirectLight, room_cache: RoomCache, *, seed: int, gather_rays: int = GATHER_RAYS
+    ) -> None:
+        """Start empty; room_cache gives the light that gather rays bring, `gather_rays` of them for each record."""
         self.tracer, self.light, self.room_cache = tracer, light, room_cache
-        self._seed = seed
+        self._seed, self._gather_rays = seed, gather_rays
         self._table = Table(1 << 16)
         self._count = 0
         self._irradiance, self._sun = np.zeros((1 << 16, 3), np.float32), np.zeros((1 << 16, 3), np.float32)
@@ -141,7 +143,7 @@ class IrradianceCache:
             if len(chosen):
                 some = Points(*(column[chosen] for column in points))
                 start = records.count - len(chosen)
-                light, clear = self.gathered(some, rays=GATHER_RAYS, first=start)
+                light, clear = self.gathered(some, rays=self._gather_rays, first=start)
                 records.irradiance[start : records.count] = light
                 records.clear[start : records.count] = clear * np.float32(CLEARANCE)
         indirect = np.empty((len(material), 3), np.float32)

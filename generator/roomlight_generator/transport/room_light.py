@@ -14,7 +14,7 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
 from roomlight_generator.transport.direct import DirectLight, Points, ShadowRays
 from roomlight_generator.transport.emitters import small_from
-from roomlight_generator.transport.irradiance_cache import IrradianceCache
+from roomlight_generator.transport.irradiance_cache import GATHER_RAYS, IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.patches import solve_room
 from roomlight_generator.transport.paths import unit_rows
@@ -63,11 +63,15 @@ class RoomLight:
         self._viewer = Viewer(tracer, light, irradiance_cache)
 
     @classmethod
-    def solve(cls, tracer: Tracer, rng_seed: int) -> "RoomLight":
-        """Solve the room's interreflection; the same seed gives the same bytes."""
+    def solve(cls, tracer: Tracer, rng_seed: int, *, gather_rays: int = GATHER_RAYS) -> "RoomLight":
+        """Solve the room's interreflection; the same arguments give the same bytes.
+
+        gather_rays are sent for each record of indirect light in views. With few, light from small bright surfaces
+        leaves soft blotches, which differ by the seed.
+        """
         light = DirectLight(tracer)
         cache = solve_room(tracer, light, seed=rng_seed)
-        return cls(tracer, light, IrradianceCache(tracer, light, cache, seed=rng_seed))
+        return cls(tracer, light, IrradianceCache(tracer, light, cache, seed=rng_seed, gather_rays=gather_rays))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
