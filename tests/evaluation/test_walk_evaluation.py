@@ -71,7 +71,8 @@ def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
         tracked = video.light_at(position)
         estimator.push(frame)
     late = estimator.light_at(position)
-    assert late is not None and tracked is not None
+    assert late is not None
+    assert tracked is not None
     assert not np.array_equal(late, tracked)  # it has blended no earlier frame
 
 
