@@ -76,15 +76,21 @@ def radiance(light, weights, x, y, z):
 
 
 @njit(**JIT)
-def radiance_at(light, weights, place):
-    """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
+def _mixed_at(images, weights, place):
+    """Return the probes' images at a place, mixed by their weights."""
     red, green, blue = 0.0, 0.0, 0.0
-    for k in range(light.radiance.shape[0]):
-        r, g, b = bilinear_at(light.radiance[k], place)
+    for k in range(images.shape[0]):
+        r, g, b = bilinear_at(images[k], place)
         red += weights[k] * r
         green += weights[k] * g
         blue += weights[k] * b
     return red, green, blue
+
+
+@njit(**JIT)
+def radiance_at(light, weights, place):
+    """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
+    return _mixed_at(light.radiance, weights, place)
 
 
 @njit(**JIT)
@@ -163,15 +169,9 @@ def sample(light, weights, u, v):
 @njit(**JIT)
 def mean_around(light, weights, normal):
     """Return the irradiance / pi around a normal, mixed by the probes' weights."""
-    red, green, blue = 0.0, 0.0, 0.0
     place, rows = place_of(normal[0], normal[1], normal[2]), light.irradiance.shape[1]
     place = (place[0], (place[1] * (rows - 1) + 0.5) / rows)  # its first and last row are on the poles
-    for k in range(light.irradiance.shape[0]):
-        r, g, b = bilinear_at(light.irradiance[k], place)
-        red += weights[k] * r
-        green += weights[k] * g
-        blue += weights[k] * b
-    return red, green, blue
+    return _mixed_at(light.irradiance, weights, place)
 
 
 @njit(**KERNEL)
