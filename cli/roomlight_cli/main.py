@@ -72,6 +72,12 @@ COMMANDS: Final = (
         _MEASURE,
     ),
     CommandEntry(
+        "eval-objects",
+        "roomlight_cli.commands.eval_objects",
+        "Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.",
+        _MEASURE,
+    ),
+    CommandEntry(
         "bench",
         "roomlight_cli.commands.bench",
         "Measure speed: every figure as a ratio within one run.",

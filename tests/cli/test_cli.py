@@ -41,6 +41,7 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
         "eval-walks",
         "eval-views",
         "eval-composite",
+        "eval-objects",
         "bench",
         "dataset",
         "train",

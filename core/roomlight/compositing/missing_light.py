@@ -1,9 +1,9 @@
 """Light that a session's panorama lacks, estimated from the surface below the object and put where no frame looked.
 
 Frames are clipped, and lamps are often never seen: after six frames the irradiance from above under a session's
-panorama is half of the truth's (median). The surface below shows what arrives: its radiance is albedo x irradiance / pi.
-A panorama that would need an albedo of more than `ALBEDO` lacks light. The missing light comes from above, evenly, from
-where no frame looked.
+panorama is half of the truth's (median). The surface below shows what arrives: its radiance is albedo x irradiance
+/ pi. A panorama that would need an albedo of more than `ALBEDO` lacks light. The missing light comes from above,
+evenly, from where no frame looked.
 
 Chosen at 369 probes in 123 rooms, of which 75 are real panoramas or of other authors, after six frames of a walk: the
 error of a lit diffuse object falls to 0.90 (0.86 to 0.93 with 95 %) of that without this rule, that of shadows does not
