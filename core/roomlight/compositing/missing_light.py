@@ -6,8 +6,9 @@ panorama is half of the truth's (median). The surface below shows what arrives: 
 evenly, from where no frame looked.
 
 Chosen at 369 probes in 123 rooms, of which 75 are real panoramas or of other authors, after six frames of a walk: the
-error of a lit diffuse object falls to 0.90 (0.86 to 0.93 with 95 %) of that without this rule, that of shadows does not
-change. Lobes at the lamps that the panorama shows made shadows worse by a fifth.
+error of a lit diffuse sphere falls to 0.89 (0.85 to 0.92 with 95 %) of that without this rule, that of a glossy one to
+0.86, that of a mirror grows to 1.09, and that of shadows does not change. Lobes at the lamps that the panorama shows
+made shadows worse by a quarter.
 """
 
 from typing import Final
