@@ -28,11 +28,11 @@ from roomlight.spheres import view_toward
 from roomlight_evaluation.composite_methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 from roomlight_evaluation.dataset_evaluation import evenly_spread
-from roomlight_evaluation.lit_objects import LOOKS, LitObjects
+from roomlight_evaluation.lit_objects import LOOKS, SHADOW, LitObjects
 from roomlight_evaluation.walk_evaluation import walk_frames
 
 COMPOSITED: Final = "as composited"
-"""Appended to a model's name: with the missing light that the compositor adds."""
+"""Appended to a model's name: with the missing light that the compositor adds to objects, not to their shadows."""
 _DATASET: Final = "dataset.json"
 
 Panorama = Float[np.ndarray, "h w 3"]
@@ -172,8 +172,11 @@ def _score(
             light = model.light(own[number])
             lights[model.model] = light.panorama
             lights[f"{model.model}, {COMPOSITED}"] = with_missing_light(light.panorama, light.observed)
-        for method, panorama in lights.items():
-            errors.setdefault(method, []).append(objects.errors(panorama))
+        found = {method: objects.errors(panorama) for method, panorama in lights.items()}
+        for model in models:  # the compositor casts shadows by the session's light alone
+            found[f"{model.model}, {COMPOSITED}"][SHADOW] = found[model.model][SHADOW]
+        for method, one in found.items():
+            errors.setdefault(method, []).append(one)
     means = {
         method: {look: _mean([one[look] for one in of_probes]) for look in LOOKS}
         for method, of_probes in errors.items()

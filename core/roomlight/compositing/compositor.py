@@ -273,11 +273,13 @@ class Compositor:
         casters: list[shadows.Caster] = []
         for members in clusters(spheres):
             x, y, z = spheres[members[0]][:3].tolist()
+            position = (x, y, z)
             caster = shadows.Caster(
                 self._objects,
                 np.stack([spheres[member] for member in members]).astype(np.float32),
                 np.array(members, np.int32),
-                self._probes.at((x, y, z)),
+                self._probes.at(position),
+                self._probes.casting_at(position),
                 next((supports[member] for member in members if supports[member] is not None), None),
                 None if self.quality == "preview" else self.geometry,
             )

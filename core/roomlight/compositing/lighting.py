@@ -138,6 +138,8 @@ class LightSampler:
     @cached_property
     def prefiltered(self) -> Float32[np.ndarray, "levels rows columns 3"]:
         """Panoramas blurred by the GGX lobe: roughness evenly from 0 to 1, where 1 is irradiance / pi."""
+        if self.mixed_from is not None:
+            return _mean_of([one.prefiltered for one in self.mixed_from.samplers], self.mixed_from.shares)
         mips = prefilter(CubeMap.from_panorama(self.panorama, size=PREFILTERED_SIZE))
         return np.stack([level.to_panorama(PREFILTERED_ROWS) for level in mips.levels]).astype(np.float32)
 
@@ -216,10 +218,9 @@ class ProbeSet:
         return out
 
     def mixed(self, position: Position) -> LightSampler:
-        """Return the light at a position as one panorama: the probes' mean, also of their prefiltered panoramas."""
+        """Return the light at a position as one panorama: the probes' mean."""
         shares = self.weights(position)
         made = LightSampler(_mean_of([one.panorama for one in self.samplers], shares), position)
-        made.prefiltered = _mean_of([one.prefiltered for one in self.samplers], shares)
         made.mixed_from = Mixture(self.samplers, shares, self._even, self._kept)
         return made
 

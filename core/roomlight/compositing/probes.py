@@ -54,27 +54,36 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 
 
 class SceneProbes:
-    """Tracked probes of all objects of a scene."""
+    """Tracked probes of all objects of a scene.
+
+    Objects are lit with the light that the session lacks (`missing_light`). Their shadows are cast by the session's
+    light alone: the missing light comes from nowhere in particular and would only make them fainter.
+    """
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
         """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
         self._session, self._light = session, light
-        self._lights: dict[int, EasedLight] = {}  # by the session's handle
-        self._set: ProbeSet | None = None
-        self._at: dict[Position, LightSampler] = {}  # of the present set
+        self._handles: list[int] = []
+        self._shown = _EasedLights()
+        self._casting = self._shown if light is not None else _EasedLights()
         self._frames = 0
         self._waiting_s = 0.0
 
     def __len__(self) -> int:
-        return len(self._lights)
+        return len(self._handles)
 
     def add(self, positions: Float[np.ndarray, "n 3"]) -> None:
         """Track probes at these positions, as far as `MAX_TOTAL` allows."""
-        for position in positions[: MAX_TOTAL - len(self._lights)]:
+        for position in positions[: MAX_TOTAL - len(self)]:
             x, y, z = position.tolist()
             handle = self._session.track((x, y, z))
-            self._lights[handle] = EasedLight((x, y, z), self._panorama(handle, (x, y, z)))
-        self._set = None
+            self._handles.append(handle)
+            if self._light is not None:
+                self._shown.add((x, y, z), self._light((x, y, z)))
+            else:
+                found = self._session.light(handle)
+                self._shown.add((x, y, z), with_missing_light(found.panorama, found.observed))
+                self._casting.add((x, y, z), found.panorama)
         self._frames = self._session.frames
 
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
@@ -83,28 +92,75 @@ class SceneProbes:
         every_s:  change the light at most this often: each change costs 12 ms a probe.
         """
         if self._session.frames != self._frames and self._light is None:
-            for handle, light in self._lights.items():
-                light.aim(self._panorama(handle, light.position))
+            for number, handle in enumerate(self._handles):
+                found = self._session.light(handle)
+                self._shown.aim(number, with_missing_light(found.panorama, found.observed))
+                self._casting.aim(number, found.panorama)
             self._frames = self._session.frames
         self._waiting_s += elapsed_s
         if self._waiting_s < every_s:
             return False
-        changed = [light.advance(self._waiting_s) for light in self._lights.values()]
+        changed = self._shown.advance(self._waiting_s)
+        if self._casting is not self._shown:
+            changed |= self._casting.advance(self._waiting_s)
         self._waiting_s = 0.0
-        if any(changed):
-            self._set = None
-        return any(changed)
+        return changed
 
     def lights(self) -> ProbeSet:
         """Return the probes as the renderer takes them."""
-        if self._set is None or len(self._at) >= MAX_TOTAL:
-            self._at.clear()
-        if self._set is None:
-            self._set = ProbeSet([light.sampler for light in self._lights.values()])
-        return self._set
+        return self._shown.lights()
 
     def at(self, position: Position) -> LightSampler:
         """Return the light at a position, mixed from the probes around it."""
+        return self._shown.at(position)
+
+    def casting_at(self, position: Position) -> LightSampler:
+        """Return the light that casts the shadows of objects at a position."""
+        return self._casting.at(position)
+
+    def close(self) -> None:
+        """Stop tracking."""
+        for handle in self._handles:
+            self._session.untrack(handle)
+        self._handles.clear()
+        self._shown, self._casting = _EasedLights(), _EasedLights()
+
+
+class _EasedLights:
+    """Light at several positions, eased over time."""
+
+    def __init__(self) -> None:
+        self._lights: list[EasedLight] = []
+        self._set: ProbeSet | None = None
+        self._at: dict[Position, LightSampler] = {}  # of the present set
+
+    def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Add a position and its first light."""
+        self._lights.append(EasedLight(position, panorama))
+        self._set = None
+
+    def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Set the light that the position of this number follows."""
+        self._lights[number].aim(panorama)
+
+    def advance(self, elapsed_s: float) -> bool:
+        """Follow for a time; return whether any light changed."""
+        changes = [light.advance(elapsed_s) for light in self._lights]
+        changed = any(changes)
+        if changed:
+            self._set = None
+        return changed
+
+    def lights(self) -> ProbeSet:
+        """Return all as a set."""
+        if self._set is None or len(self._at) >= MAX_TOTAL:
+            self._at.clear()
+        if self._set is None:
+            self._set = ProbeSet([light.sampler for light in self._lights])
+        return self._set
+
+    def at(self, position: Position) -> LightSampler:
+        """Return the light at a position, mixed from those around it."""
         probes = self.lights()
         if len(probes.samplers) == 1:
             return probes.samplers[0]
@@ -114,16 +170,3 @@ class SceneProbes:
         if position not in self._at:
             self._at[position] = probes.mixed(position)
         return self._at[position]
-
-    def _panorama(self, handle: int, position: Position) -> Float[np.ndarray, "h w 3"]:
-        if self._light is not None:
-            return self._light(position)
-        light = self._session.light(handle)
-        return with_missing_light(light.panorama, light.observed)
-
-    def close(self) -> None:
-        """Stop tracking."""
-        for handle in self._lights:
-            self._session.untrack(handle)
-        self._lights.clear()
-        self._set = None

@@ -103,7 +103,8 @@ class Caster:
         scene: the objects in the world.
         spheres: [k, 4] centre and radius of each object.
         object_ids: [k] the objects' indices in the scene.
-        light: at their position.
+        light: at their position: what they reflect.
+        casting: the light that casts their shadows.
         support: plane that they stand on, if there is one.
         room: real surfaces that may hide the strongest lamp; None: they hide nothing.
     """
@@ -112,6 +113,7 @@ class Caster:
     spheres: Float32[np.ndarray, "k 4"]
     object_ids: Int[np.ndarray, " k"]
     light: LightSampler
+    casting: LightSampler
     support: Plane | None = None
     room: SceneGeometry | None = None
 
@@ -187,7 +189,7 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     if len(rows) == 0:
         return out
     subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
-    lamp = None if caster.room is None else lamp_of(caster.light)
+    lamp = None if caster.room is None else lamp_of(caster.casting)
     seen = np.ones(len(rows), np.float32)
     if lamp is not None and caster.room is not None:
         seen = lamp_seen(lamp, grid, near, caster.room, caster.spheres[0, :3])[near]
@@ -296,7 +298,7 @@ class _LightChange:
 
 def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, lamp: Lamp | None) -> _LightChange:
     count, samples = len(receivers.points), quality.samples
-    light = light_samples(caster.light, samples, toward=None if caster.support is None else caster.support.normal)
+    light = light_samples(caster.casting, samples, toward=None if caster.support is None else caster.support.normal)
     levels = caster.light.prefiltered
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)

@@ -29,7 +29,8 @@ def floor_depth():
 
 def caster(held, panorama, centre, radius, support: Plane | None = FLOOR):
     spheres = np.array([[*centre, radius]], np.float32)
-    return Caster(ObjectScene([held]), spheres, np.array([0], np.int32), LightSampler(panorama), support)
+    light = LightSampler(panorama)
+    return Caster(ObjectScene([held]), spheres, np.array([0], np.int32), light, light, support)
 
 
 def ball(panorama, radius=0.2, height=0.5, material=None):

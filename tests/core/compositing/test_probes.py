@@ -1,0 +1,75 @@
+"""The probes of a scene: what lights objects, what casts their shadows, and how both follow the session."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from roomlight.compositing.missing_light import with_missing_light
+from roomlight.compositing.probes import SceneProbes
+from roomlight.compositing.temporal import LIGHT_S
+from roomlight.engine.session import Session, SessionOptions
+from rooms import BoxRoom, camera_at
+
+PLACES = np.array([[0.3, 0.4, -1.0], [-0.5, 0.4, -0.6]])
+
+
+@pytest.fixture
+def room():
+    return BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
+
+
+@pytest.fixture
+def session(room):
+    session = Session(SessionOptions(height=32))
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
+    return session
+
+
+def position(place):
+    x, y, z = place.tolist()
+    return x, y, z
+
+
+def test_objects_get_the_missing_light_and_their_shadows_do_not(session):
+    probes = SceneProbes(session)
+    probes.add(PLACES[:1])
+    at = position(PLACES[0])
+    light = session.light_at(at)
+    shown, casting = probes.at(at).panorama, probes.casting_at(at).panorama
+    assert_array_equal(casting, light.panorama)
+    assert_array_equal(shown, with_missing_light(light.panorama, light.observed))
+    assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
+
+
+def test_both_follow_the_session(session, room):
+    probes = SceneProbes(session)
+    probes.add(PLACES)
+    handles = [session.track(position(place)) for place in PLACES]
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
+    assert probes.advance(20 * LIGHT_S)
+    for place, handle in zip(PLACES, handles, strict=True):
+        at, light = position(place), session.light(handle)
+        assert_allclose(probes.casting_at(at).panorama, light.panorama, rtol=1e-3, atol=1e-3)
+        assert_allclose(
+            probes.at(at).panorama, with_missing_light(light.panorama, light.observed), rtol=1e-3, atol=1e-3
+        )
+    assert not probes.advance(20 * LIGHT_S)
+
+
+def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
+    given = np.full((16, 32, 3), 0.7, np.float32)
+    probes = SceneProbes(session, lambda _: given)
+    probes.add(PLACES[:1])
+    at = position(PLACES[0])
+    assert probes.at(at) is probes.casting_at(at)
+    assert_array_equal(probes.at(at).panorama, given)
+
+
+def test_probes_are_given_back(session):
+    probes = SceneProbes(session)
+    probes.add(PLACES)
+    assert len(probes) == 2
+    probes.close()
+    assert len(probes) == 0
+    probes.add(PLACES[:1])
+    assert len(probes) == 1
