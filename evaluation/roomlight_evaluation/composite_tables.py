@@ -1,15 +1,12 @@
 """Errors of composites as tables: for a terminal, and as Markdown for the documentation."""
 
-import math
-
-from rich import box
 from rich.table import Table
 
 from roomlight_evaluation.composite_methods import HARMONICS, METHODS, NO_SHADOW, OURS, TRUE_LIGHT
 from roomlight_evaluation.composite_regions import ELSEWHERE, OBJECT, REGIONS, SHADOW
 from roomlight_evaluation.composite_scenes import MATERIALS
 from roomlight_evaluation.composite_scores import CompositeScores
-from roomlight_evaluation.confidence import MeanWithInterval
+from roomlight_evaluation.error_tables import cell, error_markdown, error_table
 
 TARGET = 0.6
 """Largest error in the object and in the shadow, relative to SH + directional light's."""
@@ -17,43 +14,31 @@ TARGET = 0.6
 
 def composite_table(scores: CompositeScores, metric: str) -> Table:
     """Return the mean errors of all methods in all regions with 95 % intervals over scenes."""
-    table = Table(
-        title=f"Composites against the truth, {metric}, scenes: {len(scores.scenes)}",
-        title_justify="left",
-        caption="mean over scenes (95 % bootstrap interval); linear light is clipped at white",
-        caption_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+    return error_table(
+        f"Composites against the truth, {metric}, scenes: {len(scores.scenes)}",
+        "mean over scenes (95 % bootstrap interval); linear light is clipped at white",
+        REGIONS,
+        {method: [cell(scores.mean(method, region, metric)) for region in REGIONS] for method in METHODS},
     )
-    table.add_column("", no_wrap=True)
-    for region in REGIONS:
-        table.add_column(region, justify="right", no_wrap=True)
-    for method in METHODS:
-        table.add_row(method, *(_cell(scores.mean(method, region, metric)) for region in REGIONS))
-    return table
 
 
 def composite_markdown(scores: CompositeScores) -> str:
     """Return tables of the errors, of the ratios to SH + directional light by material, and of the shadows' depth."""
     lines = [f"Scenes: {len(scores.scenes)}", ""]
     for metric, title in (("rmse", "RMSE, linear light"), ("srgb", "RMSE, sRGB"), ("log", "mean absolute log error")):
-        lines += [f"| {title} | " + " | ".join(REGIONS) + " |", "| --- |" + " --- |" * len(REGIONS)]
-        lines += [
-            f"| {method} | " + " | ".join(_cell(scores.mean(method, region, metric)) for region in REGIONS) + " |"
-            for method in METHODS
-        ]
-        lines.append("")
+        rows = {method: [cell(scores.mean(method, region, metric)) for region in REGIONS] for method in METHODS}
+        lines += [*error_markdown(title, REGIONS, rows), ""]
     lines += [f"| RMSE of {OURS} / {HARMONICS} | object | shadow | true panorama: object | shadow |"]
     lines += ["| --- | --- | --- | --- | --- |"]
     for material in (None, *MATERIALS):
         cells = [
-            _cell(scores.ratio(method, region, "rmse", material), 2)
+            cell(scores.ratio(method, region, "rmse", material), 2)
             for method in (OURS, TRUE_LIGHT)
             for region in (OBJECT, SHADOW)
         ]
         lines.append(f"| {material or 'all'} | " + " | ".join(cells) + " |")
     lines += ["", "| Light in shadows, log | mean |", "| --- | --- |"]
-    lines += [f"| {name} | {_cell(scores.darkening(name))} |" for name in ("truth", *METHODS)]
+    lines += [f"| {name} | {cell(scores.darkening(name))} |" for name in ("truth", *METHODS)]
     return "\n".join(lines) + "\n"
 
 
@@ -66,19 +51,13 @@ def summary(scores: CompositeScores) -> list[str]:
     """Return sentences: each target with its ratio, and the gap to the true panorama."""
     met = targets_met(scores)
     lines = [
-        f"{region}: {_cell(scores.ratio(OURS, region, 'rmse'), 2)} of {HARMONICS}'s error, target {TARGET}: "
+        f"{region}: {cell(scores.ratio(OURS, region, 'rmse'), 2)} of {HARMONICS}'s error, target {TARGET}: "
         + ("met" if met[region] else "missed")
-        + f"; {_cell(scores.ratio(OURS, region, 'rmse', to=TRUE_LIGHT), 2)} of the true panorama's"
+        + f"; {cell(scores.ratio(OURS, region, 'rmse', to=TRUE_LIGHT), 2)} of the true panorama's"
         for region in (OBJECT, SHADOW)
     ]
     lines.append(
-        f"shadow: {_cell(scores.ratio(OURS, SHADOW, 'rmse', to=NO_SHADOW), 2)} of the error without shadows; "
-        f"{ELSEWHERE}: {_cell(scores.mean(OURS, ELSEWHERE, 'rmse'))}"
+        f"shadow: {cell(scores.ratio(OURS, SHADOW, 'rmse', to=NO_SHADOW), 2)} of the error without shadows; "
+        f"{ELSEWHERE}: {cell(scores.mean(OURS, ELSEWHERE, 'rmse'))}"
     )
     return lines
-
-
-def _cell(value: MeanWithInterval, digits: int = 3) -> str:
-    if not math.isfinite(value.mean):
-        return "-"
-    return f"{value.mean:.{digits}f} ({value.low:.{digits}f} to {value.high:.{digits}f})"

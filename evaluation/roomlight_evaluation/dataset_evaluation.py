@@ -113,7 +113,7 @@ def _score_sequence(
 ) -> tuple[SequenceScores, PictureRow]:
     """Score every method at the sequence's probes; the picture's row shows the first probe with `depths[0]`."""
     positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
-    truths = list(recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0]))
+    truths = list(recording.true_panoramas())
     views = [view_toward(recording.camera_to_world[0], position) for position in positions]
     renderers = [SphereRenderer(view) for view in views]
     true_spheres = [_glossy_pixels(renderer, truth) for renderer, truth in zip(renderers, truths, strict=True)]

@@ -17,6 +17,7 @@ from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import open_capture
 from roomlight.compositing.missing_light import with_missing_light
 from roomlight.conventions import Position
+from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
 from roomlight.engine.graphs import LightingGraphs
@@ -29,11 +30,9 @@ from roomlight_evaluation.composite_methods import HARMONICS, MEAN_COLOUR, WARPE
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 from roomlight_evaluation.dataset_evaluation import evenly_spread
 from roomlight_evaluation.lit_objects import LOOKS, SHADOW, LitObjects
-from roomlight_evaluation.walk_evaluation import walk_frames
 
 COMPOSITED: Final = "as composited"
 """Appended to a model's name: with the missing light that the compositor adds to objects, not to their shadows."""
-_DATASET: Final = "dataset.json"
 
 Panorama = Float[np.ndarray, "h w 3"]
 Truth = tuple[Position, Panorama]
@@ -99,7 +98,7 @@ def evaluate_objects(
     """
     models = [replace(options, model="classical", weights=None), options]
     sessions = [(one, choose_graphs(one)) for one in models]
-    if sessions[1][1] is None:  # the chosen model is the classical one
+    if sessions[1][1] is None and options.model != "completion":  # the chosen model is the classical one
         sessions.pop(0)
     rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
     scored: list[RoomObjects] = []
@@ -120,7 +119,7 @@ _Read = Callable[[], tuple[list[Frame], list[Truth]]]
 
 
 def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
-    if (source / _DATASET).is_file():
+    if (source / MANIFEST).is_file():
         dataset = Dataset(source, split)
         for number in evenly_spread(len(dataset), limit):
             yield f"{source.name} {number}", lambda number=number: _of_walk(dataset, number, frames)
@@ -130,9 +129,10 @@ def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterab
 
 def _of_walk(dataset: Dataset, number: int, frames: int) -> tuple[list[Frame], list[Truth]]:
     recording = dataset[number]
-    panoramas = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0])
     positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
-    return _spread(list(walk_frames(recording, "exact")), frames), list(zip(positions, panoramas, strict=True))
+    chosen = _spread(len(recording.colour), frames)
+    shown = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
+    return shown, list(zip(positions, recording.true_panoramas(), strict=True))
 
 
 def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
@@ -140,11 +140,12 @@ def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
     truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
     if not truths:
         raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
-    return _spread(list(capture), frames), truths
+    chosen = set(_spread(capture.frame_count, frames))
+    return [frame for number, frame in enumerate(capture) if number in chosen], truths
 
 
-def _spread(found: list[Frame], frames: int) -> list[Frame]:
-    return [found[number] for number in np.unique(np.linspace(0, len(found) - 1, frames).astype(int))]
+def _spread(count: int, frames: int) -> list[int]:
+    return np.unique(np.linspace(0, count - 1, frames).astype(int)).tolist()
 
 
 def _score(
@@ -168,13 +169,14 @@ def _score(
             HARMONICS: harmonics_and_directional(np.minimum(fill, 1)),
             WARPED: fill,
         }
+        found = {method: objects.errors(panorama) for method, panorama in lights.items()}
         for model, own in zip(models, handles, strict=True):
             light = model.light(own[number])
-            lights[model.model] = light.panorama
-            lights[f"{model.model}, {COMPOSITED}"] = with_missing_light(light.panorama, light.observed)
-        found = {method: objects.errors(panorama) for method, panorama in lights.items()}
-        for model in models:  # the compositor casts shadows by the session's light alone
-            found[f"{model.model}, {COMPOSITED}"][SHADOW] = found[model.model][SHADOW]
+            plain = objects.errors(light.panorama)
+            lit = objects.errors(with_missing_light(light.panorama, light.observed))
+            found[model.model] = plain
+            # the compositor casts shadows by the session's light alone
+            found[f"{model.model}, {COMPOSITED}"] = {**lit, SHADOW: plain[SHADOW]}
         for method, one in found.items():
             errors.setdefault(method, []).append(one)
     means = {

@@ -228,7 +228,7 @@ def score_walk(recording: Recording, models: WalkModels, *, name: str) -> list[T
     Raises:
         FrameError: The first frame cannot begin a stream.
     """
-    truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0])
+    truth = recording.true_panoramas()
     probes = [
         (number, (float(x), float(y), float(z)), panorama)
         for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))

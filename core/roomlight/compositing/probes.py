@@ -123,7 +123,8 @@ class SceneProbes:
         for handle in self._handles:
             self._session.untrack(handle)
         self._handles.clear()
-        self._shown, self._casting = _EasedLights(), _EasedLights()
+        self._shown.clear()
+        self._casting.clear()
 
 
 class _EasedLights:
@@ -137,6 +138,11 @@ class _EasedLights:
     def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
         """Add a position and its first light."""
         self._lights.append(EasedLight(position, panorama))
+        self._set = None
+
+    def clear(self) -> None:
+        """Forget all positions."""
+        self._lights.clear()
         self._set = None
 
     def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import Any, Final, Literal
 
 import numpy as np
-from jaxtyping import Float, Float16, UInt8, UInt16
+from jaxtyping import Float, Float16, Float32, UInt8, UInt16
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import srgb8_to_linear
@@ -56,6 +56,10 @@ class Recording:
     probe_panoramas: Float[np.ndarray, "p ph pw 3"]
     facts: dict[str, Any]
     clipped_radiance: Float16[np.ndarray, "f h w 3"] | None = None
+
+    def true_panoramas(self) -> Float32[np.ndarray, "p ph pw 3"]:
+        """Return the light at each probe, in units of the first decoded frame's white."""
+        return self.probe_panoramas.astype(np.float32) * np.float32(self.exposure[0])
 
     def frame(self, number: int, depth_mm: UInt16[np.ndarray, "dh dw"]) -> Frame:
         """Return a frame as a client would send it, in units of the first decoded frame's white.

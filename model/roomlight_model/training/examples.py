@@ -108,7 +108,7 @@ def example_of(recording: Recording, rng: np.random.Generator, *, depth: DepthKi
     elif depth == "both" and rng.random() < _SEEN_THROUGH:
         depth_mm = np.where(recording.surface == GLASS, np.uint16(0), depth_mm)
     first, *later = (recording.frame(number, measured) for number, measured in enumerate(depth_mm))
-    truth = recording.probe_panoramas.astype(np.float32) * np.float32(recording.exposure[0])
+    truth = recording.true_panoramas()
     return Example(first, complete_depth(first.depth_m), recording.probe_positions, truth, later=tuple(later))
 
 

@@ -63,6 +63,9 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     at = position(PLACES[0])
     assert probes.at(at) is probes.casting_at(at)
     assert_array_equal(probes.at(at).panorama, given)
+    probes.close()
+    probes.add(PLACES[:1])
+    assert probes.at(at) is probes.casting_at(at)
 
 
 def test_probes_are_given_back(session):
