@@ -1,7 +1,7 @@
 """The small dataset in `tests/data/rooms`: short sequences of the generator, for tests that need realistic light.
 
 `python tests/fixture_rooms.py` generates it again (two minutes): two rooms of the train split and two of the test
-split, with a sequence of four frames each. All furniture is procedural, so that no library has to be credited.
+split, with a sequence of four frames each. All furniture is the generator's own, so that no library has to be credited.
 """
 
 import shutil
@@ -10,8 +10,7 @@ from pathlib import Path
 
 from roomlight.dataset.recording import Split
 from roomlight_generator.generate import GenerateOptions, generate
-from roomlight_generator.rooms.furniture import Catalogue, catalogue
-from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.rooms.furniture import Catalogue, catalogue, fallback_models
 from roomlight_generator.sequences.render import render_walks, solve_lighting
 
 FOLDER = Path(__file__).parent / "data" / "rooms"
@@ -22,7 +21,7 @@ SEED = 21
 
 def lit_room(room_index, *, seed=SEED, split: Split = "train"):
     """A room with its lighting solved, furnished without a library."""
-    models = Catalogue().with_procedural([*procedural_models("train"), *procedural_models("test")])
+    models = Catalogue(fallbacks=(*fallback_models("train"), *fallback_models("test")))
     return solve_lighting(room_index, seed=seed, split=split, catalogue=models)
 
 

@@ -1,4 +1,4 @@
-"""The sample capture that RoomLight ships: one sequence of the generator, with procedural furniture alone.
+"""The sample capture that RoomLight ships: one sequence of the generator, with the plain fallback models alone.
 
 Without the furniture library, so that anyone makes the same files, and no furniture author must be credited.
 """
@@ -10,8 +10,7 @@ from typing import Final
 from roomlight.dataset.extract import write_capture
 from roomlight.dataset.sequence_files import encode
 from roomlight_generator.rooms.build import room_generator
-from roomlight_generator.rooms.furniture import Catalogue
-from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 from roomlight_generator.sequences.render import plan_camera_path, render_sequence, solve_lighting
 
 SEED: Final = 11
@@ -30,7 +29,7 @@ def generate_sample(out: Path, *, seed: int = SEED, room: int = ROOM, walk: int 
         OutputError: if `out` holds files already or cannot be written.
         ValueError: if no walk through the room is found.
     """
-    catalogue = Catalogue().with_procedural(procedural_models("train"))
+    catalogue = Catalogue(fallbacks=fallback_models("train"))
     lit_room = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
     rng = room_generator(room, seed=seed, split="train", purpose=1 + walk)
     recording = render_sequence(lit_room, plan_camera_path(lit_room, rng), rng, name="sample room")

@@ -83,12 +83,11 @@ def test_new_models_do_not_change_existing_splits():
     assert all(before[name] == after[name] for name in roles)
 
 
-def test_choose_respects_role_split_width_and_fits():
+def test_choose_respects_role_split_and_fits():
     rng = np.random.default_rng(1)
     library = (made("a"), made("b", width=3.0), made("c", split="test"), made("d", role="bed"))
     catalogue = Catalogue(library)
     assert {chosen_id(catalogue, "sofa", "train", rng) for _ in range(50)} == {"a", "b"}
-    assert {chosen_id(catalogue, "sofa", "train", rng, max_width_m=2.0) for _ in range(9)} == {"a"}
     assert {chosen_id(catalogue, "sofa", "train", rng, fits=lambda m: m.width_m > 2) for _ in range(9)} == {"b"}
     assert chosen_id(catalogue, "sofa", "test", rng) == "c"
     assert catalogue.choose("sofa", "train", rng, fits=lambda _: False) is None
@@ -96,19 +95,17 @@ def test_choose_respects_role_split_width_and_fits():
     assert [model.id for model in catalogue.models("sofa", "train")] == ["a", "b"]
 
 
-def test_procedural_models_fill_gaps_and_are_mixed_in():
+def test_fallbacks_are_chosen_only_where_the_library_has_nothing_that_fits():
     rng = np.random.default_rng(2)
-    catalogue = Catalogue((made("a"),)).with_procedural([made("p"), made("q", role="oven")])
-    drawn = Counter(chosen_id(catalogue, "sofa", "train", rng) for _ in range(600))
-    assert 70 < drawn["p"] < 180  # a fifth of 600, within six standard deviations
+    catalogue = Catalogue((made("a"),), fallbacks=(made("p"), made("q", role="oven")))
+    assert {chosen_id(catalogue, "sofa", "train", rng) for _ in range(60)} == {"a"}
     assert chosen_id(catalogue, "oven", "train", rng) == "q"
     assert chosen_id(catalogue, "sofa", "train", rng, fits=lambda model: model.id == "p") == "p"
-    assert {chosen_id(catalogue, "sofa", "train", rng, procedural_share=0.0) for _ in range(30)} == {"a"}
 
 
 def test_choose_draws_the_same_number_of_random_values():
     states = []
-    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue().with_procedural([made("p")])):
+    for catalogue in (Catalogue(), Catalogue((made("a"), made("b"))), Catalogue(fallbacks=(made("p"),))):
         rng = np.random.default_rng(3)
         catalogue.choose("sofa", "train", rng)
         states.append(rng.random())
@@ -203,7 +200,7 @@ def test_without_a_library_a_warning_says_what_to_install():
     assert catalogue.library == ()
     assert len(warnings) == 1
     assert "apt install sweethome3d-furniture" in warnings[0]
-    assert "procedural" in warnings[0]
+    assert "plain" in warnings[0]
 
 
 def test_the_environment_and_installed_libraries_are_found(tmp_path, monkeypatch):

@@ -8,10 +8,9 @@ import pytest
 
 from roomlight_generator.rooms.build import build_room
 from roomlight_generator.rooms.colour import LUMINANCE
-from roomlight_generator.rooms.furniture import Catalogue
+from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 from roomlight_generator.rooms.lights import LIGHT_KINDS
 from roomlight_generator.rooms.planner import free_floor
-from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.sequences.exposure import BRIGHT_LEVEL, PERCENTILE
 from roomlight_generator.sequences.render import LitRoom, plan_camera_path
 from roomlight_generator.sequences.walk import FreeSpace
@@ -23,7 +22,7 @@ SEED = 6
 
 @cache
 def catalogue():
-    return Catalogue().with_procedural(procedural_models("train"))
+    return Catalogue(fallbacks=fallback_models("train"))
 
 
 @cache

@@ -15,7 +15,7 @@ from roomlight_generator.panoramas.kernels import gather
 from roomlight_generator.panoramas.room import PanoramaRoom, bright_parts
 from roomlight_generator.panoramas.shell import draw_shell, inside_plan
 from roomlight_generator.rooms import shapes
-from roomlight_generator.rooms.props import procedural_models
+from roomlight_generator.rooms.furniture import fallback_models
 from roomlight_generator.rooms.scene import Item, Material
 
 GREY = Material("grey", albedo=(0.5, 0.5, 0.5))
@@ -179,7 +179,7 @@ def test_the_share_of_rooms_with_furniture_is_kept(tmp_path, monkeypatch):
 
 def test_mirrors_become_matt_and_keep_their_mesh():
     mesh = shapes.with_material(shapes.block(1, 1, 0.1), Material("m", mirror=0.9))
-    model = next(one for one in procedural_models("train") if one.role == "chair")
+    model = next(one for one in fallback_models("train") if one.role == "chair")
     item = furniture_module._item(model, mesh)
     assert all(material.mirror == 0 for material in item.mesh.materials)
     np.testing.assert_array_equal(item.mesh.faces, mesh.faces)

@@ -8,19 +8,18 @@ import pytest
 
 from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.build import build_room, room_generator
-from roomlight_generator.rooms.furniture import Catalogue
+from roomlight_generator.rooms.furniture import Catalogue, fallback_models
 from roomlight_generator.rooms.furniture_model import FurnitureModel, LightSource
 from roomlight_generator.rooms.lights import light_room, switch_on
 from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.planner import ROOM_TYPES
-from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.rooms.scene import Material, Mesh
 from roomlight_generator.rooms.shapes import box, lathe, with_material
 
 
 @cache
 def catalogue():
-    return Catalogue().with_procedural([*procedural_models("train"), *procedural_models("test")])
+    return Catalogue(fallbacks=(*fallback_models("train"), *fallback_models("test")))
 
 
 @cache
@@ -94,7 +93,7 @@ def test_scenarios_and_lamp_states_vary(seeds, expected):
     for seed in range(seeds):
         items = [placement.item() for placement in built.placements]
         rng = np.random.default_rng(seed)
-        lighting = light_room(built.shell, built.placements, items, rng, split="train")
+        lighting = light_room(built.shell, built.placements, items, rng)
         seen.add(lighting.facts["scenario"])
         lit.add(lighting.facts["lamps_on"] > 0)
         assert len(lighting.items) >= len(items) + len(built.shell.items)

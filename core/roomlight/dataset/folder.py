@@ -34,6 +34,10 @@ _RENAMED: Final = {
 """Renderers that moved; datasets made under the old name can be continued."""
 
 
+GENERATOR: Final = f"{__version__}+2"
+"""RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
+not continued with them. 2: flat colours, and furniture of the library."""
+
 _OPTIONAL: Final = ("panoramas", "furniture_share")
 """Settings that are written only where they apply: earlier versions read manifests without them."""
 
@@ -47,9 +51,9 @@ class DatasetSettings:
         shard_size: Sequences in a shard.
         sequences_per_room: Camera walks through each room.
         frames: Frames in a sequence.
-        furniture: SHA-256 of the furniture library (`digest`); None if all furniture is procedural.
+        furniture: SHA-256 of the furniture library (`digest`); None without one.
         renderer: `module:function` that renders the recordings of a room.
-        generator: RoomLight's version.
+        generator: `GENERATOR`.
         panoramas: SHA-256 of the folder of panoramas that light the rooms; None for generated light.
         furniture_share: Share of the rooms lit by panoramas that have furniture; None for generated light.
     """
@@ -60,7 +64,7 @@ class DatasetSettings:
     frames: int
     furniture: str | None
     renderer: str
-    generator: str = __version__
+    generator: str = GENERATOR
     panoramas: str | None = None
     furniture_share: float | None = None
 
@@ -211,15 +215,13 @@ def shard_files(folder: Path, split: str | None = None) -> list[Path]:
     return sorted(path.with_suffix(".tar") for path in folder.glob("*.jsonl") if named.fullmatch(path.stem))
 
 
-def _shown(name: str, value: object) -> object:
-    if value is not None:
-        return value
-    return "none (procedural)" if name == "furniture" else "none"
+def _shown(value: object) -> object:
+    return "none" if value is None else value
 
 
 def _check_equal(folder: Path, old: DatasetSettings, new: DatasetSettings) -> None:
     differences = [
-        f"{name.replace('_', ' ')} {_shown(name, vars(old)[name])}, not {_shown(name, value)}"
+        f"{name.replace('_', ' ')} {_shown(vars(old)[name])}, not {_shown(value)}"
         for name, value in vars(new).items()
         if vars(old)[name] != value
     ]

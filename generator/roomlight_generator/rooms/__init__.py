@@ -1,4 +1,4 @@
-"""Procedural furnished and lit rooms: shells, textures, furniture, placement and lights. Does not import PyTorch.
+"""Furnished and lit rooms: shells, finishes, furniture, placement and lights. Does not import PyTorch.
 
 Start at `build.build_room`.
 """

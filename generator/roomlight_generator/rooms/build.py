@@ -6,12 +6,12 @@ from typing import Any, Final
 import numpy as np
 
 from roomlight.dataset.recording import Split
-from roomlight_generator.rooms.finishes import RECOLOURABLE_ROLES, recoloured, shell_finishes
+from roomlight_generator.rooms.finishes import shell_finishes
 from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.lights import LIGHT_KINDS, LightKind, light_room
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, furnish
-from roomlight_generator.rooms.scene import Item, Scene
+from roomlight_generator.rooms.scene import Scene
 from roomlight_generator.rooms.shell import STYLES, ShellStyle, build_shell
 
 _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 0x7261, "test": 0x7465}
@@ -19,10 +19,6 @@ _SPLIT_KEYS: Final[dict[Split, int]] = {"train": 0x7261, "test": 0x7465}
 _RESERVED_SHARE: Final = 0.4
 """Share of test rooms that have a reserved room type; the others have a known type with furniture unseen in
 training."""
-
-
-_RECOLOURED_SHARE: Final = 0.4
-"""Share of furniture items whose colour differs from their model's."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +45,6 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
     room_type = _choose_type(split, rng)
     finishes = shell_finishes(
         room_type.name,
-        split,
         rng,
         wall_textures=catalogue.surfaces("wall", split),
         floor_textures=catalogue.surfaces("floor", split),
@@ -57,8 +52,8 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
     kind = list(LIGHT_KINDS)[int(rng.choice(len(LIGHT_KINDS), p=list(LIGHT_KINDS.values())))]
     shell = build_shell(_shell_style(room_type, kind, rng), finishes, rng)
     placements = furnish(shell, room_type, catalogue, rng, split=split)
-    items = [_randomly_recoloured(placement.item(), rng) for placement in placements]
-    lighting = light_room(shell, placements, items, rng, split=split, wanted=kind)
+    items = [placement.item() for placement in placements]
+    lighting = light_room(shell, placements, items, rng, wanted=kind)
     scene = Scene(items=lighting.items, openings=shell.openings, sky=lighting.sky)
     roles: dict[str, int] = {}
     for placement in placements:
@@ -111,10 +106,3 @@ def _shell_style(room_type: RoomType, kind: LightKind, rng: np.random.Generator)
         passage=second_room - behind_doors,
         second_window=0.7 if kind == "open to bright" else default.second_window,
     )
-
-
-def _randomly_recoloured(item: Item, rng: np.random.Generator) -> Item:
-    """Recolour an item with probability `_RECOLOURED_SHARE`, so that one model gives many colours."""
-    if item.role not in RECOLOURABLE_ROLES or rng.random() > _RECOLOURED_SHARE:
-        return item
-    return replace(item, mesh=replace(item.mesh, materials=recoloured(item.mesh.materials, rng)))

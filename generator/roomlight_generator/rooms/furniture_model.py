@@ -1,4 +1,4 @@
-"""A piece of furniture in its model frame, procedural or from a furniture library.
+"""A piece of furniture in its model frame, from a furniture library or a plain fallback.
 
 Model frame: metres, y up, x to its right, **front toward +z** (a sofa's back is at -z), origin at the centre of its
 footprint's bounding box, bottom at y = 0.

@@ -13,9 +13,7 @@ from embreex.mesh_construction import TriangleMesh
 from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float
 
-from roomlight.dataset.recording import Split
 from roomlight_generator.rooms.colour import blackbody_rgb
-from roomlight_generator.rooms.finishes import screen_picture
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Rgb, Sky
 from roomlight_generator.rooms.shapes import box, sphere, with_material
@@ -105,7 +103,6 @@ def light_room(
     items: Sequence[Item],
     rng: np.random.Generator,
     *,
-    split: Split,
     wanted: LightKind = "mixed",
 ) -> Lighting:
     """Choose a time of day and switch lamps on; `items` holds the placements' items in the same order.
@@ -154,7 +151,7 @@ def light_room(
         flux = float(np.exp(rng.uniform(np.log(least), np.log(most))))
         out.append(_with_uniform_emission(item, flux, blackbody_rgb(own)))
         sources.append({"kind": source, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
-    out = [_with_screens_on(item, rng, split, sources) for item in out]
+    out = [_with_screens_on(item, rng, sources) for item in out]
     shell_items = [_with_daylit_cloth(item, sky, shell, rng, sources) for item in shell.items]
     if shell.openings:
         sources.append({"kind": "window", "count": len(shell.openings), "sun": sky.sun is not None})
@@ -242,7 +239,7 @@ def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np
     if rng.random() < 0.12:
         return [int(rng.choice(lamps))]
     roles = sorted({placements[i].model.role for i in lamps})
-    on = {role for role in roles if rng.random() < (0.75 if role == "ceiling_lamp" else 0.7)}
+    on = {role for role in roles if rng.random() < (0.55 if role == "ceiling_lamp" else 0.7)}
     return [i for i in lamps if placements[i].model.role in on] or [int(rng.choice(lamps))]
 
 
@@ -370,36 +367,20 @@ def _accessory_lamps(
     return found
 
 
-def _with_screens_on(item: Item, rng: np.random.Generator, split: Split, sources: list[dict[str, Any]]) -> Item:
-    """Switch televisions and computers on: they show a picture with a white of 100 to 400 cd/m2."""
+def _with_screens_on(item: Item, rng: np.random.Generator, sources: list[dict[str, Any]]) -> Item:
+    """Switch televisions and computers on: their white is 100 to 400 cd/m2, and a picture has a fifth to two thirds of
+    it in the mean."""
     mesh = item.mesh
     screens = [k for k, material in enumerate(mesh.materials) if material.name.startswith("screen")]
     if not screens or rng.random() > 0.55:
         return item
-    white = float(rng.uniform(0.1, 0.4))
-    picture = screen_picture(split, rng)
-    materials, uvs = list(mesh.materials), mesh.uvs.copy()
-    for k in screens:
-        faces = mesh.face_materials == k
-        corners = np.unique(mesh.faces[faces])
-        if not len(corners):
-            continue
-        uvs[corners] = _screen_uvs(mesh.vertices[corners])
-        materials[k] = replace(
-            materials[k], texture=picture, emission=_scaled(blackbody_rgb(6800), white), textured_emission=True
-        )
-    sources.append({"kind": "screen", "cd_m2": round(1000 * white)})
-    return replace(item, mesh=replace(mesh, materials=tuple(materials), uvs=uvs))
-
-
-def _screen_uvs(points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 2"]:
-    """Return texture coordinates over a screen, v down, along its longest horizontal extent and its height."""
-    plan = points[:, [0, 2]] - points[:, [0, 2]].mean(0)
-    axis = np.linalg.svd(plan, full_matrices=False)[2][0] if len(points) > 2 else np.array([1.0, 0.0])
-    along, up = plan @ axis, points[:, 1]
-    u = (along - along.min()) / max(float(np.ptp(along)), 1e-6)
-    v = (up.max() - up) / max(float(np.ptp(up)), 1e-6)
-    return np.stack([0.01 + 0.98 * u, 0.01 + 0.98 * v], 1).astype(np.float32)
+    level = float(rng.uniform(0.1, 0.4)) * float(rng.uniform(0.2, 0.67))
+    glow = _scaled(blackbody_rgb(6800), level)
+    materials = tuple(
+        replace(material, emission=glow) if k in screens else material for k, material in enumerate(mesh.materials)
+    )
+    sources.append({"kind": "screen", "cd_m2": round(1000 * level)})
+    return replace(item, mesh=replace(mesh, materials=materials))
 
 
 def _with_daylit_cloth(

@@ -35,7 +35,7 @@ class Material:
     of index 1.5 over the diffuse base (Mitsuba's `roughplastic`, nonlinear = false); None is plain Lambertian. `mirror`
     > 0 makes it a perfect mirror of that reflectance (albedo and roughness are then ignored). `glass` is a thin clear
     pane: rays pass straight through, shadow rays too. `emission` is radiance, the same in every direction on both
-    sides, multiplied by the texture if `textured_emission` is set.
+    sides.
     """
 
     name: str = ""
@@ -45,7 +45,6 @@ class Material:
     mirror: float = 0.0
     glass: bool = False
     emission: Rgb = (0.0, 0.0, 0.0)
-    textured_emission: bool = False
 
     @property
     def emits(self) -> bool:

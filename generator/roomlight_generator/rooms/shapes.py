@@ -1,4 +1,4 @@
-"""Triangle meshes of primitive shapes: grids, rounded boxes, cushions, lathed and swept shapes.
+"""Triangle meshes of primitive shapes: rectangles, boxes, surfaces of revolution.
 
 Frames: right-handed, y up, metres. Faces of every closed shape point outward, so that a ray that hits a back face
 started inside an object. `step` is the maximum edge length: the irradiance cache is stored at the vertices.
@@ -197,51 +197,13 @@ def box(
     return _mesh(points, template.normals, uv, template.faces)
 
 
-def blocks(sizes: Float[np.ndarray, "n 3"], places: Float[np.ndarray, "n 3"]) -> Mesh:
-    """Make sharp-edged boxes (12 triangles each) of size (width, height, depth) as one mesh: books, slats, drawers.
-
-    `places` holds the bottom centre of each box.
-    """
-    template = _box_template((1, 1, 1), 0)
-    half = np.asarray(sizes, np.float64)[:, None] / 2
-    local = half * template.inner
-    uv = _along_grain(local, template.axis, half[:, 0])
-    middle = np.asarray(places, np.float64)[:, None] + half * np.array([0.0, 1.0, 0.0])
-    count, corners = len(half), len(template.inner)
-    faces = template.faces + corners * np.arange(count)[:, None, None]
-    return _mesh(
-        (middle + local).reshape(-1, 3), np.tile(template.normals, (count, 1)), uv.reshape(-1, 2), faces.reshape(-1, 3)
-    )
-
-
 def block(width: Number, height: Number, depth: Number) -> Mesh:
-    """Make one sharp-edged box, centred in x and z and standing on y = 0."""
-    return blocks(np.array([[width, height, depth]], np.float64), np.zeros((1, 3)))
-
-
-def cushion(
-    width: Number,
-    height: Number,
-    depth: Number,
-    *,
-    plump: Number = 0.5,
-    radius: Number = 0.05,
-    step: Number = 0.05,
-    arcs: int = 3,
-) -> Mesh:
-    """Make a soft box, thickest in the middle of its largest side: `height` is its thickness, standing on y = 0.
-
-    plump 0 is a rounded box; 1 tapers to zero thickness at the seams, like a scatter cushion.
-    """
-    base = box(width, height, depth, radius=min(radius, height * 0.49), step=step, arcs=arcs)
-    points = base.vertices.copy()
-    x, z = 2 * points[:, 0] / width, 2 * points[:, 2] / depth
-    profile = 1 - plump * (1 - np.sqrt(np.clip(1 - x**4, 0, 1) * np.clip(1 - z**4, 0, 1)))
-    points[:, 1] = height / 2 + (points[:, 1] - height / 2) * profile
-    # The corners of a filled cover stand out a little: the sides between them are drawn in.
-    points[:, 0] *= 1 - 0.05 * plump * (1 - z**2)
-    points[:, 2] *= 1 - 0.05 * plump * (1 - x**2)
-    return replace(base, vertices=points.astype(np.float32), normals=smooth_normals(points, base.faces))
+    """Make a sharp-edged box (12 triangles), centred in x and z and standing on y = 0."""
+    template = _box_template((1, 1, 1), 0)
+    half = np.array([width, height, depth], np.float64) / 2
+    points = half * template.inner
+    uv = _along_grain(points, template.axis, half)
+    return _mesh(points + np.array([0.0, half[1], 0.0]), template.normals, uv, template.faces)
 
 
 def lathe(lines: Sequence[Sequence[tuple[Number, Number]]], *, segments: int = 32) -> Mesh:
@@ -278,157 +240,11 @@ def lathe(lines: Sequence[Sequence[tuple[Number, Number]]], *, segments: int = 3
     )
 
 
-def rod(
-    start: Vector,
-    end: Vector,
-    radius: Number,
-    end_radius: Number | None = None,
-    *,
-    segments: int = 14,
-    step: Number = 0.1,
-) -> Mesh:
-    """Make a straight round bar between two points, closed at both ends, tapered if `end_radius` differs."""
-    low, high = np.asarray(start, np.float64), np.asarray(end, np.float64)
-    length = float(np.linalg.norm(high - low))
-    top = radius if end_radius is None else end_radius
-    steps = max(2, int(length / step) + 1)
-    side = [(radius + (top - radius) * t, length * t) for t in np.linspace(0, 1, steps)]
-    mesh = lathe([[(1e-4, 0.0), (radius, 0.0)], side, [(top, length), (1e-4, length)]], segments=segments)
-    y = (high - low) / length
-    x = np.cross(y, [0.0, 0.0, 1.0] if abs(y[2]) < 0.9 else [1.0, 0.0, 0.0])
-    x /= np.linalg.norm(x)
-    frame = np.stack([x, y, np.cross(x, y)], 1).astype(np.float32)
-    return replace(mesh, vertices=mesh.vertices @ frame.T + low.astype(np.float32), normals=mesh.normals @ frame.T)
-
-
 def sphere(radius: Number, *, rings: int = 18, segments: int = 36) -> Mesh:
     """Make a sphere about the origin."""
     angle = np.linspace(-np.pi / 2, np.pi / 2, rings + 1)
     line = [(max(float(radius * np.cos(t)), 1e-5), float(radius * np.sin(t))) for t in angle]
     return lathe([line], segments=segments)
-
-
-def loft(lines: Sequence[Sequence[Sequence[Number]]], *, exponent: Number = 2.0, segments: int = 28) -> Mesh:
-    """Make a lathe with non-circular rings (half x, half z, y[, x, z of its centre]); each line of rings is smooth.
-
-    exponent 2 makes ellipses, 6 rectangles with round corners (superellipses). Lines run as those of `lathe`.
-    """
-    angle = np.linspace(0, 2 * np.pi, segments + 1)
-    c, s = np.cos(angle), -np.sin(angle)
-    stretch = (np.abs(c) ** float(exponent) + np.abs(s) ** float(exponent)) ** (-1 / float(exponent))
-    c, s = c * stretch, s * stretch
-    parts: list[Mesh] = []
-    for line in lines:
-        rings = np.array([[*ring, 0.0, 0.0][:5] for ring in line], np.float64)
-        points = np.stack(
-            [
-                rings[:, :1] * c + rings[:, 3:4],
-                np.broadcast_to(rings[:, 2:3], (len(rings), segments + 1)),
-                rings[:, 1:2] * s + rings[:, 4:5],
-            ],
-            -1,
-        )
-        along = np.diff(np.concatenate([points[:, -2:-1], points, points[:, 1:2]], 1), axis=1)
-        normal = np.cross(along[:, 1:] + along[:, :-1], np.gradient(points, axis=0))
-        normal /= np.maximum(np.linalg.norm(normal, axis=-1, keepdims=True), 1e-20)
-        girth = np.concatenate([np.zeros((len(rings), 1)), np.cumsum(np.linalg.norm(along[:, 1:-1], axis=-1), 1)], 1)
-        climb = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(1)
-        run = np.broadcast_to(np.concatenate([[0], np.cumsum(climb)])[:, None], girth.shape)
-        parts.append(
-            _mesh(
-                points.reshape(-1, 3),
-                normal.reshape(-1, 3),
-                np.stack([girth, run], -1).reshape(-1, 2),
-                _grid_faces(len(rings) - 1, segments),
-            )
-        )
-    return Mesh.joined(parts)
-
-
-def tube(path: Sequence[Vector], radius: Number, *, segments: int = 8) -> Mesh:
-    """Sweep a circle along a path of points; both ends are closed."""
-    points = np.array([list(point) for point in path], np.float64)
-    tangent = np.gradient(points, axis=0)
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    side = np.cross(tangent[0], np.eye(3)[int(np.abs(tangent[0]).argmin())])
-    angle = np.linspace(0, 2 * np.pi, segments + 1)
-    rings = np.empty((len(points), segments + 1, 3))
-    for k, forward in enumerate(tangent):
-        side = side - forward * (side @ forward)
-        side /= np.linalg.norm(side)
-        rings[k] = np.cos(angle)[:, None] * side + np.sin(angle)[:, None] * np.cross(forward, side)
-    run = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
-    girth = np.broadcast_to(angle * float(radius), rings.shape[:2])
-    faces = [_grid_faces(len(points) - 1, segments)]
-    vertices = [(points[:, None] + radius * rings).reshape(-1, 3)]
-    normals = [rings.reshape(-1, 3)]
-    uvs = [np.stack([np.broadcast_to(run[:, None], girth.shape), girth], -1).reshape(-1, 2)]
-    offset = rings.shape[0] * rings.shape[1]
-    fan = np.stack([np.zeros(segments, np.int64), np.arange(1, segments + 1), np.arange(2, segments + 2)], 1)
-    for end, sign in ((0, -1), (-1, 1)):
-        vertices.append(np.concatenate([points[end][None], points[end] + radius * rings[end]]))
-        normals.append(np.tile(sign * tangent[end], (segments + 2, 1)))
-        uvs.append(np.zeros((segments + 2, 2)))
-        faces.append((fan if sign > 0 else fan[:, ::-1]) + offset)
-        offset += segments + 2
-    return _mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(uvs), np.concatenate(faces))
-
-
-def prism(outline: Float[np.ndarray, "n 2"], height: Number) -> Mesh:
-    """Make an upright prism standing on y = 0 over an outline (x, z), given in either direction.
-
-    The outline must be star-shaped about its centroid.
-    """
-    ring = np.asarray(outline, np.float64)
-    after = np.roll(ring, -1, 0)
-    if (ring[:, 0] * after[:, 1] - ring[:, 1] * after[:, 0]).sum() > 0:
-        # Seen from above, x to the right and z down the page, the outline must run clockwise here.
-        ring = ring[::-1]
-        after = np.roll(ring, -1, 0)
-    count, top = len(ring), float(height)
-    edge = after - ring
-    length = np.linalg.norm(edge, axis=1)
-    outward = np.stack([-edge[:, 1], np.zeros(count), edge[:, 0]], 1) / length[:, None]
-    run = np.concatenate([[0], np.cumsum(length)])
-    quad = np.empty((count, 4, 3))
-    quad[:, 0, ::2], quad[:, 1, ::2], quad[:, 2, ::2], quad[:, 3, ::2] = ring, after, after, ring
-    quad[:, :2, 1], quad[:, 2:, 1] = 0.0, top
-    quad_uv = np.empty((count, 4, 2))
-    quad_uv[:, 0, 0], quad_uv[:, 1, 0], quad_uv[:, 2, 0], quad_uv[:, 3, 0] = run[:-1], run[1:], run[1:], run[:-1]
-    quad_uv[:, :, 1] = quad[:, :, 1]
-    first = 4 * np.arange(count)[:, None]
-    faces = [first + np.array([0, 1, 2]), first + np.array([0, 2, 3])]
-    vertices, normals, uvs = [quad.reshape(-1, 3)], [np.repeat(outward, 4, 0)], [quad_uv.reshape(-1, 2)]
-    offset = 4 * count
-    around = np.arange(count)
-    fan = np.stack([np.zeros(count, np.int64), 1 + around, 1 + (around + 1) % count], 1)
-    for y, sign in ((top, 1), (0.0, -1)):
-        flat = np.concatenate([ring.mean(0, keepdims=True), ring])
-        vertices.append(np.stack([flat[:, 0], np.full(count + 1, y), flat[:, 1]], 1))
-        normals.append(np.tile([0.0, sign, 0.0], (count + 1, 1)))
-        uvs.append(flat)
-        faces.append((fan if sign > 0 else fan[:, ::-1]) + offset)
-        offset += count + 1
-    return _mesh(np.concatenate(vertices), np.concatenate(normals), np.concatenate(uvs), np.concatenate(faces))
-
-
-def double_sided_sheet(points: Float[np.ndarray, "rows columns 3"], *, thickness: Number = 0.004) -> Mesh:
-    """Make a thin curved surface visible from both sides (a leaf, a curtain): two layers, each facing outward."""
-    rows, columns = points.shape[:2]
-    faces = _grid_faces(rows - 1, columns - 1)
-    middle = points.reshape(-1, 3).astype(np.float32)
-    normals = smooth_normals(middle, faces)
-    lengths_u = np.linalg.norm(np.diff(points, axis=1), axis=-1).mean(0)
-    lengths_v = np.linalg.norm(np.diff(points, axis=0), axis=-1).mean(1)
-    u, v = np.meshgrid(np.concatenate([[0], np.cumsum(lengths_u)]), np.concatenate([[0], np.cumsum(lengths_v)]))
-    uv = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
-    half = np.float32(thickness / 2)
-    return _mesh(
-        np.concatenate([middle + half * normals, middle - half * normals]),
-        np.concatenate([normals, -normals]),
-        np.concatenate([uv, uv]),
-        np.concatenate([faces, faces[:, ::-1] + len(middle)]).astype(np.int32),
-    )
 
 
 def faces_match_normals(mesh: Mesh) -> Bool[np.ndarray, " f"]:

@@ -14,7 +14,7 @@ from jaxtyping import Bool, Float
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb, paint
-from roomlight_generator.rooms.finishes.noise import fbm
+from roomlight_generator.rooms.noise import fbm
 from roomlight_generator.rooms.scene import Sky, Sun
 
 SkyKind = Literal["clear", "partly_cloudy", "overcast", "golden", "dusk", "night"]

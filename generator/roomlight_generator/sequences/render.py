@@ -4,7 +4,7 @@ World frame: y up, metres; poses camera-to-world, OpenGL axes; radiance in kcd/m
 """
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Final, Protocol, runtime_checkable
@@ -17,9 +17,8 @@ from roomlight.camera import Intrinsics
 from roomlight.dataset.folder import FRAMES
 from roomlight.dataset.recording import Recording, Split
 from roomlight_generator.rooms.build import Room, build_room, room_generator
-from roomlight_generator.rooms.furniture import Catalogue, load_catalogue
+from roomlight_generator.rooms.furniture import Catalogue, fallback_models, load_catalogue
 from roomlight_generator.rooms.planner import free_floor
-from roomlight_generator.rooms.props import procedural_models
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.probes import place_probes
 from roomlight_generator.sequences.sensor import Sensor, clipped_radiance, develop
@@ -214,6 +213,6 @@ def _facts(exposure: Exposure, sensor: Sensor, panoramas: Float[np.ndarray, "p h
 
 @cache
 def catalogue_for(furniture: Path | None) -> Catalogue:
-    """Load the furniture library (once a process), with the procedural models that fill its gaps."""
+    """Load the furniture library (once a process), with the plain models that fill its gaps."""
     catalogue = load_catalogue(furniture, warn=lambda text: warn(text, stacklevel=2))
-    return catalogue.with_procedural([*procedural_models("train"), *procedural_models("test")])
+    return replace(catalogue, fallbacks=(*fallback_models("train"), *fallback_models("test")))

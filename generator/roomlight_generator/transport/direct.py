@@ -96,7 +96,7 @@ class DirectLight:
         """Collect the lights; all count as visible until `visibility` is set."""
         self.tracer = tracer
         self.lights, self.outdoors = build_lights(tracer)
-        self.sources = light_sources(self.lights, self.outdoors, tracer.atlas)
+        self.sources = light_sources(self.lights, self.outdoors)
         self.coat = coat_table()
         self.visibility = np.full((1, max(1, len(self.lights.start))), 255, np.uint8)
 

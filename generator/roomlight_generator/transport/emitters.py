@@ -14,10 +14,8 @@ from jaxtyping import Bool, Float, Float32, Int, Int32
 
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight_generator.rooms.scene import Opening
-from roomlight_generator.transport.atlas import Atlas
 from roomlight_generator.transport.coat import coat_table
 from roomlight_generator.transport.kernels.structs import LightSurfaces
-from roomlight_generator.transport.kernels.surfaces import mean_over_pieces
 from roomlight_generator.transport.outdoors import Outdoors, build_outdoors
 from roomlight_generator.transport.sun_spots import NEAR_SPOT_M2, Spots, sun_spots
 from roomlight_generator.transport.tracer import Tracer
@@ -42,10 +40,10 @@ class Lights(NamedTuple):
     """Pieces in the order of their clusters, then the clusters (those of sun spots last, from `real` on).
 
     Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's position and its
-    geometric and shading normals; 9 to 14 texture coordinates of the corners, or a spot's roughness (0: no coat) and
-    the sun's irradiance that its lobe reflects; 15 to 17 radiance (a spot's base's mean); 18 the area for
+    geometric and shading normals; 9 to 12 a spot's roughness (0: no coat) and the sun's irradiance that its lobe
+    reflects; 15 to 17 radiance (a spot's base's mean); 18 the area for
     `left_to_gathering`; 19 the share of the cluster's samples for each square metre; 20 the cumulative share. kind: one
-    of TRIANGLE, OPENING and SPOT, and the texture (-1: none).
+    of TRIANGLE, OPENING and SPOT.
 
     A cluster's power is area times luminance, for openings toward the sky's upper and lower half; coherence is 1 where
     all pieces face along `axis` and 0 where they enclose a volume; thickness is half its extent along the axis.
@@ -57,7 +55,7 @@ class Lights(NamedTuple):
     """
 
     piece: Float32[np.ndarray, "p 21"]
-    kind: Int32[np.ndarray, "p 2"]
+    kind: Int32[np.ndarray, " p"]
     face: Int32[np.ndarray, " p"]
     cluster: Int32[np.ndarray, " p"]
     start: Int32[np.ndarray, " l"]
@@ -94,7 +92,7 @@ class _Pieces:
     `piece_at`."""
 
     shape: Float[np.ndarray, "p 9"]
-    uv: Float[np.ndarray, "p 6"]
+    coat: Float[np.ndarray, "p 6"]
     glow: Float[np.ndarray, "p 3"]
     middle: Float[np.ndarray, "p 3"]
     reach: Float[np.ndarray, " p"]
@@ -102,7 +100,7 @@ class _Pieces:
     area: Float[np.ndarray, " p"]
     luminance: Float[np.ndarray, " p"]
     halves: Float[np.ndarray, "p 2"]
-    kind: Int[np.ndarray, "p 2"]
+    kind: Int[np.ndarray, " p"]
     face: Int[np.ndarray, " p"]
     slot: Int[np.ndarray, " p"]
 
@@ -119,15 +117,14 @@ def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
     return _clustered(pieces, face_cuts, face_first, slots, outdoors.sun_direction), outdoors
 
 
-def light_sources(lights: Lights, outdoors: Outdoors, atlas: Atlas) -> LightSources:
-    """Join lights, outdoors and the textures of emitting surfaces into what the kernels take."""
+def light_sources(lights: Lights, outdoors: Outdoors) -> LightSources:
+    """Join lights and outdoors into what the kernels take."""
     surfaces = LightSurfaces(
         lights.piece,
         lights.kind,
         outdoors.hole,
         outdoors.parts,
         outdoors.panorama,
-        atlas,
         lights.coat_share,
         lights.sun,
     )
@@ -165,31 +162,21 @@ def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], I
     grid, face, slot = (np.concatenate(column) for column in zip(*parts, strict=True))
     weights = np.concatenate([1 - grid.sum(2, keepdims=True), grid], 2)
     corner = np.einsum("pcw,pwd->pcd", weights, geometry.corners[face].astype(np.float64))
-    uv = np.einsum("pcw,pwd->pcd", weights, geometry.uvs[face].astype(np.float64))
     across = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
     length = np.linalg.norm(across, axis=1)
     material = geometry.material[face]
-    luminance = materials.emission[material].mean(1).astype(np.float64)
-    texture = np.where(materials.textured_emission[material], materials.texture[material], -1)
-    textured = np.flatnonzero(texture >= 0)
-    if len(textured):
-        mean = mean_over_pieces(
-            materials.emission[material[textured]], tracer.atlas, texture[textured], uv[textured].astype(np.float32)
-        )
-        # Dark parts keep a share, so that a texel brighter than the mean says is still found.
-        luminance[textured] = np.maximum(mean, 0.02 * luminance[textured])
     middle = corner.mean(1)
     pieces = _Pieces(
         shape=corner.reshape(-1, 9),
-        uv=uv.reshape(-1, 6),
+        coat=np.zeros((len(face), 6)),
         glow=materials.emission[material].astype(np.float64),
         middle=middle,
         reach=np.linalg.norm(corner - middle[:, None], axis=2).max(1, initial=0),
         normal=across / np.maximum(length, 1e-30)[:, None],
         area=length / 2,
-        luminance=luminance,
+        luminance=materials.emission[material].mean(1).astype(np.float64),
         halves=np.ones((len(face), 2)),
-        kind=np.stack([np.full(len(face), TRIANGLE), texture], 1),
+        kind=np.full(len(face), TRIANGLE),
         face=face,
         slot=slot,
     )
@@ -231,7 +218,7 @@ def _opening_pieces(
     mean = max(float(halves.mean()), 1e-9)
     pieces = _Pieces(
         shape=shape,
-        uv=np.zeros((count, 6)),
+        coat=np.zeros((count, 6)),
         glow=np.zeros((count, 3)),
         middle=shape[:, :3] + (u + v) / 2,
         reach=np.maximum(np.linalg.norm(u + v, axis=1), np.linalg.norm(u - v, axis=1)) / 2,
@@ -239,7 +226,7 @@ def _opening_pieces(
         area=area,
         luminance=np.full(count, mean),
         halves=np.tile(halves / mean, (count, 1)),
-        kind=np.tile(np.array([[OPENING, -1]]), (count, 1)),
+        kind=np.full(count, OPENING),
         face=np.full(count, -1),
         slot=np.arange(first_slot, first_slot + count),
     )
@@ -261,7 +248,7 @@ def _spot_pieces(spots: Spots) -> _Pieces:
     count = len(spots.area)
     return _Pieces(
         shape=np.concatenate([spots.position, spots.normal, spots.facing], 1).astype(np.float64),
-        uv=np.concatenate([spots.alpha[:, None], spots.lobe, np.zeros((count, 2))], 1).astype(np.float64),
+        coat=np.concatenate([spots.alpha[:, None], spots.lobe, np.zeros((count, 2))], 1).astype(np.float64),
         glow=spots.radiance.astype(np.float64),
         middle=spots.position.astype(np.float64),
         reach=np.sqrt(spots.area).astype(np.float64),
@@ -269,7 +256,7 @@ def _spot_pieces(spots: Spots) -> _Pieces:
         area=spots.area.astype(np.float64),
         luminance=np.maximum((spots.radiance + spots.lobe_mean).mean(1), 1e-12).astype(np.float64),
         halves=np.ones((count, 2)),
-        kind=np.tile(np.array([[SPOT, -1]]), (count, 1)),
+        kind=np.full(count, SPOT),
         face=np.full(count, -1),
         slot=np.full(count, -1),
     )
@@ -278,7 +265,7 @@ def _spot_pieces(spots: Spots) -> _Pieces:
 def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
     """Assign each piece a cluster; those of spots come last."""
     count = len(pieces.area)
-    kind = pieces.kind[:, 0]
+    kind = pieces.kind
     own = np.zeros(count, np.int64)
     found = 0
     for spots in (False, True):
@@ -287,7 +274,7 @@ def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
         while len(some):
             # An opening's piece is a cluster of its own, until there are too many of them.
             alone = np.where((kind[some] == OPENING) & (size == PIECE_M), some, -1)
-            side = np.argmax(np.abs(pieces.normal[some]), 1) * 2 + (pieces.uv[some, 0] > 0) if spots else kind[some]
+            side = np.argmax(np.abs(pieces.normal[some]), 1) * 2 + (pieces.coat[some, 0] > 0) if spots else kind[some]
             cell = np.floor(pieces.middle[some] / size + 0.37).astype(np.int64)
             keys = np.concatenate([cell, side[:, None], alone[:, None]], 1)
             place = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
@@ -309,7 +296,7 @@ def _clustered(
     own = _grouped(pieces)
     count = len(own)
     clusters = int(own.max()) + 1 if count else 0
-    kind = pieces.kind[:, 0]
+    kind = pieces.kind
 
     def per(values: Float[np.ndarray, " p"]) -> Float[np.ndarray, " l"]:
         return np.bincount(own, values, clusters)
@@ -327,8 +314,8 @@ def _clustered(
     off = np.abs(((pieces.middle - centre[own]) * axis[own]).sum(1))
     lean = np.sqrt(np.clip(1 - (pieces.normal * axis[own]).sum(1) ** 2, 0, 1))
     np.maximum.at(thickness, own, off + lean * pieces.reach)
-    coated = np.where(kind == SPOT, pieces.uv[:, 0], 0)
-    reflected = np.where(kind == SPOT, pieces.uv[:, 1:4].mean(1), 0) * pieces.area
+    coated = np.where(kind == SPOT, pieces.coat[:, 0], 0)
+    reflected = np.where(kind == SPOT, pieces.coat[:, 1:4].mean(1), 0) * pieces.area
     coat = coat_table()
     # Near a point, triangles of one cluster represent each other; pieces of openings represent only themselves.
     near = np.where(kind == TRIANGLE, np.minimum(per(pieces.area)[own], PIECE_M**2), pieces.area)
@@ -346,7 +333,7 @@ def _clustered(
     table = np.concatenate(
         [
             pieces.shape,
-            pieces.uv,
+            pieces.coat,
             pieces.glow,
             near[:, None],
             (pieces.luminance / total[own])[:, None],

@@ -105,7 +105,7 @@ def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
     cell = max(0.1, float(size.max()) / 256)
     level = np.zeros(tuple(int(np.ceil(extent / cell)) + 1 for extent in size), np.uint8)
     lights = light.lights
-    lamp = np.flatnonzero(lights.kind[lights.start, 0] == TRIANGLE)
+    lamp = np.flatnonzero(lights.kind[lights.start] == TRIANGLE)
     for halvings, beyond_m in FINE_WITHIN_M:
         some = lamp if halvings > 1 else np.arange(lights.real)
         middle, reach = lights.centre[:, some].T, lights.radius[some] + np.float32(beyond_m)
@@ -275,7 +275,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
         cluster = rng.integers(len(lights.start), size=SEED_RAYS)
         piece = lights.start[cluster] + (rng.random(SEED_RAYS) * lights.pieces[cluster]).astype(np.int64)
         a, b = rng.random((2, SEED_RAYS, 1))
-        table, kind = lights.piece[piece].astype(np.float64), lights.kind[piece, :1]
+        table, kind = lights.piece[piece].astype(np.float64), lights.kind[piece, None]
         first, second, third = table[:, 0:3], table[:, 3:6], table[:, 6:9]
         root = np.sqrt(a)
         on_face = first * root * (1 - b) + second * (1 - root) + third * root * b

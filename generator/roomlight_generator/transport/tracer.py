@@ -47,7 +47,6 @@ class Materials(NamedTuple):
     roughness: Float32[np.ndarray, " m"]
     mirror: Float32[np.ndarray, " m"]
     texture: Int32[np.ndarray, " m"]
-    textured_emission: Bool[np.ndarray, " m"]
 
 
 class SceneArrays(NamedTuple):
@@ -201,7 +200,6 @@ def _material_table(materials: list[Material], texture_ids: list[int]) -> Materi
         roughness=np.array([one.roughness or 0.0 for one in materials], np.float32),
         mirror=np.array([one.mirror for one in materials], np.float32),
         texture=np.array([-1 if one.texture is None else places[id(one.texture)] for one in materials], np.int32),
-        textured_emission=np.array([one.textured_emission and one.texture is not None for one in materials], bool),
     )
 
 

@@ -206,7 +206,7 @@ def _description(mi: Any, scene: Scene, folder: Path) -> dict[str, Any]:
             if not material.emits:
                 parts[name] = {**shape, "filename": str(_write_ply(folder / f"{name}.ply", item, faces))}
                 continue
-            emitter = {"type": "area", "radiance": _emission(mi, material)}
+            emitter = {"type": "area", "radiance": _rgb(material.emission)}
             for side in (1, -1):
                 hidden = _hidden(tracer, number, item, faces, side)
                 for kind, some in (("seen", faces[~hidden]), ("hidden", faces[hidden])):
@@ -215,7 +215,7 @@ def _description(mi: Any, scene: Scene, folder: Path) -> dict[str, Any]:
                         path = _write_ply(folder / f"{own}.ply", item, some, offset=side * _SHEET_M)
                         parts[own] = {**shape, "filename": str(path), "emitter": {**emitter, "sampling_weight": 0.0}}
                         if kind == "seen":
-                            power[own] = np.pi * _area_m2(item, some) * _mean_emission(material)
+                            power[own] = np.pi * _area_m2(item, some) * float(np.mean(material.emission))
     outdoors = _outdoors(mi, scene)
     parts |= outdoors
     area = sum(opening.area_m2() for opening in scene.openings)
@@ -313,18 +313,6 @@ def _bsdf(mi: Any, material: Material, textures: dict[int, Any]) -> dict[str, An
         return {"type": "twosided", "b": {"type": "diffuse", "reflectance": colour}}
     coat = {"type": "roughplastic", "distribution": "ggx", "alpha": material.roughness, "int_ior": 1.5, "ext_ior": 1.0}
     return {"type": "twosided", "b": {**coat, "nonlinear": False, "diffuse_reflectance": colour}}
-
-
-def _emission(mi: Any, material: Material) -> Any:
-    if material.textured_emission and material.texture is not None:
-        return _texture(mi, material, material.emission)
-    return _rgb(material.emission)
-
-
-def _mean_emission(material: Material) -> float:
-    if material.textured_emission and material.texture is not None:
-        return float((srgb8_to_linear(material.texture.image) * np.array(material.emission)).mean())
-    return float(np.mean(material.emission))
 
 
 def _rgb(value: Rgb) -> dict[str, Any]:

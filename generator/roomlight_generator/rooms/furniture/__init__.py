@@ -3,5 +3,6 @@ cache."""
 
 from roomlight_generator.rooms.furniture.build import build_cache
 from roomlight_generator.rooms.furniture.catalogue import Catalogue, load_catalogue
+from roomlight_generator.rooms.furniture.fallbacks import fallback_models
 
-__all__ = ["Catalogue", "build_cache", "load_catalogue"]
+__all__ = ["Catalogue", "build_cache", "fallback_models", "load_catalogue"]

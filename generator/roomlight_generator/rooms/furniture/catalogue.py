@@ -26,17 +26,14 @@ ENVIRONMENT_VARIABLE: Final = "ROOMLIGHT_FURNITURE"
 INSTALLED_FOLDER: Final = Path("/usr/share/sweethome3d")
 """Folder where Debian's packages sweethome3d-furniture and sweethome3d install their libraries and textures."""
 
-PROCEDURAL_SHARE: Final = 0.2
-"""Probability of choosing a procedural model although the library has fitting ones: mixing widens the training data."""
-
 
 @dataclass(frozen=True, eq=False)
 class Catalogue:
-    """Models by role and split; `procedural` models fill gaps of the library and are sometimes preferred to its own."""
+    """Models by role and split; the `fallbacks` are used where the library has none that fits."""
 
     library: tuple[FurnitureModel, ...] = ()
     library_surfaces: tuple[tuple[SurfaceTexture, Split], ...] = ()
-    procedural: tuple[FurnitureModel, ...] = ()
+    fallbacks: tuple[FurnitureModel, ...] = ()
     _by_role: dict[tuple[str, Split], tuple[list[FurnitureModel], list[FurnitureModel]]] = field(
         init=False,
         repr=False,
@@ -45,14 +42,14 @@ class Catalogue:
 
     def __post_init__(self) -> None:
         """Index the models by role and split."""
-        for place, models in enumerate((self.library, self.procedural)):
+        for place, models in enumerate((self.library, self.fallbacks)):
             for model in models:
                 self._by_role.setdefault((model.role, model.split), ([], []))[place].append(model)
 
     def models(self, role: str, split: Split) -> list[FurnitureModel]:
         """Return all models of a role that rooms of this split may use, the library's first."""
-        library, procedural = self._by_role.get((role, split), ([], []))
-        return [*library, *procedural]
+        library, fallbacks = self._by_role.get((role, split), ([], []))
+        return [*library, *fallbacks]
 
     def choose(
         self,
@@ -61,20 +58,17 @@ class Catalogue:
         rng: np.random.Generator,
         *,
         fits: Callable[[FurnitureModel], bool] | None = None,
-        max_width_m: float = np.inf,
-        procedural_share: float = PROCEDURAL_SHARE,
     ) -> FurnitureModel | None:
-        """Choose a model of that role that fits, or None; `procedural_share` is the probability of preferring
-        procedural models.
+        """Choose a model of that role that fits, or None; a fallback only if the library has none.
 
         The number of random values drawn does not depend on what fits.
         """
-        library, procedural = (
-            [model for model in models if model.width_m <= max_width_m and (fits is None or fits(model))]
+        library, fallbacks = (
+            [model for model in models if fits is None or fits(model)]
             for models in self._by_role.get((role, split), ([], []))
         )
-        prefer_procedural, place = rng.random(2)
-        chosen = procedural if (procedural and prefer_procedural < procedural_share) or not library else library
+        place = rng.random()
+        chosen = library or fallbacks
         return chosen[min(int(place * len(chosen)), len(chosen) - 1)] if chosen else None
 
     def surfaces(self, kind: SurfaceKind, split: Split) -> list[Texture]:
@@ -84,13 +78,9 @@ class Catalogue:
     @property
     def attributions(self) -> list[str]:
         """Sorted, distinct attributions of the models and the surfaces."""
-        found = {model.attribution for model in (*self.library, *self.procedural)}
+        found = {model.attribution for model in (*self.library, *self.fallbacks)}
         found |= {surface.attribution for surface, _ in self.library_surfaces}
         return sorted(text for text in found if text)
-
-    def with_procedural(self, models: Sequence[FurnitureModel]) -> "Catalogue":
-        """Return this catalogue with further procedural models."""
-        return Catalogue(self.library, self.library_surfaces, (*self.procedural, *models))
 
 
 def load_catalogue(
@@ -111,7 +101,7 @@ def load_catalogue(
     sources = library_files(named) if named is not None else installed_libraries()
     if not sources:
         warn(
-            "no furniture library is installed: rooms are furnished with procedural models only. "
+            "no furniture library is installed: rooms have a few plain pieces of furniture only. "
             "`apt install sweethome3d-furniture` brings 820 models (or set "
             f"{ENVIRONMENT_VARIABLE} to a .sh3f file, a folder of them or a furniture cache)"
         )

@@ -24,7 +24,7 @@ ACCESS_DEPTH_M: Final = 0.85
 def _pick_counter_unit(
     arrangement: Arrangement, role: str, *, like: FurnitureModel | None = None, sink: bool | None = None
 ) -> FurnitureModel | None:
-    """Choose a unit of worktop height, and of the same height as `like` if given."""
+    """Choose a unit of worktop height, and of the same height as `like` if given: `like` itself where it fits."""
 
     def fits(model: FurnitureModel) -> bool:
         has_sink = "sink" in f"{model.id} {model.name}".lower()
@@ -34,7 +34,7 @@ def _pick_counter_unit(
         return even and (sink is None or has_sink == sink)
 
     def matches(model: FurnitureModel) -> bool:
-        return fits(model) and like is not None and _model_family(model) == _model_family(like)
+        return fits(model) and like is not None and model.id == like.id
 
     own = arrangement.pick(
         role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=matches
@@ -42,24 +42,6 @@ def _pick_counter_unit(
     return own or arrangement.pick(
         role, width=(0.3, 1.4), depth=(0.4, 0.8), height=(COUNTER_M[0], COUNTER_M[1] + TAP_HEIGHT_M), also=fits
     )
-
-
-def _model_family(model: FurnitureModel) -> tuple[str, str]:
-    """Return the family of a model. Matching models share the first and the last part of their ids:
-    "procedural/<kind>/train3"."""
-    return model.id.split("/")[0], model.id.split("/")[-1]
-
-
-def _pick_matching(
-    arrangement: Arrangement, role: str, like: FurnitureModel, *, width: Range, depth: Range, height: Range
-) -> FurnitureModel | None:
-    """Choose a model of the same family as `like` if there is one, otherwise any model."""
-
-    def matches(model: FurnitureModel) -> bool:
-        return _model_family(model) == _model_family(like)
-
-    own = arrangement.pick(role, width=width, depth=depth, height=height, also=matches)
-    return own or arrangement.pick(role, width=width, depth=depth, height=height)
 
 
 def kitchen(
@@ -99,13 +81,13 @@ def _choose_run_models(
     """Choose the units of a run of that length, starting at the corner; a run that turns there begins with a low
     unit."""
     sink = _pick_counter_unit(arrangement, "kitchen_unit", like=unit, sink=True) or unit
-    oven = _pick_counter_unit(arrangement, "oven", like=unit) or _pick_matching(
-        arrangement, "oven", unit, width=(0.3, 1.0), depth=(0.4, 0.8), height=(0.6, 1.1)
+    oven = _pick_counter_unit(arrangement, "oven", like=unit) or arrangement.pick(
+        "oven", width=(0.3, 1.0), depth=(0.4, 0.8), height=(0.6, 1.1)
     )
     washer = _pick_counter_unit(
         arrangement, arrangement.shuffled(("dishwasher", "dishwasher", "washing_machine"))[0], like=unit
     )
-    fridge = _pick_matching(arrangement, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
+    fridge = arrangement.pick("fridge", width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
     wanted = [
         sink,
         oven,
@@ -159,7 +141,7 @@ def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: Furn
     found = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
     for span in sorted(found, key=lambda one: -one.length_m)[:3]:
         length = min(span.length_m - 0.02, 3.0)
-        fridge = _pick_matching(arrangement, "fridge", unit, width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
+        fridge = arrangement.pick("fridge", width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
         line = [fridge] if fridge is not None and "fridge" not in roles else []
         line += [unit] * int((length - sum(model.width_m for model in line)) / (unit.width_m + 0.002))
         run = (
@@ -263,9 +245,7 @@ def _place_wall_units(arrangement: Arrangement, index: int, run: list[Piece]) ->
              for piece in low]  # fmt: skip
     for piece, place in zip(low, along, strict=True):
         if piece.role == "oven":
-            hood = _pick_matching(
-                arrangement, "hood", low[0].model, width=(0.3, 1.1), depth=(0.1, 0.7), height=(0.05, 1.2)
-            )
+            hood = arrangement.pick("hood", width=(0.3, 1.1), depth=(0.1, 0.7), height=(0.05, 1.2))
             if hood is not None:
                 lowest = piece.model.height_m + 0.6
                 y = min(max(lowest, arrangement.uniform(1.5, 1.65)), wall.height_m - hood.height_m - 0.02)
@@ -274,9 +254,7 @@ def _place_wall_units(arrangement: Arrangement, index: int, run: list[Piece]) ->
                     arrangement.place(hood, x, z, wall.facing_degrees(), y=y, layer="wall")
     if arrangement.chance(0.15):
         return
-    cabinet = _pick_matching(
-        arrangement, "wall_unit", low[0].model, width=(0.25, 1.3), depth=(0.15, 0.5), height=(0.25, 1.0)
-    )
+    cabinet = arrangement.pick("wall_unit", width=(0.25, 1.3), depth=(0.15, 0.5), height=(0.25, 1.0))
     if cabinet is None:
         return
     y = arrangement.uniform(*WALL_UNIT_M)

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from roomlight_generator.rooms.finishes import Finishes, RoomFinishes
 from roomlight_generator.rooms.plan import Gap, Shell, Wall
 from roomlight_generator.rooms.scene import Item, Material, Opening
 from roomlight_generator.rooms.shell.doors import door_items, niche_items, passage_items
@@ -24,7 +25,6 @@ from roomlight_generator.rooms.shell.surfaces import (
     trim_items,
 )
 from roomlight_generator.rooms.shell.windows import window_items
-from roomlight_generator.rooms.shell_finishes import Finishes, RoomFinishes
 
 
 def build_shell(style: ShellStyle, finishes: Finishes, rng: np.random.Generator) -> Shell:

@@ -9,12 +9,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomlight_generator.rooms.finishes import Finishes
 from roomlight_generator.rooms.scene import Item, Material
 from roomlight_generator.rooms.shapes import smooth_normals
 from roomlight_generator.rooms.shell.holes import Cover, Window
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.polygons import OVERLAP, rect
-from roomlight_generator.rooms.shell_finishes import Finishes
 
 _FOLD_COLUMNS = 7
 """Vertices across one fold."""

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
+from roomlight_generator.rooms.finishes import Finishes
 from roomlight_generator.rooms.scene import Item, Material
 from roomlight_generator.rooms.shell.holes import Door, DoorDesign, Niche, Passage
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.polygons import OVERLAP, Outline, difference, rect
 from roomlight_generator.rooms.shell.surfaces import arch_outline
-from roomlight_generator.rooms.shell_finishes import Finishes
 
 _LEAF_M: Final = 0.04
 _ARCHITRAVE_M: Final = 0.014

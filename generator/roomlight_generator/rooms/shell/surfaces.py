@@ -9,6 +9,7 @@ from typing import Final
 
 import numpy as np
 
+from roomlight_generator.rooms.finishes import RoomFinishes
 from roomlight_generator.rooms.scene import Item, Material
 from roomlight_generator.rooms.shell.holes import AnyHole, Door, Passage, Window
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
@@ -22,7 +23,6 @@ from roomlight_generator.rooms.shell.polygons import (
     rect,
     triangles,
 )
-from roomlight_generator.rooms.shell_finishes import RoomFinishes
 
 _UP: Final = np.array([0.0, 1.0, 0.0])
 

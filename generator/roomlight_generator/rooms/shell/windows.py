@@ -8,12 +8,12 @@ from typing import Final
 
 import numpy as np
 
+from roomlight_generator.rooms.finishes import Finishes
 from roomlight_generator.rooms.scene import Item, Material, Opening
 from roomlight_generator.rooms.shell.covers import cover_items, seal_material
 from roomlight_generator.rooms.shell.holes import Window, WindowDesign
 from roomlight_generator.rooms.shell.mesh_builder import MeshBuilder, Plane
 from roomlight_generator.rooms.shell.polygons import OVERLAP, Rect, rect
-from roomlight_generator.rooms.shell_finishes import Finishes
 
 GLASS: Final = Material(name="glass", albedo=(0.9, 0.9, 0.9), glass=True)
 

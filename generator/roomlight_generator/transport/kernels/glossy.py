@@ -151,7 +151,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
                     continue
                 value, by_lobe = lobe((nx, ny, nz), (vx, vy, vz), (dx, dy, dz), alpha[i])
                 scale = value * spread / (density * candidates)
-                if kind[piece, 0] == 2:
+                if kind[piece] == 2:
                     scale *= spot_share(alpha[i], far)
                 else:
                     # density / spread is the density in solid angle.

@@ -27,7 +27,6 @@ from roomlight_generator.transport.kernels.common import (
     tangents,
     unit,
 )
-from roomlight_generator.transport.kernels.surfaces import texel, uv_of
 
 FAR = 1e4  # `tracer.FAR_M`
 SHORT = 1e-4  # shadow rays stop this far before a light: a lampshade's skin may lie a millimetre before it
@@ -183,29 +182,16 @@ def cumulate_estimates(lights, clusters, visibility, row, point, normal, each, r
 
 
 @njit(**JIT)
-def emission_at(scene, face, u, v):
-    """Return the radiance that a face emits at a place, its texture at full size."""
-    geometry, materials = scene.geometry, scene.materials
-    m = geometry.material[face]
-    e = materials.emission[m]
-    if not materials.textured_emission[m]:
-        return np.float64(e[0]), np.float64(e[1]), np.float64(e[2])
-    s, t = uv_of(geometry, face, u, v)
-    red, green, blue = texel(scene.atlas, materials.texture[m], 0, s, t)
-    return e[0] * red, e[1] * green, e[2] * blue
-
-
-@njit(**JIT)
 def point_on(surfaces, piece, r1, r2, point):
     """Draw a point of a piece (of `LightSurfaces`), uniform over its area, and work out how it is seen from `point`.
 
     Returns direction (x, y, z), reach, radiance (red, green, blue), the light's cosine over the squared distance, and
     the share of it that is left to gather rays.
     """
-    table, kind, hole, parts, panorama, atlas, coat_share, sun = surfaces
+    table, kind, hole, parts, panorama, coat_share, sun = surfaces
     px, py, pz = point
     c = table[piece]
-    what = kind[piece, 0]
+    what = kind[piece]
     if what == 2:
         dx, dy, dz = c[0] - px, c[1] - py, c[2] - pz
         d_sq = max(dx * dx + dy * dy + dz * dz, NEAR_SQ)
@@ -242,11 +228,6 @@ def point_on(surfaces, piece, r1, r2, point):
             red, green, blue = red * share, green * share, blue * share
         return dx, dy, dz, FAR, red, green, blue, cosine / d_sq, near
     red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
-    if kind[piece, 1] >= 0:
-        w = 1 - a - b
-        s, t = w * c[9] + a * c[11] + b * c[13], w * c[10] + a * c[12] + b * c[14]
-        tr, tg, tb = texel(atlas, kind[piece, 1], 0, s, t)
-        red, green, blue = red * tr, green * tg, blue * tb
     return dx, dy, dz, d - SHORT, red, green, blue, cosine / d_sq, near
 
 

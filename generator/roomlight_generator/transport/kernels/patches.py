@@ -25,7 +25,7 @@ from roomlight_generator.transport.kernels.common import (
     slot_of,
     unit,
 )
-from roomlight_generator.transport.kernels.lights import crossings, emission_at, left_to_gathering
+from roomlight_generator.transport.kernels.lights import crossings, left_to_gathering
 from roomlight_generator.transport.kernels.surfaces import OFFSET, face_normal, shading_normal, texture_at
 
 CELL_M = 0.08
@@ -182,7 +182,7 @@ def arriving(scene, sources, ends, paths, radiance):
     These are the sky past no opening, lights seen in a mirror, and a share of very near lights.
     """
     lights, outdoors, _ = sources
-    face, u, v, direction = ends
+    face, _, _, direction = ends
     origin, distance, mirrored, factor = paths
     for i in range(len(face)):
         r, g, b, share = 0.0, 0.0, 0.0, factor[i]
@@ -198,7 +198,8 @@ def arriving(scene, sources, ends, paths, radiance):
         elif lights.near_area[face[i]] > 0:
             if not mirrored[i]:
                 share *= left_to_gathering(distance[i] * distance[i], lights.near_area[face[i]])
-            r, g, b = emission_at(scene, face[i], u[i], v[i])
+            emission = scene.materials.emission[scene.geometry.material[face[i]]]
+            r, g, b = np.float64(emission[0]), np.float64(emission[1]), np.float64(emission[2])
         radiance[i, 0], radiance[i, 1], radiance[i, 2] = r * share, g * share, b * share
 
 

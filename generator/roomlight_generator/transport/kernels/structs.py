@@ -10,8 +10,6 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Bool, Float32, Float64, Int32, Int64, UInt8
 
-from roomlight_generator.transport.atlas import Atlas
-
 
 class HashTable(NamedTuple):
     """An open-addressed table of a power of two places; key -1 marks an empty place."""
@@ -45,17 +43,16 @@ class SurfacePoints(NamedTuple):
 
 
 class LightSurfaces(NamedTuple):
-    """Inputs for a sample on a light: arrays of `Lights`, `Outdoors` and the textures.
+    """Inputs for a sample on a light: arrays of `Lights` and `Outdoors`.
 
     They are separate because each further array costs time at every call of `point_on`.
     """
 
     piece: Float32[np.ndarray, "p 21"]
-    kind: Int32[np.ndarray, "p 2"]
+    kind: Int32[np.ndarray, " p"]
     hole: Float32[np.ndarray, "o 15"]
     parts: Int32[np.ndarray, "o 3"]
     panorama: Float32[np.ndarray, "h w 3"]
-    atlas: Atlas
     coat_share: Float32[np.ndarray, "a c"]
     sun: Float32[np.ndarray, "3"]
 

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
+from roomlight_generator.transport.kernels.common import JIT
 
 OFFSET = 1e-4  # `tracer.OFFSET_M`
 
@@ -164,25 +164,6 @@ def surface_points(scene, ends, foot, out):
         albedo[i, 0] = materials.albedo[m, 0] * r
         albedo[i, 1] = materials.albedo[m, 1] * g
         albedo[i, 2] = materials.albedo[m, 2] * b
-        if not materials.textured_emission[m]:
-            r, g, b = 1.0, 1.0, 1.0
-        emission[i, 0] = materials.emission[m, 0] * r
-        emission[i, 1] = materials.emission[m, 1] * g
-        emission[i, 2] = materials.emission[m, 2] * b
-
-
-@njit(**ALLOCATING)
-def mean_over_pieces(emission, atlas, texture, uvs):
-    """Average textured emission over triangles given by their corners' texture coordinates, at 64 points of each."""
-    out = np.zeros(len(texture))
-    for i in range(len(texture)):
-        q = uvs[i]
-        for k in range(64):
-            r1, r2 = (k + 0.5) / 64, ((k * 0.6180339887498949) + 0.25) % 1.0
-            root = math.sqrt(r1)
-            a, b = 1 - root, r2 * root
-            s = (1 - a - b) * q[0, 0] + a * q[1, 0] + b * q[2, 0]
-            t = (1 - a - b) * q[0, 1] + a * q[1, 1] + b * q[2, 1]
-            red, green, blue = texel(atlas, texture[i], 0, s, t)
-            out[i] += (emission[i, 0] * red + emission[i, 1] * green + emission[i, 2] * blue) / (3 * 64)
-    return out
+        emission[i, 0] = materials.emission[m, 0]
+        emission[i, 1] = materials.emission[m, 1]
+        emission[i, 2] = materials.emission[m, 2]

@@ -1,37 +1,14 @@
-"""Colour distributions of rooms: wall paints, glazes, stones, cloths, and matching colours."""
+"""Colour distributions of paints, woods, stones and cloths."""
 
 from typing import Final
 
 import numpy as np
 
-from roomlight_generator.rooms.colour import linear_to_oklab, luminance, paint
+from roomlight_generator.rooms.colour import paint
 from roomlight_generator.rooms.scene import Rgb
 
-_HUES: Final = (
-    12,
-    25,
-    25,
-    45,
-    45,
-    62,
-    62,
-    85,
-    85,
-    100,
-    118,
-    145,
-    145,
-    165,
-    190,
-    215,
-    240,
-    240,
-    255,
-    255,
-    266,
-    300,
-    348,
-)
+_HUES: Final = (12, 25, 25, 45, 45, 62, 62, 85, 85, 100, 118, 145, 145, 165, 190, 215, 240, 240, 255, 255, 266, 300,
+    348)  # fmt: skip
 """Common hues of paint and cloth, the frequent ones twice; degrees in OKLab."""
 
 _WALL_HUES: Final = (
@@ -39,6 +16,19 @@ _WALL_HUES: Final = (
     (150, 14, 2.2), (120, 10, 1.2), (240, 12, 2.2), (262, 8, 1.0), (200, 12, 1.1), (45, 8, 1.6), (30, 8, 0.6),
     (88, 8, 1.5), (68, 8, 0.8), (12, 10, 1.0), (350, 10, 0.6), (310, 12, 0.5),
 )  # fmt: skip
+
+_SPECIES: Final = (
+    # reflectance from, to, chroma from, to, hue from, to, weight
+    (0.34, 0.52, 0.035, 0.065, 70, 82, 3.0),  # pale oak, ash, birch
+    (0.22, 0.36, 0.055, 0.085, 64, 76, 3.5),  # oak
+    (0.20, 0.34, 0.075, 0.110, 58, 70, 1.5),  # pine, honey, beech
+    (0.10, 0.20, 0.060, 0.090, 48, 62, 2.0),  # teak, cherry, smoked oak
+    (0.05, 0.10, 0.030, 0.060, 42, 62, 1.5),  # walnut, wenge
+    (0.07, 0.14, 0.060, 0.090, 32, 46, 0.7),  # mahogany, merbau
+    (0.25, 0.45, 0.006, 0.020, 65, 90, 1.3),  # greyed
+    (0.50, 0.66, 0.010, 0.030, 75, 90, 0.8),  # whitewashed
+    (0.04, 0.07, 0.004, 0.015, 40, 90, 0.4),  # blackened
+)
 
 
 def hue(rng: np.random.Generator) -> float:
@@ -142,22 +132,15 @@ def cloth_colour(rng: np.random.Generator) -> Rgb:
     return paint(rng.uniform(0.02, 0.05), rng.uniform(0, 0.03), hue(rng))
 
 
-def companion(rng: np.random.Generator, colour: Rgb) -> Rgb:
-    """Choose a second colour for a pattern: the same hue lighter or darker, a neighbouring hue, or the opposite one."""
-    _, a, b = (float(value) for value in linear_to_oklab(np.array(colour)))
-    chroma, angle = float(np.hypot(a, b)), float(np.degrees(np.arctan2(b, a)))
-    level = luminance(colour)
-    other = level * rng.uniform(0.25, 0.65) if level > 0.3 else min(0.75, level * rng.uniform(1.8, 4.5) + 0.05)
-    turn = float(rng.choice([0, 0, 0, 35, -35, 180]))
-    return paint(other, max(0.01, chroma * rng.uniform(0.5, 1.3)), angle + turn)
+def pale_cloth(rng: np.random.Generator) -> Rgb:
+    """Choose a white, cream or grey cloth colour, sometimes a saturated one."""
+    if rng.random() < 0.12:
+        return paint(rng.uniform(0.35, 0.6), rng.uniform(0.04, 0.1), rng.uniform(0, 360))
+    return (white, off_white, beige)[int(rng.choice(3, p=(0.4, 0.4, 0.2)))](rng)
 
 
-def dyes(rng: np.random.Generator, count: int) -> list[Rgb]:
-    """Choose matching colours: one pale ground first, then shades of two or three hues, light and dark."""
-    base = hue(rng)
-    turns = ((0, 25, -25), (0, 180, 20), (0, 120, -120), (0, 0, 0), (0, 150, 210))[int(rng.integers(5))]
-    out = [paint(rng.uniform(0.5, 0.8), rng.uniform(0.005, 0.04), rng.uniform(60, 100))]
-    for k in range(count - 1):
-        level = float(np.exp(rng.uniform(np.log(0.04), np.log(0.5))))
-        out.append(paint(level, rng.uniform(0.02, 0.13), base + turns[k % 3] + rng.normal(0, 8)))
-    return out
+def wood_colour(rng: np.random.Generator) -> Rgb:
+    """Choose the colour of a wood, as stained or bleached as floors and furniture are."""
+    weights = np.array([species[6] for species in _SPECIES])
+    low, high, dull, rich, warm, cool, _ = _SPECIES[int(rng.choice(len(_SPECIES), p=weights / weights.sum()))]
+    return paint(rng.uniform(low, high), rng.uniform(dull, rich), rng.uniform(warm, cool))
