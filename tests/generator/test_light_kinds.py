@@ -136,7 +136,7 @@ def test_spots_are_small_and_bright_in_rows():
     glare = []
     for built in found:
         spots = [item for item in built.scene.items if item.name == "spot"]
-        assert 1 < len(spots) <= 24
+        assert 1 <= len(spots) <= 24  # a single one in a very small room
         for spot in spots:
             low, high = spot.mesh.bounds()
             x, _, z = (low + high) / 2
@@ -144,12 +144,13 @@ def test_spots_are_small_and_bright_in_rows():
             assert 0 < built.shell.ceiling_at(float(x), float(z)) - high[1] < 0.03
             glare.append(float(np.dot(spot.mesh.materials[0].emission, LUMINANCE)))
     assert np.median(glare) > 10
+    assert len(glare) > 2 * len(found)
 
 
 def test_the_second_rooms_window_lets_daylight_in():
     openings = [
         (built, opening)
-        for built in (room(index) for index in range(25))
+        for built in (room(index) for index in range(60))
         if built.facts["light"]["kind"] == "open to bright"
         for opening in built.shell.openings
     ]

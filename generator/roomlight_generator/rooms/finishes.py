@@ -78,8 +78,8 @@ _UNTINTED: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo under a texture."""
 
 _FLOOR_SHADE: Final = (0.5, 0.85)
-_WALL_SHADE: Final = (0.85, 1.0)
-_CEILING_SHADE: Final = (0.75, 1.0)
+_WALL_SHADE: Final = (0.75, 0.95)
+_CEILING_SHADE: Final = (0.6, 0.9)
 """Range of the factor on a reflectance: surfaces are worn, dusty or oiled darker than new samples of them.
 
 In 38 real panoramas ceilings have 0.68 of the walls' radiance in the median (quartiles 0.36 and 1.6) and floors 0.30

@@ -29,7 +29,7 @@ same with the sun before a window; open to bright: no light of its own, only tha
 or at night, lamps without shades; spots: rows of small bright lamps in the ceiling, by day beside the windows' light.
 """
 LIGHT_KINDS: Final[dict[LightKind, float]] = {
-    "mixed": 0.34, "windows alone": 0.17, "sunbeams": 0.13, "open to bright": 0.08, "bare bulbs": 0.1, "spots": 0.18,
+    "mixed": 0.34, "windows alone": 0.23, "sunbeams": 0.22, "open to bright": 0.07, "bare bulbs": 0.05, "spots": 0.09,
 }  # fmt: skip
 """Share of the rooms for which each kind is wanted; a room without a place for it is mixed."""
 
@@ -62,10 +62,10 @@ _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
 }
 _SCENARIOS: Final[tuple[Scenario, ...]] = ("sunny", "bright", "overcast", "golden", "dusk", "night")
 _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
-    "sunny": 0.25,
-    "bright": 0.35,
-    "overcast": 0.5,
-    "golden": 0.5,
+    "sunny": 0.1,
+    "bright": 0.15,
+    "overcast": 0.25,
+    "golden": 0.25,
     "dusk": 1.0,
     "night": 1.0,
 }
