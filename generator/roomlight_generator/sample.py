@@ -21,18 +21,14 @@ WALK: Final = 5
 The files that the package ships were made by an earlier generator: the same numbers now give another room."""
 
 
-def generate_sample(
-    out: Path, *, seed: int = SEED, room: int = ROOM, walk: int = WALK, catalogue: Catalogue | None = None
-) -> None:
+def generate_sample(out: Path, *, seed: int = SEED, room: int = ROOM, walk: int = WALK) -> None:
     """Write one sequence as a capture folder; the same arguments give the same files.
-
-    The room is furnished from the catalogue; without one it has plain fallbacks alone.
 
     Raises:
         OutputError: if `out` holds files already or cannot be written.
         ValueError: if no walk through the room is found.
     """
-    catalogue = catalogue or Catalogue(fallbacks=fallback_models("train"))
+    catalogue = Catalogue(fallbacks=fallback_models("train"))
     lit_room = solve_lighting(room, seed=seed, split="train", catalogue=catalogue)
     rng = room_generator(room, seed=seed, split="train", purpose=1 + walk)
     recording = render_sequence(lit_room, plan_camera_path(lit_room, rng), rng, name="sample room")

@@ -59,7 +59,7 @@ class MeterSettings:
     def draw(cls, rng: np.random.Generator) -> "MeterSettings":
         """Draw a phone at random."""
         return cls(
-            bias=float(rng.normal(0.2, 0.18)),
+            bias=float(rng.normal(0.15, 0.18)),
             highlights=float(rng.uniform(0.0, 0.1)),
             settle_s=float(rng.uniform(0.3, 1.5)),
             locked=bool(rng.random() < 0.25),
