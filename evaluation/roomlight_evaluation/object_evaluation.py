@@ -175,8 +175,8 @@ def _score(
             plain = objects.errors(light.panorama)
             lit = objects.errors(with_missing_light(light.panorama, light.observed))
             found[model.model] = plain
-            # the compositor casts shadows by the session's light alone
-            found[f"{model.model}, {COMPOSITED}"] = {**lit, SHADOW: plain[SHADOW]}
+            # the compositor casts shadows by the session's light alone, and mirrors show that light
+            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": plain["mirror"], SHADOW: plain[SHADOW]}
         for method, one in found.items():
             errors.setdefault(method, []).append(one)
     means = {

@@ -59,10 +59,14 @@ class SamplingTables(NamedTuple):
 
 
 class Environment(NamedTuple):
-    """Probes as the kernels read them: panoramas, irradiance / pi by the surface's normal, and `SamplingTables`."""
+    """Probes as the kernels read them: panoramas, irradiance / pi by the surface's normal, and `SamplingTables`.
+
+    Smooth mirrors and glass show `mirrored`, all else is lit by `radiance`.
+    """
 
     position: Float32[np.ndarray, "k 3"]
     radiance: Float32[np.ndarray, "k h w 3"]
+    mirrored: Float32[np.ndarray, "k h w 3"]
     irradiance: Float32[np.ndarray, "k i j 3"]
     density: Float32[np.ndarray, "k h w"]
     rows: Float32[np.ndarray, "k h1"]
@@ -100,8 +104,8 @@ class LightSampler:
 
     def environment(self) -> Environment:
         """Return the tables as the kernels read them, without irradiance."""
-        place = np.array([self.position], np.float32)
-        return Environment(place, self.panorama[None], _NO_IRRADIANCE, *(table[None] for table in self._tables))
+        place, panorama = np.array([self.position], np.float32), self.panorama[None]
+        return Environment(place, panorama, panorama, _NO_IRRADIANCE, *(table[None] for table in self._tables))
 
     @cached_property
     def irradiance(self) -> Float32[np.ndarray, "i j 3"]:
@@ -166,26 +170,29 @@ class Mixture:
 class ProbeSet:
     """Probes around an object; the light at a point is their mean by inverse squared distance."""
 
-    def __init__(self, samplers: Sequence[LightSampler]) -> None:
+    def __init__(self, samplers: Sequence[LightSampler], *, mirrored: Sequence[LightSampler] | None = None) -> None:
         """Join the probes; panoramas of fewer rows are resampled to the finest one's.
 
+        mirrored:  what smooth mirrors and glass show instead, at the same positions in the same order.
+
         Raises:
-            OptionError: There is none, or more than `MAX_PROBES`.
+            OptionError: There is none, or more than `MAX_PROBES`; or `mirrored` has other positions.
         """
         if not 1 <= len(samplers) <= MAX_PROBES:
             raise OptionError(f"a probe set takes 1 to {MAX_PROBES} probes, got {len(samplers)}")
+        if mirrored is not None and [one.position for one in mirrored] != [one.position for one in samplers]:
+            raise OptionError("the probes that mirrors show must be at the positions of the others")
         height = max(len(one.panorama) for one in samplers)
-        self.samplers = tuple(
-            one if len(one.panorama) == height else LightSampler(resize_panorama(one.panorama, height), one.position)
-            for one in samplers
-        )
+        self.samplers = tuple(_at_height(one, height) for one in samplers)
+        self._mirrored = None if mirrored is None else tuple(_at_height(one, height) for one in mirrored)
         self._kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]] = {}
 
     @cached_property
     def environment(self) -> Environment:
         """Panoramas and tables as the kernels read them; made at first use."""
         parts = [one.environment()._replace(irradiance=one.irradiance[None]) for one in self.samplers]
-        return Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        joined = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+        return joined._replace(mirrored=self._shown_by_mirrors(joined.radiance))
 
     @cached_property
     def panoramas(self) -> Environment:
@@ -193,7 +200,11 @@ class ProbeSet:
         positions = np.array([one.position for one in self.samplers], np.float32)
         radiance = np.stack([one.panorama for one in self.samplers])
         unused = _sampling_tables(radiance[0, :1, :2])  # the kernels want arrays of the same types
-        return Environment(positions, radiance, _NO_IRRADIANCE, *(table[None] for table in unused))
+        mirrored = self._shown_by_mirrors(radiance)
+        return Environment(positions, radiance, mirrored, _NO_IRRADIANCE, *(table[None] for table in unused))
+
+    def _shown_by_mirrors(self, radiance: Float32[np.ndarray, "k h w 3"]) -> Float32[np.ndarray, "k h w 3"]:
+        return radiance if self._mirrored is None else np.stack([one.panorama for one in self._mirrored])
 
     @classmethod
     def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
@@ -233,6 +244,12 @@ class ProbeSet:
     def prefiltered(self) -> Float32[np.ndarray, "k levels rows columns 3"]:
         """Each probe's `LightSampler.prefiltered`."""
         return np.stack([one.prefiltered for one in self.samplers])
+
+
+def _at_height(sampler: LightSampler, height: int) -> LightSampler:
+    if len(sampler.panorama) == height:
+        return sampler
+    return LightSampler(resize_panorama(sampler.panorama, height), sampler.position)
 
 
 def _mean_of(images: Sequence[Float32[np.ndarray, "*s"]], shares: Float[np.ndarray, " k"]) -> Float32[np.ndarray, "*s"]:

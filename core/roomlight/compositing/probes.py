@@ -56,8 +56,9 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 class SceneProbes:
     """Tracked probes of all objects of a scene.
 
-    Objects are lit with the light that the session lacks (`missing_light`). Their shadows are cast by the session's
-    light alone: the missing light comes from nowhere in particular and would only make them fainter.
+    Objects are lit with the light that the session lacks (`missing_light`). Mirrors show the session's light alone, and
+    so cast objects their shadows: the missing light comes from nowhere in particular, would be seen in mirrors, and
+    would make shadows fainter.
     """
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
@@ -66,6 +67,7 @@ class SceneProbes:
         self._handles: list[int] = []
         self._shown = _EasedLights()
         self._casting = self._shown if light is not None else _EasedLights()
+        self._joined: tuple[ProbeSet, ProbeSet, ProbeSet] | None = None
         self._frames = 0
         self._waiting_s = 0.0
 
@@ -108,7 +110,12 @@ class SceneProbes:
 
     def lights(self) -> ProbeSet:
         """Return the probes as the renderer takes them."""
-        return self._shown.lights()
+        shown, casting = self._shown.lights(), self._casting.lights()
+        if shown is casting:
+            return shown
+        if self._joined is None or self._joined[0] is not shown or self._joined[1] is not casting:
+            self._joined = shown, casting, ProbeSet(shown.samplers, mirrored=casting.samplers)
+        return self._joined[2]
 
     def at(self, position: Position) -> LightSampler:
         """Return the light at a position, mixed from the probes around it."""

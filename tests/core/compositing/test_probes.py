@@ -41,6 +41,20 @@ def test_objects_get_the_missing_light_and_their_shadows_do_not(session):
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
 
 
+def test_mirrors_show_the_light_without_the_missing_one(session, room):
+    probes = SceneProbes(session)
+    probes.add(PLACES)
+    first = probes.lights()
+    assert probes.lights() is first
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
+    assert probes.advance(20 * LIGHT_S)
+    for lights in (first, probes.lights()):
+        environment = lights.environment
+        assert environment.radiance.mean() > 1.05 * environment.mirrored.mean()
+    assert_array_equal(environment.mirrored[0], probes.casting_at(position(PLACES[0])).panorama)
+    assert_array_equal(environment.radiance[0], probes.at(position(PLACES[0])).panorama)
+
+
 def test_both_follow_the_session(session, room):
     probes = SceneProbes(session)
     probes.add(PLACES)
@@ -63,6 +77,7 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     at = position(PLACES[0])
     assert probes.at(at) is probes.casting_at(at)
     assert_array_equal(probes.at(at).panorama, given)
+    assert_array_equal(probes.lights().environment.mirrored[0], given)
     probes.close()
     probes.add(PLACES[:1])
     assert probes.at(at) is probes.casting_at(at)

@@ -238,6 +238,33 @@ def test_light_changes_over_a_long_object() -> None:
         assert row[59] == pytest.approx(3, abs=0.1)
 
 
+@pytest.mark.parametrize("quality", ["preview", RenderSettings(16, 6, denoised=False)])
+def test_mirrors_and_glass_show_a_light_of_their_own(quality) -> None:
+    position = (0.0, 0.0, 0.0)
+    lit = [LightSampler(np.full((8, 16, 3), 2.0, np.float32), position)]
+    shown = [LightSampler(np.full((8, 16, 3), 1.0, np.float32), position)]
+    light = ProbeSet(lit, mirrored=shown)
+
+    def mean(material: Material) -> float:
+        picture = render_objects(ObjectScene([sphere(0.5, material)]), CAMERA, POSE, light, quality=quality)
+        return float(picture.radiance[picture.alpha == 1].mean())
+
+    assert mean(mirror()) == pytest.approx(1, rel=0.01)
+    assert mean(glass()) <= 1.01
+    assert mean(diffuse((1.0, 1.0, 1.0))) == pytest.approx(2, rel=0.02)
+    assert mean(rough_metal()) > 1.5
+
+
+def test_what_mirrors_show_is_resampled_and_must_be_at_the_same_positions() -> None:
+    fine, coarse = (LightSampler(np.full((rows, 2 * rows, 3), rows, np.float32)) for rows in (16, 8))
+    assert ProbeSet([fine], mirrored=[coarse]).environment.mirrored.shape == (1, 16, 32, 3)
+    assert ProbeSet([fine], mirrored=[coarse]).panoramas.mirrored.mean() == 8
+    elsewhere = LightSampler(fine.panorama, (1.0, 0.0, 0.0))
+    for others in ([elsewhere], [fine, fine], []):
+        with pytest.raises(OptionError, match="at the positions of the others"):
+            ProbeSet([fine], mirrored=others)
+
+
 def test_normal_texture_tilts_the_surface() -> None:
     from roomlight.compositing.textures import Texture
 

@@ -76,7 +76,7 @@ def radiance(light, weights, x, y, z):
 
 
 @njit(**JIT)
-def _mixed_at(images, weights, place):
+def mixed_at(images, weights, place):
     """Return the probes' images at a place, mixed by their weights."""
     red, green, blue = 0.0, 0.0, 0.0
     for k in range(images.shape[0]):
@@ -90,7 +90,7 @@ def _mixed_at(images, weights, place):
 @njit(**JIT)
 def radiance_at(light, weights, place):
     """Return the probes' radiance at a place of `place_of`, mixed by their weights."""
-    return _mixed_at(light.radiance, weights, place)
+    return mixed_at(light.radiance, weights, place)
 
 
 @njit(**JIT)
@@ -171,7 +171,7 @@ def mean_around(light, weights, normal):
     """Return the irradiance / pi around a normal, mixed by the probes' weights."""
     place, rows = place_of(normal[0], normal[1], normal[2]), light.irradiance.shape[1]
     place = (place[0], (place[1] * (rows - 1) + 0.5) / rows)  # its first and last row are on the poles
-    return _mixed_at(light.irradiance, weights, place)
+    return mixed_at(light.irradiance, weights, place)
 
 
 @njit(**KERNEL)

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT
-from roomlight.compositing.kernels.environment import bilinear_at, place_of, radiance_at
+from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of
 
 
 class Supports(NamedTuple):
@@ -83,16 +83,16 @@ def light_left(spheres, normal, x, y, z):
 
 
 @njit(**JIT)
-def arriving(world, weights, p, d):
-    """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas."""
-    return arriving_at(world, weights, p, d, place_of(d[0], d[1], d[2]))
+def arriving(world, images, weights, p, d):
+    """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas `images`."""
+    return arriving_at(world, images, weights, p, d, place_of(d[0], d[1], d[2]))
 
 
 @njit(**JIT)
-def arriving_at(world, weights, p, d, place):
+def arriving_at(world, images, weights, p, d, place):
     """Return `arriving` for a direction whose `place_of` is known."""
     light, supports = world.light, world.supports
-    r, g, b = radiance_at(light, weights, place)
+    r, g, b = mixed_at(images, weights, place)
     if supports.points.shape[0] == 0:
         return r, g, b
     k, height = support_below(supports, p[0], p[1], p[2])
@@ -105,13 +105,13 @@ def arriving_at(world, weights, p, d, place):
     far = height / down
     x, y, z = p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2]
     red, green, blue, known = 0.0, 0.0, 0.0, 0.0
-    for j in range(light.radiance.shape[0]):
+    for j in range(images.shape[0]):
         vx, vy, vz = x - light.position[j, 0], y - light.position[j, 1], z - light.position[j, 2]
         above = -(vx * n[0] + vy * n[1] + vz * n[2])
         length = math.sqrt(vx * vx + vy * vy + vz * vz)
         if above <= 0.02 * length:  # the probe is below the plane, or sees it edge on
             continue
-        e, f, h = bilinear_at(light.radiance[j], place_of(vx / length, vy / length, vz / length))
+        e, f, h = bilinear_at(images[j], place_of(vx / length, vy / length, vz / length))
         red, green, blue = red + weights[j] * e, green + weights[j] * f, blue + weights[j] * h
         known += weights[j]
     if known <= 0:

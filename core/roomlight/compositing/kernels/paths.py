@@ -90,8 +90,9 @@ def _escape(world, paths, i, film, settings, weights):
     d = (paths.direction[i, 0] * 1.0, paths.direction[i, 1] * 1.0, paths.direction[i, 2] * 1.0)
     origin = (paths.origin[i, 0] * 1.0, paths.origin[i, 1] * 1.0, paths.origin[i, 2] * 1.0)
     probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
-    r, g, b = arriving(world, weights, origin, d)
     scale = paths.share[i]
+    sharp = scale >= 1 and not paths.flags[i] & BLURRED
+    r, g, b = arriving(world, world.light.mirrored if sharp else world.light.radiance, weights, origin, d)
     if scale >= 1 and paths.flags[i] & BLURRED:
         scale = settings.brightest / max(r, g, b, settings.brightest)
     _add(film.radiance, slot, paths, i, r * scale, g * scale, b * scale)
@@ -183,7 +184,7 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
     value, own = evaluate(found, local_view, local)
     if drawn <= 0 or (own <= 0 and value[0] + value[1] + value[2] <= 0):
         return count
-    r, g, h = arriving_at(world, weights, origin, d, place)
+    r, g, h = arriving_at(world, world.light.radiance, weights, origin, d, place)
     scale = 1 / (drawn + own)
     red, green, blue = value[0] * r * scale, value[1] * g * scale, value[2] * h * scale
     if is_open:
@@ -228,7 +229,8 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
     if is_open and pdf > 0:
         _take_known(world, paths, i, found, film, (weights, place), share * light[2] / (math.pi * pdf))
     if is_open and not (blurred and share >= 1) and flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
-        r, g, h = arriving_at(world, weights, origin, d, place)
+        images = world.light.radiance if pdf > 0 else world.light.mirrored
+        r, g, h = arriving_at(world, images, weights, origin, d, place)
         _add(
             film.radiance, paths.slot[i], paths, i, weight[0] * r * share, weight[1] * g * share, weight[2] * h * share
         )

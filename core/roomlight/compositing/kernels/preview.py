@@ -5,7 +5,7 @@ import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.common import JIT, KERNEL
-from roomlight.compositing.kernels.environment import bilinear_at, place_of, probe_weights, radiance
+from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of, probe_weights
 from roomlight.compositing.kernels.ground import arriving
 from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import surface
@@ -14,7 +14,7 @@ from roomlight.compositing.kernels.surfaces import colours, geometric_normal, po
 
 @njit(**JIT)
 def _blurred(light, mips, weights, direction, roughness):
-    """Read the panorama blurred by a lobe of this roughness; the first level is the panorama itself."""
+    """Read the panorama blurred by a lobe of this roughness; the first level is what mirrors show."""
     last = mips.shape[1] - 1
     level = min(max(roughness, 0.0), 1.0) * last
     fine = min(int(level), last - 1)
@@ -25,7 +25,7 @@ def _blurred(light, mips, weights, direction, roughness):
         r, g, b = 0.0, 0.0, 0.0
         if blend < 1:
             if fine == 0:
-                r, g, b = bilinear_at(light.radiance[k], place)
+                r, g, b = bilinear_at(light.mirrored[k], place)
             else:
                 r, g, b = bilinear_at(mips[k, fine], place)
         if blend > 0:
@@ -47,7 +47,7 @@ def _shade(world, mips, weights, face, base, shares, normal, place, d, side):
         _, _, under, roughness, _, lobe = surface(world, material, base, shares[0], shares[1], n_v)
         if lobe[0] + lobe[1] + lobe[2] > 0:
             if roughness < MIRROR_ROUGHNESS:
-                p, q, s = arriving(world, weights, place, mirrored)
+                p, q, s = arriving(world, world.light.mirrored, weights, place, mirrored)
             else:
                 p, q, s = _blurred(world.light, mips, weights, mirrored, roughness)
             r, g, b = lobe[0] * p, lobe[1] * q, lobe[2] * s
@@ -57,8 +57,8 @@ def _shade(world, mips, weights, face, base, shares, normal, place, d, side):
     if clear > 0:
         ratio = world.materials.ior[material] if side > 0 else 1 / world.materials.ior[material]
         reflected, _ = dielectric(n_v, ratio)
-        p, q, s = radiance(world.light, weights, mirrored[0], mirrored[1], mirrored[2])
-        t, u, v = radiance(world.light, weights, d[0], d[1], d[2])
+        p, q, s = mixed_at(world.light.mirrored, weights, place_of(mirrored[0], mirrored[1], mirrored[2]))
+        t, u, v = mixed_at(world.light.mirrored, weights, place_of(d[0], d[1], d[2]))
         let = 1 - reflected
         r += clear * (reflected * p + let * base[0] * t - r)
         g += clear * (reflected * q + let * base[1] * u - g)
