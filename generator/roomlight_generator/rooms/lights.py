@@ -29,17 +29,17 @@ same with the sun before a window; open to bright: no light of its own, only tha
 or at night, lamps without shades; spots: rows of small bright lamps in the ceiling, by day beside the windows' light.
 """
 LIGHT_KINDS: Final[dict[LightKind, float]] = {
-    "mixed": 0.34, "windows alone": 0.23, "sunbeams": 0.22, "open to bright": 0.07, "bare bulbs": 0.05, "spots": 0.09,
+    "mixed": 0.32, "windows alone": 0.2, "sunbeams": 0.22, "open to bright": 0.08, "bare bulbs": 0.05, "spots": 0.13,
 }  # fmt: skip
 """Share of the rooms for which each kind is wanted; a room without a place for it is mixed."""
 
 _KIND_SCENARIOS: Final[dict[LightKind, tuple[float, ...]]] = {
-    "mixed": (0.24, 0.2, 0.26, 0.1, 0.08, 0.12),
-    "windows alone": (0.25, 0.25, 0.4, 0.1, 0, 0),
+    "mixed": (0.24, 0.28, 0.26, 0.1, 0.05, 0.07),
+    "windows alone": (0.25, 0.35, 0.3, 0.1, 0, 0),
     "sunbeams": (0.75, 0, 0, 0.25, 0, 0),
     "open to bright": (0.3, 0.3, 0.3, 0.1, 0, 0),
     "bare bulbs": (0, 0, 0, 0, 0.3, 0.7),
-    "spots": (0.15, 0.15, 0.3, 0.05, 0.1, 0.25),
+    "spots": (0.25, 0.2, 0.35, 0.05, 0.05, 0.1),
 }
 """Probability of each of `_SCENARIOS` in a room with windows."""
 
@@ -62,16 +62,16 @@ _SKIES: Final[dict[Scenario, tuple[str, ...]]] = {
 }
 _SCENARIOS: Final[tuple[Scenario, ...]] = ("sunny", "bright", "overcast", "golden", "dusk", "night")
 _LAMPS_ON_PROBABILITY: Final[dict[Scenario, float]] = {
-    "sunny": 0.1,
-    "bright": 0.15,
-    "overcast": 0.25,
-    "golden": 0.25,
+    "sunny": 0.15,
+    "bright": 0.25,
+    "overcast": 0.35,
+    "golden": 0.35,
     "dusk": 1.0,
     "night": 1.0,
 }
 """Probability that at least one lamp is on."""
 
-_FLUX_WEIGHTS: Final[dict[str, float]] = {"ceiling_lamp": 3.0, "ceiling_fan": 1.5, "floor_lamp": 1.3, "table_lamp": 0.6}
+_FLUX_WEIGHTS: Final[dict[str, float]] = {"ceiling_lamp": 2.0, "ceiling_fan": 1.5, "floor_lamp": 1.3, "table_lamp": 0.8}
 """A lamp's weight in the room's total flux (wall lamps and the rest: 0.5)."""
 
 _BRIGHT_SECOND_ROOM: Final = 0.4
@@ -239,7 +239,7 @@ def _choose_lamps(placements: Sequence[Placement], lamps: Sequence[int], rng: np
     if rng.random() < 0.12:
         return [int(rng.choice(lamps))]
     roles = sorted({placements[i].model.role for i in lamps})
-    on = {role for role in roles if rng.random() < (0.55 if role == "ceiling_lamp" else 0.7)}
+    on = {role for role in roles if rng.random() < (0.45 if role == "ceiling_lamp" else 0.7)}
     return [i for i in lamps if placements[i].model.role in on] or [int(rng.choice(lamps))]
 
 

@@ -191,7 +191,7 @@ def _with_clouds(
     x, z = views[..., 0] / up * scale + size / 2, views[..., 2] / up * scale + size / 2
     there = cv2.remap(field, x.astype(np.float32), z.astype(np.float32), cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
     density = np.clip((there - rng.uniform(-0.25, 0.3)) * 3, 0, 1) * (views[..., 1] > 0)
-    lit = float(np.quantile(sky @ LUMINANCE, 0.9)) * rng.uniform(1.2, 2.2)
+    lit = float(np.quantile(sky @ LUMINANCE, 0.9)) * rng.uniform(1.5, 4.0)
     facing = 0.75 + 0.6 * np.maximum(views @ sun, 0) ** 3
     white = np.array(blackbody_rgb(6000)) * lit
     grey = np.array(blackbody_rgb(7200)) * lit * 0.4
@@ -244,7 +244,7 @@ def _skyline(
     bearing: Float[np.ndarray, " w"], sun: Sun | None, rng: np.random.Generator
 ) -> tuple[Float[np.ndarray, " w"], str]:
     """Return the elevation, in radians, of the skyline at each azimuth, and its kind."""
-    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.28, 0.3, 0.2, 0.22)))]
+    kind = ("houses", "trees", "hedge", "hills")[int(rng.choice(4, p=(0.34, 0.38, 0.16, 0.12)))]
     width = len(bearing)
     if kind == "houses":
         line = np.zeros(width)
@@ -252,11 +252,11 @@ def _skyline(
         end = at + width
         while at < end:
             wide = int(rng.integers(6, 22))
-            tall = rng.uniform(0.05, 0.45) if rng.random() < 0.8 else 0.03
+            tall = rng.uniform(0.08, 0.6) if rng.random() < 0.8 else 0.03
             line[np.arange(at, min(at + wide, end)) % width] = tall
             at += wide
     else:
-        low, high, cells = {"trees": (0.05, 0.3, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
+        low, high, cells = {"trees": (0.08, 0.5, 10), "hedge": (0.02, 0.1, 16), "hills": (0.02, 0.14, 4)}[kind]
         noise = fbm(rng, (8, width), (1, cells), octaves=3)[0]
         line = low + (high - low) * np.clip(0.5 + noise, 0, 1)
     if sun is not None:
