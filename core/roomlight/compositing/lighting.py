@@ -184,15 +184,17 @@ class ProbeSet:
             raise OptionError("the probes that mirrors show must be at the positions of the others")
         height = max(len(one.panorama) for one in samplers)
         self.samplers = tuple(_at_height(one, height) for one in samplers)
-        self._mirrored = None if mirrored is None else tuple(_at_height(one, height) for one in mirrored)
+        self._mirrored = self.samplers if mirrored is None else tuple(_at_height(one, height) for one in mirrored)
         self._kept: dict[tuple[int, bytes], tuple[LightSamples, Float32[np.ndarray, "k s m 3"]]] = {}
 
     @cached_property
     def environment(self) -> Environment:
         """Panoramas and tables as the kernels read them; made at first use."""
-        parts = [one.environment()._replace(irradiance=one.irradiance[None]) for one in self.samplers]
-        joined = Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-        return joined._replace(mirrored=self._shown_by_mirrors(joined.radiance))
+        parts = [
+            one.environment()._replace(irradiance=one.irradiance[None], mirrored=shown.panorama[None])
+            for one, shown in zip(self.samplers, self._mirrored, strict=True)
+        ]
+        return Environment(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     @cached_property
     def panoramas(self) -> Environment:
@@ -200,11 +202,8 @@ class ProbeSet:
         positions = np.array([one.position for one in self.samplers], np.float32)
         radiance = np.stack([one.panorama for one in self.samplers])
         unused = _sampling_tables(radiance[0, :1, :2])  # the kernels want arrays of the same types
-        mirrored = self._shown_by_mirrors(radiance)
+        mirrored = np.stack([one.panorama for one in self._mirrored])
         return Environment(positions, radiance, mirrored, _NO_IRRADIANCE, *(table[None] for table in unused))
-
-    def _shown_by_mirrors(self, radiance: Float32[np.ndarray, "k h w 3"]) -> Float32[np.ndarray, "k h w 3"]:
-        return radiance if self._mirrored is None else np.stack([one.panorama for one in self._mirrored])
 
     @classmethod
     def single(cls, panorama: Float[np.ndarray, "h w 3"], position: Position = (0.0, 0.0, 0.0)) -> "ProbeSet":
