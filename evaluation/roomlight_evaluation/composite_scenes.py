@@ -1,9 +1,10 @@
 """Generated rooms with a real object: what a session gets of the room, and the picture with the object truly in it.
 
-Each scene is a test room, six frames of a camera's walk through it, and an object on a floor or a table in the last
-frame's view. The session gets the frames without the object, as a phone takes them. The truth is the same view of the
-room whose light was solved with the object in it, developed by the same sensor with the same noise. Exposure is locked
-to the last frame's. World metres, y up; light in units of white.
+Each scene is a test room, every third frame of a camera's walk of 31 through it, and an object on a floor or a table in
+the view of one of these frames, near its middle. The session gets all of them, without the object, as a phone takes
+them: with its automatic exposure, noise and depth. The truth is the frame's view of the room whose light was solved
+with the object in it, developed by the same sensor with the same noise. World metres, y up; light in units of that
+frame's white.
 """
 
 from collections.abc import Iterator, Mapping
@@ -14,6 +15,7 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float, Float32, UInt8
 
+from roomlight.camera import Intrinsics, transform_points
 from roomlight.compositing import materials, primitives
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.materials import Material
@@ -32,11 +34,12 @@ from roomlight_generator.sequences import with_object as real
 from roomlight_generator.sequences.exposure import Exposure, expose
 from roomlight_generator.sequences.render import CameraPath, LitRoom, catalogue_for, draw_camera_path, solve_lighting
 from roomlight_generator.sequences.sensor import Sensor, develop
+from roomlight_generator.sequences.walk import FRAME_INTERVAL_S
 from roomlight_generator.transport import FrameView
 
-FRAMES: Final = 6
 WALK: Final = 31
-_INTERVAL_S: Final = 2.0
+EVERY: Final = 3
+"""Every third frame of a walk is rendered: 15 degrees or 0.27 m apart in the mean, one a second."""
 SHAPES: Final = {"sphere": 0.24, "cube": 0.2, "vase": 0.3}
 """Shapes and the length of their longest side in metres."""
 MATERIALS: Final = ("mirror", "glossy", "diffuse")
@@ -60,7 +63,7 @@ class CompositeScene:
         shape: one of `SHAPES`.
         material: one of `MATERIALS`.
         session: has seen the frames.
-        frame: the last frame, into which the object is put.
+        frame: the one of the frames into which the object is put; its white is the unit of light.
         objects: the scene for the compositor.
         position: centre of the object.
         truth: [h, w, 3] the developed picture with the object, linear, of `composite_regions.smoothed_truth`.
@@ -90,24 +93,29 @@ class CompositeScene:
 
 @dataclass(frozen=True, eq=False)
 class _Phone:
-    """A phone with locked exposure; `noise_seed` with a frame's number seeds the frame's noise."""
+    """A phone: its exposure of each frame; `noise_seed` with a frame's number seeds the frame's noise.
+
+    Light is in units of the white of the frame `shown`.
+    """
 
     exposure: Exposure
     sensor: Sensor
     noise_seed: int
+    shown: int
 
     def developed(
         self, radiance: Float[np.ndarray, "h w 3"], number: int
     ) -> tuple[Float32[np.ndarray, "h w 3"], UInt8[np.ndarray, "h w 3"]]:
-        """Return the picture, linear and as 8-bit sRGB."""
+        """Return the picture, linear in the session's unit and as 8-bit sRGB."""
         rng = np.random.default_rng([self.noise_seed, number])
-        multiplier, gains = float(self.exposure.multiplier[0]), self.exposure.gains
+        multiplier, gains = float(self.exposure.multiplier[number]), self.exposure.gains
         eight_bit = develop(radiance, self.sensor, rng, multiplier=multiplier, gains=gains)
-        return srgb8_to_linear(eight_bit), eight_bit
+        unit = np.float32(self.exposure.multiplier[self.shown] / multiplier)
+        return srgb8_to_linear(eight_bit) * unit, eight_bit
 
     def in_white(self, radiance: Float[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w 3"]:
-        """Return radiance in units of the pictures' white."""
-        return self.exposure.panorama(radiance).astype(np.float32)
+        """Return radiance in the session's unit."""
+        return (radiance * (self.exposure.gains * self.exposure.multiplier[self.shown])).astype(np.float32)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,34 +155,35 @@ def scene_for(
     lit_room = solve_lighting(number, seed=seed, split="test", catalogue=catalogue_for(furniture))
     rng = room_generator(number, seed=seed, split="test", purpose=_PURPOSE)
     geometry = virtual_object(shape, material)
-    for path, place in _places(lit_room, rng, geometry):
-        taken = _recorded(lit_room, path, rng)
+    for path, shown, place in _places(lit_room, rng, geometry):
+        taken = _recorded(lit_room, path, rng, shown=shown)
         session, frames = Session(options, graphs=graphs), taken.frames
         for frame in frames:
             session.push(frame)
         objects = Scene((SceneObject(NAME, geometry, AtPixel(place.u, place.v)),))
-        found = _standing(session, frames[-1], objects, lit_room)
+        found = _standing(session, frames[shown], objects, lit_room)
         if found is None:
             continue
         object_to_world, shift_m = found
-        view, bare = _truth(lit_room, geometry, object_to_world, path, number)
+        pose = path.poses[shown]
+        view, bare = _truth(lit_room, geometry, object_to_world, path.intrinsics, pose, number)
         low, high = geometry.bounds()
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
         clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(bare.radiance)
-        radius_m, distance_m = float(np.linalg.norm(high - low) / 2), _distances(path, view.view, centre)
+        radius_m, distance_m = float(np.linalg.norm(high - low) / 2), _distances(path.intrinsics, pose, view.view, centre)
         masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
-        developed = taken.phone.developed(view.view.radiance, FRAMES - 1)[0]
+        developed = taken.phone.developed(view.view.radiance, shown)[0]
         light = lit_room.light.panorama(centre, _PANORAMA_ROWS, seed=number)
         return CompositeScene(
             name=lit_room.room.name,
             shape=shape,
             material=material,
             session=session,
-            frame=frames[-1],
+            frame=frames[shown],
             objects=objects,
             position=(x, y, z),
-            truth=smoothed_truth(frames[-1].image, developed, clean, view.covered, masks[SHADOW]),
+            truth=smoothed_truth(frames[shown].image, developed, clean, view.covered, masks[SHADOW]),
             clean=clean,
             covered=view.covered,
             masks=masks,
@@ -187,29 +196,37 @@ def scene_for(
 
 def _places(
     lit_room: LitRoom, rng: np.random.Generator, geometry: VirtualObject
-) -> Iterator[tuple[CameraPath, real.RestingPlace]]:
-    """Yield walks of `FRAMES` frames whose last frame shows a place for the object."""
+) -> Iterator[tuple[CameraPath, int, real.RestingPlace]]:
+    """Yield walks, the frame of each whose view shows a place for the object nearest to its middle, and the place."""
     low, high = geometry.bounds()
     radius, height = float(np.hypot(high[0] - low[0], high[2] - low[2]) / 2), float(high[1] - low[1])
     for _ in range(_WALKS):
         walk = draw_camera_path(lit_room.free, lit_room.light, rng, frames=WALK, probes=1)
         if walk is None:
             continue
-        for last in (WALK - 1, 0, WALK // 2):
+        path = replace(walk, poses=walk.poses[::EVERY])
+        found: list[tuple[float, int, real.RestingPlace]] = []
+        for number, pose in enumerate(path.poses):
             place = real.find_resting_place(
-                lit_room.light.tracer, walk.intrinsics, walk.poses[last], rng, radius_m=radius, height_m=height
+                lit_room.light.tracer, path.intrinsics, pose, rng, radius_m=radius, height_m=height
             )
             if place is not None:
-                others = [k for k in np.linspace(0, WALK - 1, FRAMES).astype(int) if k != last][: FRAMES - 1]
-                yield replace(walk, poses=walk.poses[[*others, last]]), place
-                break
+                found.append((_off_centre(place, path.intrinsics), number, place))
+        if found:
+            _, number, place = min(found, key=lambda one: one[0])
+            yield path, number, place
 
 
-def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator) -> "_Recording":
-    """Render the frames and develop them as a phone with locked exposure does, with a phone's depth."""
+def _off_centre(place: real.RestingPlace, lens: Intrinsics) -> float:
+    return float(np.hypot(place.u / lens.width - 0.5, place.v / lens.height - 0.6))
+
+
+def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator, *, shown: int) -> "_Recording":
+    """Render the frames and develop them as a phone does, with its exposure and its depth."""
     seed = int(rng.integers(2**31))
     views = [lit_room.light.frame(path.intrinsics, pose, seed=seed + k) for k, pose in enumerate(path.poses)]
-    phone = _Phone(expose(np.stack([views[-1].radiance]), rng), Sensor.draw(rng), seed)
+    exposure = expose(np.stack([view.radiance for view in views]), rng, interval_s=EVERY * FRAME_INTERVAL_S)
+    phone = _Phone(exposure, Sensor.draw(rng), seed, shown)
     pictures = [phone.developed(view.radiance, k) for k, view in enumerate(views)]
     depth_mm = np.stack([np.rint(np.clip(view.depth_m * 1000, 0, 65535)).astype(np.uint16) for view in views])
     surface = np.stack([view.surface for view in views])
@@ -222,7 +239,7 @@ def _recorded(lit_room: LitRoom, path: CameraPath, rng: np.random.Generator) -> 
             depth_m=measured_mm[k].astype(np.float32) / np.float32(1000),
             intrinsics=path.intrinsics,
             camera_to_world=path.poses[k],
-            timestamp_s=k * _INTERVAL_S,
+            timestamp_s=k * EVERY * FRAME_INTERVAL_S,
             source=lit_room.room.name,
         )
         for k, (linear, eight_bit) in enumerate(pictures)
@@ -258,15 +275,18 @@ def _truth(
     lit_room: LitRoom,
     geometry: VirtualObject,
     object_to_world: Float[np.ndarray, "4 4"],
-    path: CameraPath,
+    intrinsics: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
     number: int,
 ) -> tuple[real.ObjectView, FrameView]:
     (mesh, look), *_ = geometry.transformed(object_to_world).parts
     kind = "mirror" if look.metallic else "diffuse" if look.specular == 0 else "glossy"
     item = real.object_mesh(mesh.vertices, mesh.normals, mesh.faces, real_material(kind))
-    return real.render_pair(lit_room.room.scene, item, path.intrinsics, path.poses[-1], seed=number)
+    return real.render_pair(lit_room.room.scene, item, intrinsics, camera_to_world, seed=number)
 
 
-def _distances(path: CameraPath, view: FrameView, centre: Float[np.ndarray, "3"]) -> Float32[np.ndarray, "h w"]:
-    points = path.intrinsics.rays() * view.depth_m[..., None] @ path.poses[-1][:3, :3].T + path.poses[-1][:3, 3]
+def _distances(
+    intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], view: FrameView, centre: Float[np.ndarray, "3"]
+) -> Float32[np.ndarray, "h w"]:
+    points = transform_points(camera_to_world, intrinsics.rays() * view.depth_m[..., None])
     return np.linalg.norm(points - centre, axis=-1).astype(np.float32)

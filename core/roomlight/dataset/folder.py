@@ -34,7 +34,7 @@ _RENAMED: Final = {
 """Renderers that moved; datasets made under the old name can be continued."""
 
 
-GENERATOR: Final = f"{__version__}+2"
+GENERATOR: Final = f"{__version__}+3"
 """RoomLight's version and the generator's: the latter rises when the same seed gives other rooms, so that a dataset is
 not continued with them. 2: flat colours, and furniture of the library."""
 

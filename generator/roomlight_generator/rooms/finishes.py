@@ -78,7 +78,7 @@ _UNTINTED: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo under a texture."""
 
 _FLOOR_SHADE: Final = (0.5, 0.85)
-_WALL_SHADE: Final = (0.75, 0.95)
+_WALL_SHADE: Final = (0.79, 0.99)
 _CEILING_SHADE: Final = (0.6, 0.9)
 """Range of the factor on a reflectance: surfaces are worn, dusty or oiled darker than new samples of them.
 

@@ -14,6 +14,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight_generator.rooms.colour import LUMINANCE, blackbody_rgb
+from roomlight_generator.sequences.walk import FRAME_INTERVAL_S
 
 MAX_MULTIPLIER: Final = (250.0, 900.0)
 """Range of phones' largest multipliers: f/1.8, 1/30 s, ISO 6,400 clip at 78 N^2 / (t S) = 1.2 cd/m2, which is 850."""
@@ -88,14 +89,16 @@ class Exposure:
         return radiance * scale
 
 
-def expose(radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator) -> Exposure:
+def expose(
+    radiance: Float[np.ndarray, "f h w 3"], rng: np.random.Generator, *, interval_s: float = FRAME_INTERVAL_S
+) -> Exposure:
     """Draw a phone at random and compute its exposure and white balance over the frames of a sequence."""
     settings = MeterSettings.draw(rng)
     small = np.stack([cv2.resize(np.asarray(frame, np.float32), _METER_SIZE, interpolation=cv2.INTER_AREA)
                       for frame in radiance])  # fmt: skip
     gains = white_balance(small[0], settings)
     wanted = np.array([meter(frame * gains.astype(np.float32), settings) for frame in small])
-    return Exposure(multiplier=2.0 ** settle(wanted, settings), gains=gains)
+    return Exposure(multiplier=2.0 ** settle(wanted, settings, interval_s), gains=gains)
 
 
 def meter(frame: Float[np.ndarray, "h w 3"], settings: MeterSettings) -> float:
@@ -114,7 +117,7 @@ def meter(frame: Float[np.ndarray, "h w 3"], settings: MeterSettings) -> float:
 
 
 def settle(
-    wanted: Float[np.ndarray, " f"], settings: MeterSettings, interval_s: float = 1 / 3
+    wanted: Float[np.ndarray, " f"], settings: MeterSettings, interval_s: float = FRAME_INTERVAL_S
 ) -> Float[np.ndarray, " f"]:
     """Return the exposure of each frame, in stops, as it follows the metered one: late, and not for small changes."""
     stops = np.empty(len(wanted))

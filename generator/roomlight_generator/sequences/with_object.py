@@ -17,11 +17,7 @@ from roomlight_generator.transport import FrameView, RoomLight, Tracer
 OBJECT: Final = "object"
 """Name and role of the item."""
 
-GATHER_RAYS: Final = 4096
-"""For each record of indirect light, many times as many as in a dataset: blotches that differ between the views with
-and without the object would pass for its shadow."""
-
-DISTANCE_M: Final = (0.7, 3.2)
+DISTANCE_M: Final = (0.7, 2.4)
 """Distance of resting places from the camera."""
 _LEVEL: Final = 0.995
 _CANDIDATES: Final = 400
@@ -79,7 +75,10 @@ def with_object(scene: Scene, mesh: Mesh) -> Scene:
 def render_pair(
     scene: Scene, mesh: Mesh, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int
 ) -> tuple[ObjectView, FrameView]:
-    """Render one view of the room with the object and one without it, both with the light solved anew."""
+    """Render one view of the room with the object and one without it, both with the light solved anew.
+
+    Blotches that differ between the views would pass for the object's shadow: both are precise (`RoomLight.solve`).
+    """
     return (
         render_with_object(scene, mesh, intrinsics, camera_to_world, seed=seed),
         _solved(Tracer(scene), seed).frame(intrinsics, camera_to_world, seed=seed),
@@ -145,7 +144,7 @@ def height_above_surface(tracer: Tracer, base: Float[np.ndarray, "3"], *, lift_m
 
 
 def _solved(tracer: Tracer, seed: int) -> RoomLight:
-    return RoomLight.solve(tracer, seed, gather_rays=GATHER_RAYS)
+    return RoomLight.solve(tracer, seed, precise=True)
 
 
 def _fits(

@@ -9,7 +9,7 @@ limited by the harmonic mean distance to the surfaces that it sees, and in pixel
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float32, Int32
+from jaxtyping import Float32, Int32, Int64
 
 from roomlight_generator.transport.direct import DirectLight, Points, Received
 from roomlight_generator.transport.kernels import irradiance_cache as kernels
@@ -68,11 +68,28 @@ class IrradianceCache:
     """Irradiance of one room's surfaces, in cells."""
 
     def __init__(
-        self, tracer: Tracer, light: DirectLight, room_cache: RoomCache, *, seed: int, gather_rays: int = GATHER_RAYS
+        self,
+        tracer: Tracer,
+        light: DirectLight,
+        room_cache: RoomCache,
+        *,
+        seed: int,
+        gather_rays: int = GATHER_RAYS,
+        interpolated: bool = True,
     ) -> None:
-        """Start empty; room_cache gives the light that gather rays bring, `gather_rays` of them for each record."""
+        """Start empty.
+
+        Args:
+            tracer: The room.
+            light: Its lights.
+            room_cache: The light that gather rays bring.
+            seed: Of all random numbers.
+            gather_rays: Rays of each record of indirect light.
+            interpolated: False: every cell is a record, cells are twice as wide, and a cell's random numbers depend on
+                its place alone, so that two caches of nearly the same room differ by the room and hardly by noise.
+        """
         self.tracer, self.light, self.room_cache = tracer, light, room_cache
-        self._seed, self._gather_rays = seed, gather_rays
+        self._seed, self._gather_rays, self._interpolated = seed, gather_rays, interpolated
         self._table = Table(1 << 16)
         self._count = 0
         self._irradiance, self._sun = np.zeros((1 << 16, 3), np.float32), np.zeros((1 << 16, 3), np.float32)
@@ -104,7 +121,7 @@ class IrradianceCache:
         """
         count = len(face)
         material = self.tracer.geometry.material[face]
-        foot = np.clip(foot_m, *_FOOT_RANGE)
+        foot = np.clip(foot_m if self._interpolated else 2 * foot_m, *_FOOT_RANGE)
         alpha = self.tracer.materials.roughness[material]
         self._table.reserve(self._count + count)
         cell, fresh = np.empty(count, np.int32), np.empty(count, np.int32)
@@ -134,9 +151,14 @@ class IrradianceCache:
         alpha = self.tracer.materials.roughness[material]
         row = np.empty(len(face), np.int32)
         find_points(self.room_cache.table, position, geometric_normal, material, face, row)
-        stream = np.arange(first, first + len(material), dtype=np.int64)
+        stream = np.arange(first, first + len(material), dtype=np.int64) if self._interpolated else _streams(position)
         points = Points(position, normal, geometric_normal, alpha, row, stream)
         direct = self._direct(points)
+        coat = (alpha > 0)[:, None]
+        if not self._interpolated:
+            indirect, _ = self.gathered(points, rays=self._gather_rays, first=0, streams=stream)
+            irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
+            return irradiance, np.where(coat, direct.sun_coated, direct.sun)
         records = self._records
         for reach, share in zip(REACH_PIXELS, ROUND_SHARE, strict=True):
             chosen = records.choose(points, foot, reach, every=share)
@@ -147,7 +169,6 @@ class IrradianceCache:
                 records.irradiance[start : records.count] = light
                 records.clear[start : records.count] = clear * np.float32(CLEARANCE)
         indirect = np.empty((len(material), 3), np.float32)
-        coat = (alpha > 0)[:, None]
         fallback = np.where(coat, self.room_cache.indirect_coated[row], self.room_cache.indirect[row])
         records.interpolate(points, foot, fallback, indirect)
         irradiance = np.where(coat, direct.coated, direct.irradiance) + indirect
@@ -181,11 +202,11 @@ class IrradianceCache:
         return direct
 
     def gathered(
-        self, points: Points, *, rays: int, first: int
+        self, points: Points, *, rays: int, first: int, streams: Int64[np.ndarray, " n"] | None = None
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
         """Compute indirect irradiance by `rays` rays from each point, and the harmonic mean of their lengths.
 
-        The points seed their random streams by `first`, `first` + 1 and so on.
+        The points seed their random streams by `first`, `first` + 1 and so on, or by `streams`.
         """
         count = len(points.position)
         irradiance, clear = np.empty((count, 3), np.float32), np.empty(count, np.float32)
@@ -194,7 +215,8 @@ class IrradianceCache:
         scratch = ConeScratch.empty(self.light.lights.real)
         for start in range(0, count, step):
             some = points.part(start, start + step)
-            stream = np.arange(first + start, first + start + len(some.position), dtype=np.int64)
+            numbered = np.arange(first + start, first + start + len(some.position), dtype=np.int64)
+            stream = numbered if streams is None else streams[start : start + step]
             sent = GatherRays.empty(len(stream) * rays)
             sampling = GatherSampling(rays - cones, cones, self._seed + 3)
             light = self.light
@@ -249,6 +271,12 @@ class IrradianceCache:
         hits = CacheHits(row, cosine, alpha, ends.distance_m, ends.factor)
         kernels.add_cached(hits, self.light.coat, cached, NEAR_SPOT_M2, radiance)
         return ends.face, ends.distance_m, radiance
+
+
+def _streams(position: Float32[np.ndarray, "n 3"]) -> Int64[np.ndarray, " n"]:
+    """Return a number for each point that depends on its place alone, to a tenth of a millimetre."""
+    x, y, z = np.rint(position.astype(np.float64) * 1e4).astype(np.int64).T
+    return np.abs(x * 73856093 ^ y * 19349663 ^ z * 83492791)
 
 
 class _Records:

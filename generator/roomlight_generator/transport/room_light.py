@@ -14,7 +14,7 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import direction_to_uv, panorama_solid_angles, uv_to_direction
 from roomlight_generator.transport.direct import DirectLight, Points, ShadowRays
 from roomlight_generator.transport.emitters import small_from
-from roomlight_generator.transport.irradiance_cache import GATHER_RAYS, IrradianceCache
+from roomlight_generator.transport.irradiance_cache import IrradianceCache
 from roomlight_generator.transport.kernels import glossy
 from roomlight_generator.transport.patches import solve_room
 from roomlight_generator.transport.paths import unit_rows
@@ -32,6 +32,12 @@ SPLAT_SAMPLES: Final = 512
 
 SUN_SAMPLES: Final = 64
 """Samples of the sun's disc in a panorama."""
+
+PRECISE_RAYS: Final = 1024
+"""Gather rays of each cell in precise views."""
+
+PRECISE_LOBES: Final = 6
+"""Passes of coats' reflections in precise views."""
 
 TEST_RAYS: Final = 1024
 """Gather rays of a point of `RoomLight.irradiance`."""
@@ -57,21 +63,34 @@ class RoomLight:
     before it: the same calls in the same order give the same bytes.
     """
 
-    def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
-        """Take the parts of a solved room; use `solve` to make one."""
+    def __init__(
+        self,
+        tracer: Tracer,
+        light: DirectLight,
+        irradiance_cache: IrradianceCache,
+        *,
+        shown: IrradianceCache | None = None,
+        lobe_passes: int = 1,
+    ) -> None:
+        """Take the parts of a solved room, as `Viewer` does; use `solve` to make one."""
         self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
-        self._viewer = Viewer(tracer, light, irradiance_cache)
+        self._viewer = Viewer(tracer, light, irradiance_cache, shown=shown, lobe_passes=lobe_passes)
 
     @classmethod
-    def solve(cls, tracer: Tracer, rng_seed: int, *, gather_rays: int = GATHER_RAYS) -> "RoomLight":
+    def solve(cls, tracer: Tracer, rng_seed: int, *, precise: bool = False) -> "RoomLight":
         """Solve the room's interreflection; the same arguments give the same bytes.
 
-        gather_rays are sent for each record of indirect light in views. With few, light from small bright surfaces
-        leaves soft blotches, which differ by the seed.
+        precise: views have no blotches and little noise, at several times the cost: every cell of a surface that they
+            show gathers its own light, and reflections are the mean of `PRECISE_LOBES` passes. Views of nearly the
+            same room share their random numbers.
         """
         light = DirectLight(tracer)
-        cache = solve_room(tracer, light, seed=rng_seed)
-        return cls(tracer, light, IrradianceCache(tracer, light, cache, seed=rng_seed, gather_rays=gather_rays))
+        room = solve_room(tracer, light, seed=rng_seed)
+        cache = IrradianceCache(tracer, light, room, seed=rng_seed)
+        if not precise:
+            return cls(tracer, light, cache)
+        shown = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
+        return cls(tracer, light, cache, shown=shown, lobe_passes=PRECISE_LOBES)
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""

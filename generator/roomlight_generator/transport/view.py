@@ -57,9 +57,26 @@ class Picture:
 class Viewer:
     """Renders pictures of one room."""
 
-    def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
-        """Take a solved room."""
+    def __init__(
+        self,
+        tracer: Tracer,
+        light: DirectLight,
+        irradiance_cache: IrradianceCache,
+        *,
+        shown: IrradianceCache | None = None,
+        lobe_passes: int = 1,
+    ) -> None:
+        """Take a solved room.
+
+        Args:
+            tracer: The room.
+            light: Its lights.
+            irradiance_cache: The light of the surfaces that reflections show.
+            shown: The light of the surfaces that pictures show; default: the same.
+            lobe_passes: Passes of which coats' reflections are the mean.
+        """
         self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
+        self._shown, self._lobe_passes = shown or irradiance_cache, lobe_passes
         self.reflections = Reflections(tracer, light, irradiance_cache)
         self._roughness = tracer.materials.roughness
 
@@ -74,7 +91,8 @@ class Viewer:
         coated = np.flatnonzero((alpha > 0) & _sparse(row[points.ray], column[points.ray], alpha))
         lobe, known = np.zeros_like(received), alpha <= 0
         if len(coated):
-            lobe[coated] = self.reflections.lobes(points, coated, seed=seed)
+            passes = (self.reflections.lobes(points, coated, seed=seed + k) for k in range(self._lobe_passes))
+            lobe[coated] = sum(passes) / np.float32(self._lobe_passes)
             known[coated] = True
             lobe, known = grid.smooth_lobes(lobe, known)
         received = received + self._sunlight(points, seed)
@@ -125,7 +143,7 @@ class Viewer:
     def _received(self, points: Surfaces, some: Int64[np.ndarray, " k"] | None = None) -> Float32[np.ndarray, "_ 3"]:
         """Return the irradiance of points, without what comes straight from the sun."""
         at = slice(None) if some is None else some
-        received, sun = self.irradiance_cache.irradiance(
+        received, sun = self._shown.irradiance(
             points.position[at],
             points.normal[at],
             points.geometric_normal[at],
