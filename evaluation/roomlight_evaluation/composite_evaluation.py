@@ -8,14 +8,14 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight.engine.graphs import LightingGraphs
-from roomlight.engine.session import SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import SceneError
 from roomlight.files import write_atomic
+from roomlight_evaluation.composite_files import kept_scene
 from roomlight_evaluation.composite_methods import HARMONICS, OURS, TRUE_LIGHT, composites
 from roomlight_evaluation.composite_mitsuba import VIEWS, mitsuba_scene
 from roomlight_evaluation.composite_regions import SHADOW, darker_part
-from roomlight_evaluation.composite_scenes import CompositeScene, scene_for
+from roomlight_evaluation.composite_scenes import CompositeScene
 from roomlight_evaluation.composite_scores import (
     CompositeScores,
     SceneScore,
@@ -34,6 +34,7 @@ def evaluate_composites(
     *,
     seed: int = 0,
     options: SessionOptions | None = None,
+    keep: Path | None = None,
     pictures: Path | None = None,
     progress: Callable[[int, int, str], None] | None = None,
 ) -> CompositeScores:
@@ -44,6 +45,8 @@ def evaluate_composites(
         out: The file of results.
         seed: Of the rooms, walks and objects.
         options: Of the sessions.
+        keep: A folder for the rendered scenes: those in it are not rendered again, so that several models are scored
+            on the same scenes.
         pictures: A folder for a PNG of each new scene: truth, ours, true panorama, SH + directional.
         progress: Called as (scenes done, scenes in all, what was done) after each room.
     """
@@ -53,7 +56,8 @@ def evaluate_composites(
     number = 1 + max((one.number for one in done), default=-1)
     while len(done) < count:
         try:
-            score = _score(number, seed, options, graphs, pictures)
+            scene = kept_scene(keep, number, seed=seed)
+            score = _score(number, scene, scene.session(options, graphs), pictures)
         except (SceneError, ValueError) as error:  # a room in which no camera can walk is a ValueError
             note = f"room {number}: {error}"
         else:
@@ -74,19 +78,13 @@ def evaluate_mitsuba(*, options: SessionOptions | None = None, pictures: Path | 
     """
     scored: list[SceneScore] = []
     for view in range(VIEWS):
-        scene = mitsuba_scene(view, options=options or SessionOptions())
-        images = composites(scene)
-        if pictures is not None:
-            write_scene_picture(pictures / f"{scene.name}.png", scene, images)
-        scored.append(score_scene(view, scene, images))
+        scene = mitsuba_scene(view)
+        scored.append(_score(view, scene, scene.session(options or SessionOptions()), pictures))
     return CompositeScores(tuple(scored))
 
 
-def _score(
-    number: int, seed: int, options: SessionOptions, graphs: LightingGraphs | None, pictures: Path | None
-) -> SceneScore:
-    scene = scene_for(number, seed=seed, options=options, graphs=graphs)
-    images = composites(scene)
+def _score(number: int, scene: CompositeScene, session: Session, pictures: Path | None) -> SceneScore:
+    images = composites(scene, session)
     if pictures is not None:
         write_scene_picture(pictures / f"{number:03d}-{scene.material}-{scene.shape}.png", scene, images)
     return score_scene(number, scene, images)

@@ -12,6 +12,7 @@ from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.probes import LightAt
 from roomlight.conventions import Position, panorama_rays, panorama_solid_angles
+from roomlight.engine.session import Session
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight_evaluation.composite_scenes import CompositeScene
@@ -48,8 +49,11 @@ def harmonics_and_directional(panorama: Float[np.ndarray, "h w 3"]) -> Panorama:
     return ambient.reshape(height, 2 * height, 3).astype(np.float32)
 
 
-def composites(scene: CompositeScene, *, quality: str = "good") -> dict[str, Picture]:
-    """Return the composite of each of `METHODS`, in linear radiance, without the camera's noise on the object."""
+def composites(scene: CompositeScene, session: Session, *, quality: str = "good") -> dict[str, Picture]:
+    """Return the composite of each of `METHODS`, in linear radiance, without the camera's noise on the object.
+
+    session:  has seen the scene's frames.
+    """
     warped, mean = WarpAndFill(), MeanColour()
     for frame in scene.frames:
         warped.push(frame)
@@ -59,7 +63,7 @@ def composites(scene: CompositeScene, *, quality: str = "good") -> dict[str, Pic
         return harmonics_and_directional(np.minimum(warped.light_at(position), 1))
 
     def harmonics_of_ours(position: Position) -> Panorama:
-        return harmonics_and_directional(scene.session.light_at(position).panorama)
+        return harmonics_and_directional(session.light_at(position).panorama)
 
     def true_light(_: Position) -> Panorama:
         return scene.true_light
@@ -74,7 +78,7 @@ def composites(scene: CompositeScene, *, quality: str = "good") -> dict[str, Pic
     }
     found: dict[str, Picture] = {}
     for name, light in lights.items():
-        compositor = Compositor(scene.session, scene.objects, quality=quality, light=light)
+        compositor = Compositor(session, scene.objects, quality=quality, light=light)
         try:
             result = compositor.composite(scene.frame)
         finally:

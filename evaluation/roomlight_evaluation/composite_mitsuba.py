@@ -16,7 +16,6 @@ from roomlight.compositing.materials import Material
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.scene import AtPosition, Scene, SceneObject
 from roomlight.conventions import LUMINANCE, linear_to_srgb8, panorama_rays, srgb8_to_linear
-from roomlight.engine.session import Session, SessionOptions
 from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight_evaluation.composite_regions import SHADOW, regions, smoothed_truth
 from roomlight_evaluation.composite_scenes import MATERIALS, NAME, SHAPES, CompositeScene, virtual_object
@@ -38,7 +37,7 @@ _PANS_DEG: Final = (-70.0, -35.0, 60.0, 30.0, 0.0)
 """Directions of the frames of a view about the vertical, relative to the object; the last is composited."""
 
 
-def mitsuba_scene(view: int, *, options: SessionOptions, samples: int = SAMPLES) -> CompositeScene:
+def mitsuba_scene(view: int, *, samples: int = SAMPLES) -> CompositeScene:
     """Make one of the `VIEWS`, of the object and the material of that number.
 
     Raises:
@@ -59,9 +58,6 @@ def mitsuba_scene(view: int, *, options: SessionOptions, samples: int = SAMPLES)
     radiance, depth_m = renderer.image(full, camera, poses[-1], samples, seed=99)
     scale = _WHITE_LEVEL / float(np.percentile(seen[-1][0] @ LUMINANCE, _WHITE_PERCENTILE))
     frames = tuple(_frame(k, *one, scale, camera, pose) for k, (one, pose) in enumerate(zip(seen, poses, strict=True)))
-    session = Session(options)
-    for frame in frames:
-        session.push(frame)
     rays = camera.rays() * depth_m[..., None]
     points = rays @ poses[-1][:3, :3].T + poses[-1][:3, 3]
     low, high = geometry.bounds()
@@ -74,7 +70,6 @@ def mitsuba_scene(view: int, *, options: SessionOptions, samples: int = SAMPLES)
         name=f"mitsuba-{view}",
         shape=shape,
         material=material,
-        session=session,
         frame=frames[-1],
         objects=Scene((held,)),
         position=(x, y, z),

@@ -62,7 +62,6 @@ class CompositeScene:
         name: of the room.
         shape: one of `SHAPES`.
         material: one of `MATERIALS`.
-        session: has seen the frames.
         frame: the one of the frames into which the object is put; its white is the unit of light.
         objects: the scene for the compositor.
         position: centre of the object.
@@ -78,7 +77,6 @@ class CompositeScene:
     name: str
     shape: str
     material: str
-    session: Session
     frame: Frame
     objects: Scene
     position: Position
@@ -89,6 +87,13 @@ class CompositeScene:
     true_light: Float32[np.ndarray, "ph pw 3"]
     frames: tuple[Frame, ...]
     shift_m: float
+
+    def session(self, options: SessionOptions, graphs: LightingGraphs | None = None) -> Session:
+        """Return a session that has seen the frames."""
+        session = Session(options, graphs=graphs)
+        for frame in self.frames:
+            session.push(frame)
+        return session
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,9 +147,7 @@ def real_material(material: str) -> RealMaterial:
     return RealMaterial(real.OBJECT, albedo=_COLOUR, roughness=_ALPHA if material == "glossy" else None)
 
 
-def scene_for(
-    number: int, *, seed: int, options: SessionOptions, graphs: LightingGraphs | None, furniture: Path | None = None
-) -> CompositeScene:
+def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> CompositeScene:
     """Make the scene of this number; the same arguments give the same scene.
 
     Raises:
@@ -157,7 +160,7 @@ def scene_for(
     geometry = virtual_object(shape, material)
     for path, shown, place in _places(lit_room, rng, geometry):
         taken = _recorded(lit_room, path, rng, shown=shown)
-        session, frames = Session(options, graphs=graphs), taken.frames
+        session, frames = Session(SessionOptions(model="classical")), taken.frames
         for frame in frames:
             session.push(frame)
         objects = Scene((SceneObject(NAME, geometry, AtPixel(place.u, place.v)),))
@@ -171,7 +174,10 @@ def scene_for(
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
         clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(bare.radiance)
-        radius_m, distance_m = float(np.linalg.norm(high - low) / 2), _distances(path.intrinsics, pose, view.view, centre)
+        radius_m, distance_m = (
+            float(np.linalg.norm(high - low) / 2),
+            _distances(path.intrinsics, pose, view.view, centre),
+        )
         masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
         developed = taken.phone.developed(view.view.radiance, shown)[0]
         light = lit_room.light.panorama(centre, _PANORAMA_ROWS, seed=number)
@@ -179,7 +185,6 @@ def scene_for(
             name=lit_room.room.name,
             shape=shape,
             material=material,
-            session=session,
             frame=frames[shown],
             objects=objects,
             position=(x, y, z),

@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import open_capture
-from roomlight.compositing.missing_light import with_missing_light
+from roomlight.compositing.missing_light import object_light
 from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
@@ -32,7 +32,7 @@ from roomlight_evaluation.dataset_evaluation import evenly_spread
 from roomlight_evaluation.lit_objects import LOOKS, SHADOW, LitObjects
 
 COMPOSITED: Final = "as composited"
-"""Appended to a model's name: with the missing light that the compositor adds to objects, not to their shadows."""
+"""Appended to a model's name: in the light that the compositor gives to objects, mirrors and shadows."""
 
 Panorama = Float[np.ndarray, "h w 3"]
 Truth = tuple[Position, Panorama]
@@ -171,12 +171,10 @@ def _score(
         }
         found = {method: objects.errors(panorama) for method, panorama in lights.items()}
         for model, own in zip(models, handles, strict=True):
-            light = model.light(own[number])
-            plain = objects.errors(light.panorama)
-            lit = objects.errors(with_missing_light(light.panorama, light.observed))
-            found[model.model] = plain
-            # the compositor casts shadows by the session's light alone, and mirrors show that light
-            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": plain["mirror"], SHADOW: plain[SHADOW]}
+            found[model.model] = objects.errors(model.light(own[number]).panorama)
+            light = object_light(model, own[number])
+            lit, casting = objects.errors(light.shown), objects.errors(light.casting)
+            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": casting["mirror"], SHADOW: casting[SHADOW]}
         for method, one in found.items():
             errors.setdefault(method, []).append(one)
     means = {

@@ -162,6 +162,11 @@ def test_objects_have_their_size(shape, size_m):
     assert (high - low).max() == pytest.approx(size_m, rel=1e-5)
 
 
+class Unrendered:
+    def session(self, *_):
+        return None
+
+
 def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
     out, made = tmp_path / "scores.jsonl", []
     write_line(out, score(0, 1.0))
@@ -174,6 +179,7 @@ def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
             raise ValueError("no walk")
         return score(number, 1.0)
 
+    monkeypatch.setattr(composite_evaluation, "kept_scene", lambda *_, **__: Unrendered())
     monkeypatch.setattr(composite_evaluation, "_score", scored)
     scores = composite_evaluation.evaluate_composites(4, out, options=SessionOptions(model="classical"))
     assert made == [4, 5, 6]

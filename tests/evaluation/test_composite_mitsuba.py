@@ -12,8 +12,8 @@ from roomlight_evaluation.composite_mitsuba import mitsuba_scene
 @pytest.mark.slow
 def test_the_composite_covers_the_rendered_object():
     pytest.importorskip("mitsuba")
-    scene = mitsuba_scene(2, options=SessionOptions(model="classical", height=32), samples=4)
-    images = composites(scene, quality="preview")
+    scene = mitsuba_scene(2, samples=4)
+    images = composites(scene, scene.session(SessionOptions(model="classical", height=32)), quality="preview")
     changed = np.abs(images[OURS] - scene.frame.image).max(axis=-1) > 0.02
     assert scene.covered.sum() > 100
     assert changed[scene.masks["object"]].mean() > 0.9

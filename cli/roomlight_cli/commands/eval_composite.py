@@ -22,6 +22,9 @@ def eval_composite(
     out: Annotated[Path, typer.Argument(help="File of results, a JSON line a scene; a run continues where it ended.")],
     scenes: Annotated[int, typer.Option(min=1, help="Rooms, each with one object.")] = 40,
     seed: Annotated[int, typer.Option(min=0, help="Of rooms, walks and objects.")] = 0,
+    keep: Annotated[
+        Path | None, typer.Option(help="Folder of rendered scenes, to score several models on the same ones.")
+    ] = None,
     pictures: Annotated[
         Path | None, typer.Option(help="Also write a PNG of each scene: truth, ours, true panorama, SH + directional.")
     ] = None,
@@ -34,7 +37,7 @@ def eval_composite(
 ) -> None:
     """Compare virtual objects in pictures with the same rooms with the object really in them.
 
-    A scene takes about a minute of processor time: the light of its room is solved twice.
+    A scene takes about a minute of processor time: the light of its room is solved three times.
     """
     options = SessionOptions(model=model, weights=weights)
     with console.progress_bars() as bars:
@@ -47,7 +50,9 @@ def eval_composite(
         if mitsuba:
             scores = evaluate_mitsuba(options=options, pictures=pictures)
         else:
-            scores = evaluate_composites(scenes, out, seed=seed, options=options, pictures=pictures, progress=show)
+            scores = evaluate_composites(
+                scenes, out, seed=seed, options=options, keep=keep, pictures=pictures, progress=show
+            )
     for metric in METRICS:
         console.print_table(console.out, composite_table(scores, metric))
     for line in summary(scores):

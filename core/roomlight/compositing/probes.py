@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.missing_light import with_missing_light
+from roomlight.compositing.missing_light import object_light
 from roomlight.compositing.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
@@ -56,9 +56,7 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 class SceneProbes:
     """Tracked probes of all objects of a scene.
 
-    Objects are lit with the light that the session lacks (`missing_light`). Mirrors show the session's light alone, and
-    so cast objects their shadows: the missing light comes from nowhere in particular, would be seen in mirrors, and
-    would make shadows fainter.
+    Objects are lit, and their shadows cast, by the session's light as `missing_light` completes it.
     """
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
@@ -83,9 +81,9 @@ class SceneProbes:
             if self._light is not None:
                 self._shown.add((x, y, z), self._light((x, y, z)))
             else:
-                found = self._session.light(handle)
-                self._shown.add((x, y, z), with_missing_light(found.panorama, found.observed))
-                self._casting.add((x, y, z), found.panorama)
+                found = object_light(self._session, handle)
+                self._shown.add((x, y, z), found.shown)
+                self._casting.add((x, y, z), found.casting)
         self._frames = self._session.frames
 
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
@@ -93,15 +91,15 @@ class SceneProbes:
 
         every_s:  change the light at most this often: each change costs 12 ms a probe.
         """
-        if self._session.frames != self._frames and self._light is None:
-            for number, handle in enumerate(self._handles):
-                found = self._session.light(handle)
-                self._shown.aim(number, with_missing_light(found.panorama, found.observed))
-                self._casting.aim(number, found.panorama)
-            self._frames = self._session.frames
         self._waiting_s += elapsed_s
         if self._waiting_s < every_s:
             return False
+        if self._session.frames != self._frames and self._light is None:
+            for number, handle in enumerate(self._handles):
+                found = object_light(self._session, handle)
+                self._shown.aim(number, found.shown)
+                self._casting.aim(number, found.casting)
+            self._frames = self._session.frames
         changed = self._shown.advance(self._waiting_s)
         if self._casting is not self._shown:
             changed |= self._casting.advance(self._waiting_s)

@@ -77,9 +77,9 @@ _TEXTURED_SHARE: Final = 0.35
 _UNTINTED: Final[Rgb] = (0.95, 0.95, 0.95)
 """Albedo under a texture."""
 
-_FLOOR_SHADE: Final = (0.5, 0.85)
-_WALL_SHADE: Final = (0.79, 0.99)
-_CEILING_SHADE: Final = (0.6, 0.9)
+_FLOOR_SHADE: Final = (0.53, 0.9)
+_WALL_SHADE: Final = (0.82, 1.0)
+_CEILING_SHADE: Final = (0.64, 0.96)
 """Range of the factor on a reflectance: surfaces are worn, dusty or oiled darker than new samples of them.
 
 In 38 real panoramas ceilings have 0.68 of the walls' radiance in the median (quartiles 0.36 and 1.6) and floors 0.30

@@ -46,18 +46,6 @@ _KIND_SCENARIOS: Final[dict[LightKind, tuple[float, ...]]] = {
 _BULB_M: Final = (0.02, 0.035)
 """Radius of a bare bulb."""
 
-CORE_GAIN: Final = 6.0
-"""Luminance of a lamp's core to that of the rest of its shade or panel.
-
-Real lamps have a small core that is much brighter than the rest: the bulb behind the shade, the tube behind the panel.
-"""
-CORE_SHARE: Final = 0.25
-"""Share of a shade's or a panel's area that is core."""
-_LEAST_CORE_FACES: Final = 4
-"""A shade of fewer and larger faces has no core."""
-_CORE: Final = "core"
-"""Name of a core's material."""
-
 _SPOT_M: Final = (0.05, 0.11)
 """Side of a spot in the ceiling."""
 _SPOT_SPACING_M: Final = (1.0, 2.0)
@@ -154,14 +142,14 @@ def light_room(
         out[i] = item
         sources.append({"kind": placements[i].model.role, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
     for fixture in fixtures:
-        out.append(_lit(fixture, flux_klm / total, blackbody_rgb(kelvin)))
+        out.append(_with_uniform_emission(fixture, flux_klm / total, blackbody_rgb(kelvin)))
         sources.append({"kind": fixture.name, "flux_lm": round(1000 * flux_klm / total, 1), "kelvin": round(kelvin)})
     night = scenario in ("dusk", "night")
     only_second = kind == "open to bright" and not shell.openings
     for item, source, (least, most) in _accessory_lamps(shell, placements, rng, night=night, only_second=only_second):
         own = _choose_kelvin(rng)
         flux = float(np.exp(rng.uniform(np.log(least), np.log(most))))
-        out.append(_lit(item, flux, blackbody_rgb(own)))
+        out.append(_with_uniform_emission(item, flux, blackbody_rgb(own)))
         sources.append({"kind": source, "flux_lm": round(1000 * flux, 1), "kelvin": round(own)})
     out = [_with_screens_on(item, rng, sources) for item in out]
     shell_items = [_with_daylit_cloth(item, sky, shell, rng, sources) for item in shell.items]
@@ -189,7 +177,13 @@ def switch_on(item: Item, placement: Placement, *, flux_klm: float, colour: Rgb)
     share = 0.0
     if shades:
         share = 1.0 if not len(bulbs) or escaped < 0.05 else 1 - 0.7 * escaped
-        parts = [_with_emission(*_with_core(mesh, shades, bulbs), share * flux_klm, colour)]
+        area = _area_m2(mesh, np.isin(mesh.face_materials, shades))
+        glow = share * flux_klm / (np.pi * max(area, 1e-4))
+        materials = [
+            replace(material, emission=_scaled(colour, glow)) if k in shades else material
+            for k, material in enumerate(mesh.materials)
+        ]
+        parts = [replace(mesh, materials=tuple(materials))]
     if not len(bulbs) and not shades:
         low, high = mesh.bounds()
         bulbs = np.array([[(low[0] + high[0]) / 2, low[1] - 0.04, (low[2] + high[2]) / 2]])
@@ -303,45 +297,12 @@ def _scaled(colour: Rgb, factor: float) -> Rgb:
     return (colour[0] * factor, colour[1] * factor, colour[2] * factor)
 
 
-def _lit(item: Item, flux_klm: float, colour: Rgb) -> Item:
-    """Make every surface of an item emit, with the given total flux; its core is brighter, if it has one."""
-    mesh = item.mesh
-    return replace(item, mesh=_with_emission(mesh, list(range(len(mesh.materials))), flux_klm, colour))
-
-
-def _with_emission(mesh: Mesh, glowing: Sequence[int], flux_klm: float, colour: Rgb) -> Mesh:
-    """Make materials of a mesh emit, with the given total flux: a core `CORE_GAIN` times as bright as the others."""
-    gains = {k: CORE_GAIN if mesh.materials[k].name == _CORE else 1.0 for k in glowing}
-    weighted = sum(gain * _area_m2(mesh, mesh.face_materials == k) for k, gain in gains.items())
-    glow = flux_klm / (np.pi * max(weighted, 1e-4))
-    materials = tuple(
-        replace(material, emission=_scaled(colour, gains[k] * glow)) if k in gains else material
-        for k, material in enumerate(mesh.materials)
-    )
-    return replace(mesh, materials=materials)
-
-
-def _with_core(mesh: Mesh, shades: Sequence[int], bulbs: Float[np.ndarray, "n 3"]) -> tuple[Mesh, list[int]]:
-    """Make the faces of shades that are nearest to a bulb their core; without bulbs those nearest to their middle.
-
-    Returns the mesh, and the indices of the shades' materials, the core's included. Shades of a few large faces have
-    no core.
-    """
-    of_shade = np.flatnonzero(np.isin(mesh.face_materials, shades))
-    corners = mesh.vertices[mesh.faces[of_shade]].astype(np.float64)
-    middles = corners.mean(axis=1)
-    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-    sources = bulbs if len(bulbs) else np.average(middles, axis=0, weights=areas + 1e-12)[None]
-    nearness = np.linalg.norm(middles[:, None] - sources[None], axis=2).min(axis=1)
-    order = np.argsort(nearness, kind="stable")
-    inside = np.cumsum(areas[order]) <= CORE_SHARE * areas.sum()
-    if inside.sum() < _LEAST_CORE_FACES:
-        return mesh, list(shades)
-    core = replace(mesh.materials[shades[0]], name=_CORE)
-    face_materials = mesh.face_materials.copy()
-    face_materials[of_shade[order[inside]]] = len(mesh.materials)
-    made = replace(mesh, materials=(*mesh.materials, core), face_materials=face_materials)
-    return made, [*shades, len(mesh.materials)]
+def _with_uniform_emission(item: Item, flux_klm: float, colour: Rgb) -> Item:
+    """Make every surface of an item emit, with the given total flux."""
+    area = _area_m2(item.mesh, np.ones(len(item.mesh.faces), bool))
+    emission = _scaled(colour, flux_klm / (np.pi * max(area, 1e-4)))
+    materials = tuple(replace(material, emission=emission) for material in item.mesh.materials)
+    return replace(item, mesh=replace(item.mesh, materials=materials))
 
 
 def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> Item:
@@ -356,15 +317,9 @@ def _ceiling_fixture(shell: Shell, rng: np.random.Generator, *, bulb: bool) -> I
     if bulb:
         mesh = with_material(sphere(float(rng.uniform(*_BULB_M)), rings=6, segments=12), material)
         return Item("bulb", "ceiling_lamp", mesh.placed(float(x), top - 0.1, float(z)))
-    mesh = _panel(float(rng.uniform(0.25, 0.7)), material)
+    side = float(rng.uniform(0.25, 0.7))
+    mesh = with_material(box(side, 0.03, side), material)
     return Item("panel", "ceiling_lamp", mesh.placed(float(x), top - 0.05, float(z)))
-
-
-def _panel(side_m: float, material: Material) -> Mesh:
-    """Make a flat square lamp, with its core in the middle of the lower side."""
-    inner = side_m * float(np.sqrt(CORE_SHARE))
-    core = with_material(box(inner, 0.006, inner), replace(material, name=_CORE))
-    return Mesh.joined([with_material(box(side_m, 0.03, side_m), material), core.placed(0.0, -0.006, 0.0)])
 
 
 def _ceiling_spots(shell: Shell, rng: np.random.Generator) -> list[Item]:
@@ -404,8 +359,8 @@ def _accessory_lamps(
     if shell.spots and (only_second or rng.random() < 0.65):
         x, z, _ = shell.spots[0]
         bright = only_second or rng.random() < _BRIGHT_SECOND_ROOM
-        glass = Material(name="globe", albedo=(0.8, 0.8, 0.8))
-        lamp = _panel(0.6, glass) if bright else with_material(sphere(0.12, rings=8, segments=16), glass)
+        shape = box(0.6, 0.04, 0.6) if bright else sphere(0.12, rings=8, segments=16)
+        lamp = with_material(shape, Material(name="globe", albedo=(0.8, 0.8, 0.8)))
         height = 2.2 if bright else min(2.0, shell.height_m - 0.3)
         item = Item("globe", "ceiling_lamp", lamp.placed(x, height, z))
         found.append((item, "bright second room" if bright else "second room", _SECOND_ROOM_KLM[int(bright)]))

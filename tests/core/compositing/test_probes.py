@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from roomlight.compositing.missing_light import with_missing_light
+from roomlight.compositing.missing_light import object_light
 from roomlight.compositing.probes import SceneProbes
 from roomlight.compositing.temporal import LIGHT_S
 from roomlight.engine.session import Session, SessionOptions
@@ -34,10 +34,10 @@ def test_objects_get_the_missing_light_and_their_shadows_do_not(session):
     probes = SceneProbes(session)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
-    light = session.light_at(at)
+    light = object_light(session, session.track(at))
     shown, casting = probes.at(at).panorama, probes.casting_at(at).panorama
-    assert_array_equal(casting, light.panorama)
-    assert_array_equal(shown, with_missing_light(light.panorama, light.observed))
+    assert_array_equal(casting, light.casting)
+    assert_array_equal(shown, light.shown)
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
 
 
@@ -62,11 +62,9 @@ def test_both_follow_the_session(session, room):
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
     assert probes.advance(20 * LIGHT_S)
     for place, handle in zip(PLACES, handles, strict=True):
-        at, light = position(place), session.light(handle)
-        assert_allclose(probes.casting_at(at).panorama, light.panorama, rtol=1e-3, atol=1e-3)
-        assert_allclose(
-            probes.at(at).panorama, with_missing_light(light.panorama, light.observed), rtol=1e-3, atol=1e-3
-        )
+        at, light = position(place), object_light(session, handle)
+        assert_allclose(probes.casting_at(at).panorama, light.casting, rtol=1e-3, atol=1e-3)
+        assert_allclose(probes.at(at).panorama, light.shown, rtol=1e-3, atol=1e-3)
     assert not probes.advance(20 * LIGHT_S)
 
 
