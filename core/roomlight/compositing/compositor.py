@@ -198,10 +198,11 @@ class Compositor:
         """Return the rectangles around objects and shadows, and around objects alone."""
         k, pose = frame.intrinsics, frame.camera_to_world
         crop, object_crop = Crop(0, 0, 0, 0), Crop(0, 0, 0, 0)
+        reach = shadows.QUALITIES[self.quality].reach
         for sphere in spheres:
             own = crop_of_sphere(k, pose, sphere[:3], float(sphere[3]))
             object_crop = object_crop.union(own)
-            crop = crop.union(crop_of_sphere(k, pose, sphere[:3], shadows.REACH * float(sphere[3])))
+            crop = crop.union(crop_of_sphere(k, pose, sphere[:3], reach * float(sphere[3])))
         if not object_crop.empty:
             object_crop = object_crop.grown(8, k.width, k.height)
         return crop.union(object_crop), object_crop

@@ -45,8 +45,8 @@ from roomlight.threads import parallel_for, thread_count
 
 TILE: Final = 4
 """Side of the tiles whose pixels use different subsets of the samples."""
-REACH: Final = 4.0
-"""Shadows fade out between 0.8 and 1 times this distance from an object's centre, in radii of its bounding sphere."""
+GLOW_REACH: Final = 4.0
+"""Objects light surfaces up to this distance from their centre, in radii of their bounding sphere."""
 SNAP_M: Final = 0.02
 SNAP_SHARE: Final = 0.01
 """Points this close to the plane that an object stands on are moved onto it: 2 cm and 1 % of the depth are noise."""
@@ -80,16 +80,20 @@ class ShadowQuality:
         samples: directions to the light from each of these pixels; a filtered pixel uses about 16 times as many.
         bounces: directions toward each object from each of these pixels; 0 leaves colour bleeding out.
         radius: of the filter, in computed pixels; 2 or 4, so that every subset counts the same.
+        reach: shadows fade out between 0.8 and 1 times this distance from an object's centre, in radii of its bounding
+            sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
+            shades the wall behind it.
     """
 
     step: int
     samples: int
     bounces: int
     radius: int = 2
+    reach: float = 7.0
 
 
 QUALITIES: Final = {
-    "preview": ShadowQuality(step=4, samples=16, bounces=2),
+    "preview": ShadowQuality(step=4, samples=16, bounces=2, reach=4.0),
     "good": ShadowQuality(step=2, samples=32, bounces=6, radius=4),
     "final": ShadowQuality(step=1, samples=64, bounces=8, radius=4),
 }
@@ -183,7 +187,7 @@ def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> F
     """Return the ratio of one caster on a grid of surfaces; 1 beyond its reach and where the surface is not known."""
     height, width = grid.known.shape
     out = np.ones((height, width, 3), np.float32)
-    fade = _fade(caster.spheres, grid)
+    fade = _fade(caster.spheres, grid, quality.reach)
     near = grid.known & (fade > 0)
     rows, columns = np.nonzero(near)
     if len(rows) == 0:
@@ -303,7 +307,7 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
     unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
     blocked, squares = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
     bounced = np.zeros((count, 3), np.float32)
-    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(REACH)
+    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(GLOW_REACH)
     numbers = _subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
     of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
     looks, ground = _looks(caster.scene, len(levels)), _ground(caster)
@@ -423,11 +427,11 @@ def _texture_mean(scene: ObjectScene, row: int) -> Float[np.ndarray, "3"]:
     return texture.texels[::4, ::4, :3].mean(axis=(0, 1)) / 65535
 
 
-def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid) -> Float32[np.ndarray, "h w"]:
-    """Return 1 near an object and 0 beyond its reach."""
+def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid, reach: float) -> Float32[np.ndarray, "h w"]:
+    """Return 1 near an object and 0 beyond `reach` radii from its centre."""
     fade = np.zeros(grid.known.shape, np.float32)
     for x, y, z, radius in spheres:
         offset = grid.points - np.array([x, y, z], np.float32)
-        far = np.sqrt(np.einsum("hwc,hwc->hw", offset, offset)) / np.float32(REACH * radius)
+        far = np.sqrt(np.einsum("hwc,hwc->hw", offset, offset)) / np.float32(reach * radius)
         fade = np.maximum(fade, np.clip((1 - far) / np.float32(0.2), 0, 1))
     return fade
