@@ -296,6 +296,7 @@ def test_clipped_light_of_rooms_is_nearer_to_the_truth_than_by_constants(shipped
         frame = recording.frame(0, recording.depth_mm[0])
         depth_m, where = complete_depth(frame.depth_m), frame.clipped
         assert where.sum() > 1000
+        assert recording.clipped_radiance is not None
         truth = np.maximum(recording.clipped_radiance[0].astype(np.float32), frame.image)[where]
         constants, learned = (
             np.square(np.log1p(restore_clipped(frame, depth_m, model=model).image[where]) - np.log1p(truth)).mean()
