@@ -73,7 +73,7 @@ def write_scene(path: Path, scene: CompositeScene) -> None:
 
 def read_scene(path: Path) -> CompositeScene:
     """Read what `write_scene` wrote."""
-    with np.load(path) as held:
+    with np.load(BytesIO(path.read_bytes())) as held:
         data = {name: held[name] for name in held.files}
     fx, fy, cx, cy, width, height = data["lens"].tolist()
     lens = Intrinsics(fx, fy, cx, cy, int(width), int(height))
