@@ -174,10 +174,8 @@ def scene_for(number: int, *, seed: int, furniture: Path | None = None) -> Compo
         centre = object_to_world[:3, :3] @ ((low + high) / 2) + object_to_world[:3, 3]
         x, y, z = centre.tolist()
         clean = taken.phone.in_white(view.view.radiance), taken.phone.in_white(bare.radiance)
-        radius_m, distance_m = (
-            float(np.linalg.norm(high - low) / 2),
-            _distances(path.intrinsics, pose, view.view, centre),
-        )
+        radius_m = float(np.linalg.norm(high - low) / 2)
+        distance_m = _distances(path.intrinsics, pose, view.view, centre)
         masks = regions(*clean, view.covered, distance_m, radius_m=radius_m)
         developed = taken.phone.developed(view.view.radiance, shown)[0]
         light = lit_room.light.panorama(centre, _PANORAMA_ROWS, seed=number)

@@ -63,18 +63,10 @@ class RoomLight:
     before it: the same calls in the same order give the same bytes.
     """
 
-    def __init__(
-        self,
-        tracer: Tracer,
-        light: DirectLight,
-        irradiance_cache: IrradianceCache,
-        *,
-        shown: IrradianceCache | None = None,
-        lobe_passes: int = 1,
-    ) -> None:
-        """Take the parts of a solved room, as `Viewer` does; use `solve` to make one."""
-        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
-        self._viewer = Viewer(tracer, light, irradiance_cache, shown=shown, lobe_passes=lobe_passes)
+    def __init__(self, viewer: Viewer) -> None:
+        """Take what renders a solved room; use `solve` to make one."""
+        self.tracer, self.light, self.irradiance_cache = viewer.tracer, viewer.light, viewer.irradiance_cache
+        self._viewer = viewer
 
     @classmethod
     def solve(cls, tracer: Tracer, rng_seed: int, *, precise: bool = False) -> "RoomLight":
@@ -88,9 +80,9 @@ class RoomLight:
         room = solve_room(tracer, light, seed=rng_seed)
         cache = IrradianceCache(tracer, light, room, seed=rng_seed)
         if not precise:
-            return cls(tracer, light, cache)
+            return cls(Viewer(tracer, light, cache))
         shown = IrradianceCache(tracer, light, room, seed=rng_seed, gather_rays=PRECISE_RAYS, interpolated=False)
-        return cls(tracer, light, cache, shown=shown, lobe_passes=PRECISE_LOBES)
+        return cls(Viewer(tracer, light, cache, shown=shown, lobe_passes=PRECISE_LOBES))
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees; the pose is camera-to-world, OpenGL axes."""
