@@ -8,23 +8,25 @@ from typing import Literal
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 
+from roomlight.compositing.object_light import OBJECT_PANELS
 from roomlight.engine.clipping import CHANNELS, SIDE
 from roomlight.engine.completion import HEIGHT, PANELS
 
-Form = Literal["clipping", "completion"]
+Form = Literal["clipping", "completion", "objects"]
 SHAPES = {
     "clipping": ("planes", (1, CHANNELS, SIDE, SIDE), "log_radiance", (1, 3, SIDE // 2, SIDE // 2)),
     "completion": ("panels", (1, PANELS, HEIGHT, 2 * HEIGHT), "change", (1, 3, HEIGHT, 2 * HEIGHT)),
+    "objects": ("panels", (1, OBJECT_PANELS, HEIGHT, 2 * HEIGHT), "changes", (1, 6, HEIGHT, 2 * HEIGHT)),
 }
 
 
 def known_graph(form: Form, *, constant: float = 0.0, image: float = 0.0) -> ModelProto:
-    """A graph that returns `constant` + `image` x the first three channels of its input, averaged to its output."""
+    """A graph that returns `constant` + `image` x the first channels of its input, averaged to its output."""
     source, shape, target, reduced = SHAPES[form]
     stride = shape[2] // reduced[2]
     numbers = {
         "starts": np.array([0], np.int64),
-        "ends": np.array([3], np.int64),
+        "ends": np.array([reduced[1]], np.int64),
         "axes": np.array([1], np.int64),
         "factor": np.array(image, np.float32),
         "constant": np.array(constant, np.float32),

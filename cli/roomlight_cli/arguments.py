@@ -17,7 +17,15 @@ MODEL_PANEL: Final = "How to estimate the light"
 POINTS_PANEL: Final = "Where to light"
 
 TrainingStage = Literal[
-    "clipping", "completion", "single-sglv", "single-blend", "single-joint", "video-sglv", "video-blend", "video-joint"
+    "clipping",
+    "completion",
+    "objects",
+    "single-sglv",
+    "single-blend",
+    "single-joint",
+    "video-sglv",
+    "video-blend",
+    "video-joint",
 ]
 Resolution = Literal["half", "full"]
 
@@ -88,7 +96,7 @@ Parts = Annotated[
     typer.Option(
         "--parts",
         rich_help_panel=MODEL_PANEL,
-        help="A folder with the model folders `clipping` and `completion`, instead of the shipped ones.",
+        help="A folder with the model folders `clipping`, `completion` and `objects`, instead of the shipped ones.",
     ),
 ]
 UnknownDepthOption = Annotated[

@@ -1,4 +1,4 @@
-"""The stages `clipping` and `completion` on a terminal: read the examples, train, resume, stop cleanly."""
+"""The stages `clipping`, `completion` and `objects` on a terminal: read the examples, train, resume, stop cleanly."""
 
 import time
 from collections.abc import Callable, Sequence
@@ -15,6 +15,7 @@ from roomlight_model.training.clipping_examples import ClippingFrames
 from roomlight_model.training.clipping_stage import ClippingStage
 from roomlight_model.training.completion_examples import CompletionExamples
 from roomlight_model.training.completion_stage import CompletionStage
+from roomlight_model.training.objects_stage import ObjectsStage
 from roomlight_model.training.part_trainer import PartOptions, PartProgress, PartStage, PartTrainer
 
 
@@ -79,10 +80,12 @@ def _stage(
         if test:
             return ClippingStage(frames, ClippingFrames.read(test, seed=options.seed))
         return ClippingStage(*frames.split(options.seed))
-    examples = CompletionExamples.read(training, seed=options.seed, progress=progress)
+    build = CompletionStage if form == "completion" else ObjectsStage
+    models = ("classical",) if form == "completion" else ("classical", "single")
+    examples = CompletionExamples.read(training, seed=options.seed, models=models, progress=progress)
     if test:
-        return CompletionStage(examples, CompletionExamples.read(test, seed=options.seed))
-    return CompletionStage(*examples.split(options.seed))
+        return build(examples, CompletionExamples.read(test, seed=options.seed, models=models))
+    return build(*examples.split(options.seed))
 
 
 def _test_split(dataset: Dataset) -> Dataset | None:

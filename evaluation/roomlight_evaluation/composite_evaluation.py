@@ -71,15 +71,15 @@ def evaluate_composites(
 
 
 def evaluate_mitsuba(*, options: SessionOptions | None = None, pictures: Path | None = None) -> CompositeScores:
-    """Score the three views of `composite_mitsuba`, rendered anew; `pictures` as in `evaluate_composites`.
+    """Score the views of `composite_mitsuba`, rendered anew; `pictures` as in `evaluate_composites`.
 
     Raises:
         ImportError: Mitsuba is not installed.
     """
     scored: list[SceneScore] = []
-    for view in range(VIEWS):
+    for number, view in enumerate(VIEWS):
         scene = mitsuba_scene(view)
-        scored.append(_score(view, scene, scene.session(options or SessionOptions()), pictures))
+        scored.append(_score(number, scene, scene.session(options or SessionOptions()), pictures))
     return CompositeScores(tuple(scored))
 
 

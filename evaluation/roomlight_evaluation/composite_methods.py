@@ -25,7 +25,7 @@ HARMONICS_OURS: Final = "SH + directional of ours"
 WARPED: Final = "warp and fill"
 TRUE_LIGHT: Final = "true panorama"
 METHODS: Final = (NO_SHADOW, MEAN_COLOUR, HARMONICS, HARMONICS_OURS, WARPED, OURS, TRUE_LIGHT)
-"""ours: the session's light with the missing light, as the compositor takes it. no shadow: the object lit by ours,
+"""ours: the session's light as the compositor takes it. no shadow: the object lit by ours,
 without its shadow. SH + directional: nine harmonics and the main light of
 warp-and-fill's panorama cut at white, as from pictures without HDR; of ours: of the session's panorama."""
 

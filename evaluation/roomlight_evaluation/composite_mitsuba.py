@@ -1,11 +1,14 @@
-"""The comparison of composites with the truth in another renderer: a small room described here, in Mitsuba 3.
+"""The comparison of composites with the truth in another renderer, Mitsuba 3: in a small room, and in the Cornell box.
 
-Nothing of the generator is used: neither its rooms nor its light transport nor its sensor. A room of 4 x 2.6 x 4 m has
-a chequered floor, coloured walls, a lamp under the ceiling, a bright panel on a wall and a box. Its three views show
-one object each. Pictures are 8-bit, clipped and without noise; depth is exact. World metres, y up; light in units of
-white. Mitsuba is a development dependency.
+Nothing of the generator is used: neither its rooms nor its light transport nor its sensor. The room is described here:
+4 x 2.6 x 4 m, with a chequered floor, coloured walls, a lamp under the ceiling, a bright panel on a wall and a box. The
+Cornell box is the one that Mitsuba ships, 2 m wide, with its two boxes, its lamp and its open front. Each has three
+views with one object. Pictures are 8-bit, clipped and without noise; depth is exact. World metres, y up; light in units
+of white. Mitsuba is a development dependency.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -15,12 +18,11 @@ from roomlight.camera import Intrinsics
 from roomlight.compositing.materials import Material
 from roomlight.compositing.objects import VirtualObject
 from roomlight.compositing.scene import AtPosition, Scene, SceneObject
-from roomlight.conventions import LUMINANCE, linear_to_srgb8, panorama_rays, srgb8_to_linear
+from roomlight.conventions import LUMINANCE, Position, linear_to_srgb8, panorama_rays, srgb8_to_linear
 from roomlight.frame import CLIPPED_SRGB8, Frame
 from roomlight_evaluation.composite_regions import SHADOW, regions, smoothed_truth
-from roomlight_evaluation.composite_scenes import MATERIALS, NAME, SHAPES, CompositeScene, virtual_object
+from roomlight_evaluation.composite_scenes import NAME, CompositeScene, virtual_object
 
-VIEWS: Final = 3
 SIZE: Final = (200, 150)
 FIELD_DEG: Final = 62.0
 SAMPLES: Final = 64
@@ -31,27 +33,48 @@ _WHITE_PERCENTILE: Final = 80
 _WHITE_LEVEL: Final = 0.43
 """As a phone exposes: the 80th percentile of luminance at 0.43 of white."""
 
-_PLACES: Final = ((0.0, 0.0, 0.1), (0.5, 0.0, -0.4), (-0.6, 0.0, 0.3))
-_EYES: Final = ((0.3, 1.4, 1.5), (-0.9, 1.5, 0.8), (0.5, 1.3, 1.6))
-_PANS_DEG: Final = (-70.0, -35.0, 60.0, 30.0, 0.0)
-"""Directions of the frames of a view about the vertical, relative to the object; the last is composited."""
+_INSIDE_DEG: Final = (-70.0, -35.0, 60.0, 30.0, 0.0)
+_OUTSIDE_DEG: Final = (-24.0, -12.0, 20.0, 10.0, 0.0)
+"""Of views from inside a room, and through the open front of the Cornell box."""
 
 
-def mitsuba_scene(view: int, *, samples: int = SAMPLES) -> CompositeScene:
-    """Make one of the `VIEWS`, of the object and the material of that number.
+@dataclass(frozen=True)
+class MitsubaView:
+    """A view of a scene with an object.
+
+    Attributes:
+        name: of the scene.
+        parts: describes the scene to Mitsuba, given its module.
+        shape: one of `SHAPES`.
+        material: one of `MATERIALS`.
+        place: world metres of the object's base.
+        eye: world metres of the camera.
+        pans_deg: directions of the frames about the vertical, relative to the object; the last is composited.
+    """
+
+    name: str
+    parts: Callable[[Any], dict[str, Any]]
+    shape: str
+    material: str
+    place: Position
+    eye: Position
+    pans_deg: tuple[float, ...]
+
+
+def mitsuba_scene(view: MitsubaView, *, samples: int = SAMPLES) -> CompositeScene:
+    """Render a view with and without its object, and the frames that a session sees.
 
     Raises:
         ImportError: Mitsuba is not installed.
     """
-    shape, material = tuple(SHAPES)[view], MATERIALS[view]
-    geometry, place = virtual_object(shape, material), _PLACES[view]
+    geometry, place = virtual_object(view.shape, view.material), view.place
     held = SceneObject(NAME, geometry, AtPosition(place))
     centre = np.add(place, [0, (held.box.high[1] - held.box.low[1]) / 2, 0])
     standing = np.eye(4)
     standing[:3, 3] = np.array(place) - held.box.anchor("base")
-    renderer = _Renderer()
+    renderer = _Renderer(view.parts)
     empty, full = renderer.scene(), renderer.scene(geometry.transformed(standing))
-    poses = [_aimed(np.array(_EYES[view]), centre, pan) for pan in _PANS_DEG]
+    poses = [_aimed(np.array(view.eye), centre, pan) for pan in view.pans_deg]
     camera = _camera(SIZE, FIELD_DEG)
     seen = [renderer.image(empty, camera, pose, _CONTEXT_SAMPLES, seed=k) for k, pose in enumerate(poses[:-1])]
     seen.append(renderer.image(empty, camera, poses[-1], samples, seed=99))
@@ -67,9 +90,9 @@ def mitsuba_scene(view: int, *, samples: int = SAMPLES) -> CompositeScene:
     masks = regions(*clean, covered, distance_m, radius_m=float(np.linalg.norm(high - low) / 2))
     x, y, z = centre.tolist()
     return CompositeScene(
-        name=f"mitsuba-{view}",
-        shape=shape,
-        material=material,
+        name=view.name,
+        shape=view.shape,
+        material=view.material,
         frame=frames[-1],
         objects=Scene((held,)),
         position=(x, y, z),
@@ -84,9 +107,10 @@ def mitsuba_scene(view: int, *, samples: int = SAMPLES) -> CompositeScene:
 
 
 class _Renderer:
-    def __init__(self) -> None:
+    def __init__(self, parts: Callable[[Any], dict[str, Any]]) -> None:
         import mitsuba as mi
 
+        self._parts = parts
         self._mi: Any = mi
         mi.set_variant("scalar_rgb")
         self._integrator = mi.load_dict(
@@ -94,8 +118,8 @@ class _Renderer:
         )
 
     def scene(self, held: VirtualObject | None = None) -> Any:
-        """Load the room, with an object whose mesh is in the world."""
-        parts: dict[str, Any] = _room(self._mi)
+        """Load the scene, with an object whose mesh is in the world."""
+        parts = self._parts(self._mi)
         if held is not None:
             (mesh, look), *_ = held.parts
             shape = self._mi.Mesh("object", len(mesh.vertices), len(mesh.faces), has_vertex_normals=True,
@@ -213,6 +237,26 @@ def _room(mi: Any) -> dict[str, Any]:
             "bsdf": matte(0.3, 0.5, 0.3),
         },
     }
+
+
+def _cornell_box(mi: Any) -> dict[str, Any]:
+    """Return Mitsuba's Cornell box without its camera, standing on y = 0."""
+    raised = mi.ScalarTransform4f().translate([0.0, 1.0, 0.0])
+    parts = {name: part for name, part in mi.cornell_box().items() if name not in ("type", "integrator", "sensor")}
+    return {
+        name: part | {"to_world": raised @ part["to_world"]} if "to_world" in part else part
+        for name, part in parts.items()
+    }
+
+
+VIEWS: Final = (
+    MitsubaView("small room", _room, "sphere", "mirror", (0.0, 0.0, 0.1), (0.3, 1.4, 1.5), _INSIDE_DEG),
+    MitsubaView("small room", _room, "cube", "glossy", (0.5, 0.0, -0.4), (-0.9, 1.5, 0.8), _INSIDE_DEG),
+    MitsubaView("small room", _room, "vase", "diffuse", (-0.6, 0.0, 0.3), (0.5, 1.3, 1.6), _INSIDE_DEG),
+    MitsubaView("Cornell box", _cornell_box, "sphere", "mirror", (-0.35, 0.0, 0.6), (0.3, 1.3, 2.2), _OUTSIDE_DEG),
+    MitsubaView("Cornell box", _cornell_box, "cube", "glossy", (0.335, 0.6, 0.38), (-0.2, 1.5, 2.2), _OUTSIDE_DEG),
+    MitsubaView("Cornell box", _cornell_box, "vase", "diffuse", (-0.5, 0.0, 0.45), (0.1, 1.2, 2.1), _OUTSIDE_DEG),
+)
 
 
 def _rgb(red: float, green: float, blue: float) -> dict[str, Any]:

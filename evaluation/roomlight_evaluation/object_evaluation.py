@@ -15,7 +15,7 @@ from jaxtyping import Float
 
 from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import open_capture
-from roomlight.compositing.missing_light import object_light
+from roomlight.compositing.object_light import object_light
 from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset

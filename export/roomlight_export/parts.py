@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from roomlight.compositing.object_light import OBJECT_PANELS
 from roomlight.engine.clipping import CHANNELS, SIDE
 from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.engine.graphs import DESCRIPTION, FORMAT
@@ -29,13 +30,15 @@ def part_graph(form: PartForm, network: nn.Module) -> Graph:
     """Return the graph of a network, with the names that the engine binds."""
     if form == "clipping":
         shapes = {"planes": (1, CHANNELS, SIDE, SIDE)}, {"log_radiance": (1, 3, SIDE // 2, SIDE // 2)}
-    else:
+    elif form == "completion":
         shapes = {"panels": (1, PANELS, HEIGHT, 2 * HEIGHT)}, {"change": (1, 3, HEIGHT, 2 * HEIGHT)}
+    else:
+        shapes = {"panels": (1, OBJECT_PANELS, HEIGHT, 2 * HEIGHT)}, {"changes": (1, 6, HEIGHT, 2 * HEIGHT)}
     return Graph(form, network, *shapes)
 
 
 def export_part(checkpoint: Path, out: Path, *, tolerance: float = TOLERANCE) -> ExportReport:
-    """Write the verified model folder of a clipping or completion network; an older model folder at `out` is replaced.
+    """Write the verified model folder of a network that serves every model; an older model folder at `out` is replaced.
 
     Raises:
         ModelError: The checkpoint does not load, or the graph differs from PyTorch by more than `tolerance`.
@@ -93,8 +96,9 @@ def _largest_differences(graph: Graph, file: Path, original: nn.Module) -> tuple
     error = rounding = 0.0
     for _ in range(_TRIALS):
         values = rng.random(shape).astype(np.float32)
-        if graph.name == "completion":
-            values[:, [0, 1, 2, 6, 7, 8]] = np.exp(rng.normal(-1, 1.5, (1, 6, *shape[2:]))).clip(0, 30)
+        if graph.name != "clipping":
+            radiance = [0, 1, 2, *range(6, shape[1])]
+            values[:, radiance] = np.exp(rng.normal(-1, 1.5, (1, len(radiance), *shape[2:]))).clip(0, 30)
         found = np.asarray(session.run(None, {name: values})[0])
         with torch.no_grad():
             wanted, exact = (module(torch.from_numpy(values)).numpy() for module in (graph.module, original))

@@ -1,6 +1,7 @@
-"""The network that completes a probe's panorama: a 2D encoder-decoder on what the frames have shown together.
+"""The networks on a probe's panorama: 2D encoder-decoders on what the frames have shown together.
 
-Panels are those of `roomlight.engine.completion`, linear radiance in units of white. All layers wrap around at the left
+`CompletionNetwork` completes it, `ObjectLightNetwork` turns it into the light of virtual objects. Panels are those of
+`roomlight.engine.completion`, linear radiance in units of white. All layers wrap around at the left
 and right edge; the elevation is an input, because ceilings are brighter than floors.
 """
 
@@ -14,7 +15,8 @@ from torch.nn import functional
 from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight_model.layers import LEAK, PanoramaConv, block2d
 
-_INPUTS: Final = PANELS + 4
+_DERIVED: Final = 4
+"""Planes that are computed from the panels."""
 _COLOUR: Final = 0.3
 """Greatest change of a channel beside the common one, in log(1 + L)."""
 
@@ -31,16 +33,21 @@ class _Residual(nn.Module):
         return functional.leaky_relu(x + self.second(self.first(x)), LEAK)
 
 
-class CompletionNetwork(nn.Module):
-    """Begins as the identity: no change to the classical fill."""
+class PanelsNetwork(nn.Module):
+    """Changes of log(1 + L) from panels; begins as the identity, without any change."""
 
-    def __init__(self, width: int = 32) -> None:
-        """Build the layers: `width` channels at half the panels' resolution, three times that at an eighth."""
+    def __init__(self, *, more: int, changes: int, width: int = 32) -> None:
+        """Build the layers: `width` channels at half the panels' resolution, three times that at an eighth.
+
+        more:     panels of radiance behind those of `completion_panels`.
+        changes:  number of changes, three channels each.
+        """
         super().__init__()
+        self._changes = changes
         widths = (width, width * 3 // 2, width * 5 // 2)
         self.down = nn.ModuleList(
             nn.Sequential(block2d(inputs, outputs, kernel=4, stride=2), _Residual(outputs))
-            for inputs, outputs in zip((_INPUTS, *widths), widths, strict=False)
+            for inputs, outputs in zip((PANELS + more + _DERIVED, *widths), widths, strict=False)
         )
         self.room = nn.Linear(widths[-1], widths[-1])
         self.bottom = nn.Sequential(_Residual(widths[-1]), _Residual(widths[-1]))
@@ -48,15 +55,15 @@ class CompletionNetwork(nn.Module):
             nn.Sequential(block2d(low + high, high), _Residual(high))
             for low, high in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
-        self.head = PanoramaConv(width, 4)
+        self.head = PanoramaConv(width, 4 * changes)
         nn.init.zeros_(self.head.conv.weight)
         elevation = torch.cos((torch.arange(HEIGHT) + 0.5) / HEIGHT * torch.pi)
         self.register_buffer(
             "elevation", elevation[None, None, :, None].expand(1, 1, HEIGHT, 2 * HEIGHT).clone(), persistent=False
         )
 
-    def forward(self, panels: Float[Tensor, "b 9 h w"]) -> Float[Tensor, "b 3 h w"]:
-        """Return the change of log(1 + L) for every direction; meaningful where nothing was observed."""
+    def forward(self, panels: Float[Tensor, "b p h w"]) -> Float[Tensor, "b c h w"]:
+        """Return the changes of log(1 + L) for every direction; meaningful where the light was not measured."""
         known = panels[:, 3:4]
         detail = torch.log1p(panels[:, :3]) * known
         total = known.mean((2, 3), keepdim=True)
@@ -67,11 +74,12 @@ class CompletionNetwork(nn.Module):
                 detail,
                 panels[:, 3:5],
                 torch.log1p(panels[:, 5:6]) * known,
-                torch.log1p(panels[:, 6:]),
+                torch.log1p(panels[:, 6:PANELS]),
                 elevation,
                 elevation.square(),
                 total.expand_as(elevation),
                 room.expand_as(elevation),
+                torch.log1p(panels[:, PANELS:]),
             ],
             dim=1,
         )
@@ -84,5 +92,24 @@ class CompletionNetwork(nn.Module):
         for up, skip in zip(self.up, features[-2::-1], strict=True):
             x = up(torch.cat([functional.interpolate(x, size=skip.shape[2:], mode="nearest"), skip], dim=1))
         out = self.head(x)
-        change = out[:, :1] + _COLOUR * torch.tanh(out[:, 1:])
+        change = torch.cat(
+            [part[:, :1] + _COLOUR * torch.tanh(part[:, 1:]) for part in out.chunk(self._changes, dim=1)], dim=1
+        )
         return functional.interpolate(change, size=panels.shape[2:], mode="bilinear", align_corners=False)
+
+
+class CompletionNetwork(PanelsNetwork):
+    """Changes the classical fill where nothing was observed."""
+
+    def __init__(self) -> None:
+        super().__init__(more=0, changes=1)
+
+
+class ObjectLightNetwork(PanelsNetwork):
+    """Changes the light that lights objects, and the light that casts their shadows and that mirrors show.
+
+    The panel behind those of `completion_panels` is the luminance that was estimated for clipped pixels.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(more=1, changes=2)

@@ -13,10 +13,15 @@ from torch import nn
 from roomlight.errors import ModelError
 from roomlight.files import write_atomic
 from roomlight_model.clipping_network import ClippingNetwork
-from roomlight_model.completion_network import CompletionNetwork
+from roomlight_model.completion_network import CompletionNetwork, ObjectLightNetwork
 
-PartForm = Literal["clipping", "completion"]
+PartForm = Literal["clipping", "completion", "objects"]
 FORMAT: Final = 1
+_NETWORKS: Final[Mapping[PartForm, type[nn.Module]]] = {
+    "clipping": ClippingNetwork,
+    "completion": CompletionNetwork,
+    "objects": ObjectLightNetwork,
+}
 
 
 @dataclass(frozen=True)
@@ -30,7 +35,7 @@ class PartCheckpoint:
 
 def build_part(form: PartForm) -> nn.Module:
     """Build the network of a form, freshly initialised."""
-    return ClippingNetwork() if form == "clipping" else CompletionNetwork()
+    return _NETWORKS[form]()
 
 
 def save_part_checkpoint(path: Path, form: PartForm, network: nn.Module, *, card: Mapping[str, Any]) -> None:
@@ -71,7 +76,8 @@ def load_part_checkpoint(path: Path) -> PartCheckpoint:
         raise
     except Exception as error:  # the unpickler raises any type for damaged bytes
         reason = str(error).strip().split("\n")[0] or type(error).__name__
-        raise ModelError(f"{path}: not the checkpoint of a clipping or completion network ({reason})") from error
+        forms = ", ".join(get_args(PartForm))
+        raise ModelError(f"{path}: not the checkpoint of a network of the form {forms} ({reason})") from error
     if not all(torch.isfinite(value).all() for value in state.values()):
         raise ModelError(f"{path}: the weights hold NaN or infinity; the training diverged")
     return PartCheckpoint(form, network.eval(), card)

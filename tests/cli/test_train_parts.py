@@ -1,4 +1,4 @@
-"""`roomlight train --stage clipping` and `completion`, their export, and a session that uses both."""
+"""`roomlight train --stage clipping`, `completion` and `objects`, their export, and a session that uses them."""
 
 import json
 from pathlib import Path
@@ -10,6 +10,7 @@ from command_runner import RunCommand
 import lamp_rooms
 import stub_rooms
 from roomlight.captures import open_capture
+from roomlight.compositing.object_light import object_light
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError
@@ -35,8 +36,8 @@ def data(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return dataset(tmp_path_factory.mktemp("rooms") / "data")
 
 
-def test_both_stages_train_export_and_run(data: Path, tmp_path: Path, roomlight: RunCommand) -> None:
-    for stage in ("clipping", "completion"):
+def test_the_stages_train_export_and_run(data: Path, tmp_path: Path, roomlight: RunCommand) -> None:
+    for stage in ("clipping", "completion", "objects"):
         run = f"run-{stage}"
         trained = roomlight("train", data, "--out", run, "--stage", stage, "--steps", 2, *SHORT, cwd=tmp_path)
         assert trained.code == 0, trained.err
@@ -53,6 +54,9 @@ def test_both_stages_train_export_and_run(data: Path, tmp_path: Path, roomlight:
     assert session.model == "completion"
     assert np.isfinite(light.panorama).all()
     assert light.panorama.max() > 0
+    lit = object_light(session, session.track((0.0, 0.0, -0.5)))
+    assert np.isfinite(lit.shown).all()
+    assert np.isfinite(lit.casting).all()
 
 
 def test_a_run_continues_and_refuses_other_options(data: Path, tmp_path: Path, roomlight: RunCommand) -> None:

@@ -6,13 +6,14 @@ import pytest
 
 from roomlight.engine.session import SessionOptions
 from roomlight_evaluation.composite_methods import OURS, composites
-from roomlight_evaluation.composite_mitsuba import mitsuba_scene
+from roomlight_evaluation.composite_mitsuba import VIEWS, MitsubaView, mitsuba_scene
 
 
 @pytest.mark.slow
-def test_the_composite_covers_the_rendered_object():
+@pytest.mark.parametrize("view", [VIEWS[2], VIEWS[4]], ids=lambda view: view.name)
+def test_the_composite_covers_the_rendered_object(view: MitsubaView):
     pytest.importorskip("mitsuba")
-    scene = mitsuba_scene(2, samples=4)
+    scene = mitsuba_scene(view, samples=4)
     images = composites(scene, scene.session(SessionOptions(model="classical", height=32)), quality="preview")
     changed = np.abs(images[OURS] - scene.frame.image).max(axis=-1) > 0.02
     assert scene.covered.sum() > 100

@@ -13,17 +13,17 @@ from roomlight.errors import ModelError, OutputError
 from roomlight_export.onnx_file import half_rounded
 from roomlight_export.parts import export_part, part_graph
 from roomlight_model.clipping_network import ClippingNetwork
-from roomlight_model.completion_network import CompletionNetwork
+from roomlight_model.completion_network import PanelsNetwork
 from roomlight_model.part_checkpoint import build_part, save_part_checkpoint
 
-FORMS = ("clipping", "completion")
+FORMS = ("clipping", "completion", "objects")
 
 
 def network(form):
     """A network with random weights everywhere: the heads begin near zero."""
     torch.manual_seed(4)
     built = build_part(form)
-    assert isinstance(built, ClippingNetwork | CompletionNetwork)
+    assert isinstance(built, ClippingNetwork | PanelsNetwork)
     head = built.head if isinstance(built, ClippingNetwork) else built.head.conv
     torch.nn.init.normal_(head.weight, std=0.1)
     return built.eval()

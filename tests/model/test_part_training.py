@@ -7,9 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from roomlight.compositing.object_light import OBJECT_PANELS
+from roomlight.conventions import panorama_directions
 from roomlight.engine.clipping import SIDE
 from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.errors import DatasetError, ModelError, OptionError, OutputError
+from roomlight_evaluation.lit_objects import LOOKS as EVALUATED
+from roomlight_evaluation.lit_objects import LitObjects
 from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork, clipping_input_shape
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.part_checkpoint import PartForm, is_part_checkpoint, load_part_checkpoint, save_part_checkpoint
@@ -17,6 +21,7 @@ from roomlight_model.training.clipping_examples import CLIPPED, ClippingFrames, 
 from roomlight_model.training.clipping_stage import ClippingStage
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 from roomlight_model.training.completion_stage import CompletionStage, completed
+from roomlight_model.training.objects_stage import LOOKS, ObjectsStage, lights, look_errors
 from roomlight_model.training.part_trainer import PartOptions, PartTrainer
 from roomlight_model.training.trainer import LAST
 
@@ -199,7 +204,7 @@ def test_other_files_are_no_part_checkpoint(content, tmp_path):
     path = tmp_path / "weights.pt"
     path.write_bytes(content)
     assert not is_part_checkpoint(path)
-    with pytest.raises(ModelError, match="not the checkpoint of a clipping or completion network"):
+    with pytest.raises(ModelError, match="not the checkpoint of a network of the form clipping, completion, objects"):
         load_part_checkpoint(path)
 
 
@@ -317,14 +322,14 @@ def test_held_out_frames_need_clipped_pixels():
 def half_rooms(count):
     """Panoramas of which one half is observed; the other is half as bright in log(1 + L) as the fill says."""
     rng = np.random.default_rng(3)
-    panels = np.zeros((count, PANELS, HEIGHT, 2 * HEIGHT), np.float16)
+    panels = np.zeros((count, OBJECT_PANELS, HEIGHT, 2 * HEIGHT), np.float16)
     truth = np.zeros((count, 3, HEIGHT, 2 * HEIGHT), np.float16)
     for number in range(count):
         light = rng.uniform(0.5, 2.0)
         panels[number, :3, :, :HEIGHT] = light
         panels[number, 3, :, :HEIGHT] = 1
         panels[number, 5, :, :HEIGHT] = 2
-        panels[number, 6:] = truth[number] = light
+        panels[number, 6:9] = truth[number] = light
         truth[number, :, :, HEIGHT:] = np.expm1(np.log1p(light) / 2)
     return CompletionExamples(panels, truth)
 
@@ -337,9 +342,54 @@ def test_completed_light_keeps_what_was_observed():
             return torch.full_like(panels[:, :3], 0.5)
 
     with torch.no_grad():
-        light = completed(Brighter(), panels)
-    assert torch.allclose(light[..., :HEIGHT], panels[:, 6:, :, :HEIGHT], rtol=1e-5)
-    assert torch.allclose(torch.log1p(light[..., HEIGHT:]), torch.log1p(panels[:, 6:, :, HEIGHT:]) + 0.5, rtol=1e-5)
+        light = completed(Brighter(), panels[:, :9])
+    assert torch.allclose(light[..., :HEIGHT], panels[:, 6:9, :, :HEIGHT], rtol=1e-5)
+    assert torch.allclose(torch.log1p(light[..., HEIGHT:]), torch.log1p(panels[:, 6:9, :, HEIGHT:]) + 0.5, rtol=1e-5)
+
+
+def test_light_of_objects_keeps_what_was_measured():
+    """What was seen stays, unless it is an estimate for clipped pixels."""
+    examples = half_rooms(1)
+    examples.panels[:, 9, : HEIGHT // 2, :HEIGHT] = 10 * examples.panels[:, 6, : HEIGHT // 2, :HEIGHT]
+    panels, _ = completion_batch(examples, [0], np.random.default_rng(0), augment=False)
+
+    class Brighter(torch.nn.Module):
+        def forward(self, panels):
+            return torch.cat([torch.full_like(panels[:, :3], 0.5), torch.full_like(panels[:, :3], 0.25)], dim=1)
+
+    with torch.no_grad():
+        for light, change in zip(lights(Brighter(), panels), (0.5, 0.25), strict=True):
+            gain = torch.log1p(light) - torch.log1p(panels[:, 6:9])
+            assert torch.allclose(gain[..., HEIGHT // 2 :, :HEIGHT], torch.zeros(1), atol=1e-5)
+            assert torch.allclose(gain[..., : HEIGHT // 2, :HEIGHT], torch.tensor(change), atol=1e-5)
+            assert torch.allclose(gain[..., HEIGHT:], torch.tensor(change), atol=1e-5)
+
+
+def test_errors_of_objects_are_those_of_the_evaluation():
+    """Seen from six sides: the training has normals all around, and lobes instead of a microfacet."""
+    rng = np.random.default_rng(1)
+    directions = panorama_directions(HEIGHT)
+    truth, found = (
+        np.exp(-1.2 + directions @ rng.normal(0, 0.25, 3))[..., None] * np.ones(3) * scale for scale in (1.0, 1.3)
+    )
+    as_tensors = [torch.from_numpy(np.moveaxis(one, -1, 0)[None].astype(np.float32)) for one in (truth, found)]
+    ours = look_errors(as_tensors[1], as_tensors[1], as_tensors[0])[0].tolist()
+    axes = [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)]
+    views = [LitObjects(truth, (s * x, s * y, s * z)).errors(found) for x, y, z in axes for s in (-1, 1)]
+    wanted = {look: float(np.sqrt(np.mean([view[look] ** 2 for view in views]))) for look in EVALUATED}
+    found_by_look = dict(zip(LOOKS, ours, strict=True))
+    for look in EVALUATED:
+        error = found_by_look[look]
+        assert error == pytest.approx(wanted[look], rel=0.25, abs=5e-3), look
+
+
+def test_light_beyond_white_is_no_error_and_still_has_a_gradient():
+    truth = torch.full((1, 3, HEIGHT, 2 * HEIGHT), 5.0)
+    assert look_errors(2 * truth, 2 * truth, truth)[0, :4].tolist() == pytest.approx([0] * 4, abs=4e-3)
+    bright = torch.full_like(truth, 3.0).requires_grad_()
+    look_errors(bright, bright, torch.full_like(truth, 0.3)).sum().backward()
+    assert bright.grad is not None
+    assert (bright.grad > 0).all()
 
 
 def test_augmented_panoramas_stay_consistent():
@@ -349,15 +399,16 @@ def test_augmented_panoramas_stay_consistent():
         known = (panels[:, 3:4] == 1).expand(-1, 3, -1, -1)
         assert known.float().mean() == pytest.approx(0.5)
         assert torch.allclose(panels[:, :3][known], truth[known], rtol=1e-3)
-        assert torch.allclose(panels[:, 6:][known], truth[known], rtol=1e-3)
+        assert torch.allclose(panels[:, 6:9][known], truth[known], rtol=1e-3)
 
 
-@pytest.mark.parametrize("form", ["clipping", "completion"])
+@pytest.mark.parametrize("form", ["clipping", "completion", "objects"])
 def test_a_stage_learns_what_its_examples_show(form, tmp_path):
     if form == "clipping":
         stage, rate = ClippingStage(lamp_frames(8, bright=40.0), lamp_frames(3, bright=40.0)), 0.008
     else:
-        stage, rate = CompletionStage(half_rooms(8), half_rooms(3)), 0.03
+        build = CompletionStage if form == "completion" else ObjectsStage
+        stage, rate = build(half_rooms(8), half_rooms(3)), 0.03
     options = PartOptions(steps=24, batch=2, learning_rate=rate, ema=0.5, seed=1)
     trainer = PartTrainer(stage, options, tmp_path / "run")
     with torch.random.fork_rng():

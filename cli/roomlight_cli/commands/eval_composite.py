@@ -29,7 +29,8 @@ def eval_composite(
         Path | None, typer.Option(help="Also write a PNG of each scene: truth, ours, true panorama, SH + directional.")
     ] = None,
     mitsuba: Annotated[
-        bool, typer.Option("--mitsuba", help="Score three views rendered by Mitsuba instead (needs mitsuba).")
+        bool,
+        typer.Option("--mitsuba", help="Score six views rendered by Mitsuba instead (needs mitsuba)."),
     ] = False,
     markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Also write the tables as Markdown.")] = None,
     model: arguments.Model = "auto",

@@ -31,7 +31,7 @@ def eval_objects(
 ) -> None:
     """Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.
 
-    The table compares the model, with and without the missing light that composites add, with SH + directional light
+    The table compares the model, as it is and as composites change it, with SH + directional light
     and other simple lights. Half a second to two seconds a room.
     """
     options = SessionOptions(model=model, weights=weights, allow_untrained=allow_untrained)

@@ -31,8 +31,8 @@ def train(
         typer.Option(
             help="What to train: the lighting volume (sglv), the blending network on it, or both jointly; single: for "
             "one view, video: the recurrent networks, from single-view weights (--start-from). clipping: the radiance "
-            "of clipped pixels. completion: light where no frame looked. These two use --steps, --batch, "
-            "--learning-rate, --seed, --minutes, --every and --start-from."
+            "of clipped pixels. completion: light where no frame looked. objects: the light of virtual objects. These "
+            "three use --steps, --batch, --learning-rate, --seed, --minutes, --every and --start-from."
         ),
     ],
     steps: Annotated[
@@ -131,7 +131,7 @@ def train(
 
     It uses the train split. Stopped or killed, the same command continues from the last checkpoint.
     """
-    if stage == "clipping" or stage == "completion":
+    if stage in ("clipping", "completion", "objects"):
         part_options = PartOptions(
             steps=steps,
             batch=batch or PartOptions.batch,

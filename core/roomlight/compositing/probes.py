@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.missing_light import object_light
+from roomlight.compositing.object_light import object_light
 from roomlight.compositing.temporal import EasedLight
 from roomlight.conventions import Position
 from roomlight.engine.session import Session
@@ -54,10 +54,7 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
 
 
 class SceneProbes:
-    """Tracked probes of all objects of a scene.
-
-    Objects are lit, and their shadows cast, by the session's light as `missing_light` completes it.
-    """
+    """Tracked probes of all objects of a scene, with the light of `object_light`."""
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
         """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""

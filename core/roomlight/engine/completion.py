@@ -45,10 +45,7 @@ class CompletionModel:
         """Return `fill` with the predicted change where `known` (the share observed) leaves room."""
         outputs = self._graph.new_outputs()
         self._graph.bind({"panels": panels[None]}, outputs).run()
-        change = np.ascontiguousarray(np.moveaxis(outputs["change"][0], 0, -1))
-        change = _resize(change, fill.shape[0], cv2.INTER_LINEAR) * (1 - known[..., None])
-        log = np.clip(np.log1p(np.maximum(fill, 0)) + change, 0, np.float32(np.log1p(BRIGHTEST)))
-        return np.where(known[..., None] >= 1, fill, np.expm1(log))
+        return changed_light(fill, outputs["change"][0], 1 - known)
 
 
 @cache
@@ -61,6 +58,23 @@ def shipped_completion(provider: Provider = "auto", folder: Path = SHIPPED / "co
     return CompletionModel(load_part(folder, "completion", provider=provider))
 
 
+def changed_light(
+    light: Float[np.ndarray, "h w 3"], change: Float32[np.ndarray, "3 ph pw"], share: Float[np.ndarray, "h w"]
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return light whose log(1 + L) has changed by a network's output, by as much of it as `share` says.
+
+    Where the share is 0 the light keeps its bits.
+    """
+    fine = _resize(np.ascontiguousarray(np.moveaxis(change, 0, -1)), light.shape[0], cv2.INTER_LINEAR)
+    log = np.log1p(np.maximum(light, 0)) + fine * share[..., None]
+    return np.where(share[..., None] > 0, np.expm1(np.clip(log, 0, np.float32(np.log1p(BRIGHTEST)))), light)
+
+
+def panel(plane: Float[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "ph pw *c"]:
+    """Reduce a plane of a panorama to the networks' size."""
+    return _resize(np.asarray(plane, np.float32), HEIGHT)
+
+
 def completion_panels(
     *,
     detail: Float[np.ndarray, "h w 3"],
@@ -70,18 +84,17 @@ def completion_panels(
     fill: Float[np.ndarray, "h w 3"],
 ) -> Float32[np.ndarray, "9 ph pw"]:
     """Compute the network's input: means over its pixels, those of observed values weighted by the share observed."""
-    share = _resize(np.asarray(known, np.float32), HEIGHT)
+    share = panel(known)
 
     def mean(plane: Float[np.ndarray, "h w *c"]) -> Float32[np.ndarray, "ph pw *c"]:
         weighted = known.reshape(known.shape + (1,) * (plane.ndim - 2)) * plane
-        total = _resize(np.asarray(weighted, np.float32), HEIGHT)
-        return total / np.maximum(share, 1e-3).reshape(share.shape + (1,) * (plane.ndim - 2))
+        return panel(weighted) / np.maximum(share, 1e-3).reshape(share.shape + (1,) * (plane.ndim - 2))
 
     panels = np.empty((PANELS, HEIGHT, 2 * HEIGHT), np.float32)
     panels[0:3] = np.moveaxis(mean(np.minimum(detail, BRIGHTEST)), -1, 0)
     panels[3], panels[4] = share, mean(clipped)
     panels[5] = mean(np.minimum(depth_m, FARTHEST_M))
-    panels[6:9] = np.moveaxis(_resize(np.minimum(fill, BRIGHTEST).astype(np.float32), HEIGHT), -1, 0)
+    panels[6:9] = np.moveaxis(panel(np.minimum(fill, BRIGHTEST)), -1, 0)
     return panels
 
 

@@ -39,8 +39,10 @@ VIDEO_GRAPHS: Final = (
     "video_blend_gru",
     "video_blend_decoder",
 )
-FORMS: Final = (*get_args(NetworkForm), "clipping", "completion")
-"""Forms of a model directory; the last two hold one network, which serves every model."""
+PartForm = Literal["clipping", "completion", "objects"]
+"""Networks that serve every model, each a model directory of its own."""
+FORMS: Final = (*get_args(NetworkForm), *get_args(PartForm))
+"""Forms of a model directory."""
 SHIPPED: Final = Path(__file__).parent / "weights"
 """Trained weights inside the package: a directory for each network form."""
 
@@ -157,7 +159,7 @@ def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: boo
     )
 
 
-def load_part(path: Path, form: Literal["clipping", "completion"], *, provider: Provider = "auto") -> Graph:
+def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Graph:
     """Load the directory of a network that serves every model: one graph, which has the name of its form.
 
     Raises:

@@ -33,7 +33,8 @@ class SessionOptions:
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
         hedge: share of the classical fill in the light that networks infer, 0 to 1; see `network_backend`.
         clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
-        parts: a folder with the model directories `clipping` and `completion`, instead of those inside the package.
+        parts: a folder with the model directories `clipping`, `completion` and `objects`, instead of those inside the
+            package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
         allow_untrained: accept weights that were never trained, for tests.
         height: rows of the panoramas, 16 to 2048; they have twice as many columns.

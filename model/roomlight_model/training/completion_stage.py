@@ -11,7 +11,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from roomlight.conventions import panorama_rays, panorama_solid_angles
-from roomlight.engine.completion import HEIGHT
+from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
@@ -48,17 +48,19 @@ class CompletionStage:
     def loss(self, network: torch.nn.Module, chosen: list[int], rng: np.random.Generator) -> Float[Tensor, ""]:
         """Return the loss of a batch: log-L2 relative to the classical fill's, and the light on surfaces."""
         panels, truth = completion_batch(self.examples, chosen, rng, augment=True)
+        panels = panels[:, :PANELS]
         error, fill, surfaces = _errors(completed(network, panels), panels, truth)
         return relative_error(error, fill).mean() * _SCALE + SPHERE_WEIGHT * surfaces.mean()
 
     def scores(self, network: torch.nn.Module) -> Mapping[str, float]:
         """Score held-out examples: mean ratio of log-L2 to the classical fill's (`loss`), energy, both log-L2."""
         ratios, ours, classical, energy = list[float](), list[float](), list[float](), list[float]()
-        rng, weight = np.random.default_rng(0), _solid_angles()
+        rng, weight = np.random.default_rng(0), solid_angles()
         with torch.no_grad():
             for first in range(0, len(self.held_out), 32):
                 chosen = range(first, min(first + 32, len(self.held_out)))
                 panels, truth = completion_batch(self.held_out, chosen, rng, augment=False)
+                panels = panels[:, :PANELS]
                 light = completed(network, panels)
                 error, fill, _ = _errors(light, panels, truth)
                 ratios += ((error + EVEN / 4) / (fill + EVEN / 4)).tolist()
@@ -88,22 +90,23 @@ def _errors(
     wanted = torch.log1p(truth)
     error = (torch.log1p(light) - wanted).square().mean((1, 2, 3))
     fill = (torch.log1p(panels[:, 6:]) - wanted).square().mean((1, 2, 3))
-    lobes = _lobes()
+    lobes = torch.cat([reflection_lobe(power) for power in (1, _GLOSSY_POWER)], dim=1)
     ours, theirs = (image.flatten(2) @ lobes for image in (light, truth))
     return error, fill, (torch.log(ours + 0.02) - torch.log(theirs + 0.02)).square().mean((1, 2))
 
 
 @cache
-def _solid_angles() -> Float32[Tensor, "h w"]:
+def solid_angles() -> Float32[Tensor, "h w"]:
+    """Return the solid angles of the panels' pixels."""
     angles = np.broadcast_to(panorama_solid_angles(HEIGHT), (HEIGHT, 2 * HEIGHT))
     return torch.from_numpy(np.ascontiguousarray(angles, np.float32))
 
 
 @cache
-def _lobes() -> Float32[Tensor, "n k"]:
-    """Return weights of all directions in diffuse and glossy reflections at fixed normals; each sums to 1."""
+def reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
+    """Return weights of all directions in reflections at fixed normals, cosine to a power: 1 is matte; each sums to 1."""
     normals = np.random.default_rng(3).normal(size=(_LOBES, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     cosine = np.maximum(panorama_rays(HEIGHT).astype(np.float64) @ normals.T, 0)
-    weights = np.concatenate([cosine, cosine**_GLOSSY_POWER], axis=1) * _solid_angles().numpy().reshape(-1, 1)
+    weights = cosine**power * solid_angles().numpy().reshape(-1, 1)
     return torch.from_numpy((weights / weights.sum(0)).astype(np.float32))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from roomlight.compositing.missing_light import object_light
+from roomlight.compositing.object_light import object_light
 from roomlight.compositing.probes import SceneProbes
 from roomlight.compositing.temporal import LIGHT_S
 from roomlight.engine.session import Session, SessionOptions
@@ -30,7 +30,7 @@ def position(place):
     return x, y, z
 
 
-def test_objects_get_the_missing_light_and_their_shadows_do_not(session):
+def test_objects_and_their_shadows_have_a_light_each(session):
     probes = SceneProbes(session)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
@@ -41,7 +41,7 @@ def test_objects_get_the_missing_light_and_their_shadows_do_not(session):
     assert shown.mean() > 1.1 * casting.mean()  # the floor is seen, and the lamp is not
 
 
-def test_mirrors_show_the_light_without_the_missing_one(session, room):
+def test_mirrors_show_the_light_that_casts_shadows(session, room):
     probes = SceneProbes(session)
     probes.add(PLACES)
     first = probes.lights()
@@ -50,7 +50,7 @@ def test_mirrors_show_the_light_without_the_missing_one(session, room):
     assert probes.advance(20 * LIGHT_S)
     for lights in (first, probes.lights()):
         environment = lights.environment
-        assert environment.radiance.mean() > 1.05 * environment.mirrored.mean()
+        assert (environment.radiance != environment.mirrored).any()
     assert_array_equal(environment.mirrored[0], probes.casting_at(position(PLACES[0])).panorama)
     assert_array_equal(environment.radiance[0], probes.at(position(PLACES[0])).panorama)
 

@@ -1,0 +1,164 @@
+"""The light of objects: what was measured stays, the rest is changed by the network, twice."""
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from part_models import write_part
+from roomlight.captures import open_capture
+from roomlight.compositing.object_light import OBJECT_PANELS, ObjectLightModel, free_share, object_light, object_panels
+from roomlight.conventions import LUMINANCE
+from roomlight.engine.blend import PanoramaState
+from roomlight.engine.completion import BRIGHTEST, HEIGHT
+from roomlight.engine.graphs import load_part
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import ModelError
+from roomlight.sample import sample_capture
+from roomlight_evaluation.lit_objects import SPHERES, LitObjects
+from rooms import BoxRoom, camera_at
+
+PLACE = (0.3, 0.4, -1.0)
+
+
+def state_of(rows: int = 120, *, seed: int = 0) -> PanoramaState:
+    """Return a place of which half was seen, with clipped light on the upper quarter."""
+    rng = np.random.default_rng(seed)
+    state = PanoramaState.fresh(rows, 5.0)
+    state.radiance[:] = rng.exponential(1, state.radiance.shape)
+    state.seen[:, :rows] = 1
+    state.clipped[: rows // 4, :rows] = 1
+    state.guessed[: rows // 4, :rows] = 0.5 * (state.radiance @ LUMINANCE)[: rows // 4, :rows]
+    return state
+
+
+def known_model(folder: Path, *, constant: float = 0.0, image: float = 0.0) -> ObjectLightModel:
+    path = write_part(folder / f"objects-{len(list(folder.iterdir()))}", "objects", constant=constant, image=image)
+    return ObjectLightModel(load_part(path, "objects", provider="cpu"))
+
+
+@pytest.mark.parametrize("rows", [16, 32, 60, 120, 200])
+def test_measured_light_keeps_its_bits(rows: int, tmp_path: Path) -> None:
+    state = state_of(rows)
+    light = known_model(tmp_path, constant=0.7).light(state)
+    measured = (state.seen == 1) & (state.guessed == 0)
+    for panorama in (light.shown, light.casting):
+        assert panorama.dtype == np.float32
+        assert_array_equal(panorama[measured], state.radiance[measured])
+        gain = np.log1p(panorama) - np.log1p(state.radiance)
+        assert_allclose(gain[state.seen == 0], 0.7, rtol=1e-4, atol=1e-5)
+        assert_allclose(gain[state.guessed > 0], 0.35, rtol=1e-3, atol=1e-5)  # half of it is an estimate
+
+
+def test_objects_and_shadows_have_changes_of_their_own(tmp_path: Path) -> None:
+    """The known graph changes objects by the light that was seen, and shadows by shares and distances."""
+    state = state_of()
+    light = known_model(tmp_path, image=0.1).light(state)
+    panels = object_panels(state)
+    unseen = state.seen == 0
+    for panorama, planes in ((light.shown, panels[:3]), (light.casting, panels[3:6])):
+        expected = 0.1 * np.moveaxis(planes, 0, -1).repeat(2, axis=0).repeat(2, axis=1)
+        gain = np.log1p(panorama) - np.log1p(state.radiance)
+        inside = unseen.copy()
+        inside[:, [119, 120, 121, 122, -1, -2, -3]] = False  # changes are interpolated there
+        assert_allclose(gain[inside], expected[inside], atol=0.02)
+
+
+def test_panels_are_what_frames_have_shown_and_the_estimate_for_clipped_pixels() -> None:
+    state = state_of()
+    panels = object_panels(state)
+    assert panels.shape == (OBJECT_PANELS, HEIGHT, 2 * HEIGHT)
+    assert_allclose(panels[9], state.guessed.reshape(60, 2, 120, 2).mean(axis=(1, 3)), rtol=1e-4, atol=1e-6)
+    assert_allclose(panels[3], np.repeat([[1.0] * 60 + [0.0] * 60], 60, axis=0))
+    state.guessed[:] = 1e9
+    assert object_panels(state)[9].max() == BRIGHTEST
+
+
+def test_free_share_is_what_was_not_measured() -> None:
+    state = state_of()
+    state.seen[-1, 0] = 0.25
+    share = free_share(state)
+    assert share[-1, 0] == 0.75
+    assert share[-1, 1] == 0
+    assert share[-1, -1] == 1
+    assert_allclose(share[0, 0], 0.5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("constant", [-30.0, 30.0])
+@pytest.mark.parametrize("radiance", [0.0, 1.0, 1e12])
+def test_light_is_finite_for_black_and_bright(constant: float, radiance: float, tmp_path: Path) -> None:
+    state = state_of()
+    state.radiance[:] = radiance
+    light = known_model(tmp_path, constant=constant).light(state)
+    for panorama in (light.shown, light.casting):
+        assert np.isfinite(panorama).all()
+        assert panorama.min() >= 0
+        assert panorama[state.seen == 0].max() <= BRIGHTEST * 1.001
+
+
+def test_threads_share_the_network(tmp_path: Path) -> None:
+    model = known_model(tmp_path, image=0.1, constant=0.1)
+    states = [state_of(seed=seed) for seed in range(6)]
+    alone = [model.light(state).shown for state in states]
+    with ThreadPoolExecutor(4) as pool:
+        together = list(pool.map(lambda number: model.light(states[number % 6]).shown, range(24)))
+    for number, panorama in enumerate(together):
+        assert_array_equal(panorama, alone[number % 6])
+
+
+@pytest.fixture
+def room() -> BoxRoom:
+    return BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
+
+
+@pytest.mark.parametrize("model", ["classical", "completion", "single"])
+def test_every_model_has_light_for_objects(model: str, room: BoxRoom) -> None:
+    session = Session(SessionOptions(model=model, height=32))  # pyright: ignore[reportArgumentType]
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))
+    handle = session.track(PLACE)
+    before = session.light(handle).panorama.copy()
+    light = object_light(session, handle)
+    assert_array_equal(session.light(handle).panorama, before)  # the session's own light stays
+    unseen = session.panorama_state(handle).seen < 0.01
+    assert unseen.any()
+    for panorama in (light.shown, light.casting):
+        assert (panorama[unseen] != before[unseen]).any(axis=-1).mean() > 0.9
+    assert (light.shown[unseen] != light.casting[unseen]).any()
+
+
+def test_the_network_comes_from_the_folder_of_the_options(room: BoxRoom, tmp_path: Path) -> None:
+    write_part(tmp_path / "parts" / "clipping", "clipping", constant=1.0)
+    session = Session(SessionOptions(parts=tmp_path / "parts", provider="cpu", height=32))
+    session.push(room.frame(camera_at((0.2, 1.4, 1.2)), width=64, height=48))
+    handle = session.track(PLACE)
+    with pytest.raises(ModelError, match=r"parts/objects/model\.json: cannot be read"):
+        object_light(session, handle)
+    write_part(tmp_path / "parts" / "objects", "objects", constant=0.5)
+    state = session.panorama_state(handle)
+    gain = np.log1p(object_light(session, handle).shown) - np.log1p(state.radiance)
+    assert_allclose(gain[state.seen == 0], 0.5, rtol=1e-4, atol=1e-5)
+
+
+@pytest.mark.parametrize("model", ["classical", "single"])
+def test_objects_are_lit_better_than_by_the_session(model: str) -> None:
+    """At the true probes of the sample room, after its whole walk."""
+    capture = open_capture(sample_capture())
+    session = Session(SessionOptions(model=model))  # pyright: ignore[reportArgumentType]
+    probes = [probe for probe in capture.probes if probe.panorama_path is not None]
+    handles = [session.track(probe.position) for probe in probes]
+    for frame in capture:
+        session.push(frame)
+    own, lit = dict.fromkeys(SPHERES, 0.0), dict.fromkeys(SPHERES, 0.0)
+    for probe, handle in zip(probes, handles, strict=True):
+        objects = LitObjects(probe.panorama(), (0.0, -0.5, -0.866))
+        before, after = (
+            objects.errors(panorama)
+            for panorama in (session.light(handle).panorama, object_light(session, handle).shown)
+        )
+        for look in SPHERES:
+            own[look] += before[look]
+            lit[look] += after[look]
+    assert lit["diffuse"] < own["diffuse"]
+    assert lit["glossy"] < own["glossy"]
