@@ -104,7 +104,7 @@ def solid_angles() -> Float32[Tensor, "h w"]:
 
 @cache
 def reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
-    """Return weights of all directions in reflections at fixed normals, cosine to a power: 1 is matte; each sums to 1."""
+    """Return weights of directions in reflections at fixed normals, cosine to a power (1: matte); each sums to 1."""
     normals = np.random.default_rng(3).normal(size=(_LOBES, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     cosine = np.maximum(panorama_rays(HEIGHT).astype(np.float64) @ normals.T, 0)

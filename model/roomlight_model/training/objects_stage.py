@@ -1,7 +1,7 @@
 """The stage `objects`: loss and scores of the network that gives the light of virtual objects.
 
-The loss is what one sees: errors of pictures of matte, glossy, metal and mirror spheres under the estimated light, cut at
-white as a camera cuts them, and of the shadow of a sphere. A weak log-L2 of the panoramas keeps light plausible that
+The loss is what one sees: errors of pictures of matte, glossy, metal and mirror spheres under the estimated light, cut
+at white as a camera cuts them, and of the shadow of a sphere. A weak log-L2 of the panoramas keeps light plausible that
 these pictures do not show.
 """
 
