@@ -11,8 +11,9 @@ from roomlight.captures import CaptureWriter
 from roomlight.conventions import linear_to_srgb8, panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
+from roomlight.sphere_shadow import shadow_of_sphere
 from roomlight_evaluation.composite_methods import HARMONICS, MEAN_COLOUR, WARPED
-from roomlight_evaluation.lit_objects import LOOKS, SHADOW, LitObjects, shadow_of_sphere
+from roomlight_evaluation.lit_objects import LOOKS, SHADOW, LitObjects
 from roomlight_evaluation.object_evaluation import COMPOSITED, evaluate_objects
 from roomlight_evaluation.object_tables import object_markdown, object_table
 from rooms import BoxRoom, camera_at
