@@ -9,8 +9,8 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from roomlight.dataset.loader import Dataset
+from roomlight.engine.graphs import PartForm
 from roomlight.errors import DatasetError
-from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.clipping_examples import ClippingFrames
 from roomlight_model.training.clipping_stage import ClippingStage
 from roomlight_model.training.completion_examples import CompletionExamples

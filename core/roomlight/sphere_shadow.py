@@ -15,6 +15,8 @@ from roomlight.spheres import resize_panorama
 
 ROWS: Final = 40
 """Of the panorama that casts the shadow: 4.5 degrees a row."""
+SHADED: Final = 0.05
+"""The shadow counts where the true light makes it at least this deep, in logarithms."""
 _REACH: Final = 4.0
 """Of the shadow, in radii of the sphere."""
 _STEP: Final = 0.4

@@ -26,6 +26,8 @@ from roomlight.errors import OptionError
 
 Material = Literal["mirror", "glossy", "matte", "diffuse"]
 
+DIFFUSE_ALBEDO: Final = 0.5
+"""Of the diffuse sphere where pictures under two lights are compared; `SphereRenderer.pixels` has 1."""
 GLOSSY_ALBEDO: Final = 0.8
 GLOSSY_ROUGHNESS: Final = 0.2
 GLOSSY_F0: Final = 0.05

@@ -9,16 +9,13 @@ from typing import Final
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight.sphere_shadow import shadow_of_sphere
-from roomlight.spheres import Material, SphereRenderer
+from roomlight.sphere_shadow import SHADED, shadow_of_sphere
+from roomlight.spheres import DIFFUSE_ALBEDO, Material, SphereRenderer
 
 SPHERES: Final[tuple[Material, ...]] = ("diffuse", "glossy", "mirror")
 SHADOW: Final = "shadow"
 LOOKS: Final = (*SPHERES, SHADOW)
 """The errors of `LitObjects`."""
-DIFFUSE_ALBEDO: Final = 0.5
-SHADED: Final = 0.05
-"""The shadow counts where the true light makes it at least this deep, in logarithms."""
 
 
 class LitObjects:

@@ -13,7 +13,7 @@ from torch import nn
 from roomlight.compositing.object_light import OBJECT_PANELS
 from roomlight.engine.clipping import CHANNELS, SIDE
 from roomlight.engine.completion import HEIGHT, PANELS
-from roomlight.engine.graphs import DESCRIPTION, FORMAT
+from roomlight.engine.graphs import DESCRIPTION, FORMAT, PartForm
 from roomlight.engine.providers import open_graph
 from roomlight.errors import ModelError
 from roomlight_export.exporting import ExportReport
@@ -21,7 +21,7 @@ from roomlight_export.folder import check_target, new_folder
 from roomlight_export.graphs import Graph
 from roomlight_export.onnx_file import OPSET, half_rounded, to_onnx
 from roomlight_export.parity import TOLERANCE, Parity
-from roomlight_model.part_checkpoint import PartForm, load_part_checkpoint
+from roomlight_model.part_checkpoint import load_part_checkpoint
 
 _TRIALS: Final = 4
 

@@ -4,18 +4,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import Any, Final, get_args
 from zipfile import is_zipfile
 
 import torch
 from torch import nn
 
+from roomlight.engine.graphs import PartForm
 from roomlight.errors import ModelError
 from roomlight.files import write_atomic
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.completion_network import CompletionNetwork, ObjectLightNetwork
 
-PartForm = Literal["clipping", "completion", "objects"]
 FORMAT: Final = 1
 _NETWORKS: Final[Mapping[PartForm, type[nn.Module]]] = {
     "clipping": ClippingNetwork,

@@ -12,8 +12,8 @@ from torch import Tensor
 
 from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.completion import HEIGHT, PANELS
+from roomlight.engine.graphs import PartForm
 from roomlight_model.completion_network import CompletionNetwork
-from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 from roomlight_model.training.stages import EVEN, relative_error
 
@@ -79,8 +79,14 @@ def completed(network: torch.nn.Module, panels: Float32[Tensor, "b 9 h w"]) -> F
     """Return the completed panorama, as the engine's (`CompletionModel.complete`)."""
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
         change = network(panels)
-    change = change.float() * (1 - panels[:, 3:4])
-    return torch.expm1((torch.log1p(panels[:, 6:]) + change).clamp(0, 11))
+    return changed_light(panels[:, 6:], change, 1 - panels[:, 3:4])
+
+
+def changed_light(
+    light: Float[Tensor, "b 3 h w"], change: Float[Tensor, "b 3 h w"], share: Float[Tensor, "b 1 h w"]
+) -> Float32[Tensor, "b 3 h w"]:
+    """Return `roomlight.engine.completion.changed_light`."""
+    return torch.expm1((torch.log1p(light) + change.float() * share).clamp(0, 11))
 
 
 def _errors(

@@ -17,24 +17,21 @@ from torch import Tensor
 from torch.nn import functional
 
 from roomlight.conventions import LUMINANCE
-from roomlight.sphere_shadow import ROWS, shadow_tables
-from roomlight.spheres import GLOSSY_ALBEDO
+from roomlight.engine.graphs import PartForm
+from roomlight.sphere_shadow import ROWS, SHADED, shadow_tables
+from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.completion_network import ObjectLightNetwork
-from roomlight_model.part_checkpoint import PartForm
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
-from roomlight_model.training.completion_stage import reflection_lobe, solid_angles
+from roomlight_model.training.completion_stage import changed_light, reflection_lobe, solid_angles
 
 LOOKS: Final = ("diffuse", "glossy", "metal", "mirror", "shadow")
 USUAL: Final = (0.16, 0.2, 0.2, 0.22, 0.1)
 """Usual errors of `LOOKS`, by which the loss divides them."""
 LOG_WEIGHT: Final = 0.3
-DIFFUSE_ALBEDO: Final = 0.5
 _GLOSS: Final = 0.058
 """Share of light that the glossy sphere of `roomlight.spheres` reflects in its lobe, in the mean over its picture."""
 _GLOSS_POWER: Final = 200
 _METAL_POWER: Final = 24
-_SHADED: Final = 0.05
-"""The shadow counts where the true light makes it at least this deep, in logarithms."""
 _BEYOND_WHITE: Final = 0.1
 """Slope of what is beyond white in a picture, so that too bright light has a gradient."""
 
@@ -90,8 +87,7 @@ def lights(
         changes = network(panels)
     known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
     free = torch.maximum(1 - known, (guessed / _luminance(light).clamp(min=1e-6)).clamp(0, 1))
-    log = torch.log1p(light)
-    shown, casting = (torch.expm1((log + part * free).clamp(0, 11)) for part in changes.float().chunk(2, dim=1))
+    shown, casting = (changed_light(light, change, free) for change in changes.chunk(2, dim=1))
     return shown, casting
 
 
@@ -104,7 +100,7 @@ def look_errors(
     ]
     mirror = (_beside_white(casting, truth) * solid_angles() / solid_angles().mean()).mean((1, 2, 3))
     wanted = _shadow(truth)
-    shaded = (wanted < float(np.exp(-_SHADED))).float()
+    shaded = (wanted < float(np.exp(-SHADED))).float()
     shadow = ((_shadow(casting) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
     return torch.sqrt(torch.stack([*spheres, mirror, shadow], dim=1) + 1e-5)
 
