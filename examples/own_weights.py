@@ -11,7 +11,7 @@ import argparse
 from pathlib import Path
 
 import roomlight as rl
-from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.metrics import log_l2
 
 

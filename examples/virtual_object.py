@@ -10,7 +10,7 @@ import argparse
 from pathlib import Path
 
 import roomlight as rl
-from roomlight.compositing.layer_files import encode_picture
+from roomlight.compositing.picture.layer_files import encode_picture
 
 
 def main() -> None:

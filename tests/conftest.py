@@ -18,7 +18,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "default"))
 
 # The test networks are too small to share between threads, which wait for each other: 10 times the CPU time under load.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-# Some tests import ONNX Runtime themselves; see `roomlight.engine.runtime`.
+# Some tests import ONNX Runtime themselves; see `roomlight.engine.networks.runtime`.
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 _ROOT = Path(__file__).parent.parent

@@ -14,8 +14,8 @@ from roomlight.engine.session import Session
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import column_major, pack
 from roomlight_server.app import create_app
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.serving import make_server
-from roomlight_server.settings import ServerSettings
 from rooms import BoxRoom, camera_at
 
 SMALL = {"mode": "classical", "height": 16, "reference_exposure": 1.0}

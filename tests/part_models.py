@@ -8,9 +8,9 @@ from typing import Literal
 import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 
-from roomlight.compositing.object_light import OBJECT_PANELS
-from roomlight.engine.clipping import CHANNELS, SIDE
+from roomlight.compositing.light.object_light import OBJECT_PANELS
 from roomlight.engine.completion import HEIGHT, PANELS
+from roomlight.engine.networks.clipping import CHANNELS, SIDE
 
 Form = Literal["clipping", "completion", "objects"]
 SHAPES = {

@@ -8,15 +8,13 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 SOURCES = {
-    "bench": "roomlight_bench",
-    "cli": "roomlight_cli",
-    "client": "roomlight_client",
-    "core": "roomlight",
-    "evaluation": "roomlight_evaluation",
-    "export": "roomlight_export",
-    "generator": "roomlight_generator",
-    "model": "roomlight_model",
-    "server": "roomlight_server",
+    "cli": ["roomlight_cli"],
+    "client": ["roomlight_client"],
+    "core": ["roomlight"],
+    "export": ["roomlight_export"],
+    "lab": ["roomlight_bench", "roomlight_evaluation", "roomlight_generator"],
+    "model": ["roomlight_model"],
+    "server": ["roomlight_server"],
 }
 TRAINING_EXTRA = {"torch", "onnx", "onnxscript", "tensorboard", "jax"}
 
@@ -24,8 +22,9 @@ TRAINING_EXTRA = {"torch", "onnx", "onnxscript", "tensorboard", "jax"}
 def modules_of(*folders: str) -> list[str]:
     names: list[str] = []
     for folder in folders:
+        root = next(ROOT / source for source in SOURCES if folder.startswith(source))
         for path in sorted((ROOT / folder).rglob("*.py")):
-            parts = path.relative_to(ROOT / folder).with_suffix("").parts
+            parts = path.relative_to(root).with_suffix("").parts
             if not set(parts) & {"node_modules", "scripts"}:
                 names.append(".".join(part for part in parts if part != "__init__"))
     return names
@@ -45,24 +44,38 @@ def test_import_layers_of_pyproject_are_kept():
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-@pytest.mark.parametrize("folders", [("core", "server"), ("client", "evaluation")])
+@pytest.mark.parametrize("folders", [("core", "server"), ("client", "lab/roomlight_evaluation")])
 def test_base_install_needs_no_training_extra(folders: tuple[str, ...]):
     loaded = loaded_after(modules_of(*folders))
     assert {"roomlight", "numpy"} <= loaded
     assert not loaded & TRAINING_EXTRA
 
 
-def test_each_source_folder_holds_one_package():
-    for folder, package in SOURCES.items():
+def test_each_source_folder_holds_its_packages():
+    for folder, packages in SOURCES.items():
         importable = {
             path.stem
             for path in (ROOT / folder).iterdir()
             if path.suffix == ".py" or (path.is_dir() and (path / "__init__.py").is_file())
         }
-        assert importable == {package}
+        assert importable == set(packages)
 
 
-@pytest.mark.parametrize("package", SOURCES.values())
-def test_each_package_ships_its_types(package: str):
-    folder = next(folder for folder, name in SOURCES.items() if name == package)
+@pytest.mark.parametrize(
+    ("folder", "package"), [(folder, package) for folder, packages in SOURCES.items() for package in packages]
+)
+def test_each_package_ships_its_types(folder: str, package: str):
     assert (ROOT / folder / package / "py.typed").is_file()
+
+
+MAX_FILES_PER_FOLDER = 15
+
+
+def test_no_source_folder_holds_too_many_files():
+    counts = {
+        str(path.relative_to(ROOT)): len(list(path.glob("*.py")))
+        for folder in SOURCES
+        for path in (ROOT / folder).rglob("*")
+        if path.is_dir() and "node_modules" not in path.parts
+    }
+    assert {path: count for path, count in counts.items() if count > MAX_FILES_PER_FOLDER + 1} == {}  # and __init__.py

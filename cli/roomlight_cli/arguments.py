@@ -9,7 +9,7 @@ from roomlight.captures import FORMATS, CaptureOptions
 from roomlight.captures.options import CameraConvention, PoseDirection
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
-from roomlight.engine.providers import Provider
+from roomlight.engine.networks.providers import Provider
 from roomlight.engine.session import ClippingName, ModelName, SessionOptions
 
 CAPTURE_PANEL: Final = "How to read the capture"

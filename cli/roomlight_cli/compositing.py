@@ -9,10 +9,10 @@ from typing import Final
 import typer
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
-from roomlight.compositing.layer_files import PICTURE_ENDINGS, PictureFormat, encode_layers, encode_picture
-from roomlight.compositing.layers import Composite
+from roomlight.compositing.picture.layer_files import PICTURE_ENDINGS, PictureFormat, encode_layers, encode_picture
+from roomlight.compositing.picture.layers import Composite
+from roomlight.compositing.placement.scene import Scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
-from roomlight.compositing.scene import Scene
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import OutputError
 from roomlight.files import write_atomic

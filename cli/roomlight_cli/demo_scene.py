@@ -2,7 +2,7 @@
 
 from typing import Any, Final
 
-from roomlight.compositing.scene import Scene, parse_scene
+from roomlight.compositing.placement.scene import Scene, parse_scene
 from roomlight.errors import ObjectError
 
 _FLOOR_M: Final = 0.0

@@ -16,9 +16,9 @@ from roomlight.captures import open_capture
 from roomlight.errors import RoomLightError
 from roomlight_cli.console import say
 from roomlight_client import AsyncClient
-from roomlight_server.page_routes import page_files, page_folder
+from roomlight_server.base.settings import load_settings
+from roomlight_server.routes.page import page_files, page_folder
 from roomlight_server.serving import serve
-from roomlight_server.settings import load_settings
 
 SESSION: Final = "demo"
 PORT: Final = 8090

@@ -18,7 +18,7 @@ from roomlight.camera import Intrinsics
 from roomlight.captures.decoding import decode_depth_map
 from roomlight.conventions import Position
 from roomlight.drawing import LABEL_ROWS, Canvas
-from roomlight.engine.graphs import LightingGraphs
+from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, OptionError
 from roomlight.files import write_json

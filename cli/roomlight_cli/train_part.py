@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from roomlight.dataset.loader import Dataset
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.errors import DatasetError
 from roomlight_model.training.clipping_examples import ClippingFrames
 from roomlight_model.training.clipping_stage import ClippingStage

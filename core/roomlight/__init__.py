@@ -29,9 +29,9 @@ if TYPE_CHECKING:
     from roomlight.camera import Intrinsics
     from roomlight.captures import CaptureOptions, open_capture
     from roomlight.compositing.compositor import Compositor, composite
-    from roomlight.compositing.layers import Composite
+    from roomlight.compositing.picture.layers import Composite
+    from roomlight.compositing.placement.scene import load_scene
     from roomlight.compositing.recordings import composite_capture, scene_of_object
-    from roomlight.compositing.scene import load_scene
     from roomlight.conventions import Position
     from roomlight.engine.session import FrameReport, Session, SessionOptions
     from roomlight.errors import (
@@ -105,7 +105,7 @@ __all__ = [
 
 _MODULES: Final = {
     "CaptureOptions": "roomlight.captures",
-    "Composite": "roomlight.compositing.layers",
+    "Composite": "roomlight.compositing.picture.layers",
     "Compositor": "roomlight.compositing.compositor",
     "CubeMap": "roomlight.light.cube",
     "Frame": "roomlight.frame",
@@ -119,7 +119,7 @@ _MODULES: Final = {
     "SphericalHarmonics": "roomlight.light.spherical_harmonics",
     "composite": "roomlight.compositing.compositor",
     "composite_capture": "roomlight.compositing.recordings",
-    "load_scene": "roomlight.compositing.scene",
+    "load_scene": "roomlight.compositing.placement.scene",
     "open_capture": "roomlight.captures",
     "point_at_pixel": "roomlight.placement",
     "point_in_view": "roomlight.placement",

@@ -11,8 +11,8 @@ from jaxtyping import Float, Int
 
 from roomlight.camera import transform_points
 from roomlight.conventions import Position, direction_to_uv
-from roomlight.engine.fill import push_pull
-from roomlight.engine.sglv import check_position
+from roomlight.engine.panorama.fill import push_pull
+from roomlight.engine.volume.sglv import check_position
 from roomlight.frame import Frame
 
 SUPERSAMPLING = 2

@@ -40,7 +40,8 @@ class Frame:
         timestamp_s: seconds, from any origin.
         source: name of the frame in messages, e.g. its file.
         guessed: float32 [h, w]: luminance of the image that is an estimate for clipped pixels
-            (`roomlight.engine.clipping`); image less this is the least that it can be. None: nothing is estimated.
+            (`roomlight.engine.networks.clipping`); image less this is the least that it can be. None: nothing is
+            estimated.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.

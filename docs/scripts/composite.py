@@ -17,14 +17,14 @@ from PIL import Image
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.scene import Scene
+from roomlight.compositing.placement.scene import Scene
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session
 from roomlight.frame import Frame
 from roomlight.sample import sample_capture
 from roomlight_cli.demo_scene import demo_scene
-from roomlight_cli.replay import replay
-from roomlight_cli.replay_options import ReplayOptions
+from roomlight_cli.replays.replay import replay
+from roomlight_cli.replays.replay_options import ReplayOptions
 
 IMAGES = Path(__file__).parents[1] / "images"
 STILLS = (20, 26)

@@ -23,8 +23,8 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.frame import Frame
 from roomlight.metrics import log_l2, smoothness
 from roomlight.spheres import SphereRenderer, view_toward
-from roomlight_evaluation.estimators import EngineEstimator
-from roomlight_evaluation.walk_evaluation import FrameAlone, WalkModels, walk_frames
+from roomlight_evaluation.captures.estimators import EngineEstimator
+from roomlight_evaluation.datasets.walks import FrameAlone, WalkModels, walk_frames
 
 IMAGES = Path(__file__).parents[1] / "images"
 SHOWN = (1, 8, 16, 31)

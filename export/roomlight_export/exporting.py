@@ -13,8 +13,8 @@ from pathlib import Path
 
 from onnx import ModelProto
 
-from roomlight.engine.graphs import DESCRIPTION, FORMAT
-from roomlight.engine.providers import open_graph
+from roomlight.engine.networks.graphs import DESCRIPTION, FORMAT
+from roomlight.engine.networks.providers import open_graph
 from roomlight.errors import ModelError
 from roomlight_export.folder import check_target, new_folder
 from roomlight_export.graphs import Graph, graphs_of

@@ -7,7 +7,7 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from pathlib import Path
 
-from roomlight.engine.graphs import DESCRIPTION
+from roomlight.engine.networks.graphs import DESCRIPTION
 from roomlight.errors import OutputError
 
 

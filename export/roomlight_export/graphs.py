@@ -3,7 +3,8 @@
 Names, shapes and order are the interface to the programs that run the graphs. Encoders, GRUs and decoders are separate
 graphs, so that a server can keep states bound between them. Volumes are [z, y, x]; all tensors are float32.
 
-`unit` is a mean colour (`roomlight.engine.units`). Inputs by `SGConfig.units`: with "first", the 3D encoder and decoder
+`unit` is a mean colour (`roomlight.engine.networks.units`). Inputs by `SGConfig.units`: with "first", the 3D encoder
+and decoder
 of the video form take the first frame's; with "rescaled", the 3D GRUs take the previous frame's and this frame's.
 """
 

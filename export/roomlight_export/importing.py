@@ -14,7 +14,7 @@ import torch
 from jaxtyping import Float
 from onnx import GraphProto, numpy_helper
 
-from roomlight.engine.graphs import DESCRIPTION, read_description
+from roomlight.engine.networks.graphs import DESCRIPTION, read_description
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph, graphs_of
 from roomlight_model.checkpoint import Checkpoint, load_checkpoint

@@ -11,8 +11,8 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.blend import UNSEEN_DEPTH
-from roomlight.engine.volume import VOLUME_RANGE
+from roomlight.engine.panorama.blend import UNSEEN_DEPTH
+from roomlight.engine.volume.grid import VOLUME_RANGE
 
 _RANGE: Final = VOLUME_RANGE[::-1]
 """Along z, y, x."""

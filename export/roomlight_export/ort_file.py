@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomlight.engine.runtime import ort
+from roomlight.engine.networks.runtime import ort
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph
 from roomlight_export.parity import Tensors, difference, session_runner

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from roomlight.engine.runtime import ort
-from roomlight.engine.units import mean_colour
+from roomlight.engine.networks.runtime import ort
+from roomlight.engine.networks.units import mean_colour
 from roomlight_export.graphs import Graph
 from roomlight_export.inputs import ProbeFrame
 

@@ -10,11 +10,11 @@ import numpy as np
 import torch
 from torch import nn
 
-from roomlight.compositing.object_light import OBJECT_PANELS
-from roomlight.engine.clipping import CHANNELS, SIDE
+from roomlight.compositing.light.object_light import OBJECT_PANELS
 from roomlight.engine.completion import HEIGHT, PANELS
-from roomlight.engine.graphs import DESCRIPTION, FORMAT, PartForm
-from roomlight.engine.providers import open_graph
+from roomlight.engine.networks.clipping import CHANNELS, SIDE
+from roomlight.engine.networks.graphs import DESCRIPTION, FORMAT, PartForm
+from roomlight.engine.networks.providers import open_graph
 from roomlight.errors import ModelError
 from roomlight_export.exporting import ExportReport
 from roomlight_export.folder import check_target, new_folder

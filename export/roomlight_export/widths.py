@@ -15,7 +15,7 @@ import numpy as np
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from roomlight.engine.providers import open_graph, openvino_device
+from roomlight.engine.networks.providers import open_graph, openvino_device
 from roomlight.threads import thread_count
 from roomlight_export.exporting import ProgressCallback
 from roomlight_export.graphs import Graph, graphs_of, sample_inputs

@@ -1,7 +1,7 @@
 """The recursion over a probe's panoramas in PyTorch: the conservative rule, blending and accumulation.
 
-The differentiable twin of `roomlight.engine.blend`, for training. Panoramas are [batch, channel, H, 2H], radiance is
-linear. Depths are distances from the probe; the margin of the conservative rule has the same unit.
+The differentiable twin of `roomlight.engine.panorama.blend`, for training. Panoramas are [batch, channel, H, 2H],
+radiance is linear. Depths are distances from the probe; the margin of the conservative rule has the same unit.
 
 The engine's rule for light that changes has no twin: the light of training rooms is constant, and there it takes
 nothing (tested).
@@ -14,13 +14,13 @@ from jaxtyping import Float
 from torch import Tensor
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.blend import DARK, FILL_COLOUR, HIGHER, NOISE
+from roomlight.engine.panorama.blend import DARK, FILL_COLOUR, HIGHER, NOISE
 
 
 class Panorama(NamedTuple):
     """The accumulated state of a probe: radiance L^i, depth and blending weight.
 
-    clipped and guessed are as in `roomlight.engine.blend.PanoramaState`; None: nothing was clipped.
+    clipped and guessed are as in `roomlight.engine.panorama.blend.PanoramaState`; None: nothing was clipped.
     """
 
     radiance: Float[Tensor, "b 3 h w"]
@@ -79,7 +79,7 @@ def conservative(
 ) -> Float[Tensor, "b 1 h w"]:
     """Apply L_M = max(L_M - 1(D_hat - D < margin), 0): detail is kept unless the new surface is clearly closer.
 
-    The paper's margin is 0.25; `roomlight.engine.blend` applies it in metres.
+    The paper's margin is 0.25; `roomlight.engine.panorama.blend` applies it in metres.
     """
     not_closer = (accumulated_depth - depth < margin).to(weight.dtype)
     return torch.relu(weight - not_closer)
@@ -100,7 +100,7 @@ class Clipping(NamedTuple):
 
 
 def better_share(kept: Clipping, new: Clipping) -> Float[Tensor, "b 1 h w"]:
-    """Return how much of a clipped observation a new one replaces (`roomlight.engine.blend.better_share`)."""
+    """Return how much of a clipped observation a new one replaces (`roomlight.engine.panorama.blend.better_share`)."""
     less = (kept.share - new.share) / kept.share.clamp(min=1e-12)
     less = less.clamp(min=0) * (new.bound >= kept.bound * (1 - float(NOISE) * kept.share))
     share = torch.where(new.bound * kept.share > float(HIGHER) * kept.bound, torch.ones_like(less), less)

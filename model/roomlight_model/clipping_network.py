@@ -1,7 +1,7 @@
 """The network that estimates the radiance of clipped pixels from one frame, its depth and its pose.
 
 Its input is a square of `SIDE` x `SIDE` pixels that holds the whole frame, reduced, in its middle; the rest is empty.
-Channels, in order (`roomlight.engine.clipping` makes them; see `CHANNELS` there):
+Channels, in order (`roomlight.engine.networks.clipping` makes them; see `CHANNELS` there):
 
     linear RGB (3), clipped, inside the frame, depth known, log(1 + depth in metres), surface normal (3) in a frame
     whose y is the world's up and whose z points back from the camera's heading, y of the pixel's ray
@@ -16,7 +16,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from roomlight.engine.clipping import CHANNELS, SIDE
+from roomlight.engine.networks.clipping import CHANNELS, SIDE
 from roomlight_model.layers import LEAK
 
 LOG_RANGE: Final = (-1.5, 7.0)

@@ -1,8 +1,8 @@
 """The networks on a probe's panorama: 2D encoder-decoders on what the frames have shown together.
 
 `CompletionNetwork` completes it, `ObjectLightNetwork` turns it into the light of virtual objects. Panels are those of
-`roomlight.engine.completion`, linear radiance in units of white. All layers wrap around at the left and right edge; the
-elevation is an input, because ceilings are brighter than floors.
+`roomlight.engine.completion`, linear radiance in units of white. All layers wrap around at the left and right
+edge; the elevation is an input, because ceilings are brighter than floors.
 """
 
 from typing import Final

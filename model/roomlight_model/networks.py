@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight.engine.blend import UNSEEN_DEPTH
+from roomlight.engine.panorama.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import (
     Clipping,
     Panorama,
@@ -49,10 +49,11 @@ class Observation(NamedTuple):
     """Panoramas rendered at a probe for one frame.
 
     hdr is the volume's rendering. ldr is the mesh's, and outside the mesh (mask 0) a fill from the pixels seen so far
-    (`roomlight.engine.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
-    `roomlight.engine.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside the volume
-    when they are first seen. clipped and guessed are as in `roomlight.engine.mesh.PartialPanorama`; None: nothing was
-    clipped in the whole sequence.
+    (`roomlight.engine.panorama.fill.fill_unknown`). depth is in units of the volume's depth_max_m and at most
+    `roomlight.engine.panorama.blend.farthest_depth_m`; otherwise the conservative rule would reject surfaces outside
+    the volume
+    when they are first seen. clipped and guessed are as in `roomlight.engine.surface.mesh.PartialPanorama`; None:
+    nothing was clipped in the whole sequence.
     """
 
     hdr: Float[Tensor, "b 3 h w"]

@@ -10,7 +10,7 @@ from zipfile import is_zipfile
 import torch
 from torch import nn
 
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.errors import ModelError
 from roomlight.files import write_atomic
 from roomlight_model.clipping_network import ClippingNetwork

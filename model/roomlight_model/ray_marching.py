@@ -11,7 +11,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from roomlight.engine.sglv import MAX_SAMPLES, Far
+from roomlight.engine.volume.sglv import MAX_SAMPLES, Far
 from roomlight.threads import parallel_for
 from roomlight_model.kernels.ray_marching import (
     SAMPLES,
@@ -36,7 +36,7 @@ def march(
 ) -> Float[Tensor, "b n 3"]:
     """Compute the radiance along unit directions, each ray from its own origin; differentiable in alpha and lobes.
 
-    Samples are one mean voxel edge apart (equations 1, 2: `roomlight.engine.sglv`).
+    Samples are one mean voxel edge apart (equations 1, 2: `roomlight.engine.volume.sglv`).
 
     Raises:
         ValueError: More than 256 samples a ray.

@@ -1,4 +1,4 @@
-"""SGLV ray marching in plain PyTorch: the differentiable twin of `roomlight.engine.sglv` (paper, section 3).
+"""SGLV ray marching in plain PyTorch: the differentiable twin of `roomlight.engine.volume.sglv` (paper, section 3).
 
 Frame: the volume's, in metres, for origins, directions and lobe axes. `grid_sample` evaluates all samples at once and
 keeps [N, samples, 11] values for the backward pass, which limits the number of rays in a training step.
@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 from torch.nn import functional
 
-from roomlight.engine.sglv import MAX_SAMPLES, Far
+from roomlight.engine.volume.sglv import MAX_SAMPLES, Far
 
 
 def render_rays(

@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from roomlight.engine.units import DARKEST, GREY
+from roomlight.engine.networks.units import DARKEST, GREY
 from roomlight_model.config import SGConfig
 from roomlight_model.layers import ConvGRU, block3d, conv3d, resize_volume
 

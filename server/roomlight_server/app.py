@@ -19,33 +19,31 @@ from roomlight import __version__
 from roomlight.errors import RoomLightError
 from roomlight.wire import messages
 from roomlight.wire.frame_header import FrameHeader
-from roomlight_server import (
-    composite_routes,
-    light_forms,
-    light_routes,
-    object_routes,
-    page_routes,
-    pairing_routes,
-    problems,
-    recording_routes,
-    room_routes,
-    session_routes,
-    stream,
-)
-from roomlight_server.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
-from roomlight_server.bodies import BodyMiddleware
-from roomlight_server.byte_budget import ByteBudget
-from roomlight_server.connections import ConnectionGuard
-from roomlight_server.context import Context, ContextDep
-from roomlight_server.metrics import CONTENT_TYPE, Metrics
-from roomlight_server.object_store import ObjectStore
-from roomlight_server.recording_store import RecordingStore
-from roomlight_server.registry import Clock, Registry
-from roomlight_server.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
-from roomlight_server.settings import ServerSettings
+from roomlight_server.answers import light_forms
+from roomlight_server.answers.object_store import ObjectStore
+from roomlight_server.base import problems
+from roomlight_server.base.byte_budget import ByteBudget
+from roomlight_server.base.metrics import CONTENT_TYPE, Metrics
+from roomlight_server.base.request_context import REQUEST_ID_HEADER, RequestIdMiddleware
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.recordings.store import RecordingStore
+from roomlight_server.routes import composites as composite_routes
+from roomlight_server.routes import light as light_routes
+from roomlight_server.routes import objects as object_routes
+from roomlight_server.routes import page as page_routes
+from roomlight_server.routes import pairing as pairing_routes
+from roomlight_server.routes import recordings as recording_routes
+from roomlight_server.routes import room as room_routes
+from roomlight_server.routes import sessions as session_routes
+from roomlight_server.routes import stream
+from roomlight_server.routes.bodies import BodyMiddleware
+from roomlight_server.routes.context import Context, ContextDep
+from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
-from roomlight_server.stop_middleware import StopMiddleware
-from roomlight_server.workers import Workers
+from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
+from roomlight_server.transport.connections import ConnectionGuard
+from roomlight_server.transport.stop_middleware import StopMiddleware
+from roomlight_server.work.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
 _DESCRIPTION = """HDR light at any point of a room, from frames of a moving camera.

@@ -8,7 +8,7 @@ import os
 import sys
 
 from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
-from roomlight_server import composites, light_forms
+from roomlight_server.answers import composites, light_forms
 
 
 def main() -> None:

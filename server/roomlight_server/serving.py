@@ -17,10 +17,10 @@ from fastapi import FastAPI
 
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
-from roomlight_server.connections import HttpProtocol, StreamProtocol
-from roomlight_server.context import Context
-from roomlight_server.logs import configure_logging, native_lines_logged
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.logs import configure_logging, native_lines_logged
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.routes.context import Context
+from roomlight_server.transport.connections import HttpProtocol, StreamProtocol
 
 _log = logging.getLogger("roomlight.server")
 STOP_S: Final = 10.0

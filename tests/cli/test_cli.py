@@ -13,13 +13,14 @@ from command_runner import RunCommand
 
 from roomlight.errors import FrameError, ModelError, OptionError, RoomLightError
 from roomlight.sample import sample_capture
-from roomlight_cli import console, replay_run
+from roomlight_cli import console
 from roomlight_cli import main as cli
 from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands.bench import BENCHMARKS
 from roomlight_cli.lazy import CommandEntry, load_command
-from roomlight_cli.replay_options import ReplayOptions
-from roomlight_evaluation.capture_evaluation import evaluate_predictions
+from roomlight_cli.replays import replay_run
+from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 
 def python(code: str, *arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
@@ -213,7 +214,7 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
 @pytest.mark.slow
 @pytest.mark.parametrize("model", ["video", "single"])
 def test_a_model_without_trained_weights_is_refused(model: str, tmp_path: Path, roomlight: RunCommand) -> None:
-    from roomlight.engine.graphs import SHIPPED
+    from roomlight.engine.networks.graphs import SHIPPED
 
     if (SHIPPED / model / "model.json").is_file():  # shipped weights must simply work
         arguments = ("replay", sample_capture(), "--out", "o", "--model", model, "--max-frames", "1")

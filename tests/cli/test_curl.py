@@ -11,7 +11,7 @@ from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions
 from roomlight.sample import sample_capture
 from roomlight.wire.frame_message import column_major
-from roomlight_cli.replay import ReplayOptions, replay
+from roomlight_cli.replays.replay import ReplayOptions, replay
 
 SAMPLE = sample_capture()
 INDEX = json.loads((SAMPLE / "capture.json").read_text())

@@ -7,8 +7,8 @@ import pytest
 from rich.console import Console
 
 from roomlight.errors import DatasetError
-from roomlight_cli import dataset_check
-from roomlight_cli.dataset_check import check, compose_check, print_check
+from roomlight_cli.datasets import check as dataset_check
+from roomlight_cli.datasets.check import check, compose_check, print_check
 from roomlight_generator.sequences.surface_kinds import SurfaceKinds
 from roomlight_generator.verification.check import CheckReport, ProbeDeviation, RoomCheck, SurfaceDeviation, View
 from roomlight_generator.verification.deviation import Deviation

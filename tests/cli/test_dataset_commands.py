@@ -18,7 +18,7 @@ from roomlight.captures import open_capture
 from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
-from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
+from roomlight_cli.datasets.progress import ProgressDisplay, cost_text, duration
 from roomlight_generator.generate import GenerateOptions, GenerateReport, GenerationProgress
 
 SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--frames", "4", "--workers", "1")

@@ -8,7 +8,7 @@ from roomlight.dataset.loader import Dataset
 from roomlight.drawing import BACKGROUND
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
-from roomlight_cli.dataset_preview import caption, compose_preview, depth_colours, write_previews
+from roomlight_cli.datasets.preview import caption, compose_preview, depth_colours, write_previews
 from roomlight_generator.generate import GenerateOptions, generate
 
 

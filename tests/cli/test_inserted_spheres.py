@@ -6,7 +6,7 @@ import pytest
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import Session, SessionOptions
-from roomlight_cli.inserted_spheres import ProbeView, insert_spheres
+from roomlight_cli.replays.inserted_spheres import ProbeView, insert_spheres
 from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom(block=((-0.9, 0.0, -1.2), (-0.3, 0.6, -0.6)))

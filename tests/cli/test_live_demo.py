@@ -14,7 +14,7 @@ from roomlight import sample_capture
 from roomlight_cli import live_demo
 from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands import serve as serve_command
-from roomlight_server.lan import ensure_token
+from roomlight_server.transport.lan import ensure_token
 
 
 class FakeBrowser:

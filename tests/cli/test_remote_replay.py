@@ -16,9 +16,9 @@ from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, OutputError, WireError
 from roomlight.images import write_exr, write_png
-from roomlight_cli.remote_replay import replay_through
-from roomlight_cli.replay import replay
-from roomlight_cli.replay_options import ReplayOptions
+from roomlight_cli.replays.remote_replay import replay_through
+from roomlight_cli.replays.replay import replay
+from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -14,10 +14,10 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, OutputError, ProbeError
 from roomlight.images import read_panorama
 from roomlight.placement import point_at_pixel
-from roomlight_cli import replay_run
-from roomlight_cli.replay import replay
-from roomlight_cli.replay_folder import finished_report
-from roomlight_cli.replay_options import ReplayOptions
+from roomlight_cli.replays import replay_run
+from roomlight_cli.replays.replay import replay
+from roomlight_cli.replays.replay_folder import finished_report
+from roomlight_cli.replays.replay_options import ReplayOptions
 from rooms import BoxRoom, pan
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -9,8 +9,8 @@ from damage import damaged
 
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import RoomLightError
-from roomlight_cli.replay import replay
-from roomlight_cli.replay_options import ReplayOptions
+from roomlight_cli.replays.replay import replay
+from roomlight_cli.replays.replay_options import ReplayOptions
 
 OPTIONS = ReplayOptions(session=SessionOptions(model="classical", height=16), probes=((0.1, 0.0, -0.5),))
 

@@ -9,7 +9,7 @@ from roomlight.drawing import BACKGROUND, Canvas, fitted
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
 from roomlight.spheres import SphereRenderer
-from roomlight_cli.sheet import (
+from roomlight_cli.replays.sheet import (
     InsertedObjects,
     Sheet,
     SheetProbe,

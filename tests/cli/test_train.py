@@ -9,7 +9,7 @@ from rich.console import Console
 
 import stub_rooms
 from recordings import BoxRecordings
-from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import OptionError
 from roomlight_cli.train import train
 from roomlight_export.importing import load_exported

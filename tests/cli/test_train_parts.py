@@ -10,7 +10,7 @@ from command_runner import RunCommand
 import lamp_rooms
 import stub_rooms
 from roomlight.captures import open_capture
-from roomlight.compositing.object_light import object_light
+from roomlight.compositing.light.object_light import object_light
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError
@@ -121,7 +121,7 @@ def test_the_ship_rule_compares_and_decides(tmp_path: Path, roomlight: RunComman
 
 
 def test_a_model_within_the_rule_passes(tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("roomlight_evaluation.ship_rule.TARGET", 1.0)
+    monkeypatch.setattr("roomlight_evaluation.captures.ship_rule.TARGET", 1.0)
     options = ("--ship-rule", "--model", "classical", "--clipping", "constants", "--max-frames", 1)
     result = roomlight("eval", sample_capture(), *options, cwd=tmp_path)
     assert result.code == 0, result.err

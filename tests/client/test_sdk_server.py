@@ -220,7 +220,7 @@ def test_a_full_server_is_retried_after_its_delay():
 
 def test_a_frame_with_a_lost_answer_is_processed_once(monkeypatch):
     """The connection breaks while the engine processes the frame; a later attempt gets the same result."""
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     HeldSession.reset()
     pushing, released = [], []
 

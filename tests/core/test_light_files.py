@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from light_rooms import lit, room
 
 from roomlight.conventions import linear_to_srgb8, panorama_directions
-from roomlight.engine.blend import PanoramaState
+from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.images import decode_colour, decode_grey8, write_exr
 from roomlight.light.coverage import confidence_bytes, confidence_png, coverage, light_coverage
 from roomlight.light.encode import to_exr, to_hdr, to_png

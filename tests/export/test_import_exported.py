@@ -8,7 +8,7 @@ import pytest
 import torch
 from export_models import CONFIG
 
-from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import ModelError
 from roomlight_export.importing import load_exported, load_weights
 from roomlight_export.onnx_file import half_rounded

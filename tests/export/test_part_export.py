@@ -8,7 +8,7 @@ import onnxruntime
 import pytest
 import torch
 
-from roomlight.engine.graphs import load_part
+from roomlight.engine.networks.graphs import load_part
 from roomlight.errors import ModelError, OutputError
 from roomlight_export.onnx_file import half_rounded
 from roomlight_export.parts import export_part, part_graph

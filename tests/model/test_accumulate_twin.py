@@ -6,7 +6,7 @@ import torch
 
 from recordings import BoxRecordings
 from roomlight.conventions import LUMINANCE
-from roomlight.engine import blend as serving
+from roomlight.engine.panorama import blend as serving
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
     Clipping,

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.blend import UNSEEN_DEPTH
+from roomlight.engine.panorama.blend import UNSEEN_DEPTH
 from roomlight_model.accumulate import fill_in
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import Observation, SingleModel, VideoModel

@@ -7,14 +7,14 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight.compositing.object_light import OBJECT_PANELS
+from roomlight.compositing.light.object_light import OBJECT_PANELS
 from roomlight.conventions import panorama_directions
-from roomlight.engine.clipping import SIDE
 from roomlight.engine.completion import HEIGHT, PANELS
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.clipping import SIDE
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.errors import DatasetError, ModelError, OptionError, OutputError
-from roomlight_evaluation.lit_objects import LOOKS as EVALUATED
-from roomlight_evaluation.lit_objects import LitObjects
+from roomlight_evaluation.objects.lit_objects import LOOKS as EVALUATED
+from roomlight_evaluation.objects.lit_objects import LitObjects
 from roomlight_model.clipping_network import LOG_RANGE, ClippingNetwork, clipping_input_shape
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.part_checkpoint import is_part_checkpoint, load_part_checkpoint, save_part_checkpoint

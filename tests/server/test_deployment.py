@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from roomlight_server.settings import ServerSettings, load_settings
+from roomlight_server.base.settings import ServerSettings, load_settings
 
 DEPLOY = Path(__file__).parents[2] / "server" / "deploy"
 TOKEN = "a-token-of-the-deployment-test"

@@ -8,9 +8,9 @@ from importlib import import_module
 from fastapi.routing import APIRoute
 
 import roomlight_server
+from roomlight_server.answers.parts_response import PartsResponse
 from roomlight_server.app import create_app
-from roomlight_server.parts_response import PartsResponse
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.settings import ServerSettings
 
 
 def calls_of(dependant):

@@ -5,9 +5,9 @@ import threading
 
 import pytest
 
-from roomlight_server import fair_share
-from roomlight_server.fair_share import AbandonedError, FairShare
-from roomlight_server.request_context import Flow, current_flow
+from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.work import fair_share
+from roomlight_server.work.fair_share import AbandonedError, FairShare
 
 
 class Clock:

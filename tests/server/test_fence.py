@@ -11,7 +11,7 @@ from websockets.sync.client import connect
 from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.state import fence as fences
 from roomlight_server.state import store
 from roomlight_server.state.fence import Fence, LeaseLostError
@@ -265,7 +265,7 @@ def test_a_write_after_the_loss_is_refused(tmp_path):
 
 def test_a_frame_in_the_engine_is_not_answered_after_a_loss(tmp_path, monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with server_on(tmp_path) as first:
         first.open()
         pushed = InThread(first.push, 0)

@@ -5,8 +5,9 @@ import asyncio
 import pytest
 
 from http_servers import RunningServer
-from roomlight_server import auth, serving
-from roomlight_server.settings import ServerSettings
+from roomlight_server import serving
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.transport import auth
 
 TOKEN = "a-token-of-sixteen-or-more"
 

@@ -12,8 +12,8 @@ from roomlight.engine.session import Session
 from roomlight.light.light import Light
 from roomlight.wire.light_message import MEDIA_TYPE
 from roomlight.wire.messages import CUBE_FORMATS, FACE_SIZES, LightForm
-from roomlight_server.byte_budget import ByteBudget
-from roomlight_server.light_forms import MEDIA_TYPES, encode, max_bytes
+from roomlight_server.answers.light_forms import MEDIA_TYPES, encode, max_bytes
+from roomlight_server.base.byte_budget import ByteBudget
 
 TALL = {"mode": "classical", "height": 512, "reference_exposure": 1.0}
 BINARY = {"Accept": MEDIA_TYPE}

@@ -14,11 +14,11 @@ from damaged_objects import damaged
 from gltf_files import packed, textured_quad
 
 from http_servers import InThread, RunningServer, box_shot
-from roomlight.compositing.loading import load_object
+from roomlight.compositing.objects.loading import load_object
 from roomlight.conventions import linear_to_srgb8
 from roomlight.images import decode_colour
-from roomlight_server import composites
-from roomlight_server.object_packing import object_bytes, pack_object, unpack_object
+from roomlight_server.answers import composites
+from roomlight_server.work.object_packing import object_bytes, pack_object, unpack_object
 
 TETRAHEDRON = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
 BALL = {"shape": "sphere", "size_m": 0.4, "material": {"kind": "diffuse"}, "position": [0.2, 1.1, -0.4]}
@@ -173,7 +173,7 @@ def test_one_composite_a_session_at_a_time(server, monkeypatch):
         assert gate.wait(60)
         return original(*given)
 
-    monkeypatch.setattr("roomlight_server.composite_routes.make", held)
+    monkeypatch.setattr("roomlight_server.routes.composites.make", held)
     first = InThread(composite, server, BALL)
     assert entered.wait(60)
     second = composite(server, BALL)
@@ -189,7 +189,7 @@ def test_an_unexpected_error_leaves_the_session_open(server, monkeypatch):
     def broken(*_):
         raise MemoryError
 
-    monkeypatch.setattr("roomlight_server.composite_routes.make", broken)
+    monkeypatch.setattr("roomlight_server.routes.composites.make", broken)
     answer = composite(server, BALL)
     assert (answer.status, answer.kind) == (500, "engine-failed")
     monkeypatch.undo()

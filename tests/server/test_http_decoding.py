@@ -12,7 +12,7 @@ from slow_images import jpeg_of_scans, png_of_texts
 from http_servers import SMALL, RunningServer, box_shot, header_of, parts_of
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
-from roomlight_server import decode_processes
+from roomlight_server.work import decode_processes
 
 
 def colour_frame(encoding, data, width=48, height=36):
@@ -94,7 +94,7 @@ def test_an_image_has_the_same_light_from_thread_and_process(monkeypatch):
 
     with RunningServer() as server:
         from_process = light(server)
-    from roomlight_server.decode_worker import decode_to_box
+    from roomlight_server.work.decode_worker import decode_to_box
 
     monkeypatch.setattr(decode_processes.DecodeProcesses, "decode", lambda _, *given: decode_to_box(*given))
     with RunningServer() as server:

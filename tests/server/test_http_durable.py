@@ -12,7 +12,7 @@ import pytest
 from http_servers import SMALL, HeldSession, InThread, RunningServer, frame
 from roomlight.errors import ServerError
 from roomlight_server.app import create_app
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.settings import ServerSettings
 from roomlight_server.state import session_folder, store
 
 YAWS = (0, 12, 24, 36, 48, 60)
@@ -397,7 +397,7 @@ def test_saved_sessions_expire(saved, tmp_path):
 
 def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with server_on(tmp_path / "state") as server:
         server.open()
         HeldSession.release()

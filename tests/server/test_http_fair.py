@@ -13,7 +13,11 @@ from http_servers import SMALL, InThread, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.threads import parallel_for
 from roomlight.wire.light_message import MEDIA_TYPE
-from roomlight_server import composite_routes, fair_share, light_routes, live_session, problems
+from roomlight_server.base import problems
+from roomlight_server.routes import composites as composite_routes
+from roomlight_server.routes import light as light_routes
+from roomlight_server.sessions import live_session
+from roomlight_server.work import fair_share
 
 A, B = "token-of-the-hostile-client", "token-of-the-neighbour"
 TALL = SMALL | {"height": 512}

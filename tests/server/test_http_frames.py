@@ -12,7 +12,7 @@ from http_servers import SMALL, HeldSession, InThread, RunningServer, box_shot, 
 from roomlight.errors import FrameError
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
-from roomlight_server import live_session
+from roomlight_server.sessions import live_session
 
 
 @pytest.fixture(scope="module")
@@ -25,7 +25,7 @@ def server():
 def held(monkeypatch):
     """Yield a server whose engine waits in every push."""
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=3) as running:
         running.open()
         yield running

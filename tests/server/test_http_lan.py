@@ -18,8 +18,10 @@ from websockets.typing import Subprotocol
 
 from http_servers import RunningServer
 from roomlight.errors import ServerError
-from roomlight_server import lan, serving, tls
-from roomlight_server.settings import ServerSettings, load_settings
+from roomlight_server import serving
+from roomlight_server.base import tls
+from roomlight_server.base.settings import ServerSettings, load_settings
+from roomlight_server.transport import lan
 
 TOKEN = "a-token-of-sixteen-or-more"
 NAMES = ("127.0.0.1", "room.local", "::1")

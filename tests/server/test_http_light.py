@@ -26,7 +26,7 @@ from roomlight.wire.messages import (
     LightFormat,
     LightResponse,
 )
-from roomlight_server import light_forms
+from roomlight_server.answers import light_forms
 
 POINT = {"position": [0.2, 1.2, -0.2]}
 

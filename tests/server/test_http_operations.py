@@ -15,7 +15,7 @@ from websockets.sync.client import connect
 
 from http_servers import HeldSession, InThread, RunningServer, frame
 from roomlight_server import serving
-from roomlight_server.logs import JsonLines
+from roomlight_server.base.logs import JsonLines
 
 SERVE = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0"]
 ID = "X-Request-Id"
@@ -89,7 +89,7 @@ def test_the_line_of_a_failed_frame_names_its_request(monkeypatch, lines):
     """The task that processes frames was started by an earlier request."""
     HeldSession.reset()
     HeldSession.broken = {1: RuntimeError("broke")}
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer() as server:
         server.open()
         first = InThread(server.push, 0, headers={ID: "first"})
@@ -111,7 +111,7 @@ def metric(server, name):
 
 def test_metrics_show_queues_refusals_and_memory(monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer() as server:
         server.open()
         server.open("other")
@@ -147,7 +147,7 @@ def test_metrics_show_queues_refusals_and_memory(monkeypatch):
 def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
     """The server closed its socket first: a load balancer saw no /readyz, and streams lost their frames."""
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer() as server:
         server.open()
         server.open("streamed")
@@ -174,9 +174,9 @@ def test_a_stop_finishes_frames_and_refuses_new_ones(monkeypatch):
 
 def test_a_stop_waits_no_longer_than_its_limit(monkeypatch):
     monkeypatch.setattr(serving, "DRAIN_LIMIT_S", 0.1)
-    monkeypatch.setattr("roomlight_server.workers.STOP_S", 0.1)
+    monkeypatch.setattr("roomlight_server.work.workers.STOP_S", 0.1)
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer() as server:
         server.open()
         push = InThread(server.push, 0)

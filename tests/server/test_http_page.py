@@ -6,7 +6,7 @@ import socket
 import pytest
 
 from http_servers import RunningServer
-from roomlight_server import page_routes
+from roomlight_server.routes import page as page_routes
 
 TOKEN = "a-token-of-sixteen-or-more"
 

@@ -11,9 +11,10 @@ import pytest
 from http_servers import InThread, RunningServer
 from roomlight import sample_capture
 from roomlight.wire.recordings import RecordingRequest
-from roomlight_server import recording_player, recording_store
-from roomlight_server.problems import ProblemError
-from roomlight_server.recording_files import MAX_PIECE_BYTES, RecordingFiles, append, check_path
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.recordings import player as recording_player
+from roomlight_server.recordings import store as recording_store
+from roomlight_server.recordings.files import MAX_PIECE_BYTES, RecordingFiles, append, check_path
 
 TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 URL = "/v1/recordings"
@@ -195,7 +196,7 @@ def test_a_disk_that_fails_during_a_piece_keeps_the_file_as_it_was(server, monke
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as patch:
-        patch.setattr("roomlight_server.recording_routes.append", fail)
+        patch.setattr("roomlight_server.routes.recordings.append", fail)
         answer = put(server, url, "a", b"34", offset=2)
         assert (answer.status, answer.kind) == (503, "recording-memory")
         assert "No space left" in answer.json["detail"]

@@ -11,9 +11,9 @@ import pytest
 
 from http_servers import RunningServer, box_shot, frame, header_of
 from roomlight.conventions import panorama_directions
-from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.wire.frame_encoding import CameraFrame, pack_camera_frame
-from roomlight_server.room_mesh import _without_copies, room_mesh, to_glb
+from roomlight_server.answers.room_mesh import _without_copies, room_mesh, to_glb
 
 TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 ROOM = "/v1/sessions/room"
@@ -226,7 +226,7 @@ def test_a_history_of_no_bytes_keeps_nothing():
 
 
 def test_a_session_goes_on_when_a_frame_is_not_recorded(monkeypatch):
-    from roomlight_server import history
+    from roomlight_server.sessions import history
 
     def fail(*_):
         raise RuntimeError("no memory")
@@ -286,7 +286,7 @@ def test_a_mesh_is_made_once_for_all_clients(server, monkeypatch):
     def fail(*_, **__):
         raise AssertionError("made again")
 
-    monkeypatch.setattr("roomlight_server.room_routes.room_mesh", fail)
+    monkeypatch.setattr("roomlight_server.routes.room.room_mesh", fail)
     assert server.call("GET", f"{ROOM}/mesh?triangles=2000").body == first.body
 
 

@@ -3,7 +3,7 @@
 import pytest
 
 from http_servers import SMALL, RunningServer, frame
-from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED
 
 TOKENS = ("first-token-of-this-test", "second-token-of-this-test")
 

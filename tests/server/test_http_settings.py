@@ -9,9 +9,9 @@ import pytest
 
 from http_servers import RunningServer
 from roomlight.errors import ModelError, ServerError
-from roomlight_server.logs import JsonLines
+from roomlight_server.base.logs import JsonLines
+from roomlight_server.base.settings import ServerSettings, load_settings
 from roomlight_server.serving import address_of, listen, serve
-from roomlight_server.settings import ServerSettings, load_settings
 
 TOKEN = "a-token-of-sixteen-or-more"
 

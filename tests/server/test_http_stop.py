@@ -7,7 +7,7 @@ import threading
 import pytest
 
 from http_servers import SMALL, InThread, RunningServer, frame
-from roomlight_server.light_routes import encode_lights
+from roomlight_server.routes.light import encode_lights
 from server_processes import BOUND_S, Process
 
 SESSIONS = 4
@@ -69,7 +69,7 @@ def test_a_request_that_the_stop_ends_is_told_so(monkeypatch, caplog):
         await workers.run_in_encode_pool(free.wait, 60)
         return await encode_lights(workers, lights, forms)
 
-    monkeypatch.setattr("roomlight_server.light_routes.encode_lights", held)
+    monkeypatch.setattr("roomlight_server.routes.light.encode_lights", held)
     with RunningServer() as server:
         server.open()
         server.push(0)

@@ -12,7 +12,7 @@ from http_servers import HeldSession, RunningServer, frame
 from roomlight.engine.session import Session
 from roomlight.wire.light_message import parse_light
 from roomlight.wire.messages import LightAnswer, LightingUpdate
-from roomlight_server import live_session
+from roomlight_server.sessions import live_session
 
 POINT = [0.2, 1.2, -0.2]
 TOKEN = "token-of-the-stream-test"
@@ -210,7 +210,7 @@ def test_a_frame_is_answered_if_the_engine_breaks_after_it(monkeypatch):
 
 def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=2) as server:
         server.open()
         with streaming(server) as stream:
@@ -226,7 +226,7 @@ def test_a_dropped_connection_frees_its_frame_slots(monkeypatch):
 
 def test_the_newest_frame_of_a_stream_wins(monkeypatch):
     HeldSession.reset()
-    monkeypatch.setattr("roomlight_server.registry.Session", HeldSession)
+    monkeypatch.setattr("roomlight_server.sessions.registry.Session", HeldSession)
     with RunningServer(frames_in_flight=3) as server:
         server.open()
         with streaming(server) as stream:

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from roomlight.errors import ServerError
-from roomlight_server import ray_serving
-from roomlight_server.ray_proxy import SessionRouting, middlewares, routed_headers
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.replicas import serving as ray_serving
+from roomlight_server.replicas.proxy import SessionRouting, middlewares, routed_headers
 
 
 @pytest.mark.parametrize(
@@ -140,5 +140,5 @@ def test_the_token_of_ray_is_private(tmp_path, monkeypatch):
 
 @pytest.mark.slow
 def test_a_plain_server_does_not_import_ray():
-    code = "import sys, roomlight_cli.commands.serve, roomlight_server.ray_replica; print('ray' in sys.modules)"
+    code = "import sys, roomlight_cli.commands.serve, roomlight_server.replicas.replica; print('ray' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], stdout=subprocess.PIPE, check=True).stdout == b"False\n"

@@ -5,8 +5,8 @@ from typing import Annotated, Literal
 
 import typer
 
+from roomlight.compositing.placement.scene import load_scene
 from roomlight.compositing.recordings import SHAPE_SIZE_M
-from roomlight.compositing.scene import load_scene
 from roomlight.engine.session import SessionOptions
 from roomlight_cli import arguments
 from roomlight_cli.compositing import Output, composite_recording, film_rate, one_object

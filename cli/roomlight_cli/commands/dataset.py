@@ -17,10 +17,10 @@ from roomlight.errors import DatasetError, FurnitureError, OutputError
 from roomlight.files import write_json
 from roomlight_cli import console
 from roomlight_cli.console import run, say
-from roomlight_cli.dataset_check import check
-from roomlight_cli.dataset_preview import write_previews
-from roomlight_cli.dataset_progress import ProgressDisplay, cost_text, duration
-from roomlight_cli.dataset_tables import print_light, print_stats
+from roomlight_cli.datasets.check import check
+from roomlight_cli.datasets.preview import write_previews
+from roomlight_cli.datasets.progress import ProgressDisplay, cost_text, duration
+from roomlight_cli.datasets.tables import print_light, print_stats
 from roomlight_cli.lazy import APP_OPTIONS
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator

@@ -13,9 +13,9 @@ from roomlight_cli.console import say
 from roomlight_cli.demo_scene import demo_scene
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
-from roomlight_cli.replay_options import ReplayOptions
-from roomlight_cli.replay_run import run_replay
-from roomlight_evaluation.capture_evaluation import evaluate_predictions
+from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.replay_run import run_replay
+from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
 app = single_command_app()
 FILM: Final = "composite.mp4"

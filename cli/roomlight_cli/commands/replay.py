@@ -8,8 +8,8 @@ import typer
 from roomlight.engine.session import SessionOptions
 from roomlight_cli import arguments
 from roomlight_cli.lazy import single_command_app
-from roomlight_cli.replay_options import ReplayOptions
-from roomlight_cli.replay_run import run_replay
+from roomlight_cli.replays.replay_options import ReplayOptions
+from roomlight_cli.replays.replay_run import run_replay
 from roomlight_cli.server_options import Server, Token, refuse_local_model
 
 app = single_command_app()

@@ -8,11 +8,11 @@ import typer
 from roomlight_cli import arguments
 from roomlight_cli.console import err
 from roomlight_cli.lazy import single_command_app
-from roomlight_server.lan import lan_options, phone_url, qr_text
-from roomlight_server.ray_serving import serve_on_ray
+from roomlight_server.base.settings import ServerSettings, load_settings
+from roomlight_server.base.tls import fingerprint
+from roomlight_server.replicas.serving import serve_on_ray
 from roomlight_server.serving import serve as run_server
-from roomlight_server.settings import ServerSettings, load_settings
-from roomlight_server.tls import fingerprint
+from roomlight_server.transport.lan import lan_options, phone_url, qr_text
 
 app = single_command_app()
 

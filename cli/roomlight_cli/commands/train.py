@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 import typer
 
-from roomlight.engine.volume import VOLUME_SHAPE
+from roomlight.engine.volume.grid import VOLUME_SHAPE
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import train as run_training

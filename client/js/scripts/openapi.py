@@ -16,7 +16,7 @@ from typing import Any, Final, get_args
 
 from roomlight.wire import messages
 from roomlight_server.app import create_app
-from roomlight_server.settings import ServerSettings
+from roomlight_server.base.settings import ServerSettings
 
 _REFERENCE: Final = "#/components/schemas/"
 _POSITION: Final[dict[str, Any]] = messages.ProbeBody.model_json_schema()["properties"]["position"]

@@ -18,21 +18,28 @@ import numpy as np
 from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
-from roomlight.compositing import shadows
-from roomlight.compositing.camera_match import CameraModel, add_noise, blur_layer, measure_camera
-from roomlight.compositing.crop import Crop, CropCamera, crop_of_sphere
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
-from roomlight.compositing.occlusion import RealDepth, on_carrier, real_depth, visibility
-from roomlight.compositing.placing import Placement, Plane
-from roomlight.compositing.probes import LightAt, SceneProbes
-from roomlight.compositing.rendering import RenderedObjects, render_objects
-from roomlight.compositing.scene import AtPixel, Scene, SceneObject
-from roomlight.compositing.scene_geometry import SceneGeometry
-from roomlight.compositing.stage_clock import StageClock
-from roomlight.compositing.standing import StandingObject, clusters, placed, probe_positions, stand, supports_of
-from roomlight.compositing.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
-from roomlight.compositing.tracer import ObjectScene, is_rigid
+from roomlight.compositing.light.probes import LightAt, SceneProbes
+from roomlight.compositing.light.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
+from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
+from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
+from roomlight.compositing.picture.layers import BehindGlass, Composite, compose_srgb8, encode_srgb8, unchanged
+from roomlight.compositing.picture.occlusion import RealDepth, on_carrier, real_depth, visibility
+from roomlight.compositing.picture.stage_clock import StageClock
+from roomlight.compositing.placed_object import (
+    StandingObject,
+    clusters,
+    placed,
+    probe_positions,
+    stand,
+    supports_of,
+)
+from roomlight.compositing.placement.places import Placement, Plane
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
+from roomlight.compositing.rendering import shadows
+from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene, is_rigid
 from roomlight.depth import complete_depth
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from roomlight.captures import open_capture
 from roomlight.compositing.compositor import Compositor
-from roomlight.compositing.layers import Composite
-from roomlight.compositing.scene import Scene, SceneObject, load_scene, parse_scene
+from roomlight.compositing.picture.layers import Composite
+from roomlight.compositing.placement.scene import Scene, SceneObject, load_scene, parse_scene
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError, SceneError
 from roomlight.frame import Frame
@@ -44,7 +44,7 @@ def scene_of_object(
         SceneError: A value is refused; the message names its field.
         ObjectError: The file is refused.
     """
-    from roomlight.compositing.loading import load_object  # the loader's libraries are slow to import
+    from roomlight.compositing.objects.loading import load_object  # the loader's libraries are slow to import
 
     shape = str(source) if str(source) in SHAPE_SIZE_M else None
     spec: dict[str, Any] = {"name": Path(source).stem, "pixel": list(pixel), "yaw_degrees": yaw_degrees, "up": up}

@@ -10,10 +10,10 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.engine.blend import PanoramaState
-from roomlight.engine.mesh import PartialPanorama
-from roomlight.engine.sglv import Far, Sglv
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.surface.mesh import PartialPanorama
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.engine.volume.sglv import Far, Sglv
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Backend(Protocol):
     digest: str
     """Identity of the networks' weights; empty without networks."""
     far: Far
-    """What a ray gets where it leaves the volume (see `roomlight.engine.sglv`)."""
+    """What a ray gets where it leaves the volume (see `roomlight.engine.volume.sglv`)."""
 
     def start(self, grid: VolumeGrid) -> None:
         """Allocate the state for this volume, at the first frame."""
@@ -57,7 +57,7 @@ class Backend(Protocol):
     def update(self, clipping: Float[np.ndarray, "2 z y x"] | None = None) -> Sglv:
         """Process the volume in the buffer as the next frame; return the SGLV after it.
 
-        clipping:  what of the volume was clipped (see `roomlight.engine.volume.initial_volume`); None: nothing.
+        clipping:  what of the volume was clipped (see `roomlight.engine.volume.grid.initial_volume`); None: nothing.
         """
         ...
 

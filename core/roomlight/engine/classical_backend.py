@@ -13,12 +13,12 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.engine.backend import FILL_UPDATE, Arrays, Estimate, ProbeMemory
-from roomlight.engine.blend import PanoramaState, latest_detail
-from roomlight.engine.fill import at_most_white, push_pull
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.mesh import PartialPanorama
-from roomlight.engine.sglv import Far, Sglv
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.panorama.blend import PanoramaState, latest_detail
+from roomlight.engine.panorama.fill import at_most_white, push_pull
+from roomlight.engine.surface.mesh import PartialPanorama
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.engine.volume.sglv import Far, Sglv
 
 VOLUME_WEIGHT: Final = 0.01
 """Weight of the SGLV's rendering against the mesh's in the fill: its voxels are 10 to 25 cm wide, and the band of

@@ -17,11 +17,11 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
-from roomlight.engine.blend import PanoramaState
 from roomlight.engine.classical_backend import ClassicalBackend, Observed
-from roomlight.engine.graphs import SHIPPED, Graph, load_part
-from roomlight.engine.mesh import PartialPanorama
-from roomlight.engine.providers import Provider
+from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
+from roomlight.engine.networks.providers import Provider
+from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.surface.mesh import PartialPanorama
 
 HEIGHT: Final = 60
 """Rows of the network's panoramas."""

@@ -7,12 +7,12 @@ from typing import Final
 
 import numpy as np
 
-from roomlight.engine.graphs import Graph, LightingGraphs
-from roomlight.engine.volume import VOLUME_SHAPE
+from roomlight.engine.networks.graphs import Graph, LightingGraphs
+from roomlight.engine.volume.grid import VOLUME_SHAPE
 
 KEYFRAME_BYTES: Final = 6_400_000
-"""Resident memory of one frame of 320 x 240 with its mesh (5.4 MB measured, see `roomlight.engine.keyframes`), and 1 MB
-for which pixels were clipped and what was estimated for them."""
+"""Resident memory of one frame of 320 x 240 with its mesh (5.4 MB measured, see `roomlight.engine.surface.keyframes`),
+and 1 MB for which pixels were clipped and what was estimated for them."""
 _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11

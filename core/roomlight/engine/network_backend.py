@@ -1,6 +1,6 @@
 """The paper's recursion on ONNX graphs: one session's 3D state, and each probe's 2D hidden states.
 
-Single view: every frame's initial volume is fused with those before (`roomlight.engine.fusion`), and the mean is
+Single view: every frame's initial volume is fused with those before (`roomlight.engine.volume.fusion`), and the mean is
 encoded and decoded like one frame's. A probe's panorama accumulates as in the video form. Inferred values (the SGLV and
 each probe's HDR panorama) move half-way to the new estimate at each frame (`FILL_UPDATE`). The paper's single view
 keeps nothing between frames.
@@ -8,8 +8,8 @@ keeps nothing between frames.
 Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
 then on encoder, GRU, decoder, and the decoder merges with the previous SGLV by V_u. Every state has two buffers, and
 each frame's graphs read one and write the other: nothing is copied. The graphs that need a unit of colour
-(`roomlight.engine.units`) name it as an input. Where the fill has a share of the light (`hedged`), the HDR panorama
-moves half-way here too.
+(`roomlight.engine.networks.units`) name it as an input. Where the fill has a share of the light (`hedged`), the HDR
+panorama moves half-way here too.
 """
 
 from dataclasses import dataclass, field, replace
@@ -19,13 +19,13 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.engine.backend import FILL_UPDATE, Arrays, Estimate, ProbeMemory
-from roomlight.engine.blend import PanoramaState, fill_in, filled_detail
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.graphs import BoundGraph, Buffers, LightingGraphs
-from roomlight.engine.mesh import PartialPanorama
-from roomlight.engine.sglv import Far, Sglv
-from roomlight.engine.units import mean_colour
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.networks.graphs import BoundGraph, Buffers, LightingGraphs
+from roomlight.engine.networks.units import mean_colour
+from roomlight.engine.panorama.blend import PanoramaState, fill_in, filled_detail
+from roomlight.engine.surface.mesh import PartialPanorama
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.errors import ModelError
 
 

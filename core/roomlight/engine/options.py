@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import Final, Literal, get_args
 
 from roomlight.depth import UnknownDepth
-from roomlight.engine.keyframes import DEFAULT_KEYFRAMES
-from roomlight.engine.providers import Provider
+from roomlight.engine.networks.providers import Provider
+from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.errors import OptionError
 
 ModelName = Literal["auto", "classical", "completion", "single", "video"]

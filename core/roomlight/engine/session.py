@@ -22,22 +22,22 @@ from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
 from roomlight.depth import complete_depth
 from roomlight.engine.backend import Backend, ProbeMemory
-from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m
-from roomlight.engine.bracket import restored, update_keyframes
 from roomlight.engine.classical_backend import ClassicalBackend
-from roomlight.engine.clipping import shipped_clipping
 from roomlight.engine.completion import CompletionBackend, shipped_completion
-from roomlight.engine.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
-from roomlight.engine.keyframes import KeyframeStore
-from roomlight.engine.light_tracking import LightTracker
-from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.network_backend import NetworkBackend
+from roomlight.engine.networks.clipping import shipped_clipping
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.options import WORKING_SIZE, SessionOptions
 from roomlight.engine.options import ClippingName as ClippingName
 from roomlight.engine.options import ModelName as ModelName
-from roomlight.engine.sglv import Sglv, check_position, render_panorama
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m
+from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.state.snapshot import KeptFrame, ProbeSnapshot, SessionSnapshot
-from roomlight.engine.volume import VOLUME_SHAPE, VolumeGrid, clipping_buffer, initial_volume
+from roomlight.engine.surface.bracket import restored, update_keyframes
+from roomlight.engine.surface.keyframes import KeyframeStore
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VOLUME_SHAPE, VolumeGrid, clipping_buffer, initial_volume
+from roomlight.engine.volume.sglv import Sglv, check_position, render_panorama
 from roomlight.errors import ModelError, OptionError, ProbeError, StateError
 from roomlight.frame import Frame
 from roomlight.light.light import Light

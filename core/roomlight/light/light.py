@@ -191,8 +191,8 @@ class Light:
     def main_light(self) -> MainLight:
         """The main directional light: what casts the shadows.
 
-        At a tracked probe it turns by at most 10 degrees a frame (`roomlight.engine.light_tracking`); elsewhere it is
-        found in this panorama alone.
+        At a tracked probe it turns by at most 10 degrees a frame (`roomlight.engine.panorama.light_tracking`);
+        elsewhere it is found in this panorama alone.
 
         Raises:
             RoomLightError: neither it nor the panorama was requested from the server.

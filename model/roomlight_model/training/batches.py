@@ -13,12 +13,12 @@ from jaxtyping import Bool, Float
 from torch import Tensor
 
 from roomlight.depth import complete_depth
-from roomlight.engine.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
-from roomlight.engine.bracket import restored, update_keyframes
-from roomlight.engine.clipping import shipped_clipping
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.mesh import FrameMesh
-from roomlight.engine.volume import VolumeGrid, clipping_buffer, initial_volume
+from roomlight.engine.networks.clipping import shipped_clipping
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
+from roomlight.engine.surface.bracket import restored, update_keyframes
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama
 from roomlight_model.training.examples import Example

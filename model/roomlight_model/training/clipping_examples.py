@@ -15,7 +15,7 @@ from jaxtyping import Float16, Float32
 from torch import Tensor
 
 from roomlight.dataset.loader import Dataset
-from roomlight.engine.clipping import SIDE, Placement, clipping_planes
+from roomlight.engine.networks.clipping import SIDE, Placement, clipping_planes
 from roomlight.errors import DatasetError
 from roomlight_model.training.examples import example_of
 

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.errors import DatasetError
 from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.training.clipping_examples import CLIPPED, ClippingFrames, clipping_batch

@@ -10,7 +10,7 @@ import torch
 from jaxtyping import Float16, Float32
 from torch import Tensor
 
-from roomlight.compositing.object_light import OBJECT_PANELS, object_panels
+from roomlight.compositing.light.object_light import OBJECT_PANELS, object_panels
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.completion import BRIGHTEST, HEIGHT
 from roomlight.engine.options import ModelName
@@ -30,7 +30,8 @@ class CompletionExamples:
     """Panels of the networks and the true radiance, at the networks' resolution.
 
     Attributes:
-        panels: As `roomlight.compositing.object_light.object_panels`; the completion network takes all but the last.
+        panels: As `roomlight.compositing.light.object_light.object_panels`; the completion network takes all but the
+            last.
         truth: Linear RGB in the units of the panels.
     """
 

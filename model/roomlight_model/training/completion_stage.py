@@ -12,7 +12,7 @@ from torch import Tensor
 
 from roomlight.conventions import panorama_rays, panorama_solid_angles
 from roomlight.engine.completion import HEIGHT, PANELS
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 from roomlight_model.training.stages import EVEN, relative_error

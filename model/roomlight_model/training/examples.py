@@ -13,7 +13,7 @@ from jaxtyping import Float
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import GLASS, Recording
 from roomlight.depth import complete_depth
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.frame import Frame
 from roomlight_model.training.options import DepthKind
 

@@ -17,7 +17,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.sphere_shadow import ROWS, SHADED, shadow_tables
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.completion_network import ObjectLightNetwork

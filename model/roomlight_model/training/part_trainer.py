@@ -18,7 +18,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from roomlight.engine.graphs import PartForm
+from roomlight.engine.networks.graphs import PartForm
 from roomlight.errors import ModelError, OptionError, OutputError
 from roomlight.files import write_atomic
 from roomlight_model.part_checkpoint import load_part_checkpoint, save_part_checkpoint

@@ -12,9 +12,9 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from roomlight.engine.blend import farthest_depth_m
-from roomlight.engine.mesh import FrameMesh
-from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.engine.panorama.blend import farthest_depth_m
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.frame import Frame
 from roomlight_model.training.batches import Probes, at_height, probe_columns, restored_frames
 from roomlight_model.training.examples import Example, Recordings, augmented, example_of, near
@@ -128,7 +128,7 @@ class WalkBatch(Probes):
     """Each frame's mesh rendered at each probe, 0 outside it; for the blending stages."""
     mask: Float[Tensor, "b t p 1 h w"] | None = None
     distance_m: Float[Tensor, "b t p 1 h w"] | None = None
-    """Distance of the mesh, at most `roomlight.engine.blend.farthest_depth_m`; 0 outside it."""
+    """Distance of the mesh, at most `roomlight.engine.panorama.blend.farthest_depth_m`; 0 outside it."""
     clipped: Float[Tensor, "b t p 1 h w"] | None = None
     """Share of the mesh's surface whose pixels were clipped; None in sequences kept by earlier versions."""
     guessed: Float[Tensor, "b t p 1 h w"] | None = None

@@ -17,7 +17,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.utils.checkpoint import checkpoint
 
-from roomlight.engine.blend import CLOSER_M, PanoramaState, filled_detail
+from roomlight.engine.panorama.blend import CLOSER_M, PanoramaState, filled_detail
 from roomlight_model.accumulate import Panorama
 from roomlight_model.networks import BlendState, Observation, SGState, VideoModel
 from roomlight_model.sphere_rendering import shade

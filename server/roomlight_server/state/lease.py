@@ -6,7 +6,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Final, TypeVar
 
-from roomlight_server.problems import ProblemError
+from roomlight_server.base.problems import ProblemError
 from roomlight_server.state.fence import Fence, Lease
 
 _log = logging.getLogger("roomlight.server")

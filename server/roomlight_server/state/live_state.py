@@ -8,7 +8,7 @@ from pydantic import BaseModel, ConfigDict
 from roomlight.conventions import Position
 from roomlight.engine.state.snapshot import SessionSnapshot
 from roomlight.wire.messages import FrameResult, SessionRequest
-from roomlight_server.intake import LatestFrame
+from roomlight_server.work.intake import LatestFrame
 
 
 class _Saved(BaseModel):

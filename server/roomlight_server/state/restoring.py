@@ -3,19 +3,19 @@
 import asyncio
 from dataclasses import replace
 
-from roomlight.engine.graphs import LightingGraphs
-from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.session import Session
 from roomlight.engine.state.kept_frames import base_of_frame
 from roomlight.engine.state.snapshot import SessionSnapshot
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import ModelError, StateError, WireError
-from roomlight_server.intake import LatestFrame, decode_to_size
-from roomlight_server.problems import ProblemError
+from roomlight_server.base.problems import ProblemError
 from roomlight_server.state.live_state import LiveState
 from roomlight_server.state.session_folder import Reading
 from roomlight_server.state.store import refused
-from roomlight_server.workers import Workers
+from roomlight_server.work.intake import LatestFrame, decode_to_size
+from roomlight_server.work.workers import Workers
 
 
 class Restorer:

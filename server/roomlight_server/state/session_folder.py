@@ -16,11 +16,11 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.state.encoding import SavedSession, records_of_snapshot, session_of_records
 from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values
 from roomlight.engine.state.records import Record, array_records, arrays_of, pack_records, unpack_records
 from roomlight.engine.state.snapshot import KeptFrame
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import StateError, WireError
 from roomlight.files import write_durable
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse

@@ -19,8 +19,8 @@ from weakref import WeakValueDictionary
 
 from roomlight.errors import OutputError, ServerError, StateError
 from roomlight.wire.messages import SessionRequest
-from roomlight_server.metrics import Metrics
-from roomlight_server.problems import ProblemError
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.problems import ProblemError
 from roomlight_server.state.fence import Fence, LeaseLostError
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import SessionLease

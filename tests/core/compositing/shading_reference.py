@@ -6,11 +6,11 @@ World axes, y up; the plane lies in y = 0.
 import numpy as np
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing.lighting import ProbeSet
-from roomlight.compositing.materials import Material
-from roomlight.compositing.primitives import plane
-from roomlight.compositing.rendering import RenderSettings, render_objects
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import ProbeSet
+from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.primitives import plane
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 
 
@@ -62,7 +62,7 @@ def bilinear(panorama, rows: int) -> np.ndarray:
 
 
 def brdf(material: Material, view, light) -> np.ndarray:
-    """Return f [n, 3] about the normal +y: the equations at the head of `roomlight.compositing.materials`."""
+    """Return f [n, 3] about the normal +y: the equations at the head of `roomlight.compositing.objects.materials`."""
     base, metal = np.array(material.base_colour), material.metallic
     normal_incidence = ((material.ior - 1) / (material.ior + 1)) ** 2 * material.specular
     f0 = normal_incidence * (1 - metal) + metal * base

@@ -6,14 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from roomlight.compositing.camera_match import CameraModel, add_noise, measure_camera
 from roomlight.compositing.compositor import Compositor, composite
-from roomlight.compositing.layers import encode_srgb8
-from roomlight.compositing.lighting import LightSampler
-from roomlight.compositing.materials import diffuse, mirror
-from roomlight.compositing.primitives import cube, sphere
-from roomlight.compositing.scene import AtPixel, AtPosition, Motion, SceneObject
-from roomlight.compositing.temporal import (
+from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.light.temporal import (
     LIGHT_S,
     DepthFilter,
     EasedLight,
@@ -21,6 +16,11 @@ from roomlight.compositing.temporal import (
     share_of,
     warped_variance,
 )
+from roomlight.compositing.objects.materials import diffuse, mirror
+from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.picture.camera_match import CameraModel, add_noise, measure_camera
+from roomlight.compositing.picture.layers import encode_srgb8
+from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, SceneObject
 from roomlight.conventions import linear_to_srgb, linear_to_srgb8, srgb8_to_linear
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OptionError, SceneError

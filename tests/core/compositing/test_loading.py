@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, png, textured_quad
 
-from roomlight.compositing.loading import load_object
-from roomlight.compositing.loading_limits import ObjectLimits
-from roomlight.compositing.textures import Texture
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.loading import load_object
+from roomlight.compositing.objects.textures import Texture
 from roomlight.errors import ObjectError
 
 OBJ = b"mtllib a.mtl\nv 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\nvt 0 1\nvn 0 0 1\n"

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from shading_reference import exact_plane_radiance, lobe_share, plane_radiance
 
-from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.materials import Material, diffuse, glass, glossy, lobe_table, mirror, rough_metal
-from roomlight.compositing.rendering import RenderSettings, render_objects
-from roomlight.compositing.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
+from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, lobe_table, mirror, rough_metal
+from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.errors import ObjectError
 
 WHITE = np.ones((16, 32, 3), np.float32)
@@ -158,8 +158,8 @@ def test_textures_colour_the_surface_by_its_uvs() -> None:
     from shading_reference import look_at
 
     from roomlight.camera import Intrinsics
-    from roomlight.compositing.primitives import plane
-    from roomlight.compositing.tracer import ObjectScene
+    from roomlight.compositing.objects.primitives import plane
+    from roomlight.compositing.rendering.tracer import ObjectScene
 
     image = np.zeros((2, 2, 3), np.float32)
     image[0, 0], image[0, 1], image[1, 0], image[1, 1] = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.materials import diffuse, mirror
-from roomlight.compositing.primitives import cube, plane, sphere
-from roomlight.compositing.shadows import light_samples
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
+from roomlight.compositing.objects.materials import diffuse, mirror
+from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.rendering.shadows import light_samples
+from roomlight.compositing.rendering.tracer import ObjectScene
 
 
 def turned(angle: float = 0.7) -> np.ndarray:

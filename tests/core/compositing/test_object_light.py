@@ -9,15 +9,21 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from part_models import write_part
 from roomlight.captures import open_capture
-from roomlight.compositing.object_light import OBJECT_PANELS, ObjectLightModel, free_share, object_light, object_panels
+from roomlight.compositing.light.object_light import (
+    OBJECT_PANELS,
+    ObjectLightModel,
+    free_share,
+    object_light,
+    object_panels,
+)
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.blend import PanoramaState
 from roomlight.engine.completion import BRIGHTEST, HEIGHT
-from roomlight.engine.graphs import load_part
+from roomlight.engine.networks.graphs import load_part
+from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError
 from roomlight.sample import sample_capture
-from roomlight_evaluation.lit_objects import SPHERES, LitObjects
+from roomlight_evaluation.objects.lit_objects import SPHERES, LitObjects
 from rooms import BoxRoom, camera_at
 
 PLACE = (0.3, 0.4, -1.0)

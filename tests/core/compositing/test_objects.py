@@ -5,10 +5,10 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from roomlight.compositing.materials import mirror
-from roomlight.compositing.objects import TriangleMesh, VirtualObject
-from roomlight.compositing.primitives import chair, cube, plane, sphere, vase
-from roomlight.compositing.teapot import teapot
+from roomlight.compositing.objects.materials import mirror
+from roomlight.compositing.objects.primitives import chair, cube, plane, sphere, vase
+from roomlight.compositing.objects.teapot import teapot
+from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.errors import ObjectError
 
 POINTS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]])

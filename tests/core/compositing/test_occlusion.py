@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from roomlight.compositing.crop import Crop, CropCamera
-from roomlight.compositing.occlusion import RealDepth, depth_edges, on_carrier, real_depth, visibility
-from roomlight.compositing.placing import Plane
+from roomlight.compositing.picture.crop import Crop, CropCamera
+from roomlight.compositing.picture.occlusion import RealDepth, depth_edges, on_carrier, real_depth, visibility
+from roomlight.compositing.placement.places import Plane
 from rooms import camera_at, pinhole
 
 WHOLE = Crop(0, 0, 160, 120)

@@ -6,9 +6,16 @@ import numpy as np
 import pytest
 
 from roomlight.camera import transform_points
-from roomlight.compositing.placing import Box, fit_plane, place_at, place_at_pixel, place_by_pose, support_below
-from roomlight.compositing.scene_geometry import SceneGeometry
-from roomlight.engine.mesh import FrameMesh
+from roomlight.compositing.placement.places import (
+    Box,
+    fit_plane,
+    place_at,
+    place_at_pixel,
+    place_by_pose,
+    support_below,
+)
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import SceneError
 from rooms import BoxRoom, camera_at
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from roomlight.compositing.object_light import object_light
-from roomlight.compositing.probes import SceneProbes
-from roomlight.compositing.temporal import LIGHT_S
+from roomlight.compositing.light.object_light import object_light
+from roomlight.compositing.light.probes import SceneProbes
+from roomlight.compositing.light.temporal import LIGHT_S
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 import roomlight as rl
-from roomlight.compositing.layer_files import encode_picture
-from roomlight.compositing.primitives import sphere
+from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.picture.layer_files import encode_picture
+from roomlight.compositing.placement.scene import AtPixel, SceneObject
 from roomlight.compositing.recordings import SHAPE_SIZE_M
-from roomlight.compositing.scene import AtPixel, SceneObject
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ObjectError, OptionError, SceneError
 from roomlight.images import decode_colour

@@ -5,11 +5,11 @@ import pytest
 from shading_reference import look_at
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.materials import Material, diffuse, glass, glossy, mirror, rough_metal
-from roomlight.compositing.primitives import cube, plane, sphere
-from roomlight.compositing.rendering import PRESETS, RenderSettings, render_objects
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
+from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, mirror, rough_metal
+from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.rendering.renderer import PRESETS, RenderSettings, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene
 from roomlight.errors import ObjectError, OptionError
 from roomlight.spheres import Material as SphereMaterial
 from roomlight.spheres import SphereRenderer
@@ -266,7 +266,7 @@ def test_what_mirrors_show_is_resampled_and_must_be_at_the_same_positions() -> N
 
 
 def test_normal_texture_tilts_the_surface() -> None:
-    from roomlight.compositing.textures import Texture
+    from roomlight.compositing.objects.textures import Texture
 
     tilted = np.zeros((1, 1, 3), np.float32)
     tilted[0, 0] = 0.5 + 0.5 * np.array([np.sin(np.pi / 4), 0, np.cos(np.pi / 4)])  # 45 degrees toward growing u = +x

@@ -7,11 +7,11 @@ import pytest
 from shading_reference import look_at
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing.lighting import ProbeSet
-from roomlight.compositing.materials import Material, diffuse, glass, rough_metal
-from roomlight.compositing.primitives import sphere
-from roomlight.compositing.rendering import RenderSettings, render_objects
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import ProbeSet
+from roomlight.compositing.objects.materials import Material, diffuse, glass, rough_metal
+from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene
 
 SIZE = 24
 

@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 from light_rooms import lit, unit
 
-from roomlight.compositing.crop import CropCamera
-from roomlight.compositing.lighting import LightSampler
-from roomlight.compositing.materials import diffuse
-from roomlight.compositing.primitives import sphere
-from roomlight.compositing.room_shade import lamp_of
-from roomlight.compositing.scene_geometry import SceneGeometry
-from roomlight.compositing.shadows import Caster, ShadowQuality, coarse_ratio, surface_grid
-from roomlight.compositing.tracer import ObjectScene
-from roomlight.engine.mesh import FrameMesh
+from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.objects.materials import diffuse
+from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.picture.crop import CropCamera
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.rendering.room_shade import lamp_of
+from roomlight.compositing.rendering.shadows import Caster, ShadowQuality, coarse_ratio, surface_grid
+from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom(block=((-0.9, 0.0, -1.2), (-0.3, 0.6, -0.6)))

@@ -5,16 +5,16 @@ import pytest
 from shading_reference import look_at
 
 from roomlight.camera import Intrinsics
-from roomlight.compositing import tracer
-from roomlight.compositing.kernels.common import point
 from roomlight.compositing.kernels.environment import mean_around
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.lighting import LightSampler, ProbeSet
-from roomlight.compositing.materials import Material, diffuse, glossy, mirror, rough_metal
-from roomlight.compositing.primitives import cube, plane, sphere
-from roomlight.compositing.rendering import RenderSettings, render_objects
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
+from roomlight.compositing.objects.materials import Material, diffuse, glossy, mirror, rough_metal
+from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.rendering import tracer
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene
 from roomlight.conventions import panorama_directions, panorama_solid_angles
+from roomlight.kernels.common import point
 from roomlight.spheres import resize_panorama
 
 CAMERA = Intrinsics(36.0, 36.0, 10.0, 10.0, 20, 20)

@@ -5,8 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from roomlight.compositing.primitives import cube
-from roomlight.compositing.scene import AtPixel, AtPosition, Motion, Scene, load_scene, parse_scene, slerp
+from roomlight.compositing.objects.primitives import cube
+from roomlight.compositing.placement.scene import AtPixel, AtPosition, Motion, Scene, load_scene, parse_scene, slerp
 from roomlight.errors import ObjectError, SceneError
 
 BALL = {"name": "ball", "shape": "sphere", "size_m": 0.2, "position": [0, 0, -1]}

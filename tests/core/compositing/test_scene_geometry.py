@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from roomlight.camera import transform_points
-from roomlight.compositing.scene_geometry import MAX_PIECES, SceneGeometry
-from roomlight.engine.mesh import FrameMesh
+from roomlight.compositing.placement.room_geometry import MAX_PIECES, SceneGeometry
 from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom()

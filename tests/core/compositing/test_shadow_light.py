@@ -8,10 +8,10 @@ from light_rooms import lit, unit
 from test_shadows import CAMERA, FLOOR, POSE, ball, caster, ratio_of
 
 from roomlight.compositing.compositor import shadow_step
-from roomlight.compositing.materials import diffuse, mirror
-from roomlight.compositing.placing import Plane
-from roomlight.compositing.primitives import cube, plane, sphere
-from roomlight.compositing.shadows import QUALITIES, ShadowQuality, coarse_ratio, surface_grid
+from roomlight.compositing.objects.materials import diffuse, mirror
+from roomlight.compositing.objects.primitives import cube, plane, sphere
+from roomlight.compositing.placement.places import Plane
+from roomlight.compositing.rendering.shadows import QUALITIES, ShadowQuality, coarse_ratio, surface_grid
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 
 FINE = ShadowQuality(step=1, samples=256, bounces=16, radius=4)

@@ -6,13 +6,20 @@ import numpy as np
 import pytest
 from light_rooms import lit, unit
 
-from roomlight.compositing.crop import CropCamera
-from roomlight.compositing.lighting import LightSampler
-from roomlight.compositing.materials import diffuse, glass
-from roomlight.compositing.placing import Plane
-from roomlight.compositing.primitives import cube, sphere
-from roomlight.compositing.shadows import Caster, ShadowQuality, coarse_ratio, light_samples, shadow_ratio, surface_grid
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.objects.materials import diffuse, glass
+from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.picture.crop import CropCamera
+from roomlight.compositing.placement.places import Plane
+from roomlight.compositing.rendering.shadows import (
+    Caster,
+    ShadowQuality,
+    coarse_ratio,
+    light_samples,
+    shadow_ratio,
+    surface_grid,
+)
+from roomlight.compositing.rendering.tracer import ObjectScene
 from rooms import camera_at, pinhole
 
 POSE = camera_at((0.0, 1.6, 1.6), pitch_degrees=-45)

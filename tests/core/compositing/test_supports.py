@@ -6,11 +6,11 @@ from shading_reference import look_at
 
 from roomlight.camera import Intrinsics
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.lighting import ProbeSet
-from roomlight.compositing.materials import Material, diffuse, mirror
-from roomlight.compositing.primitives import sphere
-from roomlight.compositing.rendering import RenderSettings, render_objects
-from roomlight.compositing.tracer import ObjectScene
+from roomlight.compositing.light.lighting import ProbeSet
+from roomlight.compositing.objects.materials import Material, diffuse, mirror
+from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
+from roomlight.compositing.rendering.tracer import ObjectScene
 from roomlight.conventions import panorama_directions
 
 CAMERA = Intrinsics(180.0, 180.0, 64.0, 48.0, 128, 96)

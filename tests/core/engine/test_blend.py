@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.blend import (
+from roomlight.engine.panorama.blend import (
     CLOSER_M,
     DARK,
     FILL_COLOUR,

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from roomlight.conventions import LUMINANCE, panorama_directions
-from roomlight.engine import bracket
-from roomlight.engine.bracket import restored, update_keyframes
-from roomlight.engine.clipping import BRIGHT_GAIN
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.networks.clipping import BRIGHT_GAIN
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.engine.texture import Texture
-from roomlight.engine.volume import VolumeGrid, clipping_buffer, initial_volume
+from roomlight.engine.surface import bracket
+from roomlight.engine.surface.bracket import restored, update_keyframes
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.texture import Texture
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
 from rooms import BoxRoom, camera_at
 
 LAMP = ((0.3, 1.6, -2.5), 0.45)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from roomlight.engine.blend import PanoramaState, accumulate
 from roomlight.engine.classical_backend import ClassicalBackend
-from roomlight.engine.mesh import FrameMesh, PartialPanorama
-from roomlight.engine.sglv import render_panorama
-from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.engine.panorama.blend import PanoramaState, accumulate
+from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume
+from roomlight.engine.volume.sglv import render_panorama
 from rooms import BoxRoom, camera_at
 
 ROOM = BoxRoom()

@@ -9,7 +9,7 @@ from fixture_rooms import FOLDER, FRAMES
 from part_models import write_part
 from roomlight.dataset.loader import Dataset
 from roomlight.depth import complete_depth
-from roomlight.engine.clipping import (
+from roomlight.engine.networks.clipping import (
     BRIGHT_GAIN,
     CHANNELS,
     GLARE_GAIN,
@@ -22,7 +22,7 @@ from roomlight.engine.clipping import (
     shipped_clipping,
     white_of,
 )
-from roomlight.engine.graphs import load_part
+from roomlight.engine.networks.graphs import load_part
 from roomlight.frame import Frame
 from rooms import BoxRoom, camera_at, pinhole, rotation_about_y
 

@@ -16,7 +16,7 @@ from roomlight.engine.completion import (
     CompletionModel,
     completion_panels,
 )
-from roomlight.engine.graphs import load_part
+from roomlight.engine.networks.graphs import load_part
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at, pan
 

@@ -3,7 +3,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomlight.engine.fill import at_most_white, fill_unknown, push_pull
+from roomlight.engine.panorama.fill import at_most_white, fill_unknown, push_pull
 
 SIZES = [(1, 2), (2, 4), (5, 10), (16, 32), (15, 30), (12, 7), (120, 240)]
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from roomlight.engine.fusion import FusedVolume
+from roomlight.engine.volume.fusion import FusedVolume
 
 SHAPE = (3, 4, 5)
 

@@ -10,9 +10,9 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto, helper
 
-from roomlight.engine import providers
 from roomlight.engine import session as session_module
-from roomlight.engine.graphs import Graph, load_graphs
+from roomlight.engine.networks import providers
+from roomlight.engine.networks.graphs import Graph, load_graphs
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import ModelError, OptionError
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from roomlight.engine.keyframes import KeyframeStore
-from roomlight.engine.mesh import FrameMesh
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.surface.keyframes import KeyframeStore
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VolumeGrid
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from light_rooms import lit, unit
 
-from roomlight.engine.light_tracking import (
+from roomlight.engine.panorama.light_tracking import (
     CHALLENGE_FRAMES,
     CHALLENGE_RATIO,
     DROP_FRAMES,

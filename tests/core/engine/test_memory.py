@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.graphs import load_graphs
 from roomlight.engine.memory import KEYFRAME_BYTES, Footprint, release_free_memory
+from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.session import Session, SessionOptions
-from roomlight.engine.sglv import Sglv
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.sglv import Sglv
 from rooms import BoxRoom, camera_at
 
 

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
-from roomlight.engine.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, MeshGrid, grid_faces
+from roomlight.engine.surface.mesh import EDGE_RATIO, MAX_VERTICES, FrameMesh, MeshGrid, grid_faces
 from rooms import BoxRoom, camera_at, rotation_about_y
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from roomlight.camera import rigid_inverse, transform_points
-from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.session import Session, SessionOptions
+from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(block=((-0.6, 0.0, -1.6), (0.5, 1.3, -1.0)))

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight.engine.blend import CLOSER_M, PanoramaState, filled_detail
-from roomlight.engine.fusion import FusedVolume
-from roomlight.engine.graphs import load_graphs
-from roomlight.engine.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.network_backend import NetworkBackend, _ProbeNetworks, hedged
+from roomlight.engine.networks.graphs import load_graphs
+from roomlight.engine.panorama.blend import CLOSER_M, PanoramaState, filled_detail
 from roomlight.engine.session import Session, SessionOptions, warm_up
-from roomlight.engine.sglv import Sglv, render_panorama
-from roomlight.engine.volume import VolumeGrid, initial_volume
+from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.volume.fusion import FusedVolume
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume
+from roomlight.engine.volume.sglv import Sglv, render_panorama
 from roomlight.errors import ModelError
 from roomlight.metrics import log_l2
 from roomlight_model.checkpoint import load_checkpoint

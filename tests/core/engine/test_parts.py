@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from part_models import write_part
-from roomlight.engine.clipping import ClippingModel, restore_clipped, shipped_clipping
-from roomlight.engine.graphs import SHIPPED, load_graphs, load_part, read_description
+from roomlight.engine.networks.clipping import ClippingModel, restore_clipped, shipped_clipping
+from roomlight.engine.networks.graphs import SHIPPED, load_graphs, load_part, read_description
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, ProbeError
 from rooms import BoxRoom, camera_at

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from roomlight.engine import providers
-from roomlight.engine.providers import open_graph, resolve_provider
+from roomlight.engine.networks import providers
+from roomlight.engine.networks.providers import open_graph, resolve_provider
 from roomlight.errors import ModelError
 
 

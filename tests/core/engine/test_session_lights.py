@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from roomlight.engine.light_tracking import MAX_TURN_DEG, SETTLE_FRAMES
+from roomlight.engine.panorama.light_tracking import MAX_TURN_DEG, SETTLE_FRAMES
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.light.main_light import find_lights, main_light
 from rooms import BoxRoom, pan

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import roomlight as rl
-from roomlight.engine.graphs import load_graphs
+from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.state.encoding import records_of_snapshot, saved_session
 from roomlight.engine.state.kept_frames import base_of_frame

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roomlight.captures import open_capture
-from roomlight.engine.graphs import SHIPPED
+from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.metrics import log_l2
 from roomlight.sample import sample_capture

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.camera import rigid_inverse
-from roomlight.engine.volume import (
+from roomlight.engine.volume.grid import (
     DEPTH_MAX_FLOOR_M,
     VOLUME_SHAPE,
     VolumeGrid,

@@ -11,7 +11,7 @@ import pytest
 
 from part_models import write_part
 from roomlight.conventions import panorama_solid_angles
-from roomlight.engine.graphs import DESCRIPTION, SHIPPED
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 

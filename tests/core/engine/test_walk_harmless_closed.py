@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from roomlight.conventions import panorama_solid_angles
-from roomlight.engine.graphs import DESCRIPTION, SHIPPED
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
 

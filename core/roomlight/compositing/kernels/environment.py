@@ -6,7 +6,7 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, KERNEL
+from roomlight.kernels.common import JIT, KERNEL
 
 
 @njit(**JIT)

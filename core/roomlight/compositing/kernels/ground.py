@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
 from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of
+from roomlight.kernels.common import JIT
 
 
 class Supports(NamedTuple):

@@ -11,9 +11,9 @@ import math
 
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
 from roomlight.compositing.kernels.environment import density_at, direction_in, find
 from roomlight.compositing.kernels.scattering import evaluate
+from roomlight.kernels.common import JIT
 
 _BY_LIGHT_ALONE = 0.1
 """Part of the probability that does not regard the scattering: cells at the horizon and in narrow lobes."""

@@ -15,7 +15,6 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, KERNEL, point, tangents
 from roomlight.compositing.kernels.environment import (
     density_at,
     mean_around,
@@ -27,9 +26,10 @@ from roomlight.compositing.kernels.environment import (
 )
 from roomlight.compositing.kernels.ground import arriving, arriving_at
 from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
-from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import draw, evaluate, surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
+from roomlight.kernels.common import JIT, KERNEL, point, tangents
+from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 
 PRIMARY = 1
 """Flag of a ray that has met nothing since the camera."""

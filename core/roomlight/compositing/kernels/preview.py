@@ -4,12 +4,12 @@
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, KERNEL
 from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of, probe_weights
 from roomlight.compositing.kernels.ground import arriving
-from roomlight.compositing.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 from roomlight.compositing.kernels.scattering import surface
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
+from roomlight.kernels.common import JIT, KERNEL
+from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
 
 
 @njit(**JIT)

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Scattering at an opaque surface: the lobe over the base of `roomlight.compositing.materials`.
+"""Scattering at an opaque surface: the lobe over the base of `roomlight.compositing.objects.materials`.
 
 A surface is a tuple (F0, F90, base, roughness, share): F0, F90 and base are RGB; base is already reduced by what the
 lobe reflects; share is the probability of drawing from the lobe.
@@ -9,8 +9,8 @@ import math
 
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, normalised
-from roomlight.compositing.kernels.microfacets import (
+from roomlight.kernels.common import JIT, normalised
+from roomlight.kernels.microfacets import (
     MIRROR_ROUGHNESS,
     distribution,
     lobe_share,

@@ -7,9 +7,9 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
 from roomlight.compositing.kernels.environment import place_of
 from roomlight.compositing.kernels.ground import light_left
+from roomlight.kernels.common import JIT
 
 
 class Receivers(NamedTuple):

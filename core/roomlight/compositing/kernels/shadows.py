@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT
+from roomlight.kernels.common import JIT
 
 
 class SurfaceGrid(NamedTuple):

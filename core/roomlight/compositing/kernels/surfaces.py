@@ -5,7 +5,7 @@ import math
 
 from numba import njit
 
-from roomlight.compositing.kernels.common import JIT, normalised
+from roomlight.kernels.common import JIT, normalised
 
 BASE_COLOUR, METALLIC_ROUGHNESS, NORMAL, EMISSIVE = 0, 1, 2, 3
 """Columns of `MaterialArrays.texture`."""

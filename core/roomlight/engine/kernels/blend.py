@@ -1,5 +1,8 @@
 # pyright: reportMissingParameterType=false
-"""Accumulation of one probe's panorama, in place; readable reference: `roomlight.engine.blend.accumulate_reference`."""
+"""Accumulation of one probe's panorama, in place.
+
+Readable reference: `roomlight.engine.panorama.blend.accumulate_reference`.
+"""
 
 from typing import Final, NamedTuple
 
@@ -26,7 +29,7 @@ a camera at the same place showed before."""
 
 
 class StateArrays(NamedTuple):
-    """The arrays of `roomlight.engine.blend.PanoramaState`."""
+    """The arrays of `roomlight.engine.panorama.blend.PanoramaState`."""
 
     radiance: Float32[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
@@ -38,7 +41,7 @@ class StateArrays(NamedTuple):
 
 
 class DetailArrays(NamedTuple):
-    """What one frame shows (see `roomlight.engine.mesh.PartialPanorama`), and the weight of it."""
+    """What one frame shows (see `roomlight.engine.surface.mesh.PartialPanorama`), and the weight of it."""
 
     radiance: Float32[np.ndarray, "h w 3"]
     depth: Float32[np.ndarray, "h w"]
@@ -53,7 +56,7 @@ class DetailArrays(NamedTuple):
 
 @njit(nogil=True, cache=True)
 def better_share(clipped, bound, new_clipped, new_bound):
-    """Return how much of an observation a new one of the same surface replaces; see `roomlight.engine.bracket`."""
+    """Return how much of an observation a new one of the same surface replaces (`roomlight.engine.surface.bracket`)."""
     zero, one = np.float32(0), np.float32(1)
     if clipped <= zero:
         return zero

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Reprojection of clipped pixels into another frame; see `roomlight.engine.bracket`."""
+"""Reprojection of clipped pixels into another frame; see `roomlight.engine.surface.bracket`."""
 
 from typing import NamedTuple
 

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""SGLV ray marching; readable reference: `roomlight.engine.sglv.render_rays_reference`.
+"""SGLV ray marching; readable reference: `roomlight.engine.volume.sglv.render_rays_reference`.
 
 One thread, 28,800 rays of 38 samples through a volume that a network could have made (alpha about 0.03
 everywhere): 35 ms as a plain loop over samples and channels, 17 ms in this form; through the sparse classical
@@ -48,7 +48,7 @@ class MarchRays(NamedTuple):
 
 @njit(nogil=True, cache=True, fastmath=True)
 def march_rays(volume, rays, radiance, transmittance, start, stop):
-    """Render rays start..stop into radiance [n, 3] and transmittance [n]; see `roomlight.engine.sglv`."""
+    """Render rays start..stop into radiance [n, 3] and transmittance [n]; see `roomlight.engine.volume.sglv`."""
     alpha, lobes, lower, voxel = volume.alpha, volume.lobes, volume.lower, volume.voxel
     origin, directions = rays.origin, rays.directions
     step, samples, boundary = rays.step, rays.samples, rays.boundary

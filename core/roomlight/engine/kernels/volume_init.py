@@ -1,6 +1,6 @@
 # pyright: reportMissingParameterType=false
 """Volume initialisation, slice by slice along z; readable reference:
-`roomlight.engine.volume.initial_volume_reference`."""
+`roomlight.engine.volume.grid.initial_volume_reference`."""
 
 from typing import NamedTuple
 
@@ -33,7 +33,7 @@ class GridArrays(NamedTuple):
 
 @njit(nogil=True, cache=True, fastmath=True)
 def initialise_slices(view, grid, far_unknown, volume, clipping, start, stop):
-    """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.initial_volume`.
+    """Fill volume[:, start:stop], [5, z, y, x]; see `roomlight.engine.volume.grid.initial_volume`.
 
     `clipping` [2, z, y, x] gets alpha times `view.clipping`; neither is used if `view.clipping` has no size.
     """

@@ -16,15 +16,15 @@ from roomlight import __version__
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.engine.backend import Arrays
-from roomlight.engine.blend import PanoramaState
-from roomlight.engine.light_tracking import LightTracker
-from roomlight.engine.mesh import FrameMesh
+from roomlight.engine.networks.providers import Provider
 from roomlight.engine.options import ClippingName, ModelName, SessionOptions
-from roomlight.engine.providers import Provider
+from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values, change_arrays, changed
 from roomlight.engine.state.records import Record, array_records, arrays_of, unpack_records
 from roomlight.engine.state.snapshot import KeptFrame, ProbeSnapshot, SessionSnapshot
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.errors import RoomLightError, StateError
 
 _ROLES = ("keyframe", "latest")

@@ -14,10 +14,10 @@ import numpy as np
 from roomlight.camera import Intrinsics
 from roomlight.depth import complete_depth
 from roomlight.engine.backend import Arrays
-from roomlight.engine.mesh import FrameMesh, MeshGrid
 from roomlight.engine.options import WORKING_SIZE, SessionOptions
 from roomlight.engine.state.snapshot import KeptFrame
-from roomlight.engine.texture import Texture
+from roomlight.engine.surface.mesh import FrameMesh, MeshGrid
+from roomlight.engine.surface.texture import Texture
 from roomlight.errors import StateError
 from roomlight.frame import Frame
 

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from roomlight.conventions import Position
 from roomlight.engine.backend import Arrays
-from roomlight.engine.blend import PanoramaState
-from roomlight.engine.light_tracking import LightTracker
-from roomlight.engine.mesh import FrameMesh
 from roomlight.engine.options import SessionOptions
-from roomlight.engine.texture import Texture
-from roomlight.engine.volume import VolumeGrid
+from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.light_tracking import LightTracker
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.texture import Texture
+from roomlight.engine.volume.grid import VolumeGrid
 
 
 @dataclass(frozen=True)

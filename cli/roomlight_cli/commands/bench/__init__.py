@@ -1,0 +1,60 @@
+"""`roomlight bench`: the benchmarks of the repository, each a command of its own."""
+
+from typing import Final
+
+from roomlight_cli.lazy import CommandEntry, lazy_app
+
+BENCHMARKS: Final = (
+    CommandEntry(
+        "stages",
+        "roomlight_cli.commands.bench.stages",
+        "Time each stage beside its reference, plain PyTorch, and this machine's roofline.",
+    ),
+    CommandEntry(
+        "server",
+        "roomlight_cli.commands.bench.server",
+        "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
+    ),
+    CommandEntry(
+        "hostile",
+        "roomlight_cli.commands.bench.hostile",
+        "Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory.",
+    ),
+    CommandEntry(
+        "durability",
+        "roomlight_cli.commands.bench.durability",
+        "Kill a server on this machine while a client streams: frames that are lost, light, time to restore.",
+    ),
+    CommandEntry(
+        "replicas",
+        "roomlight_cli.commands.bench.replicas",
+        "Compare replicas under Ray Serve with a plain server on this machine (3 minutes; extra `ray`).",
+    ),
+    CommandEntry(
+        "capacity",
+        "roomlight_cli.commands.bench.capacity",
+        "Compute the machines for 100, 10,000 and a million phones from what a server does here (half a minute).",
+    ),
+    CommandEntry(
+        "composite",
+        "roomlight_cli.commands.bench.composite",
+        "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
+    ),
+    CommandEntry(
+        "widths",
+        "roomlight_cli.commands.bench.widths",
+        "Measure what each width of the networks costs (needs the `train` extra; minutes).",
+    ),
+    CommandEntry(
+        "train",
+        "roomlight_cli.commands.bench.train",
+        "Measure what a training step costs by part (needs the `train` extra).",
+    ),
+    CommandEntry(
+        "rendering",
+        "roomlight_cli.commands.bench.rendering",
+        "Compare importance sampling of the rendering layer with uniform directions (needs the `train` extra).",
+    ),
+)
+
+app = lazy_app(BENCHMARKS, help_text="Measure speed: every figure as a ratio within one run.")

@@ -1,0 +1,1 @@
+"""What `roomlight dataset` prints and draws."""

@@ -1,0 +1,1 @@
+"""Replays: the loop over a recording, its output folder, its pictures."""

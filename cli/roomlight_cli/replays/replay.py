@@ -1,0 +1,322 @@
+"""Replay of a recorded capture through a session: one HDR panorama per frame at each probe, pictures and a report.
+
+The session is the engine here, or one on a server (`remote_replay`): the loop is the same.
+
+It writes `probe-00/000000.exr` ... (named by the capture's frame index), `summary.png`, `replay.mp4` and, last of all,
+`report.json`: a folder without it is unfinished. `replay.json` is written as soon as a frame has proved usable and says
+what the folder is for (`replay_folder`): the same command continues an interrupted replay, and another one refuses to
+write there.
+"""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight import __version__
+from roomlight.captures import Capture, open_capture
+from roomlight.conventions import Position
+from roomlight.engine.session import FrameReport, Session
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.errors import CaptureError, FrameError
+from roomlight.files import write_json
+from roomlight.frame import Frame
+from roomlight.images import write_exr
+from roomlight.placement import point_at_pixel, point_in_view
+from roomlight_cli.replays.pictures import ReplayPictures, Titles
+from roomlight_cli.replays.replay_folder import REPORT, claim, describe_intent, fingerprint, refuse_foreign
+from roomlight_cli.replays.replay_options import ReplayOptions
+
+
+@dataclass(frozen=True)
+class ReplayResult:
+    """Where the outputs are, and the report as written."""
+
+    out: Path
+    report: dict[str, Any]
+
+
+ProgressCallback = Callable[[int, int], None]
+"""Called with (frames done, frames in all)."""
+
+
+@runtime_checkable  # the test run checks annotations with isinstance
+class ReplayLight(Protocol):
+    """What a replay needs of the light at a probe; the engine's `Light` has it."""
+
+    @property
+    def position(self) -> Position:
+        """Position in world metres."""
+        ...
+
+    @property
+    def panorama(self) -> Float[np.ndarray, "h w 3"]:
+        """Linear RGB radiance, float32."""
+        ...
+
+    @property
+    def coverage(self) -> float:
+        """Share of the sphere that was observed."""
+        ...
+
+    @property
+    def observed(self) -> Float[np.ndarray, "h w"] | None:
+        """How far each direction of the panorama was observed, 0 to 1; None where that is unknown."""
+        ...
+
+
+@runtime_checkable
+class ReplaySession(Protocol):
+    """What a replay needs of a session; `roomlight.engine.session.Session` has it."""
+
+    @property
+    def model(self) -> str:
+        """The model in use."""
+        ...
+
+    @property
+    def grid(self) -> VolumeGrid | None:
+        """The lighting volume's place; None before the first frame."""
+        ...
+
+    @property
+    def keyframes(self) -> int:
+        """Number of keyframes held."""
+        ...
+
+    def track(self, position: Position) -> int:
+        """Estimate the light at a position from now on; return its number."""
+        ...
+
+    def push(self, frame: Frame) -> FrameReport:
+        """Process the next frame. Raises FrameError if it cannot be used."""
+        ...
+
+    def lights(self) -> Sequence[ReplayLight]:
+        """Return the light at every tracked position."""
+        ...
+
+
+def replay(
+    path: Path,
+    out: Path,
+    options: ReplayOptions,
+    *,
+    session: ReplaySession | None = None,
+    progress: ProgressCallback | None = None,
+) -> ReplayResult:
+    """Replay a capture into a folder, with the engine here or with a new `session`.
+
+    An interruption leaves what is written, without a report; the next call with the same arguments continues. A
+    finished replay is made again (`replay_folder.finished_report` tells beforehand that it would be the same).
+
+    Raises:
+        CaptureError: The capture cannot be read, or no frame of it can start a session.
+        OptionError: An option is out of range, or a pixel lies outside the first image.
+        ProbeError: There is no depth to place a point by.
+        ModelError: The weights cannot be used.
+        OutputError: `out` holds something else, or cannot be written.
+        RemoteError: The server of `session` fails or refuses.
+    """
+    read = options.capture
+    stride = 1 if options.interpolate else options.every
+    capture = open_capture(path, replace(read, every=read.every * stride))
+    session = session or Session(options.session)
+    positions = options.probes or (_capture_probes(capture) if options.probes_from_capture else ())
+    intent = describe_intent(path, session.model, options)
+    refuse_foreign(out, capture.path, intent, overwrite=options.overwrite)
+
+    began = time.perf_counter()
+    reports: list[FrameReport] = []
+    unusable: list[dict[str, Any]] = []
+    pictures: ReplayPictures | None = None
+    writer: _Writer | None = None
+    tracked = False
+    waiting: list[Frame] = []  # frames between the last session frame and the next, for interpolation
+    try:
+        for frame in capture:
+            computed = frame.index // read.every % options.every == 0 or not reports
+            if not computed:
+                waiting.append(frame)
+                continue
+            try:
+                if writer is None or pictures is None:
+                    if not tracked:  # a frame that cannot start the session must not track its probes twice
+                        positions = _all_positions(frame, positions, options)
+                        for position in positions:
+                            session.track(position)
+                        tracked = True
+                    report = session.push(frame)
+                    claim(out, intent, overwrite=options.overwrite)  # only now: a mistaken command leaves nothing
+                    writer = _Writer(out, len(positions))
+                    pictures = ReplayPictures(
+                        out,
+                        positions,
+                        frame,
+                        frame_count=capture.frame_count,
+                        frames_per_second=capture.frames_per_second,
+                        truths=_truths(capture, positions),
+                        titles=_titles(capture, session.model),
+                    )
+                else:
+                    report = session.push(frame)
+            except FrameError as error:
+                unusable.append({"index": frame.index, "file": frame.source, "reason": str(error)})
+                continue
+            lights = session.lights()
+            for between, mixed in writer.interpolated(waiting, frame, lights):
+                pictures.add(between, mixed)
+            waiting.clear()
+            writer.write(frame, lights)
+            pictures.add(
+                frame,
+                [light.panorama for light in lights],
+                [light.coverage for light in lights],
+                [light.observed for light in lights],
+            )
+            reports.append(report)
+            done = frame.index // (read.every * stride) + 1
+            if progress:
+                progress(min(done, capture.frame_count), capture.frame_count)
+        if writer is None or pictures is None:
+            raise CaptureError(f"{path}: no frame can start a session; the first: {unusable[0]['reason']}")
+        for frame in waiting:  # after the last session frame there is nothing to interpolate towards: the light stays
+            writer.hold(frame)
+            pictures.add(frame, writer.held)
+        pictures.close(session if isinstance(session, Session) else None)
+    except BaseException as error:
+        if pictures is not None:
+            pictures.abandon(error)
+        raise
+    if progress:
+        progress(capture.frame_count, capture.frame_count)
+
+    wall_s = time.perf_counter() - began
+    interpolated = writer.count_interpolated
+    report = _report(path, capture, session, reports, wall_s=wall_s, interpolated=interpolated, unusable=unusable)
+    report["fingerprint"] = fingerprint(capture.path, out, options)
+    write_json(out / REPORT, report)
+    return ReplayResult(out, report)
+
+
+def _report(
+    path: Path,
+    capture: Capture,
+    session: ReplaySession,
+    reports: Sequence[FrameReport],
+    *,
+    wall_s: float,
+    interpolated: int,
+    unusable: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return the values of `report.json`, without the fingerprint."""
+    return {
+        "complete": True,
+        "roomlight": __version__,
+        "capture": {"path": str(path), "format": capture.format, "frames": capture.frame_count},
+        "model": session.model,
+        "probes": [
+            {"position": list(light.position), "folder": f"probe-{n:02d}", "coverage": round(light.coverage, 4)}
+            | ({} if session.grid and session.grid.contains(light.position) else {"outside_volume": True})
+            for n, light in enumerate(session.lights())
+        ],
+        "keyframes": session.keyframes,
+        "stage_ms_median": _medians(reports),
+        "wall_s": round(wall_s, 3),
+        "frames": [
+            {
+                "index": r.index,
+                "keyframe": r.keyframe,
+                "coverage": [round(c, 4) for c in r.coverage],
+                "stage_ms": {k: round(v, 2) for k, v in r.stage_ms.items()},
+            }
+            for r in reports
+        ],
+        "interpolated": interpolated,
+        "skipped": [asdict(s) for s in capture.skipped] + unusable,
+    }
+
+
+class _Writer:
+    """Writes panoramas as EXR, a folder per probe; files of an interrupted run are kept."""
+
+    def __init__(self, out: Path, probes: int) -> None:
+        self._folders = [out / f"probe-{n:02d}" for n in range(probes)]
+        self._before: tuple[int, list[Float[np.ndarray, "h w 3"]]] | None = None
+        self.count_interpolated = 0
+
+    def write(self, frame: Frame, lights: Sequence[ReplayLight]) -> None:
+        """Write the panoramas of one session frame."""
+        self._before = (frame.index, [light.panorama for light in lights])
+        for folder, light in zip(self._folders, lights, strict=True):
+            coverage = f"{light.coverage:.4f}"
+            self._save(folder, frame.index, light.panorama, {"roomlight:coverage": coverage})
+
+    def interpolated(
+        self, between: Sequence[Frame], frame: Frame, lights: Sequence[ReplayLight]
+    ) -> Iterator[tuple[Frame, list[Float[np.ndarray, "h w 3"]]]]:
+        """Write and yield the frames between the last session frame and this one."""
+        if self._before is None:
+            return
+        start, panoramas = self._before
+        for middle in between:
+            share = np.float32((middle.index - start) / (frame.index - start))
+            mixed = [(1 - share) * a + share * light.panorama for a, light in zip(panoramas, lights, strict=True)]
+            self._save_interpolated(middle.index, mixed)
+            yield middle, mixed
+
+    @property
+    def held(self) -> list[Float[np.ndarray, "h w 3"]]:
+        """Panoramas of the last session frame; empty before the first."""
+        return self._before[1] if self._before is not None else []
+
+    def hold(self, frame: Frame) -> None:
+        """Write a frame after the last session frame, with that frame's light."""
+        self._save_interpolated(frame.index, self.held)
+
+    def _save_interpolated(self, index: int, panoramas: Sequence[Float[np.ndarray, "h w 3"]]) -> None:
+        self.count_interpolated += 1
+        for folder, panorama in zip(self._folders, panoramas, strict=True):
+            self._save(folder, index, panorama, {"roomlight:interpolated": "true"})
+
+    @staticmethod
+    def _save(folder: Path, index: int, panorama: Float[np.ndarray, "h w 3"], metadata: dict[str, str]) -> None:
+        path = folder / f"{index:06d}.exr"
+        if not path.exists():
+            write_exr(path, panorama, metadata=metadata)
+
+
+def _titles(capture: Capture, model: str) -> Titles:
+    """Return the summary's title and subtitle."""
+    frames = f"{capture.frame_count} frame" + ("" if capture.frame_count == 1 else "s")
+    return Titles(capture.path.name, f"Light estimated by RoomLight from {frames}, model {model}")
+
+
+def _capture_probes(capture: Capture) -> tuple[Position, ...]:
+    if not capture.probes:
+        raise CaptureError(f"{capture.path}: has no probes of its own; place them with --probe or --pixel")
+    return tuple(probe.position for probe in capture.probes)
+
+
+def _all_positions(first: Frame, positions: Sequence[Position], options: ReplayOptions) -> tuple[Position, ...]:
+    """`positions` and those that the options place by the first frame; at least one."""
+    picked = tuple(point_at_pixel(first, u, v, above_m=options.above_m) for u, v in options.pixels)
+    return (*positions, *picked) or (point_in_view(first),)
+
+
+def _truths(capture: Capture, positions: Sequence[Position]) -> list[Float[np.ndarray, "h w 3"] | None]:
+    """Return the capture's measured panoramas at these positions; None where it has none."""
+    measured = {probe.position: probe for probe in capture.probes if probe.panorama_path is not None}
+    return [measured[position].panorama() if position in measured else None for position in positions]
+
+
+def _medians(reports: Sequence[FrameReport]) -> dict[str, float]:
+    stages = {stage for report in reports for stage in report.stage_ms}
+    return {
+        stage: round(float(np.median([report.stage_ms.get(stage, 0.0) for report in reports])), 2)
+        for stage in sorted(stages)
+    }

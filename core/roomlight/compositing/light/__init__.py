@@ -1,0 +1,1 @@
+"""The light of objects: panoramas around them, and their change over time."""

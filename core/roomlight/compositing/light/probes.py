@@ -1,0 +1,180 @@
+"""The light at the objects of a scene: tracked probes of a session, eased over time.
+
+An object that rests has one probe at its centre; one longer than `BIG_M` has two along each long axis. An object that
+moves has probes along its path, and the light between them is interpolated.
+"""
+
+from collections.abc import Callable
+from itertools import product
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.compositing.light.lighting import LightSampler, ProbeSet
+from roomlight.compositing.light.object_light import object_light
+from roomlight.compositing.light.temporal import EasedLight
+from roomlight.conventions import Position
+from roomlight.engine.session import Session
+
+BIG_M: Final = 0.5
+"""Longest side of an object that one probe is enough for."""
+PATH_STEP_M: Final = 0.3
+MAX_PER_OBJECT: Final = 8
+MAX_TOTAL: Final = 16
+"""Most tracked probes of a scene: the session takes about 10 ms for each and frame. Later objects share them."""
+
+
+LightAt = Callable[[Position], Float[np.ndarray, "h w 3"]]
+"""Returns the panorama [h, 2h, 3] of the light that arrives at a world position."""
+
+
+def box_probes(
+    low: Float[np.ndarray, "3"], high: Float[np.ndarray, "3"], matrix: Float[np.ndarray, "4 4"]
+) -> Float[np.ndarray, "n 3"]:
+    """Return the probe positions of an object whose bounding box is transformed by `matrix` to the world."""
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    centre, size = (low + high) / 2, high - low
+    sides = [(-0.25, 0.25) if length > BIG_M else (0.0,) for length in size * scale]
+    points = np.array([centre + np.array(offset) * size for offset in product(*sides)])
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
+
+
+def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]:
+    """Return the positions at which a path is probed: every `PATH_STEP_M`, wider on paths that need too many."""
+    step = PATH_STEP_M
+    while True:
+        chosen = [positions[0]]
+        for position in positions[1:]:
+            if min(np.linalg.norm(position - held) for held in chosen) >= step:
+                chosen.append(position)
+        if len(chosen) <= MAX_PER_OBJECT:
+            return np.array(chosen)
+        step *= 1.3
+
+
+class SceneProbes:
+    """Tracked probes of all objects of a scene, with the light of `object_light`."""
+
+    def __init__(self, session: Session, light: LightAt | None = None) -> None:
+        """Begin without probes; `light` replaces the session's, does not change over time and is used as it is."""
+        self._session, self._light = session, light
+        self._handles: list[int] = []
+        self._shown = _EasedLights()
+        self._casting = self._shown if light is not None else _EasedLights()
+        self._joined: tuple[ProbeSet, ProbeSet, ProbeSet] | None = None
+        self._frames = 0
+        self._waiting_s = 0.0
+
+    def __len__(self) -> int:
+        return len(self._handles)
+
+    def add(self, positions: Float[np.ndarray, "n 3"]) -> None:
+        """Track probes at these positions, as far as `MAX_TOTAL` allows."""
+        for position in positions[: MAX_TOTAL - len(self)]:
+            x, y, z = position.tolist()
+            handle = self._session.track((x, y, z))
+            self._handles.append(handle)
+            if self._light is not None:
+                self._shown.add((x, y, z), self._light((x, y, z)))
+            else:
+                found = object_light(self._session, handle)
+                self._shown.add((x, y, z), found.shown)
+                self._casting.add((x, y, z), found.casting)
+        self._frames = self._session.frames
+
+    def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
+        """Follow the session's light for a time; return whether any changed.
+
+        every_s:  change the light at most this often: each change costs 12 ms a probe.
+        """
+        self._waiting_s += elapsed_s
+        if self._waiting_s < every_s:
+            return False
+        if self._session.frames != self._frames and self._light is None:
+            for number, handle in enumerate(self._handles):
+                found = object_light(self._session, handle)
+                self._shown.aim(number, found.shown)
+                self._casting.aim(number, found.casting)
+            self._frames = self._session.frames
+        changed = self._shown.advance(self._waiting_s)
+        if self._casting is not self._shown:
+            changed |= self._casting.advance(self._waiting_s)
+        self._waiting_s = 0.0
+        return changed
+
+    def lights(self) -> ProbeSet:
+        """Return the probes as the renderer takes them."""
+        shown, casting = self._shown.lights(), self._casting.lights()
+        if shown is casting:
+            return shown
+        if self._joined is None or self._joined[0] is not shown or self._joined[1] is not casting:
+            self._joined = shown, casting, ProbeSet(shown.samplers, mirrored=casting.samplers)
+        return self._joined[2]
+
+    def at(self, position: Position) -> LightSampler:
+        """Return the light at a position, mixed from the probes around it."""
+        return self._shown.at(position)
+
+    def casting_at(self, position: Position) -> LightSampler:
+        """Return the light that casts the shadows of objects at a position."""
+        return self._casting.at(position)
+
+    def close(self) -> None:
+        """Stop tracking."""
+        for handle in self._handles:
+            self._session.untrack(handle)
+        self._handles.clear()
+        self._shown.clear()
+        self._casting.clear()
+
+
+class _EasedLights:
+    """Light at several positions, eased over time."""
+
+    def __init__(self) -> None:
+        self._lights: list[EasedLight] = []
+        self._set: ProbeSet | None = None
+        self._at: dict[Position, LightSampler] = {}  # of the present set
+
+    def add(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Add a position and its first light."""
+        self._lights.append(EasedLight(position, panorama))
+        self._set = None
+
+    def clear(self) -> None:
+        """Forget all positions."""
+        self._lights.clear()
+        self._set = None
+
+    def aim(self, number: int, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Set the light that the position of this number follows."""
+        self._lights[number].aim(panorama)
+
+    def advance(self, elapsed_s: float) -> bool:
+        """Follow for a time; return whether any light changed."""
+        changes = [light.advance(elapsed_s) for light in self._lights]
+        changed = any(changes)
+        if changed:
+            self._set = None
+        return changed
+
+    def lights(self) -> ProbeSet:
+        """Return all as a set."""
+        if self._set is None or len(self._at) >= MAX_TOTAL:
+            self._at.clear()
+        if self._set is None:
+            self._set = ProbeSet([light.sampler for light in self._lights])
+        return self._set
+
+    def at(self, position: Position) -> LightSampler:
+        """Return the light at a position, mixed from those around it."""
+        probes = self.lights()
+        if len(probes.samplers) == 1:
+            return probes.samplers[0]
+        shares = probes.weights(position)
+        if shares.max() > 0.98:
+            return probes.samplers[int(shares.argmax())]
+        if position not in self._at:
+            self._at[position] = probes.mixed(position)
+        return self._at[position]

@@ -1,0 +1,233 @@
+"""Stability over time: depth, shadows and light are eased into their new state, and shimmer is measured.
+
+Each follows its input with a time constant: after it, 63 % of a change has happened. Depth and shadows of the frame
+before are reprojected into the new view first; where that view shows something else, the new value is taken at once.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, UInt8
+
+from roomlight.camera import Intrinsics, rigid_inverse
+from roomlight.compositing.kernels.reproject import accumulate_image, splat_depth
+from roomlight.compositing.kernels.shadows import SurfaceGrid
+from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.picture.crop import CropCamera
+from roomlight.conventions import Position
+from roomlight.frame import Frame
+from roomlight.threads import parallel_for
+
+LIGHT_S: Final = 0.4
+"""Time constant of light: slow enough that a newly seen lamp fades in, faster than a viewer waits."""
+DEPTH_S: Final = 0.12
+"""Time constant of depth: averages the noise of 4 frames at 30 a second."""
+SHADOW_S: Final = 0.08
+"""Time constant of shadows: a moving object's shadow lags by less than 3 frames."""
+FRAME_S: Final = 1 / 30
+"""Time between frames without timestamps."""
+SAME_SURFACE: Final = 0.04
+"""Largest relative change of depth that counts as noise; beyond it the new depth is another surface."""
+MAX_HELD: Final = 10
+"""Frames that depth is held for where the sensor stops giving it."""
+MAX_DEPTH_WIDTH: Final = 320
+
+
+def share_of(elapsed_s: float, constant_s: float) -> float:
+    """Return the share of a change that happens in a time: 1 - exp(-elapsed / constant)."""
+    return 1.0 - float(np.exp(-max(elapsed_s, 0.0) / constant_s))
+
+
+def elapsed_s(before: Frame, frame: Frame) -> float:
+    """Return the time between two frames in seconds: by timestamps, else by indices; at most 1, at least 0."""
+    if before.timestamp_s is not None and frame.timestamp_s is not None:
+        return float(np.clip(frame.timestamp_s - before.timestamp_s, 0.0, 1.0))
+    return float(np.clip((frame.index - before.index) * FRAME_S, 0.0, 1.0))
+
+
+class DepthFilter:
+    """Depth of the real scene, averaged over the frames that agree."""
+
+    def __init__(self) -> None:
+        """Begin without depth."""
+        self._depth: Float32[np.ndarray, "h w"] | None = None
+        self._age: Float32[np.ndarray, "h w"] | None = None
+        self._frame: Frame | None = None
+
+    def push(self, frame: Frame, *, max_width: int = MAX_DEPTH_WIDTH) -> Float32[np.ndarray, "h w"]:
+        """Return the frame's depth, averaged with what was known; wider maps are reduced to `max_width` columns."""
+        depth = _reduced(frame.depth_m, max_width)
+        age = np.zeros(depth.shape, np.float32)
+        if self._frame is not None and self._depth is not None and self._age is not None:
+            held, held_age = self._reprojected(frame, depth.shape)
+            share = np.float32(share_of(elapsed_s(self._frame, frame), DEPTH_S))
+            same = (depth > 0) & (held > 0) & (np.abs(held - depth) < SAME_SURFACE * depth)
+            gone = (depth <= 0) & (held > 0) & (held_age < MAX_HELD)
+            age[gone] = held_age[gone] + 1
+            blended = held + share * (depth - held)
+            depth = np.where(same, blended, np.where(gone, held, depth)).astype(np.float32)
+        self._depth, self._age, self._frame = depth, age, frame
+        return depth
+
+    def _reprojected(
+        self, frame: Frame, shape: tuple[int, ...]
+    ) -> tuple[Float32[np.ndarray, "h w"], Float32[np.ndarray, "h w"]]:
+        assert self._frame is not None
+        assert self._depth is not None
+        assert self._age is not None
+        before = self._frame
+        if before.camera_to_world.tobytes() == frame.camera_to_world.tobytes() and shape == self._depth.shape:
+            return self._depth, self._age
+        transform = (rigid_inverse(frame.camera_to_world) @ before.camera_to_world)[:3].astype(np.float32)
+        held, age = np.zeros(shape, np.float32), np.zeros(shape, np.float32)
+        splat_depth(
+            self._depth,
+            self._age,
+            _lens(before.intrinsics, self._depth.shape),
+            transform,
+            _lens(frame.intrinsics, shape),
+            held,
+            age,
+        )
+        return held, age
+
+
+@dataclass(frozen=True)
+class _Shadow:
+    ratio: Float32[np.ndarray, "h w 4"]
+    known: Bool[np.ndarray, "h w"]
+    lens: Float32[np.ndarray, "4"]
+    world_to_camera: Float32[np.ndarray, "3 4"]
+
+
+class ShadowHistory:
+    """The shadow image of the frame before, to average the new one with."""
+
+    def __init__(self) -> None:
+        """Begin without an image."""
+        self._before: _Shadow | None = None
+
+    def blend(
+        self,
+        ratio: Float32[np.ndarray, "h w 3"],
+        grid: SurfaceGrid,
+        depth_m: Float32[np.ndarray, "h w"],
+        camera: CropCamera,
+        camera_to_world: Float[np.ndarray, "4 4"],
+        *,
+        share: float,
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """Return the image moved from the reprojected one before toward `ratio` by a share of 0 to 1.
+
+        The history is clamped to the range of each pixel's neighbours, so that the shadow of a moving object leaves no
+        trail.
+        """
+        out = ratio.copy()
+        if self._before is not None and share < 1:
+            held = self._before
+            arguments = (out, ratio, grid.known, grid.points, held.world_to_camera, held.lens, held.ratio, held.known)
+            limits = np.float32(share), np.float32(0.01)
+            parallel_for(lambda start, stop: accumulate_image(*arguments, *limits, start, stop), len(out))
+        self._before = _Shadow(
+            np.concatenate([out, depth_m[..., None]], axis=-1),
+            grid.known,
+            np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32),
+            rigid_inverse(camera_to_world)[:3].astype(np.float32),
+        )
+        return out
+
+
+class EasedLight:
+    """The light at one position, which follows the session's."""
+
+    def __init__(self, position: Position, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Begin at the first panorama."""
+        self.position = position
+        self.sampler = LightSampler(panorama, position)
+        self._target = self.sampler.panorama
+
+    def aim(self, panorama: Float[np.ndarray, "h w 3"]) -> None:
+        """Set the panorama that is followed."""
+        if panorama.shape != self._target.shape:
+            self.sampler = LightSampler(panorama, self.position)
+        self._target = np.maximum(np.ascontiguousarray(panorama, np.float32), 0)
+
+    def advance(self, elapsed: float) -> bool:
+        """Move toward the target for a time in seconds; return whether the light changed by more than 0.1 %."""
+        present = self.sampler.panorama
+        change = np.abs(self._target - present).mean()
+        if change < 1e-3 * max(float(present.mean()), 1e-6):
+            return False
+        share = np.float32(share_of(elapsed, LIGHT_S))
+        if share <= 0:
+            return False
+        self.sampler = LightSampler(present + share * (self._target - present), self.position)
+        return True
+
+
+def rest_variance(images: Sequence[UInt8[np.ndarray, "h w 3"]], mask: Bool[np.ndarray, "h w"] | None = None) -> float:
+    """Return the mean variance over time of encoded values in [0, 1], where camera and objects rest.
+
+    mask:  pixels that count; default all.
+    """
+    stack = np.stack(images).astype(np.float32) / np.float32(255)
+    variance = stack.var(axis=0).mean(axis=-1)
+    chosen = variance if mask is None else variance[mask]
+    return float(chosen.mean()) if chosen.size else 0.0
+
+
+def warped_variance(
+    layers: Sequence[Float[np.ndarray, "h w 3"]],
+    depths_m: Sequence[Float[np.ndarray, "h w"]],
+    cameras: Sequence[Intrinsics],
+    poses: Sequence[Float[np.ndarray, "4 4"]],
+) -> float:
+    """Return the mean squared change of each layer against the one before, warped by depth and camera motion, over 2.
+
+    Equal to the variance for independent noise. Layers: any image in [0, 1] on surfaces of known depth; pixels without
+    depth, or hidden in one of the two, do not count.
+    """
+    total, count = 0.0, 0
+    for number in range(1, len(layers)):
+        known = depths_m[number] > 0
+        points = cameras[number].rays() * depths_m[number][..., None]
+        rotation, origin = poses[number][:3, :3].astype(np.float32), poses[number][:3, 3].astype(np.float32)
+        world = np.ascontiguousarray(points @ rotation.T + origin)
+        k = cameras[number - 1]
+        before = np.concatenate([layers[number - 1], depths_m[number - 1][..., None]], axis=-1).astype(np.float32)
+        warped = np.full(before[..., :3].shape, np.float32(-10))
+        accumulate_image(
+            warped,
+            warped.copy(),
+            known,
+            world,
+            rigid_inverse(poses[number - 1])[:3].astype(np.float32),
+            np.array([k.fx, k.fy, k.cx, k.cy], np.float32),
+            before,
+            depths_m[number - 1] > 0,
+            np.float32(0),
+            np.float32(1e6),
+            0,
+            len(known),
+        )
+        seen = known & (warped[..., 0] > -5)
+        total += float(((warped - layers[number])[seen] ** 2).sum() / 2)
+        count += 3 * int(seen.sum())
+    return total / max(count, 1)
+
+
+def _reduced(depth_m: Float[np.ndarray, "h w"], max_width: int) -> Float32[np.ndarray, "h2 w2"]:
+    """Take every n-th sample, so that at most `max_width` columns are left."""
+    step = -(-depth_m.shape[1] // max_width)
+    if step == 1:
+        return depth_m.astype(np.float32)
+    size = max(2, depth_m.shape[1] // step), max(2, depth_m.shape[0] // step)
+    return cv2.resize(depth_m, size, interpolation=cv2.INTER_NEAREST_EXACT).astype(np.float32)
+
+
+def _lens(camera: Intrinsics, shape: tuple[int, ...]) -> Float32[np.ndarray, "4"]:
+    scale_x, scale_y = shape[1] / camera.width, shape[0] / camera.height
+    return np.array([camera.fx * scale_x, camera.fy * scale_y, camera.cx * scale_x, camera.cy * scale_y], np.float32)

@@ -1,0 +1,167 @@
+"""Materials of virtual objects: glTF's metallic-roughness model, and smooth glass.
+
+An opaque surface is a GGX microfacet lobe over a Lambertian base (Karis 2013; glTF 2.0, appendix B):
+
+    f = D(h) G1(l) G1(v) F(v, h) / (4 (n.l) (n.v)) + (1 - metallic) base (1 - E(n.v)) / pi
+
+with alpha = roughness^2, Smith's separable G, Schlick's F from F0 = mix(((ior - 1) / (ior + 1))^2 specular, base,
+metallic), and E the share of light that the lobe reflects toward the viewer (a table). The base gets what the lobe
+leaves, so that no surface reflects more light than it receives. The lobe is a single bounce between microfacets, which
+loses light where a surface is rough: a white metal reflects 0.99 of it at roughness 0.25, 0.87 at 0.5 and 0.38 at 1
+(mean over a sphere's normals; `tests/core/compositing/test_materials.py` measures it).
+
+A share `transmission` of a surface is smooth glass: exact Fresnel reflection and refraction at `ior`, whatever the
+roughness; light that passes into it is multiplied by the base colour once at each surface.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32
+
+from roomlight.compositing.objects.textures import Texture, TextureArrays, texture_arrays
+from roomlight.errors import ObjectError
+
+Colour = tuple[float, float, float]
+"""Linear RGB."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """How a surface reflects, transmits and emits light.
+
+    Attributes:
+        base_colour: Linear RGB in [0, 1]: albedo of a dielectric, reflectance at normal incidence of a metal.
+        metallic: 0 is a dielectric, 1 a metal.
+        roughness: Perceptual, alpha = roughness^2; below 0.02 the lobe is a perfect mirror.
+        specular: Scales the lobe of a dielectric; 0 leaves a Lambertian surface.
+        ior: Index of refraction, 1 to 3.
+        transmission: Share of the surface that is smooth glass.
+        opacity: Share of the surface that is there; rays pass straight through the rest.
+        alpha_cutoff: If given, the surface is there where opacity x texture alpha reaches it, and nowhere else.
+        emissive: Radiance that the surface emits, linear RGB.
+        base_colour_texture: Multiplies base_colour and, by its alpha, opacity.
+        metallic_roughness_texture: Green multiplies roughness, blue metallic.
+        normal_texture: Tangent-space normals, x along u, y up the image (against v).
+        normal_scale: Scales x and y of the normal texture.
+        emissive_texture: Multiplies emissive.
+
+    Raises:
+        ObjectError: A value is out of range.
+    """
+
+    base_colour: Colour = (0.8, 0.8, 0.8)
+    metallic: float = 0.0
+    roughness: float = 1.0
+    specular: float = 1.0
+    ior: float = 1.5
+    transmission: float = 0.0
+    opacity: float = 1.0
+    alpha_cutoff: float | None = None
+    emissive: Colour = (0.0, 0.0, 0.0)
+    base_colour_texture: Texture | None = None
+    metallic_roughness_texture: Texture | None = None
+    normal_texture: Texture | None = None
+    normal_scale: float = 1.0
+    emissive_texture: Texture | None = None
+
+    def __post_init__(self) -> None:
+        shares = {
+            name: getattr(self, name) for name in ("metallic", "roughness", "specular", "transmission", "opacity")
+        }
+        shares |= {f"base_colour[{channel}]": value for channel, value in enumerate(self.base_colour)}
+        if self.alpha_cutoff is not None:
+            shares["alpha_cutoff"] = self.alpha_cutoff
+        for name, value in shares.items():
+            if not 0 <= value <= 1:
+                raise ObjectError(f"material: {name} must be from 0 to 1, got {value}")
+        if not 1 <= self.ior <= 3:
+            raise ObjectError(f"material: ior must be from 1 to 3, got {self.ior}")
+        for value in (*self.emissive, abs(self.normal_scale)):
+            if not 0 <= value <= 1e6:
+                raise ObjectError(f"material: emissive and normal_scale must be finite, at most 1e6, got {value}")
+
+
+def mirror() -> Material:
+    """Return a perfect mirror."""
+    return Material(base_colour=(1.0, 1.0, 1.0), metallic=1.0, roughness=0.0)
+
+
+def rough_metal(roughness: float = 0.5, base_colour: Colour = (1.0, 1.0, 1.0)) -> Material:
+    """Return a metal; white and of roughness 0.5 unless stated."""
+    return Material(base_colour=base_colour, metallic=1.0, roughness=roughness)
+
+
+def glossy(base_colour: Colour = (0.8, 0.8, 0.8), roughness: float = 0.2) -> Material:
+    """Return Karis's glossy dielectric: albedo 0.8, roughness 0.2 and F0 = 0.05, as `roomlight.spheres`' glossy."""
+    return Material(base_colour=base_colour, roughness=roughness, ior=1.576)
+
+
+def diffuse(base_colour: Colour = (0.8, 0.8, 0.8)) -> Material:
+    """Return a Lambertian surface."""
+    return Material(base_colour=base_colour, specular=0.0)
+
+
+def glass(ior: float = 1.5, tint: Colour = (1.0, 1.0, 1.0)) -> Material:
+    """Return smooth clear glass; `tint` multiplies the light at each surface it passes."""
+    return Material(base_colour=tint, roughness=0.0, ior=ior, transmission=1.0)
+
+
+class MaterialArrays(NamedTuple):
+    """One row a material, as the kernels read them; texture -1 is none, cutoff -1 is none."""
+
+    base: Float32[np.ndarray, "m 3"]
+    metallic: Float32[np.ndarray, " m"]
+    roughness: Float32[np.ndarray, " m"]
+    specular: Float32[np.ndarray, " m"]
+    ior: Float32[np.ndarray, " m"]
+    transmission: Float32[np.ndarray, " m"]
+    opacity: Float32[np.ndarray, " m"]
+    cutoff: Float32[np.ndarray, " m"]
+    emissive: Float32[np.ndarray, "m 3"]
+    normal_scale: Float32[np.ndarray, " m"]
+    texture: Int32[np.ndarray, "m 4"]
+
+
+def material_arrays(materials: Sequence[Material]) -> tuple[MaterialArrays, TextureArrays]:
+    """Make the tables of materials and of their textures; a texture that several use is stored once."""
+    textures: dict[Texture, int] = {}
+    rows: list[list[int]] = []
+    for one in materials:
+        used = (one.base_colour_texture, one.metallic_roughness_texture, one.normal_texture, one.emissive_texture)
+        rows.append([-1 if item is None else textures.setdefault(item, len(textures)) for item in used])
+
+    def column(name: str) -> Float32[np.ndarray, " m"]:
+        return np.array([getattr(one, name) for one in materials], np.float32)
+
+    arrays = MaterialArrays(
+        base=np.array([one.base_colour for one in materials], np.float32),
+        metallic=column("metallic"),
+        roughness=column("roughness"),
+        specular=column("specular"),
+        ior=column("ior"),
+        transmission=column("transmission"),
+        opacity=column("opacity"),
+        cutoff=np.array([-1 if one.alpha_cutoff is None else one.alpha_cutoff for one in materials], np.float32),
+        emissive=np.array([one.emissive for one in materials], np.float32),
+        normal_scale=column("normal_scale"),
+        texture=np.array(rows, np.int32),
+    )
+    return arrays, texture_arrays(list(textures))
+
+
+@lru_cache(maxsize=1)
+def lobe_table() -> Float32[np.ndarray, "cosines roughnesses 2"]:
+    """Return A and B of the lobe's reflected share E(n.v, roughness) = F0 A + F90 B (Karis's split sum).
+
+    Rows are cosines and columns roughnesses, both evenly from 0 to 1. 20 ms, once.
+    """
+    from roomlight.kernels.microfacets import fill_lobe_table
+
+    table = np.empty((64, 32, 2), np.float32)
+    fill_lobe_table(table, 1024)
+    table.setflags(write=False)
+    return table

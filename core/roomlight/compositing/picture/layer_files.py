@@ -1,0 +1,47 @@
+"""Composited frames as files: one picture, or the layers apart."""
+
+from typing import Final, Literal
+
+import cv2
+import numpy as np
+
+from roomlight.compositing.picture.layers import Composite
+from roomlight.errors import OutputError
+from roomlight.images import encode_exr, encode_png
+
+PictureFormat = Literal["png", "jpeg", "exr"]
+PICTURE_ENDINGS: Final[dict[PictureFormat, str]] = {"png": "png", "jpeg": "jpg", "exr": "exr"}
+_JPEG_QUALITY: Final = 95
+
+
+def encode_picture(made: Composite, picture_format: PictureFormat) -> bytes:
+    """Encode the composite: png and jpeg are 8-bit sRGB, exr is linear radiance without added noise (half floats).
+
+    Raises:
+        OutputError: The picture cannot be encoded.
+    """
+    if picture_format == "exr":
+        return encode_exr(made.radiance)
+    if picture_format == "png":
+        return encode_png(made.image)
+    ok, data = cv2.imencode(
+        ".jpg", np.ascontiguousarray(made.image[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, _JPEG_QUALITY]
+    )
+    if not ok:
+        raise OutputError(f"a JPEG of {made.image.shape[1]} x {made.image.shape[0]} cannot be encoded")
+    return data.tobytes()
+
+
+def encode_layers(made: Composite) -> dict[str, bytes]:
+    """Encode the layers by file name; `frame x shadow x (1 - alpha) + objects` is the composite in linear radiance.
+
+    Raises:
+        OutputError: A layer cannot be encoded.
+    """
+    return {
+        "image.png": encode_png(made.image),
+        "objects.exr": encode_exr(made.objects),
+        "alpha.png": encode_png(np.rint(np.clip(made.alpha, 0, 1) * 65535).astype(np.uint16)),
+        "shadow.exr": encode_exr(made.shadow),
+        "depth.exr": encode_exr(np.repeat(made.depth_m[..., None], 3, axis=-1)),
+    }

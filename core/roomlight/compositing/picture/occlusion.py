@@ -1,0 +1,155 @@
+"""Which part of an object real things hide: edges at the colour image's resolution from depth of a few pixels.
+
+Depth decides where it is smooth. Around depth edges, whose place is known to one or two depth pixels only, and in holes
+the colour image decides: visibility is the joint bilateral mean of the pixels that depth decided (Kopf et al. 2007).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32
+
+from roomlight.compositing.kernels.edges import guide_by_colour, resample_depth
+from roomlight.compositing.picture.crop import Crop, CropCamera
+from roomlight.compositing.placement.places import Plane
+from roomlight.threads import parallel_for
+
+EDGE_SHARE: Final = 0.05
+"""Relative step of depth between neighbours above which an edge runs between them, beyond what a plane explains."""
+TOLERANCE_M: Final = 0.01
+TOLERANCE_SHARE: Final = 0.01
+"""A real surface hides an object if it is nearer by this and more: 1 cm and 1 % of the depth, the sensors' noise."""
+COLOUR_SPREAD: Final = 0.07
+"""Difference of sRGB-encoded colour at which a neighbour's influence falls to 1/e: above camera noise, below edges."""
+CARRIER_M: Final = 0.03
+CARRIER_SHARE: Final = 0.015
+"""Real points this close to the plane that an object stands on belong to the plane and never hide the object."""
+
+
+@dataclass(frozen=True)
+class RealDepth:
+    """Depth of real surfaces at the pixels of a crop.
+
+    Attributes:
+        depth_m: [h, w] z-depth, 0 unknown.
+        certain: [h, w] no depth edge and no hole within about a depth pixel.
+        depth_pixel: size of a pixel of the depth map, in image pixels.
+    """
+
+    depth_m: Float32[np.ndarray, "h w"]
+    certain: Bool[np.ndarray, "h w"]
+    depth_pixel: float
+
+    def part(self, slices: tuple[slice, slice]) -> "RealDepth":
+        """Return the depth of a rectangle of the crop."""
+        return RealDepth(np.ascontiguousarray(self.depth_m[slices]), self.certain[slices], self.depth_pixel)
+
+
+def real_depth(depth_m: Float[np.ndarray, "dh dw"], width: int, height: int, crop: Crop) -> RealDepth:
+    """Resample a depth map to the pixels of a crop of an image of `width` x `height` pixels.
+
+    Linear within a surface, the nearest sample across edges: a mean of two surfaces is none.
+    """
+    rows, columns = depth_m.shape
+    depth, smooth = np.ascontiguousarray(depth_m, np.float32), ~depth_edges(depth_m)
+    if (rows, columns) == (height, width):
+        return RealDepth(np.ascontiguousarray(depth[crop.slices]), smooth[crop.slices], 1.0)
+    scale_x, scale_y = columns / width, rows / height
+    out, certain = np.empty(crop.shape, np.float32), np.empty(crop.shape, bool)
+    corner, scale = (crop.top, crop.left), (np.float32(scale_y), np.float32(scale_x))
+    arguments = (depth, smooth, corner, scale, out, certain)
+    parallel_for(lambda start, stop: resample_depth(*arguments, start, stop), len(out))
+    return RealDepth(out, certain, 1 / min(scale_x, scale_y))
+
+
+def depth_edges(depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+    """Return the pixels at holes and beside steps of depth.
+
+    Second differences of inverse depth, which is linear on planes: floors seen at a grazing angle have no edges.
+    """
+    known = depth_m > 0
+    inverse = np.where(known, 1 / np.maximum(depth_m, 1e-3), 0).astype(np.float32)
+    padded = cv2.copyMakeBorder(inverse, 1, 1, 1, 1, cv2.BORDER_REFLECT_101)
+    across = np.abs(padded[1:-1, 2:] + padded[1:-1, :-2] - 2 * inverse)
+    down = np.abs(padded[2:, 1:-1] + padded[:-2, 1:-1] - 2 * inverse)
+    # REFLECT_101 doubles a slope at the border: leave the border's own direction out
+    across[:, [0, -1]] = 0
+    down[[0, -1]] = 0
+    holes = cv2.dilate((~known).astype(np.uint8), np.ones((3, 3), np.uint8)) > 0
+    return (np.maximum(across, down) > EDGE_SHARE * inverse) | holes
+
+
+def visibility(
+    object_depth_m: Float[np.ndarray, "h w"],
+    real: RealDepth,
+    guide: Float[np.ndarray, "h w 3"],
+    on_carrier: Bool[np.ndarray, "h w"] | None = None,
+) -> Float32[np.ndarray, "h w"]:
+    """Return how far objects are visible, 0 hidden to 1 in front, at every pixel that they cover; 1 elsewhere.
+
+    object_depth_m:  z-depth of the objects; what is not finite or not above 0 is not covered.
+    guide:           the image, sRGB-encoded in [0, 1].
+    on_carrier:      real points that lie on the plane that an object stands on.
+
+    Where depth is unknown and no decided pixel is near, objects are visible.
+    """
+    covered = np.isfinite(object_depth_m) & (object_depth_m > 0)
+    if not covered.any():
+        return np.ones(covered.shape, np.float32)
+    depth = _extended(object_depth_m, covered)
+    tolerance = TOLERANCE_M + TOLERANCE_SHARE * depth
+    visible = np.clip((real.depth_m - depth) / tolerance + 1.5, 0, 1).astype(np.float32)
+    if on_carrier is not None:
+        visible[on_carrier] = 1
+    known = real.depth_m > 0
+    visible[~known] = 1
+    certain = real.certain & known
+    reach = max(3, round(3 * real.depth_pixel))
+    # The nearest and the farthest surface within reach of a pixel agree almost everywhere: nothing to decide there.
+    window = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    decided = np.where(certain, visible, np.float32(np.nan))
+    least = cv2.erode(np.where(certain, decided, 1).astype(np.float32), window)
+    most = cv2.dilate(np.where(certain, decided, 0).astype(np.float32), window)
+    wanted = covered & ~certain
+    # Holes wider than the window keep what is known of them: visible.
+    out = np.where(wanted & (most <= 0) & (least <= 0), np.float32(0), visible)
+    wanted &= (most > 0) & (least < 1)
+    out[covered & ~certain & (least >= 1)] = 1
+    if wanted.any():
+        colour = np.ascontiguousarray(guide, np.float32)
+        arguments = (visible, certain, wanted, colour, reach, np.float32(COLOUR_SPREAD), out)
+        parallel_for(lambda start, stop: guide_by_colour(*arguments, start, stop), len(out))
+    out[~covered] = 1
+    return out.astype(np.float32)
+
+
+def on_carrier(
+    real: RealDepth, camera: CropCamera, camera_to_world: Float[np.ndarray, "4 4"], planes: list[Plane]
+) -> Bool[np.ndarray, "h w"]:
+    """Return which real points lie on one of the planes, as far as the sensor can tell; only of planes that face the
+    camera."""
+    found = np.zeros(real.depth_m.shape, bool)
+    rotation, origin = camera_to_world[:3, :3].astype(np.float32), camera_to_world[:3, 3].astype(np.float32)
+    facing = [plane for plane in planes if float(plane.height_of(origin)) > 0]
+    if not facing:
+        return found
+    points = (camera.rays() * real.depth_m[..., None]) @ rotation.T + origin
+    tolerance = CARRIER_M + CARRIER_SHARE * real.depth_m
+    for plane in facing:
+        found |= (real.depth_m > 0) & (np.abs(plane.height_of(points)) < tolerance)
+    return found
+
+
+def _extended(depth_m: Float[np.ndarray, "h w"], covered: Bool[np.ndarray, "h w"]) -> Float32[np.ndarray, "h w"]:
+    """Continue an object's depth beyond its silhouette by the nearest covered pixel's."""
+    if covered.all():
+        return depth_m.astype(np.float32)
+    _, labels = cv2.distanceTransformWithLabels(
+        (~covered).astype(np.uint8), cv2.DIST_L2, 3, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    nearest = np.asarray(labels, np.int32)
+    table = np.zeros(int(nearest.max()) + 1, np.float32)
+    table[nearest[covered]] = depth_m[covered]
+    return table[nearest]

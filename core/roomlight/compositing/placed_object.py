@@ -1,0 +1,148 @@
+"""Objects that have their place in the world: where they are at a time, and where their light is asked."""
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import transform_points
+from roomlight.compositing.kernels.ground import Supports
+from roomlight.compositing.light.probes import box_probes, path_probes
+from roomlight.compositing.placement.places import (
+    Anchor,
+    Placement,
+    Plane,
+    place_at,
+    place_at_pixel,
+    place_by_pose,
+    support_below,
+)
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.scene import AtPixel, AtPose, SceneObject
+from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.frame import Frame
+
+SINK_M: Final = 0.02
+"""An object that moves this far below the plane it stood on no longer stands on it."""
+
+SUPPORT_REACH_M: Final = 1.0
+"""Objects reflect their support as a plane up to this distance: half a table."""
+
+
+@dataclass
+class StandingObject:
+    """An object that has its place.
+
+    number:  in the scene.
+    pivot:   anchor in the world.
+    """
+
+    number: int
+    held: SceneObject
+    placement: Placement
+    pivot: Float[np.ndarray, "3"]
+    support: Plane | None
+    centre: Float[np.ndarray, "3"]
+    radius_m: float
+
+    def matrix_at(self, seconds: float, index: int) -> Float[np.ndarray, "4 4"]:
+        """Return object to world at a time since the first frame, in a frame of this index."""
+        motion = self.held.motion
+        if motion is None:
+            return self.placement.object_to_world
+        at = seconds if motion.unit == "seconds" else float(index)
+        return motion.transform_at(at, self.pivot) @ self.placement.object_to_world
+
+    def support_at(self, matrix: Float[np.ndarray, "4 4"]) -> Plane | None:
+        """Return the plane that the object stands on at a transform; None once it has moved below it."""
+        if self.support is None:
+            return None
+        box = self.held.box
+        corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
+        corners = (box.low + corners * (box.high - box.low)) @ matrix[:3, :3].T + matrix[:3, 3]
+        return self.support if float(self.support.height_of(corners).min()) > -SINK_M else None
+
+    def sphere(self, matrix: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4"]:
+        """Return centre and radius of the bounding sphere at a transform."""
+        scale = np.linalg.norm(matrix[:3, 0])
+        return np.append(matrix[:3, :3] @ self.centre + matrix[:3, 3], self.radius_m * scale)
+
+
+def placed(held: SceneObject) -> Placement:
+    """Return the placement of an object whose place is a position or a pose. Raises SceneError."""
+    place, box = held.place, held.box
+    if isinstance(place, AtPose):
+        return place_by_pose(place.pose, box, anchor=place.anchor)
+    assert not isinstance(place, AtPixel)
+    return place_at(np.array(place.position), box, yaw_degrees=place.yaw_degrees, anchor=place.anchor)
+
+
+def stand(number: int, held: SceneObject, geometry: SceneGeometry, frame: Frame) -> StandingObject:
+    """Give an object its place in the world, by the frame where its place is a pixel. Raises SceneError."""
+    place, box = held.place, held.box
+    if isinstance(place, AtPixel):
+        placement = place_at_pixel(geometry, frame, place.u, place.v, box, yaw_degrees=place.yaw_degrees)
+        anchor: Anchor = "back" if placement.kind == "wall" else "top" if placement.kind == "ceiling" else "base"
+        support = placement.support
+    else:
+        placement = placed(held)
+        anchor = place.anchor
+        support = support_below(geometry, placement, box)
+    matrix = placement.object_to_world
+    pivot = transform_points(matrix, box.anchor(anchor))
+    centre = (box.low + box.high) / 2
+    points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh, _ in held.geometry.parts])
+    radius = float(np.linalg.norm(points - centre.astype(np.float32), axis=1).max())
+    return StandingObject(number, held, placement, pivot, support, centre, radius)
+
+
+def probe_positions(one: StandingObject) -> Float[np.ndarray, "n 3"]:
+    """Return where the light of an object is asked: at its centre, over its box, or along its path."""
+    motion, box = one.held.motion, one.held.box
+    if motion is None:
+        return box_probes(box.low, box.high, one.placement.object_to_world)
+    times = [key.at for key in motion.keys]
+    path = np.concatenate([np.linspace(a, b, 24) for a, b in pairwise(times)] or [np.array(times)])
+    path = path[np.linspace(0, len(path) - 1, min(len(path), 500)).astype(np.int64)]
+    matrices = [motion.transform_at(float(at), one.pivot) @ one.placement.object_to_world for at in path]
+    return path_probes(np.stack([matrix[:3, :3] @ one.centre + matrix[:3, 3] for matrix in matrices]))
+
+
+def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], planes: list[Plane | None]) -> Supports:
+    """Return the planes that objects stand on as the renderer takes them; each plane once."""
+    known: list[Plane] = []
+    carriers: list[int] = []
+    for plane in planes:
+        same = [number for number, other in enumerate(known) if plane is not None and _same(plane, other)]
+        if plane is not None and not same:
+            known.append(plane)
+        carriers.append(-1 if plane is None else same[0] if same else len(known) - 1)
+    shading = np.stack(spheres).astype(np.float32)
+    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
+    points = np.array([plane.point for plane in known], np.float32).reshape(-1, 3)
+    normals = np.array([plane.normal for plane in known], np.float32).reshape(-1, 3)
+    return Supports(points, normals, shading, np.array(carriers, np.int32), SUPPORT_REACH_M)
+
+
+def _same(first: Plane, second: Plane) -> bool:
+    apart = float(np.abs(first.height_of(np.asarray(second.point))))
+    return float(np.dot(first.normal, second.normal)) > 0.999 and apart < SINK_M / 2
+
+
+def clusters(spheres: list[Float[np.ndarray, "4"]]) -> list[list[int]]:
+    """Group objects that are near each other: their shadows are computed together, under one light."""
+    groups: list[list[int]] = []
+    for number, sphere in enumerate(spheres):
+        near = [
+            group
+            for group in groups
+            if any(
+                np.linalg.norm(sphere[:3] - spheres[other][:3]) < 2 * (sphere[3] + spheres[other][3]) for other in group
+            )
+        ]
+        groups = [group for group in groups if group not in near]
+        groups.append(sorted([number, *(member for group in near for member in group)]))
+    # the largest object leads: its position's light is used
+    return [sorted(group, key=lambda member: -float(spheres[member][3])) for group in groups]

@@ -1,0 +1,1 @@
+"""Where objects stand: the room's surfaces, places on them, scenes."""

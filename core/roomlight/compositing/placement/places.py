@@ -1,0 +1,320 @@
+"""Places for virtual objects: by position, by pose, or on the surface that a pixel shows.
+
+Object frame: metres, y up, +z is the front (glTF's axes). World: metres, y up. A placement is the rigid transform
+between them. The anchor of an object is the point of its bounding box that is put onto the place: the middle of the
+bottom face on floors and tables, of the back face on walls, of the top face under ceilings.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import check_rigid, transform_points
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.errors import SceneError
+from roomlight.frame import MAX_POSITION_M, Frame
+
+Anchor = Literal["base", "back", "top", "centre", "origin"]
+"""Point that is placed: middle of the bounding box's bottom, back or top face, of the box, or (0, 0, 0)."""
+SurfaceKind = Literal["floor", "wall", "ceiling", "slope"]
+
+SNAP_DEGREES: Final = 5.0
+"""A surface this close to horizontal or vertical counts as exactly so; depth noise tilts a fitted plane by 1 to 2."""
+UP_FACING: Final = 0.5
+"""World y of the normal above which a surface carries objects, and below whose negative it is a ceiling."""
+FIT_RADIUS_M: Final = (0.06, 0.25)
+"""Least and largest radius of the patch that a plane is fitted to: the object's footprint, within these."""
+_LEAST_POINTS: Final = 8
+_TRIPLES: Final = 96
+_MAX_FITTED: Final = 3000
+
+
+@dataclass(frozen=True)
+class Plane:
+    """A plane: a point and the unit normal that points away from the solid, world metres."""
+
+    point: Float[np.ndarray, "3"]
+    normal: Float[np.ndarray, "3"]
+
+    def height_of(self, points: Float[np.ndarray, "*n 3"]) -> Float[np.ndarray, "*n"]:
+        """Return signed distances in metres, positive on the normal's side."""
+        return np.asarray((points - self.point.astype(points.dtype)) @ self.normal.astype(points.dtype))
+
+
+@dataclass(frozen=True)
+class Box:
+    """Bounding box of an object in its own frame, metres."""
+
+    low: Float[np.ndarray, "3"]
+    high: Float[np.ndarray, "3"]
+
+    @property
+    def footprint_m(self) -> float:
+        """Half the diagonal of the bottom face."""
+        size = self.high - self.low
+        return float(np.hypot(size[0], size[2]) / 2)
+
+    def anchor(self, anchor: Anchor) -> Float[np.ndarray, "3"]:
+        """Return the anchor in the object's frame."""
+        point = (self.low.astype(np.float64) + self.high) / 2
+        if anchor == "origin":
+            return np.zeros(3)
+        if anchor == "base":
+            point[1] = self.low[1]
+        elif anchor == "top":
+            point[1] = self.high[1]
+        elif anchor == "back":
+            point[2] = self.low[2]
+        return point
+
+
+@dataclass(frozen=True)
+class Placement:
+    """Where an object stands.
+
+    Attributes:
+        object_to_world: rigid [4, 4], float64.
+        support: plane that the object rests on or hangs at; None if there is none.
+        kind: of the supporting surface.
+    """
+
+    object_to_world: Float[np.ndarray, "4 4"]
+    support: Plane | None = None
+    kind: SurfaceKind | None = None
+
+
+def place_by_pose(pose: Float[np.ndarray, "4 4"], box: Box, *, anchor: Anchor = "base") -> Placement:
+    """Place the anchor at a pose, object axes to world.
+
+    Raises:
+        SceneError: the pose is not rigid, or beyond the largest coordinate.
+    """
+    try:
+        rigid = check_rigid(pose)
+    except ValueError as error:
+        raise SceneError(f"pose: {error}") from error
+    _check_position(rigid[:3, 3], "pose")
+    matrix = rigid.copy()
+    matrix[:3, 3] -= rigid[:3, :3] @ box.anchor(anchor)
+    return Placement(matrix)
+
+
+def place_at(
+    position: Float[np.ndarray, "3"], box: Box, *, yaw_degrees: float = 0.0, anchor: Anchor = "base"
+) -> Placement:
+    """Place the anchor at a world position, upright; at yaw 0 the front looks along +z, at 90 along +x.
+
+    Raises:
+        SceneError: the position is not finite, or beyond the largest coordinate.
+    """
+    _check_position(np.asarray(position, np.float64), "position")
+    pose = np.eye(4)
+    pose[:3, :3] = _upright(np.array([0.0, 1, 0]), yaw_degrees)
+    pose[:3, 3] = position
+    return place_by_pose(pose, box, anchor=anchor)
+
+
+def place_at_pixel(
+    geometry: SceneGeometry, frame: Frame, u: float, v: float, box: Box, *, yaw_degrees: float = 0.0
+) -> Placement:
+    """Place an object on the surface that a pixel shows.
+
+    Floors and tables carry it upright on its bottom, walls on its back (y up), ceilings on its top; a surface tilted by
+    more than `SNAP_DEGREES` carries it at right angles. Yaw turns it about the surface's normal.
+
+    Args:
+        geometry: fused surfaces of the session that the frame belongs to.
+        frame: its pose and depth are used.
+        u: column in the colour image, 0 is the left column; fractions are allowed.
+        v: row, 0 is the top row.
+        box: the object's bounding box.
+        yaw_degrees: see `place_at`; on a wall clockwise as seen from the room is negative.
+
+    Raises:
+        SceneError: the pixel is outside the image, or no surface is known behind it.
+    """
+    plane, kind = surface_at_pixel(geometry, frame, u, v, radius_m=box.footprint_m)
+    pose = np.eye(4)
+    if kind == "wall":
+        pose[:3, :3] = _flush(plane.normal, yaw_degrees)
+        anchor: Anchor = "back"
+    elif kind == "ceiling":
+        pose[:3, :3] = _upright(-plane.normal, yaw_degrees)
+        anchor = "top"
+    else:
+        pose[:3, :3] = _upright(plane.normal, yaw_degrees)
+        anchor = "base"
+    pose[:3, 3] = plane.point
+    return Placement(place_by_pose(pose, box, anchor=anchor).object_to_world, plane, kind)
+
+
+def surface_at_pixel(
+    geometry: SceneGeometry, frame: Frame, u: float, v: float, *, radius_m: float = 0.1
+) -> tuple[Plane, SurfaceKind]:
+    """Return the plane behind a pixel, fitted within `radius_m` of it; its point lies on the pixel's ray.
+
+    A plane within `SNAP_DEGREES` of horizontal or vertical is made exactly so.
+
+    Raises:
+        SceneError: the pixel is outside the image, or no surface is known behind it.
+    """
+    height, width = frame.image.shape[:2]
+    if not (0 <= u < width and 0 <= v < height):
+        raise SceneError(
+            f"pixel: must lie in the image of {width} x {height} pixels (columns 0 to {width - 1}, rows 0 to "
+            f"{height - 1}); got {u:g},{v:g}"
+        )
+    k = frame.intrinsics
+    ray = np.array([(u + 0.5 - k.cx) / k.fx, -(v + 0.5 - k.cy) / k.fy, -1.0])
+    direction = frame.camera_to_world[:3, :3] @ (ray / np.linalg.norm(ray))
+    origin = frame.camera_to_world[:3, 3]
+    distance_m = _depth_at(frame, u, v) * float(np.linalg.norm(ray))
+    if distance_m <= 0:
+        hits = geometry.cast(origin[None].astype(np.float32), direction[None].astype(np.float32))
+        distance_m = float(hits.distance_m[0])
+    if not np.isfinite(distance_m):
+        raise SceneError(
+            f"pixel: no surface is known behind {u:g},{v:g}: the sensor gave no depth there (a window, a lamp, a shiny "
+            "surface?) and no other frame showed it; choose another pixel or give a position"
+        )
+    hit = origin + distance_m * direction
+    low, high = FIT_RADIUS_M
+    points = _patch(geometry, frame, hit, float(np.clip(radius_m, low, high)))
+    plane = fit_plane(points, hit, toward=-direction, tolerance_m=0.006 + 0.003 * distance_m**2)
+    if plane is None or abs(plane.normal @ direction) < 0.02:
+        plane = Plane(hit, -direction)
+    kind, normal = _classified(plane.normal)
+    through = float((plane.point - origin) @ normal) / float(direction @ normal)
+    if not 0.5 * distance_m < through < 2 * distance_m:  # a plane nearly along the ray
+        through = distance_m
+    return Plane(origin + through * direction, normal), kind
+
+
+def support_below(geometry: SceneGeometry, placement: Placement, box: Box, *, within_m: float = 0.04) -> Plane | None:
+    """Return the surface that a placed object stands on: within `within_m` of its bottom, facing along its y axis."""
+    up = placement.object_to_world[:3, 1]
+    base = transform_points(placement.object_to_world, box.anchor("base"))
+    above = base + 2 * within_m * up
+    hits = geometry.cast(above[None].astype(np.float32), -up[None].astype(np.float32))
+    if not abs(float(hits.distance_m[0]) - 2 * within_m) <= within_m:
+        return None
+    hit = above - float(hits.distance_m[0]) * up
+    points = geometry.points()
+    low, high = FIT_RADIUS_M
+    near = np.linalg.norm(points - hit.astype(np.float32), axis=1) < np.clip(box.footprint_m, low, high)
+    plane = fit_plane(points[near], hit, toward=up, tolerance_m=0.015)
+    if plane is None or plane.normal @ up < np.cos(np.radians(2 * SNAP_DEGREES)):
+        return None
+    return Plane(base, up.copy())
+
+
+def fit_plane(
+    points: Float[np.ndarray, "n 3"],
+    hit: Float[np.ndarray, "3"],
+    *,
+    toward: Float[np.ndarray, "3"],
+    tolerance_m: float,
+) -> Plane | None:
+    """Fit the plane near `hit` to a patch that may hold other surfaces too; None if the points make no plane.
+
+    A consensus of random triples (fixed seed), then least squares over the inliers. `toward` chooses the normal's side.
+    """
+    if len(points) < _LEAST_POINTS:
+        return None
+    rng = np.random.default_rng(7)
+    if len(points) > _MAX_FITTED:
+        points = points[rng.choice(len(points), _MAX_FITTED, replace=False)]
+    local = points.astype(np.float64) - hit
+    chosen = rng.integers(0, len(local), (_TRIPLES, 3))
+    nearest = np.argsort((local**2).sum(axis=1))[:16]
+    chosen[:, 0] = nearest[rng.integers(0, len(nearest), _TRIPLES)]
+    triples = local[chosen]
+    normals = np.cross(triples[:, 1] - triples[:, 0], triples[:, 2] - triples[:, 0])
+    length = np.linalg.norm(normals, axis=1)
+    good = length > 1e-9
+    normals, offsets = normals[good] / length[good, None], triples[good, 0]
+    if not len(normals):
+        return None
+    offset = (normals * offsets).sum(axis=1)
+    apart = np.abs(local @ normals.T - offset)
+    # Of two surfaces that meet near the pixel, its own passes through the hit and has the points around it. Votes are
+    # soft, because a plane between the two has many points near it, but few on it.
+    away = np.linalg.norm(local, axis=1)
+    near = np.exp(-((away / (0.4 * max(float(away.max()), 1e-9))) ** 2))
+    votes = near @ np.exp(-((2 * apart / tolerance_m) ** 2)) * np.exp(-((2 * offset / tolerance_m) ** 2))
+    best = apart[:, int(votes.argmax())]
+    if (best < tolerance_m).sum() < _LEAST_POINTS or votes.max() < 1:
+        return None
+    centre, normal = np.zeros(3), np.zeros(3)
+    for _ in range(3):
+        weight = np.exp(-((2 * best / tolerance_m) ** 2))
+        centre = weight @ local / weight.sum()
+        _, spread, axes = np.linalg.svd((local - centre) * np.sqrt(weight)[:, None], full_matrices=False)
+        if spread[1] < 0.05 * spread[0]:
+            return None
+        normal = axes[2]
+        best = np.abs((local - centre) @ normal)
+    return Plane(hit + centre, normal if normal @ toward >= 0 else -normal)
+
+
+def _classified(normal: Float[np.ndarray, "3"]) -> tuple[SurfaceKind, Float[np.ndarray, "3"]]:
+    """Return the kind of surface, and its normal made exactly vertical or horizontal if it nearly is."""
+    level, near = float(normal[1]), np.radians(SNAP_DEGREES)
+    if abs(level) > np.cos(near):
+        return ("floor" if level > 0 else "ceiling"), np.array([0.0, np.sign(level), 0.0])
+    if abs(level) < np.sin(near):
+        flat = np.array([normal[0], 0.0, normal[2]])
+        return "wall", flat / np.linalg.norm(flat)
+    if level > UP_FACING:
+        return "slope", normal
+    return ("ceiling" if level < -UP_FACING else "wall"), normal
+
+
+def _upright(up: Float[np.ndarray, "3"], yaw_degrees: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation that takes the object's y axis to `up`, and its front to +z turned by the yaw."""
+    yaw = np.radians(yaw_degrees)
+    forward = np.array([np.sin(yaw), 0.0, np.cos(yaw)])
+    if abs(forward @ up) > 0.99:  # `up` is never far from vertical here, but a pose's plane may be anything
+        forward = np.array([0.0, 1.0, 0.0])
+    right = np.cross(up, forward)
+    right /= np.linalg.norm(right)
+    return np.stack([right, up, np.cross(right, up)], axis=1)
+
+
+def _flush(normal: Float[np.ndarray, "3"], yaw_degrees: float) -> Float[np.ndarray, "3 3"]:
+    """Return the rotation that takes the object's front to the wall's normal and keeps its y axis as near up as it can,
+    then turns it about the normal."""
+    up = np.array([0.0, 1.0, 0.0]) - normal[1] * normal
+    up /= np.linalg.norm(up)
+    right = np.cross(up, normal)
+    yaw = np.radians(yaw_degrees)
+    turned = np.cos(yaw) * right + np.sin(yaw) * up
+    return np.stack([turned, np.cross(normal, turned), normal], axis=1)
+
+
+def _depth_at(frame: Frame, u: float, v: float) -> float:
+    rows, columns = frame.depth_m.shape
+    height, width = frame.image.shape[:2]
+    row, column = int((v + 0.5) * rows / height), int((u + 0.5) * columns / width)
+    return float(frame.depth_m[min(row, rows - 1), min(column, columns - 1)])
+
+
+def _patch(
+    geometry: SceneGeometry, frame: Frame, hit: Float[np.ndarray, "3"], radius_m: float
+) -> Float[np.ndarray, "n 3"]:
+    """Return the known surface points within a radius of a point: the fused mesh's and the frame's own."""
+    rows, columns = frame.depth_m.shape
+    rays = frame.intrinsics.resized(columns, rows).rays()
+    own = transform_points(frame.camera_to_world, (rays * frame.depth_m[..., None])[frame.depth_m > 0])
+    centre = hit.astype(np.float32)
+    fused = geometry.points()
+    return np.concatenate([part[np.linalg.norm(part - centre, axis=1) < radius_m] for part in (fused, own)])
+
+
+def _check_position(position: Float[np.ndarray, "3"], field: str) -> None:
+    if not np.isfinite(position).all() or np.abs(position).max() > MAX_POSITION_M:
+        raise SceneError(
+            f"{field}: coordinates must be finite and within {MAX_POSITION_M:.0f} m; got {position.tolist()}"
+        )

@@ -1,0 +1,1 @@
+"""Rendering of objects, and of the shadows that they cast on real surfaces."""

@@ -1,0 +1,434 @@
+"""Virtual objects rendered under panoramas: radiance, coverage and depth, ready to be put over a frame.
+
+Frames: world metres, y up; the camera as in `roomlight.camera`. Only the pixels around the objects are computed. Every
+pixel has its own fixed low-discrepancy points, so equal inputs give equal bytes, and a still object does not shimmer.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal, NamedTuple
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8, UInt64
+
+from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
+from roomlight.compositing.kernels import paths as path_kernels
+from roomlight.compositing.kernels.environment import fill_radiance
+from roomlight.compositing.kernels.film import average_samples
+from roomlight.compositing.kernels.ground import Supports
+from roomlight.compositing.kernels.preview import shade_hits
+from roomlight.compositing.light.lighting import Environment, ProbeSet
+from roomlight.compositing.objects.materials import MaterialArrays, lobe_table
+from roomlight.compositing.objects.textures import TextureArrays
+from roomlight.compositing.rendering.denoise import denoise
+from roomlight.compositing.rendering.tracer import ObjectScene, Surfaces
+from roomlight.errors import OptionError
+from roomlight.threads import parallel_for
+
+Quality = Literal["preview", "good", "final"]
+Background = Callable[[Float32[np.ndarray, "n 3"]], Float[np.ndarray, "n 3"]]
+"""Maps unit world directions to the radiance that the camera sees behind glass; rows of NaN: the probes' light."""
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """How many paths, how long, and whether they are denoised.
+
+    Attributes:
+        samples: Paths a pixel, a power of two; 0 shades first hits by prefiltered panoramas instead.
+        bounces: Most surfaces that a path meets.
+        denoised: Denoise by Open Image Denoise where it is installed.
+    """
+
+    samples: int
+    bounces: int
+    denoised: bool
+
+
+PRESETS: Final[dict[str, RenderSettings]] = {
+    "preview": RenderSettings(0, 1, denoised=False),
+    "good": RenderSettings(64, 6, denoised=False),
+    "final": RenderSettings(256, 12, denoised=True),
+}
+_EDGE_SAMPLES: Final = 8
+"""Rays in a pixel on an outline of a preview."""
+_COVERAGE_SAMPLES: Final = 4
+"""Rays that decide whether a pixel and its neighbours are worth paths."""
+_BRIGHTEST_CAUSTIC: Final = 10.0
+"""Light that reaches a matte surface through glass is limited to this multiple of the panorama's mean: a lamp seen so
+is a rare bright dot."""
+_BLOCK_RAYS: Final = 1 << 15
+"""Rays of a block: 6 MB of paths, which stay in a core's cache."""
+
+
+@dataclass(frozen=True)
+class RenderedObjects:
+    """Objects as the camera sees them.
+
+    Attributes:
+        radiance: [h, w, 3] linear RGB times alpha.
+        alpha: [h, w] share of the pixel that objects cover, 0 to 1; glass covers, and holds what is seen through it.
+        depth_m: [h, w] z-depth, mean over the covered part; 0 where no object is.
+        object_id: [h, w] the nearest object's index in the scene; -1 where no object is.
+    """
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    alpha: Float32[np.ndarray, "h w"]
+    depth_m: Float32[np.ndarray, "h w"]
+    object_id: Int32[np.ndarray, "h w"]
+
+
+class _World(NamedTuple):
+    surfaces: Surfaces
+    materials: MaterialArrays
+    textures: TextureArrays
+    light: Environment
+    lobe: Float32[np.ndarray, "c r 2"]
+    supports: Supports
+    is_open: Bool[np.ndarray, " f"]
+
+
+class _View(NamedTuple):
+    camera_to_world: Float[np.ndarray, "4 4"]
+    fx: float
+    fy: float
+    cx: float
+    cy: float
+    column: Int64[np.ndarray, " p"]
+    row: Int64[np.ndarray, " p"]
+    key: UInt64[np.ndarray, " p"]
+    jitter: bool
+
+    def part(self, chosen: "slice | Int64[np.ndarray, ' q']") -> "_View":
+        return self._replace(column=self.column[chosen], row=self.row[chosen], key=self.key[chosen])
+
+
+class _Paths(NamedTuple):
+    origin: Float32[np.ndarray, "n 3"]
+    direction: Float32[np.ndarray, "n 3"]
+    throughput: Float32[np.ndarray, "n 3"]
+    share: Float32[np.ndarray, " n"]
+    flags: UInt8[np.ndarray, " n"]
+    slot: Int32[np.ndarray, " n"]
+
+
+class _Queue(NamedTuple):
+    origin: Float32[np.ndarray, "n 3"]
+    direction: Float32[np.ndarray, "n 3"]
+    light: Float32[np.ndarray, "n 3"]
+    slot: Int32[np.ndarray, " n"]
+
+
+class _RayHits(NamedTuple):
+    face: Int32[np.ndarray, " n"]
+    u: Float32[np.ndarray, " n"]
+    v: Float32[np.ndarray, " n"]
+
+
+class _Film(NamedTuple):
+    """A value for each sample, or, reduced, for each pixel; albedo and normal, for the denoiser, may have no rows."""
+
+    radiance: Float32[np.ndarray, "n 3"]
+    alpha: Float32[np.ndarray, " n"]
+    depth_m: Float32[np.ndarray, " n"]
+    object_id: Int32[np.ndarray, " n"]
+    albedo: Float32[np.ndarray, "n 3"]
+    normal: Float32[np.ndarray, "n 3"]
+
+
+class _Settings(NamedTuple):
+    samples: int
+    first: int
+    depth: int
+    max_bounces: int
+    background: bool
+    offset_m: float
+    brightest: float
+
+
+def render_objects(
+    scene: ObjectScene,
+    camera: Intrinsics,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    lights: ProbeSet,
+    *,
+    quality: str | RenderSettings = "good",
+    seed: int = 0,
+    background: Background | None = None,
+    supports: Supports | None = None,
+) -> RenderedObjects:
+    """Render the objects as seen by the camera and lit by the probes.
+
+    Args:
+        scene: The objects, in the world.
+        camera: Size, focal length and principal point of the frame.
+        camera_to_world: The camera's pose.
+        lights: The light at the objects.
+        quality: `preview`, `good`, `final`, or settings of one's own.
+        seed: Chooses the sampling points; keep it from frame to frame.
+        background: What glass shows of the frame behind it; None: the probes' light. Previews do not use it.
+        supports: Surfaces that the objects stand on, which they reflect as near ones; None: all light is far away.
+
+    Raises:
+        OptionError: The quality is unknown, or its samples are not a power of two up to 65536.
+        ValueError: The pose is not rigid.
+    """
+    settings = _checked_settings(quality)
+    pose = check_rigid(camera_to_world)
+    pixels = _pixels_around(scene, camera, pose)
+    film = _film(camera.width * camera.height, extra=settings.denoised)
+    if len(pixels):
+        world = _World(
+            scene.surfaces,
+            scene.materials,
+            scene.textures,
+            lights.environment if settings.samples else lights.panoramas,
+            lobe_table(),
+            supports or no_supports(),
+            scene.is_open() if settings.samples else np.zeros(0, bool),
+        )
+        row, column = np.divmod(pixels, camera.width)
+        key = _mixed_keys(pixels, seed)
+        view = _View(pose, camera.fx, camera.fy, camera.cx, camera.cy, column, row, key, jitter=True)
+        if settings.samples == 0:
+            _preview(scene, world, lights, view, film, camera)
+        else:
+            _sampled(scene, world, view, film, camera, settings, background)
+    shape = camera.height, camera.width
+    radiance = film.radiance.reshape(*shape, 3)
+    alpha = film.alpha.reshape(shape)
+    if settings.denoised and len(pixels):
+        radiance = denoise(radiance, alpha, film.albedo.reshape(*shape, 3), film.normal.reshape(*shape, 3))
+    return RenderedObjects(radiance, alpha, film.depth_m.reshape(shape), film.object_id.reshape(shape))
+
+
+def no_supports() -> Supports:
+    """Return that objects stand on nothing: all light is far away."""
+    points, normals, spheres = (np.zeros((0, columns), np.float32) for columns in (3, 3, 4))
+    return Supports(points, normals, spheres, np.zeros(0, np.int32), reach_m=1.0)
+
+
+def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
+    if isinstance(quality, str):
+        if (preset := PRESETS.get(quality)) is None:
+            raise OptionError(f"quality must be {', '.join(PRESETS)} or RenderSettings, got {quality!r}")
+        return preset
+    samples = quality.samples
+    if samples < 0 or samples > 65536 or samples & (samples - 1):
+        raise OptionError(f"samples must be 0 or a power of two up to 65536, got {samples}")
+    if not 1 <= quality.bounces <= 64:
+        raise OptionError(f"bounces must be 1 to 64, got {quality.bounces}")
+    return quality
+
+
+def _pixels_around(scene: ObjectScene, camera: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> Int64[np.ndarray, " p"]:
+    """Return the pixels, row by row, of the rectangles around the objects' projected boxes."""
+    inverse = rigid_inverse(pose)
+    mask = np.zeros((camera.height, camera.width), bool)
+    for low, high in scene.bounds():
+        corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
+        local = corners @ inverse[:3, :3].T + inverse[:3, 3]
+        nearest, farthest = -local[:, 2].max(), -local[:, 2].min()
+        if farthest <= 0:
+            continue
+        if nearest <= 1e-3 * farthest:  # reaches behind the camera: its projection has no bounds
+            mask[:] = True
+            break
+        xy, _ = camera.project(local)
+        left, top = np.clip(np.floor(xy.min(axis=0)) - 1, 0, [camera.width, camera.height]).astype(int)
+        right, bottom = np.clip(np.ceil(xy.max(axis=0)) + 1, 0, [camera.width, camera.height]).astype(int)
+        mask[top:bottom, left:right] = True
+    return np.flatnonzero(mask)
+
+
+def _mixed_keys(pixels: Int64[np.ndarray, " p"], seed: int) -> UInt64[np.ndarray, " p"]:
+    with np.errstate(over="ignore"):
+        offset = np.uint64(seed & 0xFFFFFFFF) * np.uint64(0x9E3779B97F4A7C15)
+        return (pixels.astype(np.uint64) + np.uint64(1)) * np.uint64(0xBF58476D1CE4E5B9) ^ offset
+
+
+def _film(count: int, *, extra: bool = True) -> _Film:
+    """Make an empty film; `extra`: with albedo and normals."""
+    flat, colours, more = (count,), (count, 3), (count if extra else 0, 3)
+    return _Film(
+        np.zeros(colours, np.float32),
+        np.zeros(flat, np.float32),
+        np.zeros(flat, np.float32),
+        np.full(flat, -1, np.int32),
+        np.zeros(more, np.float32),
+        np.zeros(more, np.float32),
+    )
+
+
+def _paths(count: int) -> _Paths:
+    return _Paths(
+        origin=np.empty((count, 3), np.float32),
+        direction=np.empty((count, 3), np.float32),
+        throughput=np.empty((count, 3), np.float32),
+        share=np.empty(count, np.float32),
+        flags=np.empty(count, np.uint8),
+        slot=np.empty(count, np.int32),
+    )
+
+
+def _queue(count: int) -> _Queue:
+    return _Queue(
+        origin=np.empty((count, 3), np.float32),
+        direction=np.empty((count, 3), np.float32),
+        light=np.empty((count, 3), np.float32),
+        slot=np.empty(count, np.int32),
+    )
+
+
+def _camera_hits(scene: ObjectScene, view: _View, samples: int) -> tuple[_Paths, _RayHits]:
+    """Trace camera rays, `samples` a pixel."""
+    count = len(view.column) * samples
+    paths = _paths(count)
+    hits = _RayHits(np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32))
+
+    def work(start: int, stop: int) -> None:
+        rays = slice(start * samples, stop * samples)
+        own = _Paths(*(column[rays] for column in paths))
+        path_kernels.camera_rays(view.part(slice(start, stop)), samples, 0, own)
+        hits.face[rays], _, hits.u[rays], hits.v[rays] = scene.trace(own.origin, own.direction)
+
+    parallel_for(work, len(view.column), pieces_per_thread=2)
+    return paths, hits
+
+
+def _preview(scene: ObjectScene, world: _World, lights: ProbeSet, view: _View, film: _Film, camera: Intrinsics) -> None:
+    """Shade pixel centres, and several points of the pixels on outlines."""
+    pixels = view.row * camera.width + view.column
+    centres = view._replace(jitter=False)
+    paths, hits = _camera_hits(scene, centres, 1)
+    found = _shaded(world, lights, centres, paths, hits)
+    _store(film, pixels, found)
+    chosen = np.flatnonzero(_on_outline(film.object_id.reshape(camera.height, camera.width), view))
+    if len(chosen) == 0:
+        return
+    part = view.part(chosen)
+    paths, hits = _camera_hits(scene, part, _EDGE_SAMPLES)
+    ids = np.where(hits.face >= 0, scene.surfaces.object_id[hits.face], -1).reshape(-1, _EDGE_SAMPLES)
+    mixed = (ids != film.object_id[pixels[chosen], None]).any(axis=1)  # the others stay as their centres are
+    rays = np.repeat(mixed, _EDGE_SAMPLES)
+    paths, hits = _Paths(*(column[rays] for column in paths)), _RayHits(*(column[rays] for column in hits))
+    found = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
+    _store(film, pixels[chosen[mixed]], _reduced(found, _EDGE_SAMPLES, extra=False))
+
+
+def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: _RayHits) -> _Film:
+    found = _film(len(paths.slot), extra=False)
+    mips = lights.prefiltered
+    parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, found, begin, end), len(paths.slot))
+    return found
+
+
+def _on_outline(object_id: Int32[np.ndarray, "h w"], view: _View) -> Bool[np.ndarray, " p"]:
+    """Return which pixels of the view have another object, or none, among their eight neighbours."""
+    top, left = max(int(view.row.min()) - 1, 0), max(int(view.column.min()) - 1, 0)
+    ids = (object_id[top : view.row.max() + 2, left : view.column.max() + 2] + 1).astype(np.float32)
+    box = np.ones((3, 3), np.uint8)
+    mixed = cv2.dilate(ids, box) != cv2.erode(ids, box)
+    return mixed[view.row - top, view.column - left]
+
+
+def _sampled(
+    scene: ObjectScene,
+    world: _World,
+    view: _View,
+    film: _Film,
+    camera: Intrinsics,
+    settings: RenderSettings,
+    background: Background | None,
+) -> None:
+    """Trace paths through the pixels that objects cover, and their neighbours."""
+    pixels = view.row * camera.width + view.column
+    _, hits = _camera_hits(scene, view, _COVERAGE_SAMPLES)
+    covered = np.zeros(camera.width * camera.height, np.uint8)
+    covered[pixels] = (hits.face.reshape(-1, _COVERAGE_SAMPLES) >= 0).any(axis=1)
+    grown = cv2.dilate(covered.reshape(camera.height, camera.width), np.ones((3, 3), np.uint8)).reshape(-1)
+    chosen = np.flatnonzero(grown[pixels])
+    view, pixels = view.part(chosen), pixels[chosen]
+    per_pass = min(settings.samples, _BLOCK_RAYS)
+    per_block = max(1, _BLOCK_RAYS // per_pass)
+    blocks = -(-len(pixels) // per_block)
+
+    def work(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            own = slice(block * per_block, (block + 1) * per_block)
+            part, total = view.part(own), _film(len(pixels[own]))
+            passes = settings.samples // per_pass
+            for number in range(passes):
+                found = _traced(scene, world, part, settings, (number * per_pass, per_pass), background)
+                _accumulate(total, _reduced(found, per_pass), passes)
+            _store(film, pixels[own], total)
+
+    parallel_for(work, blocks, pieces_per_thread=16)
+
+
+def _traced(
+    scene: ObjectScene,
+    world: _World,
+    view: _View,
+    settings: RenderSettings,
+    span: tuple[int, int],
+    background: Background | None,
+) -> _Film:
+    """Trace the samples span = (first, count) of some pixels in this thread."""
+    first, samples = span
+    count = len(view.column) * samples
+    film, paths, queues = _film(count), _paths(count), (_queue(count), _queue(count))
+    path_kernels.camera_rays(view, samples, first, paths)
+    offset_m, live = scene.offset_m(), count
+    brightest = _BRIGHTEST_CAUSTIC * float(world.light.radiance.mean())
+    for depth in range(settings.bounces + 1):
+        face, _, u, v = scene.trace(paths.origin[:live], paths.direction[:live])
+        step = _Settings(samples, first, depth, settings.bounces, background is not None, offset_m, brightest)
+        live, shadows, escaped = path_kernels.bounce(world, view, paths, live, _RayHits(face, u, v), film, queues, step)
+        shadow, escape = queues
+        if shadows:
+            blocked = scene.blocked(shadow.origin[:shadows], shadow.direction[:shadows])
+            path_kernels.add_lit(shadow, blocked, shadows, film.radiance)
+        if escaped and background is not None:
+            _add_background(world, _Queue(*(column[:escaped] for column in escape)), film, background)
+        if live == 0:
+            break
+    return film
+
+
+def _add_background(world: _World, rays: _Queue, film: _Film, background: Background) -> None:
+    seen = np.ascontiguousarray(background(rays.direction), np.float32)
+    unknown = ~np.isfinite(seen).all(axis=1)
+    if unknown.any():
+        light = np.empty((int(unknown.sum()), 3), np.float32)
+        fill_radiance(world.light, rays.origin[unknown], rays.direction[unknown], light, 0, len(light))
+        seen[unknown] = light
+    film.radiance[rays.slot] += rays.light * seen  # a slot has one path: no index comes twice
+
+
+def _reduced(film: _Film, samples: int, *, extra: bool = True) -> _Film:
+    """Average the samples of each pixel; the object is the nearest sample's."""
+    count = len(film.alpha) // samples
+    out = _film(count, extra=extra)
+    average_samples(film, samples, out, 0, count)
+    return out
+
+
+def _accumulate(total: _Film, part: _Film, passes: int) -> None:
+    """Add a pass to the mean of all; depth is averaged by coverage."""
+    share = np.float32(1 / passes)
+    before, after = total.alpha.copy(), part.alpha * share
+    covered = np.maximum(before + after, np.float32(1e-12))
+    total.depth_m[:] = (total.depth_m * before + part.depth_m * after) / covered
+    total.alpha[:] = before + after
+    np.copyto(total.object_id, part.object_id, where=total.object_id < 0)
+    for name in ("radiance", "albedo", "normal"):
+        getattr(total, name)[:] += getattr(part, name) * share
+
+
+def _store(film: _Film, pixels: Int64[np.ndarray, " p"], part: _Film) -> None:
+    for whole, own in zip(film, part, strict=True):
+        if len(whole) and len(own):
+            whole[pixels] = own
+    film.radiance[pixels] = np.maximum(part.radiance, 0)  # a control variate's noise can be below zero

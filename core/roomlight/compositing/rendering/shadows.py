@@ -1,0 +1,437 @@
+"""Shadows and colour bleeding of virtual objects on real surfaces, by differential rendering (Debevec 1998).
+
+A real surface shows frame = albedo E / pi. With objects its irradiance is E - E_blocked + E_bounced, so the picture
+changes by the ratio (E - E_blocked + E_bounced) / E in each channel; the albedo cancels. E and E_blocked are sums over
+the same directions, sampled from the panorama at the objects' position, so that the ratio is exactly 1 where no object
+is in the way. E_bounced is light that an object's hit surface reflects: diffuse by the panorama's irradiance there,
+metals by the panorama blurred as by a roughness of 0.3 or more. The panorama shows the support without the objects:
+what an object sees of it is reduced by the shade of a sphere as large as the object.
+
+Every 4 x 4 pixels share 16 subsets of samples, fixed in time; a filter over the surface joins them, as far as each
+pixel's own samples disagree: borders of hard shadows stay sharp. World metres.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import cv2
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int
+
+from roomlight.compositing.kernels.grid import fill_points, fill_surfaces
+from roomlight.compositing.kernels.shadow_rays import (
+    Ground,
+    LightSamples,
+    Looks,
+    Rays,
+    Receivers,
+    add_blocked,
+    add_bounced,
+    light_rays,
+    object_rays,
+)
+from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, filter_change, upsample_ratio
+from roomlight.compositing.light.lighting import LightSampler
+from roomlight.compositing.picture.crop import CropCamera
+from roomlight.compositing.picture.occlusion import depth_edges
+from roomlight.compositing.placement.places import Plane
+from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.rendering.room_shade import Lamp, lamp_of, lamp_seen
+from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.conventions import direction_to_uv, panorama_directions
+from roomlight.threads import parallel_for, thread_count
+
+TILE: Final = 4
+"""Side of the tiles whose pixels use different subsets of the samples."""
+GLOW_REACH: Final = 4.0
+"""Objects light surfaces up to this distance from their centre, in radii of their bounding sphere."""
+SNAP_M: Final = 0.02
+SNAP_SHARE: Final = 0.01
+"""Points this close to the plane that an object stands on are moved onto it: 2 cm and 1 % of the depth are noise."""
+LIFT_M: Final = 5e-4
+RATIO_RANGE: Final = (0.02, 4.0)
+_EDGE: Final = 0.04
+_EVEN_SHARE: Final = np.float32(0.25)
+_MOST_REFLECTED: Final = np.float32(12.0)
+"""Of one pixel's few rays, relative to its irradiance; the mean over neighbours is limited by `RATIO_RANGE`."""
+_MOST_ALBEDO: Final = 0.8
+"""Of floors and tables: white paint."""
+_LEAST_ROUGHNESS: Final = 0.3
+"""Of mirrors that light matte surfaces, as in the renderer's paths."""
+_BLOCK_RAYS: Final = 1 << 17
+_THIRDS: Final = np.full(3, 1 / 3, np.float32)
+"""Mean over channels, as a product: NumPy's mean of short rows is slow."""
+
+
+Smoothing = Callable[
+    [Float32[np.ndarray, "h w 3"], SurfaceGrid, Float32[np.ndarray, "h w"], CropCamera], Float32[np.ndarray, "h w 3"]
+]
+"""Maps a ratio on a grid of surfaces, their depth and their camera to another ratio, such as one eased over time."""
+
+
+@dataclass(frozen=True)
+class ShadowQuality:
+    """Effort of the shadows.
+
+    Attributes:
+        step: every step-th pixel is computed, the others are interpolated.
+        samples: directions to the light from each of these pixels; a filtered pixel uses about 16 times as many.
+        bounces: directions toward each object from each of these pixels; 0 leaves colour bleeding out.
+        radius: of the filter, in computed pixels; 2 or 4, so that every subset counts the same.
+        reach: shadows fade out between 0.8 and 1 times this distance from an object's centre, in radii of its bounding
+            sphere. With 7 instead of 4 the error of shadows under the true light falls by a tenth: an object on a desk
+            shades the wall behind it.
+    """
+
+    step: int
+    samples: int
+    bounces: int
+    radius: int = 2
+    reach: float = 7.0
+
+
+QUALITIES: Final = {
+    "preview": ShadowQuality(step=4, samples=16, bounces=2, reach=4.0),
+    "good": ShadowQuality(step=2, samples=32, bounces=6, radius=4),
+    "final": ShadowQuality(step=1, samples=64, bounces=8, radius=4),
+}
+
+
+@dataclass(frozen=True)
+class Caster:
+    """Objects that cast shadows together, under one light.
+
+    Attributes:
+        scene: the objects in the world.
+        spheres: [k, 4] centre and radius of each object.
+        object_ids: [k] the objects' indices in the scene.
+        light: at their position: what they reflect.
+        casting: the light that casts their shadows.
+        support: plane that they stand on, if there is one.
+        room: real surfaces that may hide the strongest lamp; None: they hide nothing.
+    """
+
+    scene: ObjectScene
+    spheres: Float32[np.ndarray, "k 4"]
+    object_ids: Int[np.ndarray, " k"]
+    light: LightSampler
+    casting: LightSampler
+    support: Plane | None = None
+    room: SceneGeometry | None = None
+
+
+def surface_grid(
+    depth_m: Float[np.ndarray, "h w"],
+    camera: CropCamera,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    supports: list[Plane],
+) -> SurfaceGrid:
+    """Return points and normals of the real surfaces on the pixels of a depth image; points near a support lie on it.
+
+    Depth is smoothed within surfaces; pixels at depth edges and without depth are not known.
+    """
+    known = depth_m > 0
+    filled = np.where(known, depth_m, depth_m.max(initial=1.0)).astype(np.float32)
+    smooth = np.exp(cv2.bilateralFilter(np.log(filled), 5, 0.02, 2.0)) if min(depth_m.shape) >= 5 else filled
+    known &= ~depth_edges(depth_m)
+    raw, points, normals = (np.empty((*smooth.shape, 3), np.float32) for _ in range(3))
+    lens = np.array([camera.fx, camera.fy, camera.cx, camera.cy], np.float32)
+    pose = camera_to_world[:3].astype(np.float32)
+    parallel_for(lambda start, stop: fill_points(smooth, lens, pose, raw, start, stop), len(raw))
+    planes = np.array([(plane.point, plane.normal) for plane in supports], np.float32).reshape(-1, 2, 3)
+    arguments = (raw, smooth, pose[:, 3], planes, (np.float32(SNAP_M), np.float32(SNAP_SHARE)), points, normals)
+    parallel_for(lambda start, stop: fill_surfaces(*arguments, start, stop), len(raw))
+    return SurfaceGrid(points, normals, known)
+
+
+def shadow_ratio(
+    casters: list[Caster],
+    depth_m: Float[np.ndarray, "h w"],
+    camera: CropCamera,
+    camera_to_world: Float[np.ndarray, "4 4"],
+    quality: ShadowQuality,
+    *,
+    supports: list[Plane] | None = None,
+    smooth: Smoothing | None = None,
+) -> Float32[np.ndarray, "h w 3"]:
+    """Return light with objects / light without them on the real surfaces of an image.
+
+    Args:
+        casters: The objects, in groups that share a light.
+        depth_m: z-depth of the real surfaces at every pixel of `camera`, 0 unknown: ratio 1 or its neighbours'.
+        camera: Of the image.
+        camera_to_world: Its pose.
+        quality: Effort; its `step` is the distance of the pixels that are computed.
+        supports: Planes that objects stand on; default: those of the casters.
+        smooth: Changes the ratio of the computed pixels, given their surfaces, depth and camera.
+    """
+    step = quality.step
+    coarse_depth = np.ascontiguousarray(depth_m[step // 2 :: step, step // 2 :: step], np.float32)
+    if coarse_depth.size == 0:  # only a rim of the shadow's reach is in the picture
+        return np.ones((*depth_m.shape, 3), np.float32)
+    coarse_camera = camera.every(step)
+    if supports is None:
+        supports = [caster.support for caster in casters if caster.support is not None]
+    grid = surface_grid(coarse_depth, coarse_camera, camera_to_world, supports)
+    ratio = np.ones((*coarse_depth.shape, 3), np.float32)
+    for caster in casters:
+        ratio *= coarse_ratio(caster, grid, quality)
+    if smooth is not None:
+        ratio = smooth(ratio, grid, coarse_depth, coarse_camera)
+    return spread_ratio(ratio, grid.known, coarse_depth, depth_m, step)
+
+
+def coarse_ratio(caster: Caster, grid: SurfaceGrid, quality: ShadowQuality) -> Float32[np.ndarray, "h w 3"]:
+    """Return the ratio of one caster on a grid of surfaces; 1 beyond its reach and where the surface is not known."""
+    height, width = grid.known.shape
+    out = np.ones((height, width, 3), np.float32)
+    fade = _fade(caster.spheres, grid, quality.reach)
+    near = grid.known & (fade > 0)
+    rows, columns = np.nonzero(near)
+    if len(rows) == 0:
+        return out
+    subset = (rows % TILE * TILE + columns % TILE).astype(np.int32)
+    lamp = None if caster.room is None else lamp_of(caster.casting)
+    seen = np.ones(len(rows), np.float32)
+    if lamp is not None and caster.room is not None:
+        seen = lamp_seen(lamp, grid, near, caster.room, caster.spheres[0, :3])[near]
+    receivers = Receivers(grid.points[near], grid.normals[near], subset, seen)
+    found = _light_change(caster, receivers, quality, lamp)
+    share = fade[near]
+    floor = np.float32(1e-6) + np.float32(1e-3) * found.unblocked.max(initial=0)
+    dark, glow = np.ones_like(out), np.zeros_like(out)
+    noise = np.zeros((height, width), np.float32)
+    dark[near] = 1 - share[:, None] * np.clip(found.blocked / np.maximum(found.unblocked, floor), 0, 1 - RATIO_RANGE[0])
+    # by the smooth irradiance: divided by a noisy one, the mean would be too bright
+    reflected = found.bounced / np.maximum(found.irradiance, floor)
+    glow[near] = share[:, None] * np.minimum(reflected, _MOST_REFLECTED)
+    noise[near] = share * found.doubt / (np.maximum(found.unblocked, floor) @ _THIRDS)
+    change = Change(dark, noise, glow, near)
+    arguments = (change, grid, quality.radius, np.float32(0.02), np.float32(RATIO_RANGE[1]), out)
+    parallel_for(lambda start, stop: filter_change(*arguments, start, stop), height)
+    return out
+
+
+def spread_ratio(
+    ratio: Float[np.ndarray, "h w 3"],
+    known: Bool[np.ndarray, "h w"],
+    depth_m: Float[np.ndarray, "h w"],
+    fine_depth_m: Float[np.ndarray, "fh fw"],
+    step: int,
+) -> Float32[np.ndarray, "fh fw 3"]:
+    """Interpolate a ratio known on every `step`-th pixel to all pixels, across no depth edge."""
+    if step == 1 and known.all():
+        return ratio.astype(np.float32)
+    out = np.empty((*fine_depth_m.shape, 3), np.float32)
+    arguments = (ratio, known, depth_m, fine_depth_m, step, np.float32(_EDGE), out)
+    parallel_for(lambda start, stop: upsample_ratio(*arguments, start, stop), len(fine_depth_m))
+    return out
+
+
+def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, "3"] | None = None) -> LightSamples:
+    """Sample a panorama in TILE^2 subsets of `count` directions each, in proportion to luminance; kept with the light.
+
+    A fifth of the directions is drawn without regard to luminance, so that the light around a strong lamp is sampled
+    too.
+
+    toward:  normal of the surface that most points lie on: its cosine is sampled too.
+    """
+    key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
+    if (held := light.kept.get(key)) is not None:
+        return held
+    mixture = light.mixed_from
+    if mixture is None:
+        drawn = _drawn(light, count, toward)
+        made = LightSamples(drawn.directions, drawn.weights * _radiance(light, drawn))
+    else:
+        if key not in mixture.kept:
+            drawn = _drawn(mixture.even, count, toward)
+            mixture.kept[key] = drawn, np.stack([_radiance(one, drawn) for one in mixture.samplers])
+        drawn, radiance = mixture.kept[key]
+        mean = np.tensordot(mixture.shares.astype(np.float32), radiance, axes=1)
+        made = LightSamples(drawn.directions, drawn.weights * mean)
+    light.kept[key] = made
+    return made
+
+
+def _drawn(light: LightSampler, count: int, toward: Float[np.ndarray, "3"] | None) -> LightSamples:
+    """Draw directions; the weights [s, m, 1] are 1 / (pdf count)."""
+    share = np.ones(light.panorama.shape[:2], np.float32)
+    if toward is not None:
+        cosine = panorama_directions(len(light.panorama)) @ toward.astype(np.float32)
+        share = np.maximum(cosine, np.float32(0.15))
+    weighted = light.panorama * share[..., None]
+    sampler = LightSampler(weighted + _EVEN_SHARE * share[..., None] * weighted.mean(), light.position)
+    directions, density = sampler.sample(_subset_points(count))
+    weights = 1 / (np.maximum(density, np.float32(1e-9)) * np.float32(count))
+    return LightSamples(directions.reshape(TILE * TILE, count, 3), weights.reshape(TILE * TILE, count, 1))
+
+
+def _radiance(light: LightSampler, drawn: LightSamples) -> Float32[np.ndarray, "s m 3"]:
+    return light.radiance(drawn.directions.reshape(-1, 3)).reshape(drawn.directions.shape)
+
+
+@lru_cache(maxsize=8)
+def _subset_points(count: int) -> Float[np.ndarray, "n 2"]:
+    """Return TILE^2 Hammersley sets of `count` points, each shifted by a point of the R2 sequence (Roberts 2018)."""
+    index = np.arange(count)
+    inverse = np.zeros(count)
+    for bit in range(20):
+        inverse += ((index >> bit) & 1) * 0.5 ** (bit + 1)
+    hammersley = np.stack([(index + 0.5) / count, inverse], axis=-1)
+    order = np.arange(TILE * TILE)[:, None, None]
+    points = (hammersley + order * np.array([0.7548776662466927, 0.5698402909980532])) % 1.0
+    points = points.reshape(-1, 2)
+    points.setflags(write=False)
+    return points
+
+
+@dataclass(frozen=True)
+class _LightChange:
+    """Irradiance at points: unblocked [n, 3] and blocked by the same samples; `doubt` [n] is the standard deviation of
+    the latter's mean over channels; without their noise [n, 3]; reflected by objects [n, 3]."""
+
+    unblocked: Float32[np.ndarray, "n 3"]
+    blocked: Float32[np.ndarray, "n 3"]
+    doubt: Float32[np.ndarray, " n"]
+    irradiance: Float32[np.ndarray, "n 3"]
+    bounced: Float32[np.ndarray, "n 3"]
+
+
+def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, lamp: Lamp | None) -> _LightChange:
+    count, samples = len(receivers.points), quality.samples
+    light = light_samples(caster.casting, samples, toward=None if caster.support is None else caster.support.normal)
+    levels = caster.light.prefiltered
+    unblocked, irradiance = np.empty((count, 3), np.float32), np.empty((count, 3), np.float32)
+    blocked, squares = np.zeros((count, 3), np.float32), np.zeros(count, np.float32)
+    bounced = np.zeros((count, 3), np.float32)
+    spheres, lift, reach = caster.spheres, np.float32(LIFT_M), np.float32(GLOW_REACH)
+    numbers = _subset_points(quality.bounces).astype(np.float32).reshape(TILE * TILE, quality.bounces, 2)
+    of_lamp = np.zeros(light.directions.shape[:2], bool) if lamp is None else lamp.holds(light.directions)
+    looks, ground = _looks(caster.scene, len(levels)), _ground(caster)
+
+    def work(start: int, stop: int) -> None:
+        rays = _rays((stop - start) * samples, 3)
+        arguments = (receivers, light, of_lamp, spheres, lift, levels[-1], unblocked, irradiance, rays)
+        met = _first(rays, light_rays(*arguments, start, stop))
+        add_blocked(met, _opacity(caster.scene, met), blocked, squares)
+        if quality.bounces:
+            rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
+            met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
+            face, distance_m, _, _ = caster.scene.trace(met.origin, met.direction)
+            add_bounced(met, face, distance_m, caster.object_ids, looks, levels, ground, bounced)
+
+    _in_blocks(work, count, max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres))))
+    # with the lamp also where the room hides it: on a surface wrongly taken for shaded, glow would be a bright spot
+    irradiance = _at_least_seen(irradiance, receivers.normals, caster)
+    variance = squares - (blocked @ _THIRDS) ** 2 / np.float32(samples)
+    # All of a few samples agreeing still leaves doubt: half a sample.
+    least = np.where(squares > 0, np.float32(0.2 / samples), np.float32(0.05 / samples)) * (unblocked @ _THIRDS)
+    return _LightChange(unblocked, blocked, np.sqrt(np.maximum(variance, 0) + least**2), irradiance, bounced)
+
+
+def _at_least_seen(
+    irradiance: Float32[np.ndarray, "n 3"], normals: Float32[np.ndarray, "n 3"], caster: Caster
+) -> Float32[np.ndarray, "n 3"]:
+    """Raise the irradiance of surfaces that face up to what the brightness of the surface below the object needs.
+
+    Lamps that no frame has shown are missing in the panorama, but the floor shows their light: its radiance is at most
+    `_MOST_ALBEDO` x irradiance / pi. Reflected light, divided by too little, would be a bright spot.
+    """
+    up = np.array([0.0, 1, 0]) if caster.support is None else caster.support.normal
+    matte = caster.light.prefiltered[-1]
+    u, v = direction_to_uv(-up[None])[0]
+    below = matte[min(int(v * len(matte)), len(matte) - 1), min(int(u * matte.shape[1]), matte.shape[1] - 1)]
+    facing = (normals @ up.astype(np.float32) > 0.7)[:, None]
+    return np.where(facing, np.maximum(irradiance, np.float32(np.pi / _MOST_ALBEDO) * below), irradiance)
+
+
+def _rays(count: int, channels: int) -> Rays:
+    return Rays(
+        np.empty((count, 3), np.float32),
+        np.empty((count, 3), np.float32),
+        np.empty(count, np.int32),
+        np.empty(count, np.int32),
+        np.empty((count, channels), np.float32),
+    )
+
+
+def _first(rays: Rays, count: int) -> Rays:
+    return Rays(*(column[:count] for column in rays))
+
+
+def _in_blocks(work: Callable[[int, int], object], count: int, size: int) -> None:
+    """Call work(start, stop) for blocks of at most `size`, and at least two for each thread."""
+    blocks = max(-(-count // size), min(2 * thread_count(), count))
+    bounds = [count * block // blocks for block in range(blocks + 1)]
+
+    def run(start: int, stop: int) -> None:
+        for block in range(start, stop):
+            work(bounds[block], bounds[block + 1])
+
+    parallel_for(run, blocks)
+
+
+def _opacity(scene: ObjectScene, rays: Rays) -> Float32[np.ndarray, " n"]:
+    """Return the share of light that the first object along each ray takes: glass and openings let light through."""
+    table = scene.materials
+    clear = (1 - table.transmission * table.base.mean(axis=1)) * table.opacity
+    if (clear > 0.999).all():
+        return scene.blocked(rays.origin, rays.direction).astype(np.float32)
+    face, _, _, _ = scene.trace(rays.origin, rays.direction)
+    return np.where(face >= 0, clear[scene.surfaces.material[face]], np.float32(0)).astype(np.float32)
+
+
+def _looks(scene: ObjectScene, levels: int) -> Looks:
+    """Return the objects' surfaces as matte surfaces around them are lit by them."""
+    table = scene.materials
+    colours = _mean_colours(scene) * ((1 - table.transmission) * table.opacity)[:, None]
+    metal, last = table.metallic[:, None], levels - 1
+    level = np.rint(np.maximum(table.roughness, _LEAST_ROUGHNESS) * last)
+    return Looks(
+        scene.surfaces.corners,
+        scene.surfaces.material,
+        scene.surfaces.object_id,
+        (colours * (1 - metal)).astype(np.float32),
+        (colours * metal).astype(np.float32),
+        table.emissive,
+        np.clip(level, 1, last).astype(np.int32),
+    )
+
+
+def _ground(caster: Caster) -> Ground:
+    spheres = caster.spheres.copy()
+    spheres[:, 3] = np.minimum(spheres[:, 3], caster.scene.shade_radii()[caster.object_ids])
+    if caster.support is None:
+        return Ground(False, np.zeros(3, np.float32), np.array([0, 1, 0], np.float32), spheres)
+    plane = caster.support
+    return Ground(True, plane.point.astype(np.float32), plane.normal.astype(np.float32), spheres)
+
+
+def _mean_colours(scene: ObjectScene) -> Float32[np.ndarray, "m 3"]:
+    """Return each material's base colour times its texture's mean."""
+    colours = scene.materials.base.copy()
+    for row, texture in enumerate(scene.materials.texture[:, 0]):
+        if texture >= 0:
+            colours[row] *= _texture_mean(scene, row)
+    return colours
+
+
+def _texture_mean(scene: ObjectScene, row: int) -> Float[np.ndarray, "3"]:
+    face = int(np.flatnonzero(scene.surfaces.material == row)[0])
+    held = scene.objects[scene.surfaces.object_id[face]]
+    texture = held.parts[scene.surfaces.part[face]][1].base_colour_texture
+    assert texture is not None
+    return texture.texels[::4, ::4, :3].mean(axis=(0, 1)) / 65535
+
+
+def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid, reach: float) -> Float32[np.ndarray, "h w"]:
+    """Return 1 near an object and 0 beyond `reach` radii from its centre."""
+    fade = np.zeros(grid.known.shape, np.float32)
+    for x, y, z, radius in spheres:
+        offset = grid.points - np.array([x, y, z], np.float32)
+        far = np.sqrt(np.einsum("hwc,hwc->hw", offset, offset)) / np.float32(reach * radius)
+        fade = np.maximum(fade, np.clip((1 - far) / np.float32(0.2), 0, 1))
+    return fade

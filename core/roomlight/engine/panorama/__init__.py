@@ -1,0 +1,1 @@
+"""A probe's panorama over time: blending, filling, its main light."""

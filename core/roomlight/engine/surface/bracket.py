@@ -1,0 +1,158 @@
+"""Frames of other exposure: what one frame clips, another one shows.
+
+A phone changes its exposure all the time, and the frames of a session are in one unit. An observation of a surface is
+its radiance, whether it was clipped, and a lower bound of its luminance: the image as measured, 1 / exposure where it
+was clipped. It gives way to one that knows more (`roomlight.engine.panorama.blend.better_share`), in three places:
+
+- a frame takes the radiance of its clipped pixels from the keyframes, before clipped light is estimated (`restored`),
+  so that its mesh and volume hold it;
+- each keyframe takes that of its own clipped pixels from the new frame (`update_keyframes`): later probes see it;
+- a probe's panorama and the voxels of the mean volume replace their clipped observations.
+
+Points are matched by reprojection with a depth check. Every frame is the whole bracket of what was seen so far, so
+that the order of exposures does not matter.
+"""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Int
+
+from roomlight.camera import Intrinsics, rigid_inverse, transform_points
+from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.bracket import PointArrays, SourceArrays, take_radiance
+from roomlight.engine.networks.clipping import ClippingModel, restore_clipped
+from roomlight.engine.panorama.blend import CLOSER_M
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.surface.texture import Texture
+from roomlight.frame import Frame
+
+MIN_RATIO: Final = 1.15
+"""A frame is searched only if its brightest pixel is this much brighter than the white of the clipped ones: with equal
+exposures nothing is searched."""
+MAX_PROJECTIONS: Final = 75_000
+"""Most points projected for one frame in each direction: 12 ms on one core. Keyframes whose turn does not come wait for
+the next frame of shorter exposure."""
+
+
+def restored(
+    frame: Frame,
+    depth_m: Float[np.ndarray, "dh dw"],
+    earlier: Iterable[FrameMesh] = (),
+    *,
+    model: ClippingModel | None = None,
+) -> Frame:
+    """Return the frame with the depth `depth_m`, its clipped pixels taken from earlier frames or else estimated.
+
+    frame:    as measured, with the sensor's depth.
+    depth_m:  its completed depth.
+    earlier:  meshes of earlier frames; of two that know as much, the later one counts.
+    model:    estimates what no frame shows; None: constants.
+    """
+    if not frame.clipped.any():
+        return replace(frame, depth_m=depth_m)
+    measured = _from_earlier(frame, depth_m, list(earlier))
+    result = restore_clipped(measured, depth_m, model=model)
+    guessed = np.einsum("hwc,c->hw", result.image - measured.image, LUMINANCE)
+    return replace(result, guessed=guessed)
+
+
+def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh]) -> int:
+    """Give the radiance that the mesh shows to the keyframes that clipped it; return the number of their pixels."""
+    taken, left = 0, MAX_PROJECTIONS
+    for key in keyframes:
+        texture = key.texture
+        if key is mesh or texture.clipped is None or texture.guessed is None or left <= 0:
+            continue
+        where = np.flatnonzero(texture.clipped)[:left]
+        bound = texture.bound.reshape(-1)[where]
+        if not _may_know(mesh, bound):
+            continue
+        left -= len(where)
+        local, known = _points(where, key.image_camera, key.grid_depth_m, key.grid_camera)
+        where = where[known]
+        points = _clipped_points(local, key.camera_to_world, texture.image.reshape(-1, 3)[where], bound[known])
+        count = int(take_radiance(points, _source(mesh), np.float32(CLOSER_M)))
+        if count:
+            key.texture = _with_points(texture, where, points)
+            taken += count
+    return taken
+
+
+def _from_earlier(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: list[FrameMesh]) -> Frame:
+    where = np.flatnonzero(frame.clipped)
+    bound = frame.image.reshape(-1, 3)[where] @ LUMINANCE
+    sources = [mesh for mesh in reversed(earlier) if _may_know(mesh, bound)]
+    if not sources:
+        return frame
+    depth_camera = frame.intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
+    local, known = _points(where, frame.intrinsics, depth_m, depth_camera)
+    where = where[known]
+    points = _clipped_points(local, frame.camera_to_world, frame.image.reshape(-1, 3)[where], bound[known])
+    left = MAX_PROJECTIONS
+    for source in sources:
+        pending = int(points.clipped.sum())
+        if pending == 0 or pending > left:
+            break
+        left -= pending
+        take_radiance(points, _source(source), np.float32(CLOSER_M))
+    image, clipped = frame.image.copy(), frame.clipped.copy()
+    # as measured: a source's own estimate is left out
+    measured = points.radiance * (points.bound / np.maximum(points.radiance @ LUMINANCE, 1e-12))[:, None]
+    image.reshape(-1, 3)[where] = np.where(points.clipped[:, None], measured, points.radiance)
+    clipped.reshape(-1)[where] = points.clipped
+    return replace(frame, image=image, clipped=clipped)
+
+
+def _clipped_points(
+    local: Float[np.ndarray, "n 3"],
+    camera_to_world: Float[np.ndarray, "4 4"],
+    radiance: Float[np.ndarray, "n 3"],
+    bound: Float[np.ndarray, " n"],
+) -> PointArrays:
+    world = transform_points(camera_to_world, local).astype(np.float32)
+    return PointArrays(world, radiance, bound, np.ones(len(local), bool))
+
+
+def _may_know(mesh: FrameMesh, bound: Float[np.ndarray, " n"]) -> bool:
+    return bound.size > 0 and mesh.texture.peak > MIN_RATIO * float(np.median(bound))
+
+
+def _source(mesh: FrameMesh) -> SourceArrays:
+    texture = mesh.texture
+    clipped = np.zeros(texture.bound.shape, bool) if texture.clipped is None else texture.clipped
+    pose = rigid_inverse(mesh.camera_to_world).astype(np.float32)
+    lens, grid = _lens(mesh.image_camera), _lens(mesh.grid_camera)
+    return SourceArrays(texture.image, clipped, texture.bound, mesh.grid_depth_m, lens, grid, pose)
+
+
+def _lens(k: Intrinsics) -> Float[np.ndarray, "4"]:
+    return np.array([k.fx, k.fy, k.cx, k.cy], np.float32)
+
+
+def _with_points(texture: Texture, where: Int[np.ndarray, " n"], points: PointArrays) -> Texture:
+    assert texture.clipped is not None
+    assert texture.guessed is not None
+    image, clipped, guessed = texture.image.copy(), texture.clipped.copy(), texture.guessed.copy()
+    image.reshape(-1, 3)[where] = points.radiance
+    clipped.reshape(-1)[where] = points.clipped
+    guessed.reshape(-1)[where] = np.where(points.clipped, points.radiance @ LUMINANCE - points.bound, 0)
+    return Texture(image, clipped, guessed) if clipped.any() else Texture(image)
+
+
+def _points(
+    where: Int[np.ndarray, " n"], image: Intrinsics, depth_m: Float[np.ndarray, "dh dw"], depth: Intrinsics
+) -> tuple[Float[np.ndarray, "m 3"], Bool[np.ndarray, " n"]]:
+    """Return the camera's points at the pixels (flat indices) whose nearest depth is known, and which these are.
+
+    `image` and `depth` are one camera at two sizes.
+    """
+    row, column = np.divmod(where, image.width)
+    x, y = (column + 0.5 - image.cx) / image.fx, (row + 0.5 - image.cy) / image.fy
+    i = np.clip((depth.cx + depth.fx * x).astype(int), 0, depth.width - 1)
+    j = np.clip((depth.cy + depth.fy * y).astype(int), 0, depth.height - 1)
+    z = depth_m[j, i]
+    known = z > 0
+    return (np.stack([x, -y, -np.ones_like(x)], axis=-1) * z[:, None])[known], known

@@ -1,0 +1,94 @@
+"""A bounded store of keyframes, chosen for coverage: the light at a position requested later is computed from them.
+
+Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex of the frame's mesh; a vertex
+outside the volume counts in the nearest cell of its outer layer.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float
+
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.errors import OptionError
+
+DEFAULT_KEYFRAMES: Final = 24
+"""A keyframe of 320 x 240 pixels takes 5.4 MB (resident memory over 24 of them: 2.2 of image and mesh, the rest
+Embree's copy and tree), so 24 take 130 MB a session; they cover two pans around a room at 58 degrees of view."""
+MIN_NEW_SHARE: Final = 0.04
+"""A frame is kept if at least this share of its cells is in no keyframe yet: 4 % is a pan of about 2.5 degrees."""
+_CELL: Final = 2
+
+
+@dataclass(frozen=True)
+class Keyframe:
+    """A frame's mesh and the cells it covers."""
+
+    index: int
+    mesh: FrameMesh
+    cells: Bool[np.ndarray, " cells"]
+
+
+class KeyframeStore:
+    """At most `capacity` keyframes in order of time; when full, the one with the fewest cells of its own is dropped."""
+
+    def __init__(self, grid: VolumeGrid, capacity: int = DEFAULT_KEYFRAMES) -> None:
+        """Make an empty store for frames of this volume.
+
+        Raises:
+            OptionError: `capacity` is below 1.
+        """
+        if capacity < 1:
+            raise OptionError(f"capacity of a keyframe store must be 1 or more, got {capacity}")
+        self._grid = grid
+        self.capacity = capacity
+        self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
+        self._keyframes: list[Keyframe] = []
+
+    def __len__(self) -> int:
+        return len(self._keyframes)
+
+    def __iter__(self) -> Iterator[Keyframe]:
+        """Iterate in order of time over the keyframes as they are now; offers during the iteration do not change it."""
+        return iter(tuple(self._keyframes))
+
+    def offer(self, index: int, mesh: FrameMesh) -> bool:
+        """Keep the frame if it shows enough new cells; return whether it was kept."""
+        cells = self._cells_of(mesh.vertices[mesh.known])
+        total = int(cells.sum())
+        if total == 0 or int((cells & (self._counts == 0)).sum()) < MIN_NEW_SHARE * total:
+            return False
+        offered = Keyframe(index, mesh, cells)
+        self._keyframes.append(offered)
+        self._counts += cells
+        if len(self._keyframes) > self.capacity:
+            alone = [int((key.cells & (self._counts == 1)).sum()) for key in self._keyframes]
+            dropped = self._keyframes.pop(int(np.argmin(alone)))
+            self._counts -= dropped.cells
+            return dropped is not offered
+        return True
+
+    def restore(self, index: int, mesh: FrameMesh) -> None:
+        """Add a frame that was kept before the state was saved."""
+        cells = self._cells_of(mesh.vertices[mesh.known])
+        self._keyframes.append(Keyframe(index, mesh, cells))
+        self._counts += cells
+
+    def covered_cells(self) -> int:
+        """Return the number of cells that at least one keyframe shows."""
+        return int((self._counts > 0).sum())
+
+    def _cells_of(self, vertices_world: Float[np.ndarray, "n 3"]) -> Bool[np.ndarray, " cells"]:
+        grid = self._grid
+        local = vertices_world @ grid.world_to_volume[:3, :3].T + grid.world_to_volume[:3, 3]
+        shape = [-(-n // _CELL) for n in grid.shape]
+        # Vertices outside count in the nearest cell: a session that begins with a close-up has a small volume, and
+        # keyframes of the room around it must still be kept.
+        cells = (local - grid.lower_m) / (grid.voxel_m * _CELL)
+        x, y, z = np.clip(cells, 0, np.array(shape[::-1]) - 1).astype(np.int64).T
+        covered = np.zeros(len(self._counts), bool)
+        covered[(z * shape[1] + y) * shape[2] + x] = True
+        return covered

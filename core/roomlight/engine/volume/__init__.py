@@ -1,0 +1,1 @@
+"""The spherical Gaussian lighting volume: initialisation from a frame, fusion over frames, ray tracing."""

@@ -1,0 +1,153 @@
+"""The spherical Gaussian lighting volume and its ray tracing at any point (paper, section 3).
+
+Frame: the volume's (see `roomlight.engine.volume.grid`); directions s of the lobes too. A voxel holds colour c(3),
+opacity alpha, and one lobe: weight w(3), bandwidth lambda, unit direction s(3). Radiance is relative linear
+RGB.
+
+Samples lie at t = t_enter + (i + 0.5) step along a ray, one voxel side apart, until the ray leaves the volume (122 at
+most across its diagonal, hence the default of 128). The remaining transmittance takes the values at the exit point
+(`far="boundary"`), so that the volume's outer layer acts as distant light; `far="none"` is equation 1 alone.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.conventions import panorama_rays
+from roomlight.engine.kernels.march import MarchRays, MarchVolume, march_rays
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.errors import ProbeError
+from roomlight.threads import parallel_for
+
+Far = Literal["boundary", "none"]
+LOBE_CHANNELS = 10
+"""c(3), w(3), lambda(1), s(3), in this order, channels last: one voxel's values share a cache line."""
+MAX_SAMPLES = 128
+
+
+@dataclass(frozen=True)
+class Sglv:
+    """Alpha float32 [z, y, x] and lobes float32 [z, y, x, 10]; contiguous, bound to the graphs."""
+
+    grid: VolumeGrid
+    alpha: Float[np.ndarray, "z y x"]
+    lobes: Float[np.ndarray, "z y x 10"]
+
+    @classmethod
+    def empty(cls, grid: VolumeGrid) -> "Sglv":
+        """Return a volume of zeros: every ray passes."""
+        return cls(grid, np.zeros(grid.shape, np.float32), np.zeros((*grid.shape, LOBE_CHANNELS), np.float32))
+
+
+def check_position(position_world: tuple[float, float, float]) -> Float[np.ndarray, "3"]:
+    """Return the position as float64.
+
+    Raises:
+        ProbeError: it is not three finite numbers within 1 km of the origin.
+    """
+    position = np.asarray(position_world, np.float64)
+    if position.shape != (3,) or not np.isfinite(position).all() or np.abs(position).max() > 1000:
+        raise ProbeError(f"probe position {position_world} must be three finite numbers in metres, within 1 km")
+    return position
+
+
+def render_rays(
+    sglv: Sglv,
+    position_world: tuple[float, float, float],
+    directions_world: Float[np.ndarray, "n 3"],
+    *,
+    samples: int = MAX_SAMPLES,
+    step_m: float | None = None,
+    far: Far = "boundary",
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Render the SGLV along unit world directions from a world position (metres): radiance [n, 3], transmittance [n].
+
+    A ray that misses the volume (position outside) gets radiance 0 and transmittance 1.
+
+    Raises:
+        ProbeError: the position is not usable.
+    """
+    grid = sglv.grid
+    position = check_position(position_world)
+    rotation = grid.world_to_volume[:3, :3]
+    origin = (rotation @ position + grid.world_to_volume[:3, 3]).astype(np.float32)
+    directions = np.ascontiguousarray(directions_world @ rotation.T.astype(np.float32))
+    radiance = np.empty((len(directions), 3), np.float32)
+    transmittance = np.empty(len(directions), np.float32)
+    volume = MarchVolume(sglv.alpha, sglv.lobes, grid.lower_m.astype(np.float32), grid.voxel_m.astype(np.float32))
+    step = np.float32(grid.edge_m if step_m is None else step_m)
+    rays = MarchRays(origin, directions, step, samples, far == "boundary")
+    parallel_for(lambda start, stop: march_rays(volume, rays, radiance, transmittance, start, stop), len(directions))
+    return radiance, transmittance
+
+
+def render_panorama(
+    sglv: Sglv, position_world: tuple[float, float, float], *, height: int = 120, far: Far = "boundary"
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """Render the HDR panorama [H, 2H, 3] at a world position, and each ray's transmittance [H, 2H] (1 = nothing hit).
+
+    Raises:
+        ProbeError: the position is not usable.
+    """
+    radiance, transmittance = render_rays(sglv, position_world, panorama_rays(height), far=far)
+    return radiance.reshape(height, 2 * height, 3), transmittance.reshape(height, 2 * height)
+
+
+def render_rays_reference(
+    sglv: Sglv,
+    position_world: tuple[float, float, float],
+    directions_world: Float[np.ndarray, "n 3"],
+    *,
+    samples: int = MAX_SAMPLES,
+    step_m: float | None = None,
+    far: Far = "boundary",
+) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, " n"]]:
+    """Compute `render_rays` by equations 1 and 2 in float64 NumPy, without early exit: its readable reference."""
+    grid = sglv.grid
+    step = grid.edge_m if step_m is None else step_m
+    rotation = grid.world_to_volume[:3, :3]
+    origin = rotation @ check_position(position_world) + grid.world_to_volume[:3, 3]
+    directions = directions_world.astype(np.float64) @ rotation.T
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        to_walls = np.stack([(grid.lower_m - origin) / directions, (grid.upper_m - origin) / directions])
+    enter = np.maximum(np.nanmax(to_walls.min(axis=0), axis=-1), 0.0)
+    leave = np.nanmin(to_walls.max(axis=0), axis=-1)
+    hits = leave > enter
+    enter = np.where(hits, enter, 0.0)  # a ray beside the volume and parallel to it enters at infinity
+
+    values = np.zeros((len(directions), LOBE_CHANNELS))
+    left = np.ones(len(directions))
+    for sample in range(samples):
+        t = enter + (sample + 0.5) * step
+        inside = hits & (t < leave)
+        here = _trilinear(sglv, origin + t[:, None] * directions)
+        weight = np.where(inside, left * here[:, 0], 0.0)
+        values += weight[:, None] * here[:, 1:]
+        left -= weight
+    if far == "boundary":
+        here = _trilinear(sglv, origin + np.where(hits, leave, 0.0)[:, None] * directions)
+        values += np.where(hits, left, 0.0)[:, None] * here[:, 1:]
+    colour, weight, bandwidth, lobe_direction = values[:, :3], values[:, 3:6], values[:, 6:7], values[:, 7:]
+    cosine = (directions * lobe_direction).sum(axis=-1, keepdims=True)
+    radiance = colour + weight * np.exp(bandwidth * (cosine - 1))
+    return radiance.astype(np.float32), left.astype(np.float32)
+
+
+def _trilinear(sglv: Sglv, points: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 11"]:
+    """Interpolate (alpha, c, w, lambda, s) at points of the volume frame; constant beyond the outermost centres."""
+    grid = sglv.grid
+    counts = np.array(grid.shape[::-1])
+    index = np.clip((points - grid.lower_m) / grid.voxel_m - 0.5, 0, counts - 1)
+    low = np.minimum(index.astype(int), counts - 1)
+    high = np.minimum(low + 1, counts - 1)
+    fraction = index - low
+    result = np.zeros((len(points), 1 + LOBE_CHANNELS))
+    for corner in range(8):
+        bits = [(corner >> axis) & 1 for axis in range(3)]
+        weight = np.prod([fraction[:, a] if bit else 1 - fraction[:, a] for a, bit in enumerate(bits)], axis=0)
+        i, j, k = (high[:, a] if bit else low[:, a] for a, bit in enumerate(bits))
+        result[:, 0] += weight * sglv.alpha[k, j, i]
+        result[:, 1:] += weight[:, None] * sglv.lobes[k, j, i]
+    return result

@@ -1,0 +1,1 @@
+"""Compiled kernels that several packages share: sampling, GGX reflection, sRGB encoding."""

@@ -1,0 +1,239 @@
+"""`roomlight bench composite`: what a frame with virtual objects costs, part by part, and how much it shimmers.
+
+The benchmark's room, a hand-held camera of 640 x 480 pixels with 8-bit colour noise and depth of 256 x 192 samples, as
+phones send. The session takes every tenth frame. Processor time stands beside the time that passed: on a machine with
+other work the first one is nearly the same, the second one is not. Ratios are against the engine's stage `volume`,
+timed after every frame.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import cv2
+import numpy as np
+
+from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.light.temporal import rest_variance, warped_variance
+from roomlight.compositing.objects.materials import glossy, mirror
+from roomlight.compositing.objects.primitives import chair, sphere
+from roomlight.compositing.picture.layers import Composite
+from roomlight.compositing.picture.stage_clock import StageClock
+from roomlight.compositing.placement.scene import AtPosition, Motion, SceneObject
+from roomlight.compositing.rendering.denoise import denoiser_name
+from roomlight.conventions import linear_to_srgb, srgb8_to_linear
+from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions, warm_up
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume
+from roomlight.errors import OptionError
+from roomlight.frame import Frame
+from roomlight_bench.compositing.report import CompositeReport, PartTimes, PresetTimes, Shimmer
+from roomlight_bench.reporting import describe_machine
+from roomlight_bench.stages.room import RoomSize, handheld, views
+from roomlight_bench.timing import ProgressCallback
+
+PARTS: Final = {
+    "place": "new surfaces",
+    "light": "light update",
+    "depth": "real depth",
+    "camera": "camera measurement",
+    "scene": "scene build",
+    "render": "objects",
+    "occlusion": "occlusion",
+    "shadow": "shadows",
+    "combine": "composite",
+}
+"""Stages of a `Composite` and their names in the report."""
+FEWER: Final = {"preview": 1, "good": 4, "final": 10}
+"""A preset takes this share of the frames: many paths take seconds, and vary less."""
+UNMEASURED: Final = 2
+"""First frames that are not measured: kernels are loaded, objects are placed."""
+PUSH_EVERY: Final = 10
+"""The session takes every tenth frame: three per second of 30."""
+COLOUR_NOISE: Final = 0.01
+"""Standard deviation of the encoded colour: a phone by lamplight."""
+DEPTH_NOISE_M: Final = 0.006
+"""Standard deviation of depth: LiDAR and time-of-flight cameras at 2 m."""
+STILL_FRAMES: Final = 8
+"""Frames of each measure of shimmer, after as many that settle depth and shadows."""
+
+
+@dataclass(frozen=True)
+class CompositeSize:
+    """Sizes of a run; the defaults are a phone's.
+
+    Attributes:
+        width: Columns of the composited frames.
+        height: Rows of the composited frames.
+        depth: Columns and rows of their depth.
+        keyframes: Frames of a turn of the camera, from which the session knows the room.
+        panorama_height: Rows of the session's panoramas.
+    """
+
+    width: int = 640
+    height: int = 480
+    depth: tuple[int, int] = (256, 192)
+    keyframes: int = 12
+    panorama_height: int = 120
+
+
+def objects() -> list[SceneObject]:
+    """Return what is measured, each in a scene of its own: spheres on the table, a chair behind it."""
+    on_table, across = AtPosition((0.1, -0.95, -1.45)), AtPosition((-0.3, -0.95, -1.45))
+    motion = Motion.model_validate({"unit": "frames", "keys": [{"at": 0}, {"at": 60, "offset_m": [0.6, 0, 0.1]}]})
+    return [
+        SceneObject("glossy sphere", sphere(0.14, glossy((0.7, 0.15, 0.1), 0.25)), on_table),
+        SceneObject("mirror sphere", sphere(0.14, mirror()), on_table),
+        SceneObject("mirror sphere, moving", sphere(0.14, mirror()), across, motion),
+        SceneObject("chair", chair(0.85), AtPosition((0.2, -1.4, -2.3), 30.0)),
+    ]
+
+
+def run_composite(
+    *,
+    frames: int = 30,
+    final: bool = False,
+    progress: ProgressCallback | None = None,
+    size: CompositeSize | None = None,
+) -> CompositeReport:
+    """Time every preset and object, and measure their shimmer; a minute on two idle cores, ten more with `final`.
+
+    Args:
+        frames: Measured frames of a preview; the slower presets take fewer.
+        final: Also measure `final`.
+        progress: Called with what is being measured.
+        size: Sizes of frames and panoramas.
+
+    Raises:
+        OptionError: `frames` is less than 1.
+    """
+    if frames < 1:
+        raise OptionError(f"frames must be at least 1, got {frames}")
+    report, size = progress or _ignore, size or CompositeSize()
+    report("compiling kernels")
+    warm_up()
+    report("building the room")
+    seen = handheld(frames + UNMEASURED, RoomSize(size.width, size.height))
+    phone = [_as_phone(frame, size, seed) for seed, frame in enumerate(seen)]
+    room = views(size.keyframes, RoomSize(320, 240))
+    presets = ("preview", "good", "final") if final else ("preview", "good")
+    times: list[PresetTimes] = []
+    shimmer: list[Shimmer] = []
+    for preset in presets:
+        count = max(1, frames // FEWER[preset]) + UNMEASURED
+        for held in objects():
+            session = _session(room, size)
+            times.append(_timed(session, held, preset, phone[:count], report))
+            if held.motion is None and preset != "final":  # its sampling points are fixed as those of good
+                report(f"shimmer of {held.name}, {preset}")
+                shimmer.append(_shimmer(session, held, preset, seen, size))
+    return CompositeReport(
+        times=tuple(times),
+        shimmer=tuple(shimmer),
+        denoiser=denoiser_name(),
+        image=(size.width, size.height),
+        depth=size.depth,
+        machine=describe_machine(),
+    )
+
+
+def _ignore(_: str) -> None:
+    pass
+
+
+def _session(room: Sequence[Frame], size: CompositeSize) -> Session:
+    session = Session(SessionOptions(model="classical", height=size.panorama_height))
+    for frame in room:
+        session.push(frame)
+    return session
+
+
+def _timed(
+    session: Session, held: SceneObject, preset: str, frames: Sequence[Frame], progress: ProgressCallback
+) -> PresetTimes:
+    """Composite the frames one after the other; the first ones do not count."""
+    stage = frames[0].resized(*WORKING_SIZE)
+    grid = VolumeGrid.from_frame(stage)
+    compositor = Compositor(session, [held], quality=preset)
+    made: list[Composite] = []
+    volume_ms: list[tuple[float, float]] = []
+    for number, frame in enumerate(frames):
+        progress(f"{preset}: {held.name}, frame {number + 1} of {len(frames)}")
+        if number % PUSH_EVERY == 0:
+            session.push(frame)
+        made.append(compositor.composite(frame))
+        clock = StageClock()
+        with clock.stage("volume"):
+            initial_volume(grid, stage)
+        volume_ms.append((clock.wall_ms["volume"], clock.cpu_ms["volume"]))
+    compositor.close()
+    measured = made[UNMEASURED:]
+    walls = {name: [one.stage_ms.get(stage, 0.0) for one in measured] for stage, name in PARTS.items()}
+    cpus = {name: [one.stage_cpu_ms.get(stage, 0.0) for one in measured] for stage, name in PARTS.items()}
+    volume = np.median(np.array(volume_ms[UNMEASURED:]), axis=0)
+    return PresetTimes(
+        preset,
+        held.name,
+        held.geometry.triangles,
+        float(np.mean([(one.crop_alpha > 0).sum() for one in measured])),
+        tuple(PartTimes.of(name, walls[name], cpus[name]) for name in PARTS.values()),
+        PartTimes.of("whole frame", _sums(walls), _sums(cpus)),
+        (float(volume[0]), float(volume[1])),
+        len(measured),
+    )
+
+
+def _sums(columns: dict[str, list[float]]) -> list[float]:
+    return [sum(row) for row in zip(*columns.values(), strict=True)]
+
+
+def _shimmer(session: Session, held: SceneObject, preset: str, seen: Sequence[Frame], size: CompositeSize) -> Shimmer:
+    """Measure the picture at rest, without and with depth noise, and the shadow under the moving camera.
+
+    Colour has no noise here: the camera's own would hide what objects and shadows do.
+    """
+    still = [replace(seen[0], index=index, timestamp_s=index / 30) for index in range(2 * STILL_FRAMES)]
+    resting = list(_composited(session, held, preset, (_with_depth(f, size, 0.0, 0) for f in still)))[STILL_FRAMES:]
+    noisy = (_with_depth(frame, size, DEPTH_NOISE_M, seed) for seed, frame in enumerate(still))
+    shaken = list(_composited(session, held, preset, noisy))[STILL_FRAMES:]
+    moved = (_with_depth(frame, size, 0.0, 0) for frame in seen[: 2 * STILL_FRAMES])
+    moving = list(_composited(session, held, preset, moved))[2:]
+    near = np.zeros(resting[0].alpha.shape, bool)
+    near[resting[0].crop.slices] = True
+    exact = seen[2 : 2 + len(moving)]
+    depths = [np.where(one.alpha > 0, 0, frame.depth_m) for one, frame in zip(moving, exact, strict=True)]
+    change = warped_variance(
+        [one.shadow for one in moving],
+        [depth.astype(np.float32) for depth in depths],
+        [frame.intrinsics for frame in exact],
+        [frame.camera_to_world for frame in exact],
+    )
+    return Shimmer(
+        preset,
+        held.name,
+        255 * rest_variance([one.image for one in resting], near) ** 0.5,
+        255 * rest_variance([one.image for one in shaken], near) ** 0.5,
+        change**0.5,
+    )
+
+
+def _composited(session: Session, held: SceneObject, preset: str, frames: Iterator[Frame]) -> Iterator[Composite]:
+    compositor = Compositor(session, [held], quality=preset, match_camera=False)
+    for frame in frames:
+        yield compositor.composite(frame)
+    compositor.close()
+
+
+def _with_depth(frame: Frame, size: CompositeSize, noise_m: float, seed: int) -> Frame:
+    """Return the frame with depth of the sensor's size and noise."""
+    depth_m = cv2.resize(frame.depth_m, size.depth, interpolation=cv2.INTER_NEAREST_EXACT)
+    if noise_m > 0:
+        depth_m = depth_m + np.random.default_rng(seed).normal(0, noise_m, depth_m.shape)
+    return replace(frame, depth_m=depth_m.astype(np.float32))
+
+
+def _as_phone(frame: Frame, size: CompositeSize, seed: int) -> Frame:
+    """Return the frame with noise in colour and depth, colour rounded to 8 bits."""
+    noise = np.random.default_rng([seed, 1]).normal(0, COLOUR_NOISE, frame.image.shape)
+    encoded = np.rint(np.clip(linear_to_srgb(frame.image) + noise, 0, 1) * 255).astype(np.uint8)
+    coloured = replace(frame, image=srgb8_to_linear(encoded).astype(np.float32))
+    return _with_depth(coloured, size, DEPTH_NOISE_M, seed)

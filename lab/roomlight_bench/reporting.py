@@ -1,0 +1,57 @@
+"""What all benchmark reports share: the project's criteria, a description of the machine, numbers in tables."""
+
+import platform
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numba
+import numpy as np
+from rich.table import Table
+
+from roomlight.engine.networks.runtime import ort
+
+
+@dataclass(frozen=True)
+class Criterion:
+    """One of the project's demands on speed: the demand in words, the measured figure, and its limit."""
+
+    demand: str
+    measured: float
+    limit: float
+    holds: bool
+
+
+def criteria_table(criteria: Sequence[Criterion]) -> Table:
+    """Return a table with a row per criterion: demand, figure, verdict."""
+    table = Table(title="Criteria", title_justify="left")
+    for heading in ("demand", "measured", ""):
+        table.add_column(heading)
+    for criterion in criteria:
+        verdict = "[green]holds[/green]" if criterion.holds else "[red]does not hold[/red]"
+        table.add_row(criterion.demand, f"{criterion.measured:.3g}", verdict)
+    return table
+
+
+def describe_machine() -> dict[str, str]:
+    """Return what a figure depends on besides the code: processor, system and versions of the libraries."""
+    return {
+        "processor": _processor(),
+        "system": platform.platform(terse=True),
+        "python": platform.python_version(),
+        "numpy": np.__version__,
+        "numba": numba.__version__,
+        "onnxruntime": ort.__version__,
+    }
+
+
+def short_number(value: float) -> str:
+    """Format with three digits, or as an integer from 100 on."""
+    return f"{value:.0f}" if value >= 100 else f"{value:.3g}"
+
+
+def _processor() -> str:
+    cpu_info = Path("/proc/cpuinfo")  # Python's own `platform.processor` is empty on Linux
+    lines = cpu_info.read_text(encoding="utf-8").splitlines() if cpu_info.is_file() else []
+    names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.processor() or platform.machine()

@@ -1,0 +1,145 @@
+"""Report of `roomlight bench hostile`: what a neighbour keeps during each attack, as tables, criteria and JSON."""
+
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from roomlight_bench.reporting import Criterion, criteria_table, short_number
+from roomlight_bench.server.hostile_client import ATTACKS
+from roomlight_bench.server.server_report import Latencies
+
+KEPT_SHARE: Final = 0.8
+"""Least share of its frames that a neighbour keeps, compared with the neighbour alone in the same run."""
+P99_MS: Final = 1000.0
+"""Limit on the response time of the neighbour's frames."""
+
+
+@dataclass(frozen=True)
+class AttackRow:
+    """The neighbour during an attack.
+
+    Attributes:
+        attack: Name of the attack; `alone` for none.
+        seconds: Duration.
+        due: Frames of the neighbour that were due.
+        processed: Frames that were processed in time.
+        frame: Response times of the neighbour's frames.
+        light: Response times of the neighbour's light.
+        rss_bytes: Largest resident memory of the server's process.
+        requests: Requests or messages of the hostile client.
+        answers: Its answers by status; `closed` counts connections closed without one.
+    """
+
+    attack: str
+    seconds: float
+    due: int
+    processed: int
+    frame: Latencies
+    light: Latencies
+    rss_bytes: int
+    requests: int
+    answers: dict[str, int]
+
+    @property
+    def share(self) -> float:
+        """Share of the due frames that were processed in time."""
+        return self.processed / max(1, self.due)
+
+
+@dataclass(frozen=True)
+class HostileReport:
+    """A run of `roomlight bench hostile`.
+
+    Attributes:
+        alone: The neighbour without an attack.
+        attacks: The neighbour during each attack.
+        rss_start_bytes: Resident memory of the server before the first session.
+        rss_bound_bytes: Bound on the resident memory: start, sessions of both tokens, requests and answers in
+            progress, and an allowance for the rest of the process.
+        fps: Frames per second of the neighbour.
+        machine: Processor, system and versions.
+        cores: Cores of the machine.
+        busy: Load average at the end of the run; None where the system has none.
+    """
+
+    alone: AttackRow
+    attacks: tuple[AttackRow, ...]
+    rss_start_bytes: int
+    rss_bound_bytes: int
+    fps: float
+    machine: dict[str, str]
+    cores: int
+    busy: float | None
+
+    def kept(self, row: AttackRow) -> float:
+        """Return the neighbour's share of frames during an attack, relative to the neighbour alone."""
+        return row.share / self.alone.share if self.alone.share else 0.0
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The project's criteria, judged on this run."""
+        found: list[Criterion] = []
+        for row in self.attacks:
+            kept, p99_ms = self.kept(row), row.frame.p99_ms
+            found.append(Criterion(f"{row.attack}: keeps {KEPT_SHARE:.0%}", kept, KEPT_SHARE, kept >= KEPT_SHARE))
+            slowest = float("inf") if p99_ms is None else p99_ms
+            found.append(Criterion(f"{row.attack}: p99 under {P99_MS:g} ms", slowest, P99_MS, slowest < P99_MS))
+        most, bound = max(row.rss_bytes for row in (self.alone, *self.attacks)) / 1e6, self.rss_bound_bytes / 1e6
+        found.append(Criterion(f"memory under {bound:.0f} MB", most, bound, most <= bound))
+        return tuple(found)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values, including the shares and criteria that follow from them."""
+        values = asdict(self)
+        for row, entry in zip(self.attacks, values["attacks"], strict=True):
+            entry |= {"share": row.share, "kept": self.kept(row)}
+        values["alone"]["share"] = self.alone.share
+        return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
+
+    def markdown(self) -> str:
+        """Return the table of the documentation, and what does not hold below it."""
+        lines = ["| Attack | Frames kept | Frame, ms p50 / p99 | Server, MB |", "| --- | ---: | ---: | ---: |"]
+        for row in (self.alone, *self.attacks):
+            kept = f"{row.processed} of {row.due}" if row is self.alone else f"{self.kept(row):.0%}".replace("%", " %")
+            name = ATTACKS[row.attack][0] if row.attack in ATTACKS else "none"
+            lines.append(f"| {name} | {kept} | {_percentiles(row.frame)} | {row.rss_bytes / 1e6:,.0f} |")
+        failed = [criterion.demand for criterion in self.criteria if not criterion.holds]
+        verdict = f"Does not hold: {'; '.join(failed)}." if failed else "All criteria hold."
+        return "\n".join([*lines, "", verdict, ""])
+
+    def table(self) -> RenderableType:
+        """Return the table of the neighbour, and the criteria."""
+        busy = "" if self.busy is None else f", load average {self.busy:.1f}"
+        table = Table(
+            title=f"A neighbour that streams {self.fps:g} frames per second, during attacks of another client",
+            title_justify="left",
+            caption=f"frames: processed in time, of those due; kept: relative to the neighbour alone; ms: p50 / p99; "
+            f"MB: largest resident memory, {self.rss_start_bytes / 1e6:.0f} at the start; {self.cores} cores, "
+            f"{self.machine['processor']}{busy}",
+            caption_justify="left",
+            box=box.SIMPLE_HEAD,
+            show_edge=False,
+        )
+        for heading in ("attack", "s", "frames", "kept", "frame ms", "light ms", "MB", "its requests", "its answers"):
+            table.add_column(heading, justify="left" if heading in ("attack", "its answers") else "right")
+        for row in (self.alone, *self.attacks):
+            table.add_row(
+                row.attack,
+                f"{row.seconds:.0f}",
+                f"{row.processed} of {row.due}",
+                f"{self.kept(row):.0%}",
+                _percentiles(row.frame),
+                _percentiles(row.light),
+                f"{row.rss_bytes / 1e6:.0f}",
+                str(row.requests),
+                ", ".join(f"{status}: {count}" for status, count in sorted(row.answers.items())),
+            )
+        return Group(table, "", criteria_table(self.criteria))
+
+
+def _percentiles(latencies: Latencies) -> str:
+    values = (latencies.p50_ms, latencies.p99_ms)
+    return " / ".join("-" if value is None else short_number(value) for value in values)

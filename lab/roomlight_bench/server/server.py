@@ -1,0 +1,309 @@
+"""`roomlight bench server`: a server process under streaming phones, beside the engine called directly.
+
+The server listens on loopback, and the phones stream the sample capture. Each row of the load has a server process of
+its own, so that its memory starts from a fresh process; this also measures several starts. Phones and server share
+this machine's cores: on two cores the phones' work is part of every figure.
+"""
+
+import asyncio
+import os
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import fmean, median
+from typing import Final
+
+import numpy as np
+
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.conventions import Position
+from roomlight.engine.session import WORKING_SIZE, SessionOptions
+from roomlight.engine.session import Session as Engine
+from roomlight.frame import Frame
+from roomlight.placement import point_in_view
+from roomlight.sample import sample_capture
+from roomlight.threads import thread_count
+from roomlight.wire.frame_encoding import pack_frame
+from roomlight.wire.frame_message import FrameLimits
+from roomlight.wire.messages import ModelName
+from roomlight_bench.reporting import describe_machine
+from roomlight_bench.server.server_load import FORMS, PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
+from roomlight_bench.server.server_process import ServerProcess, polling_health
+from roomlight_bench.server.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
+from roomlight_bench.timing import ProgressCallback
+from roomlight_client import Client, FrameEncoding, Session
+from roomlight_server.work.decode_worker import decode_to_box
+from roomlight_server.work.intake import parse_frame
+
+MAX_LATE_PROBES: Final = 16
+"""Most late probes in one request: each takes about 0.1 s."""
+_WARM_UP_FRAMES: Final = 2
+"""First frames that are not measured: the first one makes the volume, the second one meets cold caches."""
+_SPREAD_M: Final = 0.4
+"""Half the edge of the cube around the point in view in which the other points lie."""
+
+
+@dataclass(frozen=True)
+class ServerBenchOptions:
+    """What is measured.
+
+    Attributes:
+        sessions: Numbers of sessions at the same time, a row each.
+        seconds: How long phones stream, for each row.
+        fps: Frames per second that each phone sends.
+        points: Numbers of probes, a row each; late probes up to `MAX_LATE_PROBES`.
+        rounds: Requests for light; times are their median.
+        passes: How often the frames go through the server and the engine; the least time of each frame counts. More
+            passes remove more of the machine's other work from the difference.
+        frames: Use at most this many frames of the sample capture; phones start again after the last.
+        model: Model of the sessions.
+        weights: A model folder instead of the shipped weights.
+        allow_untrained: Accept untrained weights.
+        height: Rows of the panoramas.
+    """
+
+    sessions: tuple[int, ...] = (1, 4, 16, 64)
+    seconds: float = 12.0
+    fps: float = 3.0
+    points: tuple[int, ...] = (1, 4, 16, 64)
+    rounds: int = 3
+    passes: int = 8
+    frames: int | None = None
+    model: ModelName = "auto"
+    weights: Path | None = None
+    allow_untrained: bool = False
+    height: int = 120
+
+    @property
+    def serve_arguments(self) -> list[str]:
+        """Arguments of `roomlight serve` that allow what these options measure."""
+        limits = ["--max-sessions", str(max(self.sessions) + 4), "--max-probes", str(max(self.points))]
+        weights = [] if self.weights is None else ["--weights", str(self.weights)]
+        return [*limits, "--model", self.model, *weights, *(["--allow-untrained"] if self.allow_untrained else [])]
+
+
+def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
+    """Measure overhead, load and probes, about three minutes by default.
+
+    Raises:
+        ModelError: The model is not available.
+        ServerError: The server does not start or stops responding.
+    """
+    report: ProgressCallback = progress or _ignore
+    busy = os.getloadavg()[0] if hasattr(os, "getloadavg") else None
+    report("reading the sample capture")
+    frames = list(open_capture(sample_capture(), CaptureOptions(max_frames=options.frames)))
+    probe = point_in_view(frames[0])
+    engine = _engine(options)
+    bodies = [pack_frame(frame, colour="jpeg") for frame in frames]
+    alive_ms: list[float] = []
+    ready_ms: list[float] = []
+
+    def started(server: ServerProcess) -> ServerProcess:
+        alive_ms.append(server.alive_ms)
+        ready_ms.append(server.ready_ms)
+        return server
+
+    report("starting a server")
+    with ServerProcess(options.serve_arguments) as server, Client(started(server).url, timeouts=TIMEOUTS) as client:
+        colours: tuple[FrameEncoding, ...] = ("jpeg", "exact")
+        overhead = [_overhead(client, frames[::2], colour, probe, options, report) for colour in colours]
+        probes = [_tracked(client, bodies, probe, count, options, report) for count in options.points]
+        probes += _late(client, bodies, probe, options, report)
+    load: list[LoadRow] = []
+    for sessions in options.sessions:
+        report(f"{sessions} sessions: starting a server")
+        with ServerProcess(options.serve_arguments) as server:
+            load.append(_loaded(started(server), bodies, probe, sessions, options, report))
+    return ServerReport(
+        model=engine.model,
+        seconds=options.seconds,
+        start_alive_ms=tuple(alive_ms),
+        start_ready_ms=tuple(ready_ms),
+        overhead=tuple(overhead),
+        load=tuple(load),
+        probes=tuple(probes),
+        machine=describe_machine(),
+        threads=thread_count(),
+        cores=os.cpu_count() or 1,
+        busy=busy,
+    )
+
+
+def _engine(options: ServerBenchOptions) -> Engine:
+    return Engine(
+        SessionOptions(
+            model=options.model,
+            weights=options.weights,
+            allow_untrained=options.allow_untrained,
+            height=options.height,
+        )
+    )
+
+
+def _open(client: Client, options: ServerBenchOptions) -> Session:
+    return client.open(model=options.model, height=options.height, reference_exposure=1.0)
+
+
+def _overhead(
+    client: Client,
+    frames: Sequence[Frame],
+    colour: FrameEncoding,
+    probe: Position,
+    options: ServerBenchOptions,
+    report: ProgressCallback,
+) -> OverheadRow:
+    """Process every frame in this process and over HTTP; which goes first alternates."""
+    bodies = [pack_frame(frame, colour=colour) for frame in frames]
+    rounds: list[list[tuple[float, float, float]]] = []
+    for number in range(options.passes):
+        report(f"one session, frames as {colour}, round {number + 1} of {options.passes}")
+        rounds.append(_direct_and_http(client, bodies, probe, options))
+    kept = np.array(rounds)[:, min(_WARM_UP_FRAMES, len(bodies) - 1) :]
+    engine_ms, decoded_ms, http_ms = np.median(kept.min(axis=0), axis=0).tolist()
+    return OverheadRow(
+        colour=colour,
+        body_bytes=round(fmean(map(len, bodies))),
+        frames=kept.shape[1],
+        rounds=options.passes,
+        engine_ms=engine_ms,
+        decoded_ms=decoded_ms,
+        http_ms=http_ms,
+    )
+
+
+def _direct_and_http(
+    client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions
+) -> list[tuple[float, float, float]]:
+    """Return the times of each frame in ms: the engine alone, the engine with decoding, and over HTTP."""
+    engine, limits = _engine(options), FrameLimits()
+    engine.track(probe)
+
+    def direct(index: int, body: bytes) -> tuple[float, float]:
+        start_s = time.perf_counter()
+        frame = decode_to_box(parse_frame(body, limits)[0], index, 1.0, 1, WORKING_SIZE)
+        engine_ms = _timed(lambda: engine.push(frame))
+        return engine_ms, 1e3 * (time.perf_counter() - start_s)
+
+    times_ms: list[tuple[float, float, float]] = []
+    with _open(client, options) as session:
+        session.track(PROBE, probe)
+        for index, body in enumerate(bodies):
+            if index % 2:
+                engine_ms, decoded_ms = direct(index, body)
+                http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
+            else:
+                http_ms = _timed(lambda index=index: _push(client, session, index, bodies))
+                engine_ms, decoded_ms = direct(index, body)
+            times_ms.append((engine_ms, decoded_ms, http_ms))
+    return times_ms
+
+
+def _tracked(
+    client: Client,
+    bodies: Sequence[bytes],
+    probe: Position,
+    count: int,
+    options: ServerBenchOptions,
+    report: ProgressCallback,
+) -> ProbeRow:
+    """Measure the light of tracked probes; a frame before each request invalidates the light computed for the last."""
+    frame_ms: list[float] = []
+    batched_ms: list[float] = []
+    single_ms: list[float] = []
+    with _open(client, options) as session:
+        names = [f"probe-{number}" for number in range(count)]
+        for name, position in zip(names, _around(probe, count, seed=count), strict=True):
+            session.track(name, position)
+        for number in range(2 * options.rounds + 1):
+            report(f"{count} tracked points, {number + 1} of {2 * options.rounds + 1}")
+            frame_ms.append(_timed(lambda index=number: _push(client, session, index, bodies)))
+            if number == 0:
+                continue
+            if number % 2:
+                batched_ms.append(_timed(lambda: session.lights_at(names, FORMS)))
+            else:
+                single_ms.append(_timed(lambda: [session.light_at(name, FORMS) for name in names]))
+        keyframes = session.state().keyframes
+    return ProbeRow(True, count, keyframes, median(frame_ms[1:]), median(batched_ms), median(single_ms))
+
+
+def _late(
+    client: Client, bodies: Sequence[bytes], probe: Position, options: ServerBenchOptions, report: ProgressCallback
+) -> list[ProbeRow]:
+    """Measure the light of late probes in a session that has seen the whole capture."""
+    rows: list[ProbeRow] = []
+    with _open(client, options) as session:
+        for index in range(len(bodies)):
+            report(f"late points: frame {index + 1} of {len(bodies)}")
+            _push(client, session, index, bodies)
+        keyframes = session.state().keyframes
+        for count in sorted({min(count, MAX_LATE_PROBES) for count in options.points}):
+            batched_ms: list[float] = []
+            single_ms: list[float] = []
+            for number in range(options.rounds):
+                report(f"{count} late points, {number + 1} of {options.rounds}")
+                first, second = (_around(probe, count, seed=1000 * count + 2 * number + half) for half in (0, 1))
+                batched_ms.append(_timed(lambda points=first: session.lights_at(points, FORMS)))
+                single_ms.append(_timed(lambda points=second: [session.light_at(point, FORMS) for point in points]))
+            rows.append(ProbeRow(False, count, keyframes, None, median(batched_ms), median(single_ms)))
+    return rows
+
+
+def _loaded(
+    server: ServerProcess,
+    bodies: Sequence[bytes],
+    probe: Position,
+    sessions: int,
+    options: ServerBenchOptions,
+    report: ProgressCallback,
+) -> LoadRow:
+    load = Load(sessions, options.seconds, options.fps, bodies, probe, options.model, options.height)
+    before = server.resident_bytes()
+
+    async def run() -> tuple[Outcome, list[float], list[tuple[int, int]], int | None]:
+        report(f"{sessions} sessions: their first frames")
+        async with Phones(server.url, load) as phones:
+            report(f"{sessions} sessions: {options.seconds:g} s of frames")
+            with polling_health(server.port) as end_polling:
+                outcome = await phones.stream()
+                healths = await asyncio.to_thread(end_polling)
+            after = server.resident_bytes()
+            states = [await session.state() for session in phones.sessions]
+        return outcome, healths, [(state.memory.bytes, state.keyframes) for state in states], after
+
+    outcome, health_ms, states, after = asyncio.run(run())
+    due = outcome.sent + outcome.dropped
+    gained = None if before is None or after is None else (after - before) / sessions / 1e6
+    return LoadRow(
+        sessions=sessions,
+        wanted_fps=options.fps,
+        held_fps=outcome.in_time / options.seconds / sessions,
+        lost=(outcome.dropped + outcome.superseded) / due,
+        frame=Latencies.of(outcome.frame_ms),
+        light=Latencies.of(outcome.light_ms),
+        health=Latencies.of(health_ms),
+        memory_mb=gained,
+        stated_mb=fmean(memory for memory, _ in states) / 1e6,
+        keyframes=fmean(keyframes for _, keyframes in states),
+    )
+
+
+def _push(client: Client, session: Session, index: int, bodies: Sequence[bytes]) -> None:
+    client.run(frame_call(session.id, index, bodies[index % len(bodies)]))
+
+
+def _timed(work: Callable[[], object]) -> float:
+    start_s = time.perf_counter()
+    work()
+    return 1e3 * (time.perf_counter() - start_s)
+
+
+def _around(centre: Position, count: int, *, seed: int) -> list[Position]:
+    offsets = np.random.default_rng(seed).uniform(-_SPREAD_M, _SPREAD_M, (count, 3))
+    return [(float(x), float(y), float(z)) for x, y, z in np.asarray(centre) + offsets]
+
+
+def _ignore(_: str) -> None:
+    pass

@@ -1,0 +1,292 @@
+"""Report of `roomlight bench server`: rows and criteria, as tables and JSON. Milliseconds and megabytes (10^6)."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+import numpy as np
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from roomlight_bench.reporting import Criterion, criteria_table, short_number
+from roomlight_bench.server.server_load import IN_FLIGHT
+
+OVERHEAD_SHARE: Final = 0.15
+"""Limit on the time that HTTP adds to a frame, as a share."""
+HEALTH_MS: Final = 50.0
+"""Limit on the response time of /healthz while frames are processed."""
+
+
+@dataclass(frozen=True)
+class Latencies:
+    """Percentiles and maximum of `count` response times; None without responses."""
+
+    count: int
+    p50_ms: float | None
+    p95_ms: float | None
+    p99_ms: float | None
+    most_ms: float | None
+
+    @classmethod
+    def of(cls, values_ms: Sequence[float]) -> "Latencies":
+        """Compute the interpolated percentiles of the values."""
+        if not values_ms:
+            return cls(0, None, None, None, None)
+        p50, p95, p99 = (float(value) for value in np.percentile(values_ms, (50, 95, 99)))
+        return cls(len(values_ms), p50, p95, p99, float(max(values_ms)))
+
+
+@dataclass(frozen=True)
+class OverheadRow:
+    """The same frames through the server and through the engine in this process, alternating.
+
+    Times are medians over the frames of each frame's least time over the rounds: the least time leaves out other work
+    on the machine.
+
+    Attributes:
+        colour: Encoding of the frames' colour.
+        body_bytes: Mean size of a frame message.
+        frames: Number of frames.
+        rounds: Number of rounds.
+        engine_ms: The engine called directly.
+        decoded_ms: The same with parsing, decoding and resizing the message.
+        http_ms: The frame sent, processed and answered over HTTP.
+    """
+
+    colour: str
+    body_bytes: int
+    frames: int
+    rounds: int
+    engine_ms: float
+    decoded_ms: float
+    http_ms: float
+
+    @property
+    def share(self) -> float:
+        """Time that HTTP adds to a frame that is decoded in either case, as a share of that time."""
+        return self.http_ms / self.decoded_ms - 1
+
+    @property
+    def share_of_engine(self) -> float:
+        """Time that HTTP and decoding add to the engine's own time, as a share of it."""
+        return self.http_ms / self.engine_ms - 1
+
+
+@dataclass(frozen=True)
+class LoadRow:
+    """A number of sessions at the same time.
+
+    Attributes:
+        sessions: Number of sessions.
+        wanted_fps: Frames per second and session that were due.
+        held_fps: Frames per second and session that were processed in time.
+        lost: Share of the due frames that the phone dropped or the server skipped.
+        frame: Response times of frames.
+        light: Response times of light.
+        health: Response times of /healthz.
+        memory_mb: Growth of the process's resident memory per session; None on systems without /proc.
+        stated_mb: Memory that the sessions report for themselves, mean.
+        keyframes: Keyframes per session, mean.
+    """
+
+    sessions: int
+    wanted_fps: float
+    held_fps: float
+    lost: float
+    frame: Latencies
+    light: Latencies
+    health: Latencies
+    memory_mb: float | None
+    stated_mb: float
+    keyframes: float
+
+
+@dataclass(frozen=True)
+class ProbeRow:
+    """Light at several points; times are medians.
+
+    Attributes:
+        tracked: Whether the probes are tracked from the first frame on; else they are late probes.
+        count: Number of points.
+        keyframes: Keyframes of the session.
+        frame_ms: A frame while `count` probes are tracked; None for late probes.
+        batched_ms: The light of all points in one request.
+        one_by_one_ms: The light of all points in a request each.
+    """
+
+    tracked: bool
+    count: int
+    keyframes: int
+    frame_ms: float | None
+    batched_ms: float
+    one_by_one_ms: float
+
+
+@dataclass(frozen=True)
+class ServerReport:
+    """A run of `roomlight bench server`.
+
+    Attributes:
+        model: The engine's model.
+        seconds: How long phones streamed, for each row of `load`.
+        start_alive_ms: Start of each server process to its first response.
+        start_ready_ms: Start of each server process until it accepts sessions.
+        overhead: What HTTP adds to a frame.
+        load: Several sessions at the same time.
+        probes: Light at several points.
+        machine: Processor, system and versions; see `describe_machine`.
+        threads: Threads of the engine.
+        cores: Cores of the machine.
+        busy: Load average of the machine before the run; None where the system has none.
+    """
+
+    model: str
+    seconds: float
+    start_alive_ms: tuple[float, ...]
+    start_ready_ms: tuple[float, ...]
+    overhead: tuple[OverheadRow, ...]
+    load: tuple[LoadRow, ...]
+    probes: tuple[ProbeRow, ...]
+    machine: dict[str, str]
+    threads: int
+    cores: int
+    busy: float | None
+
+    @property
+    def criteria(self) -> tuple[Criterion, ...]:
+        """The project's criteria, judged on this run."""
+        return (
+            *(
+                Criterion(
+                    f"HTTP adds under {OVERHEAD_SHARE:.0%} to a frame ({row.colour})",
+                    row.share,
+                    OVERHEAD_SHARE,
+                    row.share < OVERHEAD_SHARE,
+                )
+                for row in self.overhead
+            ),
+            *(
+                Criterion(
+                    f"/healthz under {HEALTH_MS:g} ms, p99 at {row.sessions} sessions",
+                    row.health.p99_ms,
+                    HEALTH_MS,
+                    row.health.p99_ms < HEALTH_MS,
+                )
+                for row in self.load
+                if row.health.p99_ms is not None
+            ),
+        )
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values, including the shares and criteria that follow from them."""
+        values = asdict(self)
+        for row, entry in zip(self.overhead, values["overhead"], strict=True):
+            entry |= {"share": row.share, "share_of_engine": row.share_of_engine}
+        return values | {"criteria": [asdict(criterion) for criterion in self.criteria]}
+
+    def table(self) -> RenderableType:
+        """Return all tables, with the criteria at the end."""
+        return Group(
+            self._overhead_table(),
+            "",
+            self._load_table(),
+            "",
+            self._probes_table(),
+            "",
+            criteria_table(self.criteria),
+        )
+
+    def _overhead_table(self) -> Table:
+        alive, ready = (np.median(values) / 1e3 for values in (self.start_alive_ms, self.start_ready_ms))
+        busy = "" if self.busy is None else f", load average before the run {self.busy:.1f}"
+        rounds = self.overhead[0].rounds
+        return _table(
+            "One session, one frame after the other, in this process and over HTTP, ms: "
+            f"median of each frame's least of {rounds}",
+            f"model {self.model}; {self.threads} engine threads, {self.cores} cores, {self.machine['processor']}"
+            f"{busy}; the server started {len(self.start_ready_ms)} times: /healthz after {alive:.1f} s, ready after "
+            f"{ready:.1f} s (median; most {max(self.start_ready_ms) / 1e3:.1f})",
+            ("colour", "kB", "frames", "engine", "+ decoding", "+ HTTP", "HTTP adds", "to the engine alone"),
+            [
+                (
+                    row.colour,
+                    f"{row.body_bytes / 1e3:.0f}",
+                    f"{row.frames}",
+                    *map(short_number, (row.engine_ms, row.decoded_ms, row.http_ms)),
+                    f"{row.share:+.1%}",
+                    f"{row.share_of_engine:+.1%}",
+                )
+                for row in self.overhead
+            ],
+        )
+
+    def _load_table(self) -> Table:
+        return _table(
+            f"Sessions at the same time, each streaming for {self.seconds:g} s: frames per second and session, "
+            "ms p50 / p95 / p99",
+            "light: harmonics and main light of the tracked probe, requested after each frame; lost: dropped by the "
+            f"phone because {IN_FLIGHT} frames were unanswered, or skipped by the server for a newer one; MB: resident "
+            "memory per session with this many keyframes; stated: what sessions report for themselves",
+            ("sessions", "wanted", "held", "lost", "frame", "light", "/healthz", "most", "MB", "stated", "keyframes"),
+            [
+                (
+                    f"{row.sessions}",
+                    f"{row.wanted_fps:g}",
+                    f"{row.held_fps:.2f}",
+                    f"{row.lost:.0%}",
+                    *map(_percentiles, (row.frame, row.light, row.health)),
+                    _or_dash(row.health.most_ms),
+                    _or_dash(row.memory_mb),
+                    short_number(row.stated_mb),
+                    short_number(row.keyframes),
+                )
+                for row in self.load
+            ],
+        )
+
+    def _probes_table(self) -> Table:
+        return _table(
+            "Light at several points of one session: in one request, and in a request each, median ms",
+            "harmonics and main light; tracked: from the first frame on, every frame updates them; late: computed from "
+            "the keyframes on request; x: a request each / one request",
+            ("points", "", "keyframes", "frame", "one request", "a request each", "x"),
+            [
+                (
+                    f"{row.count}",
+                    "tracked" if row.tracked else "late",
+                    f"{row.keyframes}",
+                    _or_dash(row.frame_ms),
+                    short_number(row.batched_ms),
+                    short_number(row.one_by_one_ms),
+                    f"{row.one_by_one_ms / row.batched_ms:.2f}",
+                )
+                for row in self.probes
+            ],
+        )
+
+
+def _table(title: str, caption: str, headings: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:
+    """Make a table whose columns are as wide as their content; the console must be wide enough."""
+    table = Table(
+        title=title,
+        title_justify="left",
+        caption=caption,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),
+        show_edge=False,
+    )
+    for heading, *cells in zip(headings, *rows, strict=True):
+        table.add_column(heading, justify="right", no_wrap=True, min_width=max(map(len, (heading, *cells))))
+    for row in rows:
+        table.add_row(*row)
+    return table
+
+
+def _percentiles(latencies: Latencies) -> str:
+    return " / ".join(map(_or_dash, (latencies.p50_ms, latencies.p95_ms, latencies.p99_ms)))
+
+
+def _or_dash(value: float | None) -> str:
+    return "-" if value is None else short_number(value)

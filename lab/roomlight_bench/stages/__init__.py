@@ -1,0 +1,1 @@
+"""Benchmark of the engine's stages beside references, plain PyTorch and the roofline."""

@@ -1,0 +1,186 @@
+"""The networks' stages: ONNX graphs with bound buffers, as the server runs them, beside PyTorch in eager mode.
+
+Without a model folder, graphs of the default widths are exported with untrained weights: times do not depend on the
+weights. The export and the eager modules need PyTorch, which is optional for `roomlight bench stages`: the functions
+that use it import it when they are called.
+"""
+
+import importlib.util
+import json
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.engine.networks.graphs import Graph, LightingGraphs, NetworkForm, load_graphs
+from roomlight.engine.networks.providers import open_graph, openvino_device
+from roomlight_bench.stages.bench_stage import BenchStage
+from roomlight_bench.stages.plain_torch import torch_installed
+from roomlight_bench.stages.roofline import Cost
+from roomlight_bench.stages.stage_costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
+from roomlight_bench.timing import Implementation, ProgressCallback
+from roomlight_model.config import ModelConfig
+
+RuntimeName = Literal["cpu", "openvino"]
+_RUNTIME_TITLES: dict[RuntimeName, str] = {"cpu": "ONNX Runtime fp32", "openvino": "OpenVINO bf16"}
+
+
+@dataclass(frozen=True)
+class Networks:
+    """A model's graphs, loaded in each runtime that this machine has."""
+
+    config: ModelConfig
+    loaded: dict[RuntimeName, LightingGraphs]
+    trained: bool
+
+    @property
+    def form(self) -> NetworkForm:
+        """Whether the model is the single-view or the video form."""
+        return next(iter(self.loaded.values())).form
+
+
+def export_possible() -> bool:
+    """Return whether the packages of `roomlight export` are installed, without importing them."""
+    return all(importlib.util.find_spec(name) is not None for name in ("torch", "onnx", "onnxscript"))
+
+
+def untrained_networks(config: ModelConfig, *, progress: ProgressCallback) -> Networks:
+    """Export and load a video model with untrained weights; its files are deleted again."""
+    from roomlight_export.graphs import graphs_of
+    from roomlight_export.onnx_file import half_rounded, to_onnx
+    from roomlight_model.networks import SingleModel, VideoModel
+
+    model = half_rounded(VideoModel(config).eval(), "untrained")
+    assert isinstance(model, SingleModel | VideoModel)
+    opened: dict[RuntimeName, dict[str, Graph]] = {runtime: {} for runtime in _runtimes()}
+    with tempfile.TemporaryDirectory() as folder:
+        for graph in graphs_of(model):
+            progress(f"exporting {graph.name}")
+            path = Path(folder) / f"{graph.name}.onnx"
+            path.write_bytes(to_onnx(graph, metadata={}).SerializeToString())
+            for runtime, graphs in opened.items():
+                graphs[graph.name] = Graph(open_graph(path, runtime), graph.name)
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: LightingGraphs(Path("untrained"), "video", {}, runtime, graphs, filled=True)
+        for runtime, graphs in opened.items()
+    }
+    return Networks(config, loaded, trained=False)
+
+
+def load_networks(model: Path) -> Networks:
+    """Load a model folder in every runtime that this machine has.
+
+    Raises:
+        ModelError: The folder is not a model folder, or does not fit this version.
+    """
+    loaded: dict[RuntimeName, LightingGraphs] = {
+        runtime: load_graphs(model, provider=runtime, allow_untrained=True) for runtime in _runtimes()
+    }
+    described = json.loads((model / "model.json").read_text())
+    return Networks(
+        ModelConfig.from_dict(described.get("config", {})), loaded, trained=bool(loaded["cpu"].card.get("steps"))
+    )
+
+
+def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[BenchStage]:
+    """Return the stages of the networks, one per runtime; PyTorch in eager mode is timed beside the first.
+
+    Stages: 3D network, 3D GRU, blending network and 2D GRU. `volume` is the networks' input.
+    """
+    form, sg, blend = networks.form, networks.config.sg, networks.config.blend
+    video = form == "video"
+    plan: list[tuple[str, tuple[str, ...], Cost, float, str]] = [
+        (
+            "SGLV network",
+            (f"{form}_sg_encoder", f"{form}_sg_decoder"),
+            network_cost(sg_layers(sg, recurrent=video)),
+            25.0,
+            "3D encoder and decoder",
+        ),
+        ("3D GRU", ("video_sg_gru",), network_cost(sg_gru_layers(sg)), 19.0, "both levels"),
+        (
+            "blending network",
+            (f"{form}_blend_encoder", f"{form}_blend_decoder"),
+            network_cost(blend_layers(blend, panels=13 if video else 8)),
+            5.2,
+            "2D encoder and decoder",
+        ),
+        ("2D GRU", ("video_blend_gru",), network_cost(blend_gru_layers(blend)), 2.1, "both levels"),
+    ]
+    modules = _eager_modules(networks) if torch_installed() else None
+    stages: list[BenchStage] = []
+    for name, graphs, cost, paper_ms, note in plan:
+        for runtime, loaded in networks.loaded.items():
+            if not all(graph in loaded.graphs for graph in graphs):
+                continue  # a single-view model has no GRUs
+            first = runtime == "cpu"
+            ours = Implementation(_run_bound(loaded, graphs, volume))
+            eager = Implementation(_run_eager(modules, graphs, volume)) if modules is not None and first else None
+            for implementation in (ours, eager):
+                if implementation is not None:
+                    implementation.run()
+            title = f"{name}, {_RUNTIME_TITLES[runtime]}"
+            stages.append(BenchStage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
+    return stages
+
+
+def _runtimes() -> tuple[RuntimeName, ...]:
+    return ("cpu", "openvino") if openvino_device() is not None else ("cpu",)
+
+
+def _graph_input(name: str, shape: tuple[int, ...], volume: Float[np.ndarray, "5 z y x"]) -> Float[np.ndarray, "..."]:
+    """Return the volume for the input of that name, and random values for the others."""
+    if name == "volume":
+        return np.ascontiguousarray(volume[None])
+    return np.random.default_rng(0).random(shape, dtype=np.float32)
+
+
+def _run_bound(
+    loaded: LightingGraphs, names: tuple[str, ...], volume: Float[np.ndarray, "5 z y x"]
+) -> Callable[[], object]:
+    """Return a function that runs the graphs one after the other, with buffers that are bound beforehand."""
+    bound = []
+    for name in names:
+        graph = loaded.graphs[name]
+        feed = {key: _graph_input(key, shape, volume) for key, shape in graph.inputs.items()}
+        bound.append(graph.bind(feed, graph.new_outputs()))
+
+    def run() -> None:
+        for graph in bound:
+            graph.run()
+
+    return run
+
+
+def _eager_modules(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
+    """Return the same networks as PyTorch modules, with the names and shapes of their inputs."""
+    from roomlight_export.graphs import graphs_of
+    from roomlight_model.networks import build
+
+    model = build(networks.form, networks.config).eval()
+    return {graph.name: (graph.module, graph.inputs) for graph in graphs_of(model)}
+
+
+def _run_eager(
+    modules: dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]],
+    names: tuple[str, ...],
+    volume: Float[np.ndarray, "5 z y x"],
+) -> Callable[[], object]:
+    """Return a function that runs the modules one after the other in eager mode."""
+    import torch
+
+    calls: list[tuple[Callable[..., object], list[torch.Tensor]]] = []
+    for name in names:
+        module, shapes = modules[name]
+        calls.append((module, [torch.from_numpy(_graph_input(key, shape, volume)) for key, shape in shapes.items()]))
+
+    @torch.inference_mode()
+    def run() -> None:
+        for module, tensors in calls:
+            module(*tensors)
+
+    return run

@@ -1,0 +1,179 @@
+"""Report of `roomlight bench stages`: timed rows, the machine's ceilings and the speed criteria, as table and JSON."""
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import Any, Final
+
+from rich import box
+from rich.console import Group, RenderableType
+from rich.table import Table
+
+from roomlight.threads import thread_count
+from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
+from roomlight_bench.stages.roofline import Ceilings
+from roomlight_bench.timing import Timing
+
+MARCH_FASTER: Final = 30.0
+"""Least speed-up of SGLV ray tracing over `grid_sample` in PyTorch."""
+INITIALISATION_FASTER: Final = 5.0
+"""Least speed-up of volume initialisation over plain NumPy."""
+PANORAMA_SHARE: Final = 1 / 3
+"""Limit on the time of the partial-mesh panorama as a share of the SGLV network's."""
+_PAPER: Final = "the paper's times are on its GPU, an RTX 2080 Ti: 77 ms together"
+
+
+@dataclass(frozen=True)
+class StageRow:
+    """One timed `BenchStage`; `roof_ms` is the least time in milliseconds that the machine's ceilings allow."""
+
+    name: str
+    ours: Timing
+    reference: Timing | None
+    torch: Timing | None
+    paper_ms: float | None
+    flops: float
+    bytes: float
+    roof_ms: float
+    note: str
+    differences: dict[str, float]
+
+    def ratio(self, other: Timing | None) -> float | None:
+        """Return how many times as long the other implementation takes, by least times; None if it was not timed."""
+        return None if other is None else other.least_ms / self.ours.least_ms
+
+
+@dataclass(frozen=True)
+class StagesReport:
+    """A run of `roomlight bench stages`.
+
+    Attributes:
+        rows: The timed stages.
+        ceilings: What the machine can do at most, measured in the same run.
+        criteria: The project's demands that these rows can answer.
+        machine: Processor, system and versions; see `describe_machine`.
+        threads: Threads of our kernels, ONNX Runtime and PyTorch.
+        repeats: Runs of each stage.
+        networks: Which networks were timed, in words.
+        torch: Whether PyTorch was installed.
+    """
+
+    rows: tuple[StageRow, ...]
+    ceilings: Ceilings
+    criteria: tuple[Criterion, ...]
+    machine: dict[str, str]
+    threads: int
+    repeats: int
+    networks: str
+    torch: bool
+
+    @classmethod
+    def of(
+        cls, rows: Sequence[StageRow], ceilings: Ceilings, *, repeats: int, networks: str, torch: bool
+    ) -> "StagesReport":
+        """Make the report of these rows: judge the criteria and describe the machine."""
+        return cls(tuple(rows), ceilings, judge(rows), describe_machine(), thread_count(), repeats, networks, torch)
+
+    def to_json(self) -> dict[str, Any]:
+        """Return plain JSON values; `from_json` restores an equal report."""
+        return asdict(self) | {"rows": [asdict(row) for row in self.rows], "criteria": list(map(asdict, self.criteria))}
+
+    @classmethod
+    def from_json(cls, values: dict[str, Any]) -> "StagesReport":
+        """Read what `to_json` wrote."""
+
+        def timing(entry: dict[str, Any] | None) -> Timing | None:
+            return None if entry is None else Timing(**entry)
+
+        rows = [
+            StageRow(
+                **row
+                | {"ours": Timing(**row["ours"]), "reference": timing(row["reference"]), "torch": timing(row["torch"])}
+            )
+            for row in values["rows"]
+        ]
+        criteria = tuple(Criterion(**entry) for entry in values["criteria"])
+        parts: dict[str, Any] = {"rows": tuple(rows), "criteria": criteria, "ceilings": Ceilings(**values["ceilings"])}
+        return cls(**{**values, **parts})
+
+    def table(self, *, width: int = 120) -> RenderableType:
+        """Return the stages and the criteria; below 120 columns of width without the figures behind the roofline."""
+        return Group(self._stages_table(brief=width < 120), criteria_table(self.criteria))
+
+    def _stages_table(self, *, brief: bool) -> Table:
+        table = Table(
+            title=f"Stages of one frame and one probe, ms; ours: least / median of {self.repeats} runs, others: least",
+            title_justify="left",
+            caption=(
+                f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
+                f"{self.networks}; {'' if self.torch else 'no comparison with PyTorch, which is not installed; '}"
+                f"ceilings: {self.ceilings.flops_per_s / 1e9:.0f} GFLOP/s (fp32 matrix product), "
+                f"{self.ceilings.bytes_per_s / 1e9:.1f} GB/s (copy); x: times as long as ours, by least times; "
+                f"roof: the least time that these ceilings allow; {_PAPER}"
+            ),
+            caption_justify="left",
+            box=box.SIMPLE_HEAD,
+            padding=0,
+            show_edge=False,
+        )
+        table.add_column("stage", min_width=22)
+        table.add_column("ours", justify="right", no_wrap=True)
+        table.add_column("NumPy", justify="right", no_wrap=True)
+        table.add_column("PyTorch", justify="right", no_wrap=True)
+        for heading in (*(() if brief else ("max diff", "MFLOP", "MB")), "roof", "ours/roof", "paper"):
+            table.add_column(heading, justify="right", no_wrap=True)
+        for row in self.rows:
+            largest = max(row.differences.values(), default=None)
+            table.add_row(
+                f"{row.name}\n[dim]{row.note}[/dim]" if row.note else row.name,
+                f"{short_number(row.ours.least_ms)} / {short_number(row.ours.median_ms)}",
+                _time_and_ratio(row, row.reference),
+                _time_and_ratio(row, row.torch),
+                *(() if brief else ("-" if largest is None else f"{largest:.1e}", *_millions(row.flops, row.bytes))),
+                short_number(row.roof_ms),
+                short_number(row.ours.least_ms / row.roof_ms),
+                "-" if row.paper_ms is None else f"{row.paper_ms:g}",
+            )
+        return table
+
+
+def judge(rows: Sequence[StageRow]) -> tuple[Criterion, ...]:
+    """Judge the criteria that these rows can answer, on least times."""
+    found: list[Criterion] = []
+
+    def at_least(row: StageRow, other: Timing | None, limit: float, demand: str) -> None:
+        ratio = row.ratio(other)
+        if ratio is not None:
+            found.append(Criterion(demand, ratio, limit, ratio >= limit))
+
+    for row in rows:
+        if row.name.startswith("ray tracing"):
+            demand = f"{row.name}: at least {MARCH_FASTER:g} x faster than grid_sample in PyTorch"
+            at_least(row, row.torch, MARCH_FASTER, demand)
+        if row.name == "volume initialisation":
+            demand = f"{row.name}: at least {INITIALISATION_FASTER:g} x faster than plain NumPy"
+            at_least(row, row.reference, INITIALISATION_FASTER, demand)
+    least = {row.name: row.ours.least_ms for row in rows}
+    network = [ms for name, ms in least.items() if name.startswith("SGLV network")]
+    if network:
+        for name, ms in (
+            ("partial-mesh panorama", least["partial-mesh panorama"]),
+            ("mesh building and panorama together", least["mesh building"] + least["partial-mesh panorama"]),
+        ):
+            share = ms / min(network)  # of the fastest runtime: the strictest comparison
+            found.append(
+                Criterion(
+                    f"{name}: under a third of the SGLV network's time", share, PANORAMA_SHARE, share < PANORAMA_SHARE
+                )
+            )
+    return tuple(found)
+
+
+def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:
+    ratio = row.ratio(timing)
+    if timing is None or ratio is None:
+        return "-"
+    return f"{short_number(timing.least_ms)}\n[bold]{short_number(ratio)} x[/bold]"
+
+
+def _millions(*values: float) -> tuple[str, ...]:
+    return tuple(short_number(value / 1e6) for value in values)

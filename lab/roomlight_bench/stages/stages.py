@@ -1,0 +1,363 @@
+"""`roomlight bench stages`: every stage of a session beside its NumPy reference, plain PyTorch and the roofline."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.camera import rigid_inverse, transform_points
+from roomlight.conventions import panorama_directions
+from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, accumulate_reference, filled_detail
+from roomlight.engine.session import Session, SessionOptions, warm_up
+from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume, initial_volume_reference
+from roomlight.engine.volume.sglv import Far, Sglv, render_rays, render_rays_reference
+from roomlight.errors import OptionError
+from roomlight.frame import Frame
+from roomlight_bench.stages import plain_torch, stage_costs
+from roomlight_bench.stages.bench_stage import BenchStage, differences, largest_difference
+from roomlight_bench.stages.network_stages import (
+    Networks,
+    export_possible,
+    load_networks,
+    network_stages,
+    untrained_networks,
+)
+from roomlight_bench.stages.report import StageRow, StagesReport
+from roomlight_bench.stages.roofline import CeilingRuns, Cost
+from roomlight_bench.stages.room import PROBE, RoomSize, network_like, views
+from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
+from roomlight_model.config import ModelConfig
+
+SLOW_RUNS: Final = 3
+"""Most runs of the references that take seconds."""
+FINE_SAMPLES: Final = 110.0
+"""Mean number of samples per ray inside the volume, in the row with fine steps. At the engine's own step of one voxel,
+a ray from inside takes about 40 before it leaves the volume, while `grid_sample` computes all 128."""
+_FILL: Final = "fill beyond the mesh"
+_BRUTE_FORCE_RAYS: Final = 32
+"""Rays of the brute-force reference; all 28,800 would take minutes."""
+
+
+def run_stages(
+    *,
+    repeats: int = 7,
+    model: Path | None = None,
+    progress: ProgressCallback | None = None,
+    size: RoomSize | None = None,
+    config: ModelConfig | None = None,
+) -> StagesReport:
+    """Time every stage; two to three minutes by default.
+
+    Args:
+        repeats: Interleaved runs of each stage.
+        model: A model folder of `roomlight export`. Without one, untrained networks of `config` are exported for the
+            run, or left out if the packages for the export are not installed: times do not depend on the weights.
+        progress: Called with what is being measured.
+        size: Sizes of frames, volume and panoramas.
+        config: Widths of the untrained networks.
+
+    Raises:
+        ModelError: `model` is not a model folder.
+        OptionError: `repeats` is less than 1.
+    """
+    if repeats < 1:
+        raise OptionError(f"repeats must be at least 1, got {repeats}")
+    report: ProgressCallback = progress or _ignore
+    size = size or RoomSize()
+    report("compiling kernels")
+    warm_up()
+    if plain_torch.torch_installed():
+        plain_torch.use_our_threads()
+    networks = _networks(model, config or ModelConfig(), report)
+    report("building the room")
+    frames = views(size.keyframes, size)
+    grid = VolumeGrid.from_frame(
+        frames[0], shape=networks.loaded["cpu"].volume_shape if networks else size.volume_shape
+    )
+    volume = initial_volume(grid, frames[0])
+    report("warming up every stage")
+    stages = [_volume_stage(grid, frames[0])]
+    stages += network_stages(networks, volume) if networks else []
+    stages += _march_stages(grid, frames, size)
+    stages += _mesh_stages(frames[0], size)
+    stages.append(_fill_stage(frames[0], grid, size))
+    stages.append(_accumulate_stage(frames[0], grid, size))
+    stages += _catch_up_stages(frames, size, networks, stages)
+    ceiling = CeilingRuns.of()
+    implementations = [
+        (index, kind, implementation)
+        for index, stage in enumerate(stages)
+        for kind, implementation in _implementations(stage)
+    ]
+    everything = [
+        Implementation(ceiling.matmul),
+        Implementation(ceiling.copy),
+        *(implementation for _, _, implementation in implementations),
+    ]
+    matmul, copy, *timings = time_interleaved(everything, repeats, progress=report)
+    ceilings = ceiling.ceilings(matmul.least_ms, copy.least_ms)
+    timed: dict[tuple[int, str], Timing] = {
+        (index, kind): timing for (index, kind, _), timing in zip(implementations, timings, strict=True)
+    }
+    rows = [
+        StageRow(
+            name=stage.name,
+            ours=timed[index, "ours"],
+            reference=timed.get((index, "reference")),
+            torch=timed.get((index, "torch")),
+            paper_ms=stage.paper_ms,
+            flops=stage.cost.flops,
+            bytes=stage.cost.bytes,
+            roof_ms=stage.cost.roof_ms(ceilings),
+            note=stage.note,
+            differences=stage.differences,
+        )
+        for index, stage in enumerate(stages)
+    ]
+    described = "none (no weights are given, and the packages that export untrained networks are not installed)"
+    if networks:
+        described = f"{networks.form}, {'trained' if networks.trained else 'untrained'}"
+    return StagesReport.of(rows, ceilings, repeats=repeats, networks=described, torch=plain_torch.torch_installed())
+
+
+def _networks(model: Path | None, config: ModelConfig, progress: ProgressCallback) -> Networks | None:
+    if model is not None:
+        return load_networks(model)
+    return untrained_networks(config, progress=progress) if export_possible() else None
+
+
+def _implementations(stage: BenchStage) -> list[tuple[str, Implementation]]:
+    """Return the implementations that the stage has, each with its kind."""
+    kinds = (("ours", stage.ours), ("reference", stage.reference), ("torch", stage.torch))
+    return [(kind, implementation) for kind, implementation in kinds if implementation is not None]
+
+
+def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
+    out = np.empty((5, *grid.shape), np.float32)
+    ours = Implementation(lambda: initial_volume(grid, frame, out=out))
+    reference = Implementation(lambda: initial_volume_reference(grid, frame))
+    torch = Implementation(plain_torch.volume_by_grid_sample(grid, frame)) if plain_torch.torch_installed() else None
+    found = differences(ours.run, {"reference": reference.run, "torch": torch.run if torch else None})
+    cost = stage_costs.volume_cost(
+        out, in_view=_in_view(grid, frame), pixels=frame.clipped.size, depth_pixels=frame.depth_m.size
+    )
+    return BenchStage("volume initialisation", ours, cost, reference, torch, paper_ms=4.1, differences=found)
+
+
+def _in_view(grid: VolumeGrid, frame: Frame) -> int:
+    """Count the voxels whose centres the camera sees."""
+    in_camera = transform_points(rigid_inverse(frame.camera_to_world) @ grid.volume_to_world, grid.centres_m())
+    xy, depth = frame.intrinsics.project(in_camera)
+    with np.errstate(invalid="ignore"):
+        inside = (xy >= 0).all(axis=-1) & (xy < [frame.intrinsics.width, frame.intrinsics.height]).all(axis=-1)
+    return int((inside & (depth > 0)).sum())
+
+
+def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[BenchStage]:
+    backend = ClassicalBackend()
+    backend.start(grid)
+    for frame in frames:
+        initial_volume(grid, frame, out=backend.volume_buffer())
+        backend.update()
+    sparse = backend.update()
+    dense = network_like(grid, sparse)
+    return [
+        _march_stage("ray tracing, network-like volume", dense, size, far="boundary", paper_ms=22.0),
+        _march_stage("ray tracing, fine steps", dense, size, far="boundary", mean_inside=FINE_SAMPLES),
+        _march_stage("ray tracing, classical volume", sparse, size, far="none"),
+    ]
+
+
+def _march_stage(
+    name: str, sglv: Sglv, size: RoomSize, *, far: Far, mean_inside: float | None = None, paper_ms: float | None = None
+) -> BenchStage:
+    """Time ray tracing; `mean_inside` samples per ray lie inside the volume, None keeps the engine's own step."""
+    directions = panorama_directions(size.panorama_height).reshape(-1, 3)
+    step_m = sglv.grid.edge_m
+    if mean_inside is not None:
+        step_m *= float(_samples_inside(sglv.grid, directions, size.samples, step_m).mean()) / mean_inside
+    result: list[Float[np.ndarray, " n"]] = []
+
+    def ours() -> Float[np.ndarray, "n 3"]:
+        radiance, left = render_rays(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)
+        result[:] = [left]
+        return radiance
+
+    def reference() -> Float[np.ndarray, "n 3"]:
+        return render_rays_reference(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)[0]
+
+    torch = None
+    if plain_torch.torch_installed():
+        by_grid_sample = plain_torch.panorama_by_grid_sample(
+            sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far
+        )
+        torch = Implementation(by_grid_sample)
+    found = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
+    inside = _samples_inside(sglv.grid, directions, size.samples, step_m)
+    cost = stage_costs.march_cost(sglv, result[0], inside, boundary=far == "boundary")
+    note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
+    return BenchStage(
+        name, Implementation(ours), cost, Implementation(reference, max_runs=SLOW_RUNS), torch, paper_ms, note, found
+    )
+
+
+def _samples_inside(
+    grid: VolumeGrid, directions: Float[np.ndarray, "n 3"], samples: int, step_m: float
+) -> Float[np.ndarray, " n"]:
+    """Count the samples of each ray from the probe before it leaves the volume; the probe is inside."""
+    rotation = grid.world_to_volume[:3, :3]
+    origin = rotation @ np.asarray(PROBE) + grid.world_to_volume[:3, 3]
+    slope = directions.astype(np.float64) @ rotation.T
+    slope = np.where(np.abs(slope) < 1e-9, 1e-9, slope)
+    leave = np.maximum((grid.lower_m - origin) / slope, (grid.upper_m - origin) / slope).min(axis=-1)
+    return np.clip(np.ceil(leave / step_m - 0.5), 0, samples)
+
+
+def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
+    def build() -> FrameMesh:
+        mesh = FrameMesh(frame)
+        mesh.build()
+        return mesh
+
+    mesh = build()
+    position, height = np.asarray(PROBE), size.panorama_height
+    seen = mesh.render_panorama(position, height=height)
+    directions = panorama_directions(height).reshape(-1, 3)
+    chosen = np.linspace(0, len(directions) - 1, min(_BRUTE_FORCE_RAYS, len(directions))).astype(int)
+
+    def trace() -> Float[np.ndarray, " n"]:
+        return _brute_force_depth(mesh, position, directions[chosen])
+
+    agreement = {"reference": largest_difference(seen.depth_m.reshape(-1)[chosen], trace())}
+    rays, faces = len(directions), len(mesh.faces)
+    panorama = BenchStage(
+        "partial-mesh panorama",
+        Implementation(lambda: mesh.render_panorama(position, height=height)),
+        stage_costs.panorama_cost(rays, faces, int(seen.mask.sum()), frame.clipped.size),
+        reference=Implementation(trace, scale=rays / len(chosen), max_runs=SLOW_RUNS),
+        note=f"{rays} rays, {faces} triangles",
+        differences=agreement,
+    )
+    building = BenchStage(
+        "mesh building", Implementation(build), stage_costs.mesh_cost(len(mesh.vertices), faces), note="once per frame"
+    )
+    return [building, panorama]
+
+
+def _brute_force_depth(
+    mesh: FrameMesh, origin: Float[np.ndarray, "3"], directions: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, " n"]:
+    """Return the distance of the first triangle along each ray, 0 without one or at a back face.
+
+    Moeller and Trumbore, 1997.
+    """
+    a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64), 1, 0)
+    edge1, edge2, from_a = b - a, c - a, origin - a
+    across = np.cross(from_a, edge1)
+    result = np.zeros(len(directions))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for index, direction in enumerate(directions.astype(np.float64)):
+            p = np.cross(direction, edge2)
+            determinant = (edge1 * p).sum(axis=-1)
+            u, v = (from_a * p).sum(axis=-1) / determinant, (across @ direction) / determinant
+            distance = (edge2 * across).sum(axis=-1) / determinant
+            hit = (u >= 0) & (v >= 0) & (u + v <= 1) & (distance > 0)
+            if hit.any():
+                nearest = np.flatnonzero(hit)[np.argmin(distance[hit])]
+                result[index] = distance[nearest] if determinant[nearest] > 0 else 0.0
+    return result
+
+
+def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
+    """Time the filled panorama that the blending network gets beyond the mesh."""
+    seen, state = _first_panorama(frame, grid, size)
+
+    def fill() -> Float[np.ndarray, "h w 3"]:
+        return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
+
+    return BenchStage(_FILL, Implementation(fill), stage_costs.fill_cost(state.seen.size), note="with networks")
+
+
+def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
+    """Return what one frame shows of the probe's surroundings, and the empty panorama that accumulates it."""
+    height = size.panorama_height
+    return FrameMesh(frame).render_panorama(np.asarray(PROBE), height=height), PanoramaState.fresh(
+        height, grid.depth_max_m
+    )
+
+
+def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
+    seen, state = _first_panorama(frame, grid, size)
+    random = np.random.default_rng(0)
+    hdr = random.random(state.radiance.shape, dtype=np.float32)
+    weight = np.where(seen.mask, random.random(seen.mask.shape, dtype=np.float32), np.float32(0))
+
+    def apply(to: PanoramaState, accumulate_into: Callable[..., None]) -> Float[np.ndarray, "h w 3"]:
+        accumulate_into(to, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight)
+        return to.radiance
+
+    def fresh() -> PanoramaState:
+        return replace(state, radiance=state.radiance.copy(), depth_m=state.depth_m.copy(), seen=state.seen.copy())
+
+    torch = None
+    if plain_torch.torch_installed():
+        torch = Implementation(
+            plain_torch.accumulate_by_tensors(
+                state, hdr=hdr, detail=seen.radiance, detail_depth_m=seen.depth_m, weight=weight
+            )
+        )
+    found = differences(
+        lambda: apply(fresh(), accumulate),
+        {"reference": lambda: apply(fresh(), accumulate_reference), "torch": torch.run if torch else None},
+    )
+    ours_state, reference_state = fresh(), fresh()
+    return BenchStage(
+        "accumulation",
+        Implementation(lambda: apply(ours_state, accumulate)),
+        stage_costs.accumulate_cost(state.seen.size),
+        Implementation(lambda: apply(reference_state, accumulate_reference)),
+        torch,
+        differences=found,
+    )
+
+
+def _catch_up_stages(
+    frames: list[Frame], size: RoomSize, networks: Networks | None, stages: list[BenchStage]
+) -> list[BenchStage]:
+    """Time a late probe: the volume is rendered once, then every keyframe is rendered, blended and accumulated."""
+    options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
+    sessions = [("classical", Session(options), Cost(0.0, 0.0))]
+    cost = {stage.name: stage.cost for stage in stages}
+    if networks:
+        runtime = "openvino" if "openvino" in networks.loaded else "cpu"
+        per_keyframe_network = sum(
+            (stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0)
+        )
+        session = Session(options, graphs=networks.loaded[runtime])
+        blended = per_keyframe_network * (1 / len(networks.loaded)) + cost[_FILL]
+        sessions.append((f"{networks.form} networks", session, blended))
+    found: list[BenchStage] = []
+    for name, session, blending in sessions:
+        for frame in frames:
+            session.push(frame)
+        volume = "classical" if name == "classical" else "network-like"
+        per_keyframe = cost["partial-mesh panorama"] + cost["accumulation"] + blending
+        total = cost[f"ray tracing, {volume} volume"] + per_keyframe * float(session.keyframes)
+
+        def run(session: Session = session) -> object:
+            return session.light_at(PROBE)
+
+        run()
+        found.append(
+            BenchStage(f"late probe, {name}", Implementation(run), total, note=f"{session.keyframes} keyframes")
+        )
+    return found
+
+
+def _ignore(_: str) -> None:
+    pass

@@ -1,0 +1,110 @@
+"""What can be scored on a capture: a session of the engine, a baseline, or panoramas read from files.
+
+Positions are world metres, y up. Panoramas are linear HDR radiance, float32 [h, 2h, 3], world-aligned.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.conventions import Position
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import CaptureError
+from roomlight.frame import Frame
+from roomlight.images import read_panorama
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """A method that takes frames one by one and estimates the light at a point. `roomlight.baselines` has two."""
+
+    @property
+    def name(self) -> str:
+        """The method's name in tables."""
+        ...
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame."""
+        ...
+
+    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"] | None:
+        """Estimate the panorama [h, 2h, 3] at a point after the frames so far; None: it has no estimate yet."""
+        ...
+
+
+class EngineEstimator:
+    """A session of the engine as an estimator."""
+
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs | None, *, late: bool = False) -> None:
+        """Open a session.
+
+        Args:
+            options: The session's options.
+            graphs: What `choose_graphs(options)` returned.
+            late: False tracks each probe from its first request on, as an application does. True treats every
+                request as a late probe: its light comes from the keyframes alone.
+        """
+        self._session = Session(options, graphs=graphs)
+        self._late = late
+        self._handles: dict[Position, int] = {}
+        self._late_handles: dict[Position, int] = {}
+        self.name = self._session.model + (", late probe" if late else "")
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame."""
+        self._session.push(frame)
+
+    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
+        """Return the panorama [h, 2h, 3] at a point after the frames so far."""
+        if self._late:
+            return self._session.light_at(position).panorama
+        return self._tracked(position, self._handles)
+
+    def late_light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
+        """Return the panorama [h, 2h, 3] of another probe at the point, tracked from the first call of this method."""
+        return self._tracked(position, self._late_handles)
+
+    def _tracked(self, position: Position, handles: dict[Position, int]) -> Float[np.ndarray, "h w 3"]:
+        if position not in handles:
+            handles[position] = self._session.track(position)
+        return self._session.light(handles[position]).panorama
+
+
+class PredictionFolder:
+    """Panoramas in files, one per probe and frame: `probe-00/000000.exr`, numbered by `Frame.index`.
+
+    `roomlight replay --probes-from-capture` writes such a folder; any other program may write one to be scored.
+    """
+
+    name = "predictions"
+
+    def __init__(self, folder: Path, probes: Sequence[Position]) -> None:
+        """Use `folder`, which holds `probe-00`, `probe-01`, ... in the order of `probes`."""
+        self._folders = {position: folder / f"probe-{number:02d}" for number, position in enumerate(probes)}
+        self._file_name = ""
+
+    def push(self, frame: Frame) -> None:
+        """Select the files of this frame.
+
+        Raises:
+            CaptureError: A probe has no file for this frame; the message names the first one.
+        """
+        self._file_name = f"{frame.index:06d}.exr"
+        for folder in self._folders.values():
+            if not (folder / self._file_name).is_file():
+                raise CaptureError(
+                    f"{folder / self._file_name}: this prediction is missing; every frame of the capture needs one "
+                    "for each probe (use the `every` and `max_frames` that they were made with)"
+                )
+
+    def light_at(self, position: Position) -> Float[np.ndarray, "h w 3"]:
+        """Read the panorama [h, 2h, 3] of the current frame.
+
+        Raises:
+            ImageError: The file does not decode.
+        """
+        return read_panorama(self._folders[position] / self._file_name)

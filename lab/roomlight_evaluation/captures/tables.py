@@ -1,0 +1,78 @@
+"""Scores on captures as tables for a terminal: a row per metric and method, a column per interval of the paper."""
+
+import math
+
+from rich import box
+from rich.markup import escape
+from rich.table import Table
+
+from roomlight.metrics import METRICS, Metric
+from roomlight_evaluation.captures.scores import CaptureScores
+from roomlight_evaluation.confidence import MeanWithInterval
+
+
+def capture_tables(scores: CaptureScores, *, per_capture: bool = False) -> list[Table]:
+    """Return one table of all metrics with 95 % intervals of the overall mean, then one per capture if requested.
+
+    The lowest (best) mean of each metric and column is bold. Values are shown times the factor in the heading.
+    """
+    captures, pairs = len(scores.captures), sum(capture.probes for capture in scores.captures)
+    caption = (
+        "less is better, best is bold; 95 %: bootstrap interval of the mean of all frames, over the "
+        f"{pairs} (capture, probe) pairs; smoothness compares consecutive frames, so its last interval ends one frame "
+        "earlier"
+    )
+    noun = "capture" if captures == 1 else "captures"
+    tables = [_table(scores, f"{captures} {noun}, {pairs} probes", caption=caption)]
+    if per_capture and captures > 1:
+        tables += [_table(scores, capture.name, capture=capture.name) for capture in scores.captures]
+    return tables
+
+
+def _table(scores: CaptureScores, title: str, *, capture: str | None = None, caption: str = "") -> Table:
+    table = Table(
+        title=escape(title),
+        title_justify="left",
+        caption=caption,
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=0,  # with a metric's name on a line of its own: the whole within 80 columns
+    )
+    labels = [*(f" {method}" for method in scores.methods), *(metric.title for metric in METRICS)]
+    table.add_column("", no_wrap=True, min_width=max(map(len, labels)))
+    for column in scores.columns:
+        table.add_column(column, justify="right", no_wrap=True)
+    table.add_column("95 %", justify="right", no_wrap=True)
+    for metric in METRICS:
+        rows = {method: scores.means(method, metric.key, capture=capture) for method in scores.methods}
+        best = [min(cell.mean for cell in column) for column in zip(*rows.values(), strict=True)]
+        table.add_row(f"[bold]{metric.title}[/bold]")
+        for number, (method, cells) in enumerate(rows.items()):
+            table.add_row(
+                f" {method}",
+                *(
+                    _mean(cell, metric, best=cell.mean == lowest and len(rows) > 1)
+                    for cell, lowest in zip(cells, best, strict=True)
+                ),
+                _interval(cells[-1], metric),
+                end_section=number == len(rows) - 1,
+            )
+    return table
+
+
+def _mean(cell: MeanWithInterval, metric: Metric, *, best: bool) -> str:
+    if not math.isfinite(cell.mean):
+        return "-"
+    text = _short(cell.mean * metric.shown_times)
+    return f"[bold]{text}[/bold]" if best else text
+
+
+def _interval(cell: MeanWithInterval, metric: Metric) -> str:
+    if not math.isfinite(cell.low):
+        return "-"
+    return f"{_short(cell.low * metric.shown_times)}-{_short(cell.high * metric.shown_times)}"
+
+
+def _short(value: float) -> str:
+    """Format with three digits, two below 0.1: rooms differ by more."""
+    return f"{value:.3g}" if value >= 0.1 else f"{value:.2g}"

@@ -1,0 +1,46 @@
+"""Errors of predicted views as a table for a terminal: a row per method."""
+
+import math
+
+from rich import box
+from rich.table import Table
+
+from roomlight_evaluation.captures.views import REFERENCE, REGIONS, ViewScores
+from roomlight_evaluation.confidence import MeanWithInterval
+
+SHOWN_TIMES = 100
+"""Errors are shown times this."""
+
+
+def view_table(scores: ViewScores) -> Table:
+    """Return the table: the error in seen and in unseen directions, and its ratio to the classical model's."""
+    views = len({(score.capture, score.frame) for score in scores.scores})
+    table = Table(
+        title=f"Views predicted from the frames up to {scores.ahead} before them: {views}",
+        title_justify="left",
+        caption=(
+            f"log-L2 x {SHOWN_TIMES}, less is better; {REFERENCE} = 1 in the ratios; 95 % intervals resample views, "
+            "which overlap in one capture"
+        ),
+        caption_justify="left",
+        box=box.SIMPLE_HEAD,
+        padding=(0, 1, 0, 0),  # the whole within 80 columns
+    )
+    table.add_column("", no_wrap=True)
+    for region in REGIONS:
+        table.add_column(f"{region},\n{100 * scores.share(region):.0f} %", justify="right", no_wrap=True)
+        table.add_column("\nratio", justify="right", no_wrap=True)
+    for method in scores.methods:
+        cells: list[str] = []
+        for region in REGIONS:
+            cells += [_short(scores.mean(method, region)), _with_interval(scores.ratio(method, region))]
+        table.add_row(method, *cells)
+    return table
+
+
+def _short(cell: MeanWithInterval) -> str:
+    return f"{SHOWN_TIMES * cell.mean:.3g}" if math.isfinite(cell.mean) else "-"
+
+
+def _with_interval(cell: MeanWithInterval) -> str:
+    return f"{cell.mean:.2f} ({cell.low:.2f}-{cell.high:.2f})" if math.isfinite(cell.mean) else "-"

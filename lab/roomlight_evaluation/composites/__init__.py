@@ -1,0 +1,1 @@
+"""Composites scored against pictures of the same rooms with the object really in them."""

@@ -1,0 +1,121 @@
+"""Run the comparison of composites with the truth over numbered scenes; finished scenes are kept and not repeated."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import cv2
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.conventions import linear_to_srgb8
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.errors import SceneError
+from roomlight.files import write_atomic
+from roomlight_evaluation.composites.files import kept_scene
+from roomlight_evaluation.composites.methods import HARMONICS, OURS, TRUE_LIGHT, composites
+from roomlight_evaluation.composites.mitsuba import VIEWS, mitsuba_scene
+from roomlight_evaluation.composites.regions import SHADOW, darker_part
+from roomlight_evaluation.composites.scenes import CompositeScene
+from roomlight_evaluation.composites.scores import (
+    CompositeScores,
+    SceneScore,
+    darkening_of,
+    errors_of,
+    read_lines,
+    write_line,
+)
+
+Picture = Float[np.ndarray, "h w 3"]
+
+
+def evaluate_composites(
+    count: int,
+    out: Path,
+    *,
+    seed: int = 0,
+    options: SessionOptions | None = None,
+    keep: Path | None = None,
+    pictures: Path | None = None,
+    progress: Callable[[int, int, str], None] | None = None,
+) -> CompositeScores:
+    """Score `count` scenes; results are appended to `out`, a file of JSON lines, and scenes in it are not repeated.
+
+    Args:
+        count: Scenes. A room without a place for the object is replaced by the next room.
+        out: The file of results.
+        seed: Of the rooms, walks and objects.
+        options: Of the sessions.
+        keep: A folder for the rendered scenes: those in it are not rendered again, so that several models are scored
+            on the same scenes.
+        pictures: A folder for a PNG of each new scene: truth, ours, true panorama, SH + directional.
+        progress: Called as (scenes done, scenes in all, what was done) after each room.
+    """
+    options = options or SessionOptions()
+    graphs = choose_graphs(options)
+    done = read_lines(out)
+    number = 1 + max((one.number for one in done), default=-1)
+    while len(done) < count:
+        try:
+            scene = kept_scene(keep, number, seed=seed)
+            score = _score(number, scene, scene.session(options, graphs), pictures)
+        except (SceneError, ValueError) as error:  # a room in which no camera can walk is a ValueError
+            note = f"room {number}: {error}"
+        else:
+            write_line(out, score)
+            done.append(score)
+            note = f"{score.room}: {score.material} {score.shape}"
+        number += 1
+        if progress is not None:
+            progress(len(done), count, note)
+    return CompositeScores(tuple(done[:count]))
+
+
+def evaluate_mitsuba(*, options: SessionOptions | None = None, pictures: Path | None = None) -> CompositeScores:
+    """Score the views of `composite_mitsuba`, rendered anew; `pictures` as in `evaluate_composites`.
+
+    Raises:
+        ImportError: Mitsuba is not installed.
+    """
+    scored: list[SceneScore] = []
+    for number, view in enumerate(VIEWS):
+        scene = mitsuba_scene(view)
+        scored.append(_score(number, scene, scene.session(options or SessionOptions()), pictures))
+    return CompositeScores(tuple(scored))
+
+
+def _score(number: int, scene: CompositeScene, session: Session, pictures: Path | None) -> SceneScore:
+    images = composites(scene, session)
+    if pictures is not None:
+        write_scene_picture(pictures / f"{number:03d}-{scene.material}-{scene.shape}.png", scene, images)
+    return score_scene(number, scene, images)
+
+
+def score_scene(number: int, scene: CompositeScene, images: dict[str, Picture]) -> SceneScore:
+    """Compare the composites of a scene with its truth."""
+    clean, without = scene.clean
+    masks = scene.masks
+    darker = darker_part(clean, without, scene.covered, masks[SHADOW])
+    before = np.clip(scene.frame.image, 0, 1)
+    return SceneScore(
+        number=number,
+        room=scene.name,
+        shape=scene.shape,
+        material=scene.material,
+        pixels={region: int(mask.sum()) for region, mask in masks.items()},
+        errors={method: errors_of(image, scene.truth, masks) for method, image in images.items()},
+        darkening={
+            "truth": darkening_of(scene.truth, before, darker),
+            **{method: darkening_of(np.clip(image, 0, 1), before, darker) for method, image in images.items()},
+        },
+        shift_m=scene.shift_m,
+    )
+
+
+def write_scene_picture(path: Path, scene: CompositeScene, images: dict[str, Picture]) -> None:
+    """Write truth, ours, the true panorama's and SH + directional side by side, twice enlarged."""
+    columns: Sequence[Picture] = [scene.truth, images[OURS], images[TRUE_LIGHT], images[HARMONICS]]
+    row = np.concatenate([linear_to_srgb8(np.clip(image, 0, 1)) for image in columns], axis=1)
+    large = cv2.resize(row, None, fx=2, fy=2, interpolation=cv2.INTER_CUBIC)
+    _, encoded = cv2.imencode(".png", large[..., ::-1])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    write_atomic(path, encoded.tobytes())

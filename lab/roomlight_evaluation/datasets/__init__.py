@@ -1,0 +1,1 @@
+"""Light scored on a dataset's rooms: single images, and walks."""

@@ -1,0 +1,248 @@
+"""Score models on walks of a dataset, frame by frame: the paper's comparisons of the recurrent form.
+
+Each walk is streamed to every method at once, with exact depth and again with depth as a phone measures it. The phone's
+depth is seeded by the walk's name, so that every method and every run gets the same one.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.baselines import MeanColour, WarpAndFill
+from roomlight.conventions import Position
+from roomlight.dataset.arkit_depth import arkit_like
+from roomlight.dataset.recording import Recording
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.errors import DatasetError, FrameError
+from roomlight.frame import Frame
+from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
+from roomlight_evaluation.captures.evaluation import score_frames
+from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
+from roomlight_evaluation.datasets.evaluation import DepthKind, ProgressCallback, evenly_spread
+
+Panorama = Float[np.ndarray, "h w 3"]
+LATE_FROM: Final = 25
+"""Frame, counted from 1, at which the late probe is first asked for."""
+NO_RNN: Final = "each frame alone"
+AVERAGE: Final = "simple average"
+PHONE: Final = "phone depth"
+
+
+@runtime_checkable
+class Walks(Protocol):
+    """What is read of a dataset; `roomlight.dataset.loader.Dataset` has it."""
+
+    @property
+    def folder(self) -> Path:
+        """The dataset's name in messages and results."""
+        ...
+
+    def __len__(self) -> int:
+        """Return the number of walks."""
+        ...
+
+    def __getitem__(self, number: int, /) -> Recording:
+        """Read one walk."""
+        ...
+
+
+@dataclass(frozen=True)
+class WalkModels:
+    """The models to compare; graphs are loaded once and shared by all walks."""
+
+    video: SessionOptions
+    video_graphs: LightingGraphs
+    single: SessionOptions
+    single_graphs: LightingGraphs
+
+    @classmethod
+    def load(cls, options: SessionOptions) -> "WalkModels":
+        """Load the recurrent networks of `options`, and their single-view form.
+
+        Raises:
+            ModelError: The weights are missing, damaged or untrained.
+            OptionError: The weights are single-view only.
+        """
+        video, single = replace(options, model="video"), replace(options, model="single")
+        graphs = choose_graphs(video)
+        assert graphs is not None
+        return cls(video, graphs, single, replace(graphs, form="single"))
+
+    def estimators(self) -> list[Estimator]:
+        """Return new estimators of every comparison on exact depth."""
+        alone = FrameAlone(self.single, self.single_graphs)
+        classical = replace(self.single, model="classical", weights=None)
+        video = EngineEstimator(self.video, self.video_graphs)
+        return [
+            MeanColour(),
+            WarpAndFill(),
+            EngineEstimator(classical, None),
+            alone,
+            SimpleAverage(alone),
+            EngineEstimator(self.single, self.single_graphs),
+            video,
+            LateProbe(video),
+        ]
+
+    def phone_estimators(self) -> list[Estimator]:
+        """Return new estimators of the comparison on phone-like depth."""
+        classical = replace(self.single, model="classical", weights=None)
+        return [
+            Renamed(EngineEstimator(classical, None), f"classical, {PHONE}"),
+            Renamed(EngineEstimator(self.video, self.video_graphs), f"video, {PHONE}"),
+        ]
+
+
+class FrameAlone:
+    """The single-view networks on each frame alone: a new session for every frame (the paper's "no RNN")."""
+
+    name = NO_RNN
+
+    def __init__(self, options: SessionOptions, graphs: LightingGraphs) -> None:
+        """Use these networks."""
+        self._options, self._graphs = options, graphs
+        self._session = Session(options, graphs=graphs)
+        self._answers: dict[Position, Panorama] = {}
+
+    def push(self, frame: Frame) -> None:
+        """Forget the earlier frames and take this one."""
+        self._session, self._answers = Session(self._options, graphs=self._graphs), {}
+        self._session.push(frame)
+
+    def light_at(self, position: Position) -> Panorama:
+        """Return the panorama [h, 2h, 3] at a point, of the last frame alone."""
+        if position not in self._answers:
+            self._answers[position] = self._session.light_at(position).panorama
+        return self._answers[position]
+
+
+class SimpleAverage:
+    """The mean of the panoramas of each frame alone, so far."""
+
+    name = AVERAGE
+
+    def __init__(self, alone: FrameAlone) -> None:
+        """Average what `alone` answers, which gets the same frames."""
+        self._alone = alone
+        self._sums: dict[Position, Panorama] = {}
+        self._frames = 0
+
+    def push(self, frame: Frame) -> None:
+        """Count the frame."""
+        del frame
+        self._frames += 1
+
+    def light_at(self, position: Position) -> Panorama:
+        """Add the frame's panorama [h, 2h, 3] at a point and return the mean; call it once at each frame."""
+        one = self._alone.light_at(position)
+        self._sums[position] = one + self._sums[position] if position in self._sums else one.copy()
+        return self._sums[position] / np.float32(self._frames)
+
+
+class LateProbe:
+    """The recurrent networks at points that are first asked for at frame `LATE_FROM`, and tracked from then on."""
+
+    name = "video, late probe"
+
+    def __init__(self, video: EngineEstimator) -> None:
+        """Track points of the session of `video`, which gets the same frames before this estimator."""
+        self._video = video
+        self._frames = 0
+
+    def push(self, frame: Frame) -> None:
+        """Count the frame."""
+        del frame
+        self._frames += 1
+
+    def light_at(self, position: Position) -> Panorama | None:
+        """Return the panorama [h, 2h, 3] at a point, from frame `LATE_FROM` on."""
+        return self._video.late_light_at(position) if self._frames >= LATE_FROM else None
+
+
+class Renamed:
+    """An estimator under another name."""
+
+    def __init__(self, inner: Estimator, name: str) -> None:
+        """Call `inner` by this name."""
+        self._inner, self.name = inner, name
+
+    def push(self, frame: Frame) -> None:
+        """Take the next frame."""
+        self._inner.push(frame)
+
+    def light_at(self, position: Position) -> Panorama | None:
+        """Return the estimate of the inner estimator."""
+        return self._inner.light_at(position)
+
+
+def evaluate_walks(
+    datasets: Sequence[Walks],
+    models: WalkModels,
+    *,
+    limit: int | None = None,
+    progress: ProgressCallback | None = None,
+) -> CaptureScores:
+    """Score every comparison on the walks of datasets; walks with an unusable first frame are left out.
+
+    Args:
+        datasets: Test splits: rooms that no network was trained on.
+        models: The networks.
+        limit: Score this many walks of each dataset, spread evenly; None scores all.
+        progress: Called as (walks done, walks in all) after each walk.
+
+    Raises:
+        DatasetError: A dataset is empty or damaged, or no walk can be used.
+    """
+    chosen = [(dataset, number) for dataset in datasets for number in evenly_spread(len(dataset), limit)]
+    if not chosen:
+        names = ", ".join(str(dataset.folder) for dataset in datasets)
+        raise DatasetError(f"{names}: has no finished walk of this split; generate some first")
+    summaries: list[CaptureSummary] = []
+    tracks: list[Track] = []
+    for done, (dataset, number) in enumerate(chosen, 1):
+        recording = dataset[number]
+        name = f"{dataset.folder.name}/{recording.name}"
+        try:
+            found = score_walk(recording, models, name=name)
+        except FrameError:
+            found = None
+        if found is not None:
+            tracks += found
+            probes = len({track.probe for track in found})
+            summaries.append(CaptureSummary(name, str(dataset.folder), len(recording.colour), 0, probes))
+        if progress is not None:
+            progress(done, len(chosen))
+    if not tracks:
+        raise DatasetError(f"{chosen[0][0].folder}: no walk can be used: their first frames have no depth")
+    return CaptureScores(tuple(summaries), tuple(tracks))
+
+
+def score_walk(recording: Recording, models: WalkModels, *, name: str) -> list[Track]:
+    """Score every comparison on one walk.
+
+    Raises:
+        FrameError: The first frame cannot begin a stream.
+    """
+    truth = recording.true_panoramas()
+    probes = [
+        (number, (float(x), float(y), float(z)), panorama)
+        for number, ((x, y, z), panorama) in enumerate(zip(recording.probe_positions, truth, strict=True))
+    ]
+    _, exact = score_frames(name, walk_frames(recording, "exact"), probes, models.estimators())
+    _, phone = score_frames(name, walk_frames(recording, "arkit"), probes, models.phone_estimators())
+    return exact + phone
+
+
+def walk_frames(recording: Recording, depth: DepthKind) -> Iterable[Frame]:
+    """Return the frames of a walk as a client would send them, radiance in units of the first frame's white."""
+    depth_mm = recording.depth_mm
+    if depth == "arkit":
+        rng = np.random.default_rng([1, *recording.name.encode()])
+        depth_mm, _ = arkit_like(depth_mm, recording.surface, recording.colour, rng)
+    for number, measured in enumerate(depth_mm):
+        yield recording.frame(number, measured)

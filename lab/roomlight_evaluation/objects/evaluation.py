@@ -1,0 +1,189 @@
+"""Score the light of objects after a few frames, at the ground-truth probes of many rooms, against simpler lights.
+
+A room is a walk of a dataset or a capture with ground truth. All methods see the same frames. Errors are those of
+`lit_objects`, as means over a room's probes; ratios to `HARMONICS` have 95 % bootstrap intervals over rooms.
+"""
+
+import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.baselines import MeanColour, WarpAndFill
+from roomlight.captures import open_capture
+from roomlight.compositing.light.object_light import object_light
+from roomlight.conventions import Position
+from roomlight.dataset.folder import MANIFEST
+from roomlight.dataset.loader import Dataset
+from roomlight.dataset.recording import Split
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.errors import CaptureError, FrameError
+from roomlight.files import write_atomic
+from roomlight.frame import Frame
+from roomlight.spheres import view_toward
+from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
+from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
+from roomlight_evaluation.datasets.evaluation import evenly_spread
+from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
+
+COMPOSITED: Final = "as composited"
+"""Appended to a model's name: in the light that the compositor gives to objects, mirrors and shadows."""
+
+Panorama = Float[np.ndarray, "h w 3"]
+Truth = tuple[Position, Panorama]
+
+
+@dataclass(frozen=True)
+class RoomObjects:
+    """One room's errors: by method and look, the mean over its probes."""
+
+    room: str
+    probes: int
+    errors: Mapping[str, Mapping[str, float]]
+
+
+@dataclass(frozen=True)
+class ObjectScores:
+    """All rooms of an evaluation."""
+
+    rooms: tuple[RoomObjects, ...]
+
+    @property
+    def methods(self) -> tuple[str, ...]:
+        """Names of the methods, in the order of tables."""
+        return tuple(self.rooms[0].errors)
+
+    def mean(self, method: str, look: str) -> MeanWithInterval:
+        """Return the mean error over rooms."""
+        return mean_with_interval(room.errors[method][look] for room in self.rooms)
+
+    def ratio(self, method: str, look: str) -> MeanWithInterval:
+        """Return the mean error relative to that of `HARMONICS`."""
+        pairs = [(room.errors[method][look], room.errors[HARMONICS][look]) for room in self.rooms]
+        return ratio_of_means(*zip(*pairs, strict=True))
+
+    def write(self, path: Path) -> None:
+        """Write every room's errors as JSON."""
+        write_atomic(path, json.dumps([asdict(room) for room in self.rooms], indent=1).encode())
+
+
+def evaluate_objects(
+    sources: Sequence[Path],
+    options: SessionOptions,
+    *,
+    frames: int = 6,
+    split: Split = "test",
+    limit: int | None = None,
+    progress: Callable[[str, int, int], None] | None = None,
+) -> ObjectScores:
+    """Score objects in the light of `options.model` and of the classical one beside simpler lights.
+
+    Args:
+        sources: Captures with ground truth, and dataset folders.
+        options: Of the sessions.
+        frames: How many of a recording's frames are shown, evenly spread.
+        split: Of dataset folders.
+        limit: Use this many walks of each dataset, evenly spread; None uses all.
+        progress: Called as (room, rooms done, rooms in all) before each room.
+
+    Raises:
+        CaptureError: A capture has no ground truth, or no frame can be used.
+        DatasetError: A dataset is damaged.
+        ModelError: The weights are missing, damaged or untrained.
+    """
+    models = [replace(options, model="classical", weights=None), options]
+    sessions = [(one, choose_graphs(one)) for one in models]
+    if sessions[1][1] is None and options.model != "completion":  # the chosen model is the classical one
+        sessions.pop(0)
+    rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
+    scored: list[RoomObjects] = []
+    for done, (name, read) in enumerate(rooms):
+        if progress is not None:
+            progress(name, done, len(rooms))
+        shown, truths = read()
+        try:
+            scored.append(_score(name, shown, truths, sessions))
+        except FrameError as error:
+            raise CaptureError(f"{name}: its first frame cannot begin a stream: {error}") from error
+    if not scored:
+        raise CaptureError("no room to score: give captures with ground truth or datasets with walks of this split")
+    return ObjectScores(tuple(scored))
+
+
+_Read = Callable[[], tuple[list[Frame], list[Truth]]]
+
+
+def _rooms(source: Path, split: Split, frames: int, limit: int | None) -> Iterable[tuple[str, _Read]]:
+    if (source / MANIFEST).is_file():
+        dataset = Dataset(source, split)
+        for number in evenly_spread(len(dataset), limit):
+            yield f"{source.name} {number}", lambda number=number: _of_walk(dataset, number, frames)
+    else:
+        yield source.name, lambda: _of_capture(source, frames)
+
+
+def _of_walk(dataset: Dataset, number: int, frames: int) -> tuple[list[Frame], list[Truth]]:
+    recording = dataset[number]
+    positions = [(float(x), float(y), float(z)) for x, y, z in recording.probe_positions]
+    chosen = _spread(len(recording.colour), frames)
+    shown = [recording.frame(number, recording.depth_mm[number]) for number in chosen]
+    return shown, list(zip(positions, recording.true_panoramas(), strict=True))
+
+
+def _of_capture(path: Path, frames: int) -> tuple[list[Frame], list[Truth]]:
+    capture = open_capture(path)
+    truths = [(probe.position, probe.panorama()) for probe in capture.probes if probe.panorama_path is not None]
+    if not truths:
+        raise CaptureError(f"{path}: has no ground-truth probes; give captures that have them")
+    chosen = set(_spread(capture.frame_count, frames))
+    return [frame for number, frame in enumerate(capture) if number in chosen], truths
+
+
+def _spread(count: int, frames: int) -> list[int]:
+    return np.unique(np.linspace(0, count - 1, frames).astype(int)).tolist()
+
+
+def _score(
+    name: str,
+    frames: list[Frame],
+    truths: list[Truth],
+    sessions: Sequence[tuple[SessionOptions, LightingGraphs | None]],
+) -> RoomObjects:
+    mean, warped = MeanColour(), WarpAndFill()
+    models = [Session(options, graphs=graphs) for options, graphs in sessions]
+    handles = [[model.track(position) for position, _ in truths] for model in models]
+    for frame in frames:
+        for one in (mean, warped, *models):
+            one.push(frame)
+    errors: dict[str, list[dict[str, float]]] = {}
+    for number, (position, truth) in enumerate(truths):
+        objects = LitObjects(truth, view_toward(frames[-1].camera_to_world, position))
+        fill = warped.light_at(position)
+        lights = {
+            MEAN_COLOUR: mean.light_at(position),
+            HARMONICS: harmonics_and_directional(np.minimum(fill, 1)),
+            WARPED: fill,
+        }
+        found = {method: objects.errors(panorama) for method, panorama in lights.items()}
+        for model, own in zip(models, handles, strict=True):
+            found[model.model] = objects.errors(model.light(own[number]).panorama)
+            light = object_light(model, own[number])
+            lit, casting = objects.errors(light.shown), objects.errors(light.casting)
+            found[f"{model.model}, {COMPOSITED}"] = {**lit, "mirror": casting["mirror"], SHADOW: casting[SHADOW]}
+        for method, one in found.items():
+            errors.setdefault(method, []).append(one)
+    means = {
+        method: {look: _mean([one[look] for one in of_probes]) for look in LOOKS}
+        for method, of_probes in errors.items()
+    }
+    return RoomObjects(name, len(truths), means)
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if not np.isnan(value)]
+    return float(np.mean(known)) if known else float("nan")

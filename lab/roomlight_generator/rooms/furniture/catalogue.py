@@ -1,0 +1,187 @@
+"""The furniture models available to rooms, by role and split."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from roomlight.dataset.recording import Split
+from roomlight.errors import FurnitureError, OutputError
+from roomlight_generator.rooms.furniture.build import SUFFIXES, ProgressCallback, build_cache
+from roomlight_generator.rooms.furniture.cache import VERSION, Cache, is_cache
+from roomlight_generator.rooms.furniture.files.sh3f import WarningCallback
+from roomlight_generator.rooms.furniture.files.surfaces import SurfaceKind, SurfaceTexture
+from roomlight_generator.rooms.furniture.splits import assign_splits
+from roomlight_generator.rooms.furniture_model import FurnitureModel
+from roomlight_generator.rooms.scene import Texture
+
+ENVIRONMENT_VARIABLE: Final = "ROOMLIGHT_FURNITURE"
+"""Environment variable with a cache file, a library or a folder of libraries, used if no path is given."""
+
+INSTALLED_FOLDER: Final = Path("/usr/share/sweethome3d")
+"""Folder where Debian's packages sweethome3d-furniture and sweethome3d install their libraries and textures."""
+
+
+@dataclass(frozen=True, eq=False)
+class Catalogue:
+    """Models by role and split; the `fallbacks` are used where the library has none that fits."""
+
+    library: tuple[FurnitureModel, ...] = ()
+    library_surfaces: tuple[tuple[SurfaceTexture, Split], ...] = ()
+    fallbacks: tuple[FurnitureModel, ...] = ()
+    _by_role: dict[tuple[str, Split], tuple[list[FurnitureModel], list[FurnitureModel]]] = field(
+        init=False,
+        repr=False,
+        default_factory=dict[tuple[str, Split], tuple[list[FurnitureModel], list[FurnitureModel]]],
+    )
+
+    def __post_init__(self) -> None:
+        """Index the models by role and split."""
+        for place, models in enumerate((self.library, self.fallbacks)):
+            for model in models:
+                self._by_role.setdefault((model.role, model.split), ([], []))[place].append(model)
+
+    def models(self, role: str, split: Split) -> list[FurnitureModel]:
+        """Return all models of a role that rooms of this split may use, the library's first."""
+        library, fallbacks = self._by_role.get((role, split), ([], []))
+        return [*library, *fallbacks]
+
+    def choose(
+        self,
+        role: str,
+        split: Split,
+        rng: np.random.Generator,
+        *,
+        fits: Callable[[FurnitureModel], bool] | None = None,
+    ) -> FurnitureModel | None:
+        """Choose a model of that role that fits, or None; a fallback only if the library has none.
+
+        The number of random values drawn does not depend on what fits.
+        """
+        library, fallbacks = (
+            [model for model in models if fits is None or fits(model)]
+            for models in self._by_role.get((role, split), ([], []))
+        )
+        place = rng.random()
+        chosen = library or fallbacks
+        return chosen[min(int(place * len(chosen)), len(chosen) - 1)] if chosen else None
+
+    def surfaces(self, kind: SurfaceKind, split: Split) -> list[Texture]:
+        """Return the library's wall or floor textures with their physical size; empty without a texture library."""
+        return [surface.texture for surface, own in self.library_surfaces if surface.kind == kind and own == split]
+
+    @property
+    def attributions(self) -> list[str]:
+        """Sorted, distinct attributions of the models and the surfaces."""
+        found = {model.attribution for model in (*self.library, *self.fallbacks)}
+        found |= {surface.attribution for surface, _ in self.library_surfaces}
+        return sorted(text for text in found if text)
+
+
+def load_catalogue(
+    path: Path | None = None, *, warn: WarningCallback, progress: ProgressCallback | None = None
+) -> Catalogue:
+    """Load the furniture library from a cache file, a `.sh3f` file, or a folder of them.
+
+    Without a path, the variable ROOMLIGHT_FURNITURE names the library; if it is unset, Debian's installed libraries are
+    used. Libraries are converted once to a cache file in the user's cache folder; a damaged cache is rebuilt with a
+    warning. If nothing is installed the catalogue is empty, and `warn` is called with instructions.
+
+    Raises:
+        FurnitureError: the given or named library cannot be used.
+    """
+    named = path if path is not None else named_library()
+    if named is not None and is_cache(named):
+        return catalogue_from_cache(Cache(named))
+    sources = library_files(named) if named is not None else installed_libraries()
+    if not sources:
+        warn(
+            "no furniture library is installed: rooms have a few plain pieces of furniture only. "
+            "`apt install sweethome3d-furniture` brings 820 models (or set "
+            f"{ENVIRONMENT_VARIABLE} to a .sh3f file, a folder of them or a furniture cache)"
+        )
+        return Catalogue()
+    return catalogue_from_cache(_open_or_build_cache(sources, warn, progress))
+
+
+def catalogue_from_cache(cache: Cache) -> Catalogue:
+    """Return all models of a cache, divided into splits."""
+    stored = cache.models()
+    splits = assign_splits(
+        {one.model.id: one.model.role for one in stored}, {one.model.id: one.shared for one in stored}
+    )
+    surfaces = cache.surfaces()
+    by_id = assign_splits({surface.id: surface.kind for surface in surfaces}, {})
+    return Catalogue(
+        library=tuple(replace(one.model, split=splits[one.model.id]) for one in stored),
+        library_surfaces=tuple((surface, by_id[surface.id]) for surface in surfaces),
+    )
+
+
+def library_files(path: Path) -> list[Path]:
+    """Return the path itself, or the libraries in the folder.
+
+    Raises:
+        FurnitureError: the path does not exist, or the folder has no libraries.
+    """
+    if path.is_dir():
+        found = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
+        if not found:
+            raise FurnitureError(f"{path}: has no furniture library in it ({', '.join(SUFFIXES)})")
+        return found
+    if not path.exists():
+        raise FurnitureError(f"{path}: no such file or folder")
+    return [path]
+
+
+def named_library() -> Path | None:
+    """Return the path in the variable ROOMLIGHT_FURNITURE, if it is set."""
+    named = os.environ.get(ENVIRONMENT_VARIABLE)
+    return Path(named) if named else None
+
+
+def installed_libraries(root: Path | None = None) -> list[Path]:
+    """Return the libraries of Debian's packages, and Sweet Home 3D's own textures if they are installed too."""
+    root = root or INSTALLED_FOLDER
+    found = sorted((root / "furniture").glob("*.sh3f"))
+    jar = root / "sweethome3d.jar"
+    return [*found, jar] if found and jar.exists() else found
+
+
+def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progress: ProgressCallback | None) -> Cache:
+    path = cache_folder() / f"furniture-{_key(sources)}.rlf"
+    if path.exists():
+        try:
+            return Cache(path)
+        except FurnitureError as error:
+            warn(f"{error}; rebuilding it")
+    try:
+        build_cache(sources, path, warn=warn, progress=progress)
+    except OutputError as error:
+        path = Path(tempfile.mkdtemp(prefix="roomlight-furniture-")) / path.name
+        warn(f"{error}; writing it to {path} instead")
+        build_cache(sources, path, warn=warn, progress=progress)
+    return Cache(path)
+
+
+def cache_folder() -> Path:
+    """Return the cache folder: `roomlight` in XDG_CACHE_HOME or ~/.cache."""
+    home = os.environ.get("XDG_CACHE_HOME")
+    return (Path(home) if home else Path.home() / ".cache") / "roomlight"
+
+
+def _key(sources: Sequence[Path]) -> str:
+    """Return a key that changes with the files and with the cache version."""
+    parts = [f"{VERSION}"]
+    for source in sources:
+        try:
+            status = source.stat()
+        except OSError as error:
+            raise FurnitureError(f"{source}: cannot be read ({error.strerror or error})") from error
+        parts.append(f"{source.resolve()} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:16]

@@ -1,0 +1,1 @@
+"""Files of furniture libraries: archives, catalogues, OBJ models, textures, the packed cache."""

@@ -1,0 +1,1 @@
+"""Lights of a room: emitters, sun, sky, and direct light from them at points."""

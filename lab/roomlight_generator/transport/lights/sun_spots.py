@@ -1,0 +1,120 @@
+"""Sun spots: sample points of all sunlit surfaces in a room, which then serve as lights.
+
+Frames: world, y up, metres; radiance in kcd/m2. A sunlit patch of floor is small and a thousand times as bright as the
+rest of a room: rays that meet it by chance leave blotches on every wall. Rays sent in through the openings along the
+sun's direction sample it evenly instead.
+"""
+
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Float32
+
+from roomlight_generator.transport.kernels.lights import crossing_counts
+from roomlight_generator.transport.kernels.structs import RayEnds, SurfacePoints
+from roomlight_generator.transport.kernels.surfaces import surface_points
+from roomlight_generator.transport.lights.coat import coat_table
+from roomlight_generator.transport.lights.outdoors import Outdoors
+from roomlight_generator.transport.tracer import FAR_M, Tracer
+
+SPOTS: Final = 3072
+"""Rays over all openings: in a beam of 2 m2 they are 2.5 cm apart."""
+
+NEAR_SPOT_M2: Final = 0.06
+"""The spots' area for `left_to_gathering`: gather rays bring most of their light within 0.2 m."""
+
+LEAST_ALPHA: Final = 0.06
+"""Least roughness of the spots' lobes: too few spots would meet a sharper one. It blurs reflections by 3 degrees."""
+
+
+class Spots(NamedTuple):
+    """Points off sunlit surfaces, and what they send out of the sun's direct light.
+
+    normal is the geometric normal on the lit side, `facing` the shading normal. radiance is the base's, under a coat
+    its mean over directions; alpha is the roughness of the coat's lobe about `facing` (0: no coat), `lobe` the sun's
+    irradiance that it reflects, lobe_mean the lobe's mean radiance; area is the lit area that a spot stands for.
+    """
+
+    position: Float32[np.ndarray, "n 3"]
+    normal: Float32[np.ndarray, "n 3"]
+    facing: Float32[np.ndarray, "n 3"]
+    radiance: Float32[np.ndarray, "n 3"]
+    alpha: Float32[np.ndarray, " n"]
+    lobe: Float32[np.ndarray, "n 3"]
+    lobe_mean: Float32[np.ndarray, "n 3"]
+    area: Float32[np.ndarray, " n"]
+
+
+def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
+    """Sample the surfaces lit by the sun through the scene's openings."""
+    openings = tracer.scene.openings
+    if not openings or outdoors.sun_irradiance.max() <= 0:
+        nothing, none = np.zeros((0, 3), np.float32), np.zeros(0, np.float32)
+        return Spots(nothing, nothing, nothing, nothing, none, nothing, nothing, none)
+    rng = np.random.default_rng(7)
+    sun = outdoors.sun_direction.astype(np.float64)
+    across = [abs(float(np.cross(one.edge_u, one.edge_v) @ sun)) for one in openings]
+    starts: list[np.ndarray] = []
+    each: list[np.ndarray] = []
+    for one, area in zip(openings, across, strict=True):
+        ratio = float(np.linalg.norm(one.edge_u) / max(float(np.linalg.norm(one.edge_v)), 1e-9))
+        count = SPOTS * area / max(sum(across), 1e-12)
+        nu, nv = max(1, round(np.sqrt(count * ratio))), max(1, round(np.sqrt(count / ratio)))
+        i, j = (part.ravel() for part in np.meshgrid(np.arange(nu), np.arange(nv)))
+        s, t = (i + rng.random(nu * nv)) / nu, (j + rng.random(nu * nv)) / nv
+        starts.append(one.corner + s[:, None] * one.edge_u + t[:, None] * one.edge_v)
+        each.append(np.full(nu * nv, area / (nu * nv)))
+    start, area = np.concatenate(starts).astype(np.float32), np.concatenate(each)
+    along = np.broadcast_to(outdoors.sun_direction, start.shape).copy()
+    outside = tracer.visible(start + np.float32(1e-3) * along, along, np.full(len(start), FAR_M, np.float32))
+    start, area, along = start[outside], area[outside], -along[outside]
+    hits = tracer.trace(start, along)
+    materials = tracer.materials
+    struck = np.flatnonzero((hits.face >= 0) & (materials.mirror[tracer.geometry.material[hits.face]] == 0))
+    along, area = np.ascontiguousarray(along[struck]), area[struck]
+    points = SurfacePoints.empty(len(struck))
+    foot = np.sqrt(area).astype(np.float32)
+    ends = RayEnds(hits.face[struck], hits.u[struck], hits.v[struck], along)
+    surface_points(tracer.arrays, ends, foot, points)
+    passed = np.empty(len(struck), np.int32)
+    crossing_counts(outdoors.hole, outdoors.parts, points.position, -along, passed)
+    cosine = np.clip(-(points.normal * along).sum(1), 0, 1)
+    slope = np.clip(-(points.geometric_normal * along).sum(1), 0.02, 1)
+    alpha = materials.roughness[tracer.geometry.material[hits.face[struck]]]
+    base, lobe = _coat_gain(alpha, cosine)
+    arriving = outdoors.sun_irradiance * cosine[:, None]
+    radiance = points.albedo / np.pi * base[:, None] * arriving
+    lobe_alpha = np.where(alpha > 0, np.maximum(alpha, LEAST_ALPHA), 0)
+    on_coat = np.where(alpha[:, None] > 0, outdoors.sun_irradiance, 0)
+    # A beam through two openings is found from both.
+    own = area / slope / np.maximum(passed, 1)
+    keep = (cosine > 0) & (passed > 0)
+    columns = Spots(
+        position=points.position,
+        normal=points.geometric_normal,
+        facing=points.normal,
+        radiance=radiance,
+        alpha=lobe_alpha,
+        lobe=on_coat,
+        lobe_mean=lobe[:, None] * arriving,
+        area=own,
+    )
+    return Spots(*(column[keep].astype(np.float32) for column in columns))
+
+
+def _coat_gain(
+    alpha: Float32[np.ndarray, " n"], cosine: Float32[np.ndarray, " n"]
+) -> tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+    """Compute a coat's effect on sunlight that arrives at a cosine, as means over all directions.
+
+    Returns a factor on the base's radiance (1 without a coat), and the lobe's mean radiance a unit of irradiance.
+    """
+    coat = coat_table()
+    row = alpha / 0.64 * (len(coat.scale) - 1)
+    low = np.minimum(row.astype(np.int64), len(coat.scale) - 2)
+    column = np.minimum((cosine * (coat.through.shape[1] - 1)).astype(np.int64), coat.through.shape[1] - 1)
+    through = coat.through[low, column]
+    base = coat.scale[low] * through * coat.mean_through[low]
+    lobe = (1 - through) / (np.pi * (1 - coat.mean_through[low])) * coat.mean_reflected[low]
+    coated = alpha > 0
+    return np.where(coated, base, 1).astype(np.float32), np.where(coated, lobe, 0).astype(np.float32)

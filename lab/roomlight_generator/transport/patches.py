@@ -1,0 +1,459 @@
+"""The room's cache: radiance that every lit surface sends out, solved once by rays between patches.
+
+Frames: world, y up, metres; radiance in kcd/m2. Rays from the lights find the first patches, rays from patches the
+others, until no new ones are found. Each patch then gets its direct light, and what it gathers is summed bounce by
+bounce. Emitted light is not in the cache: shadow rays bring it to every point.
+"""
+
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32
+
+from roomlight_generator.transport.kernels import patches as kernels
+from roomlight_generator.transport.kernels.structs import (
+    Fineness,
+    GatherPaths,
+    PatchColumns,
+    PatchLinks,
+    PatchPoints,
+    PatchRays,
+    PatchTable,
+    RayEnds,
+    ReceivedLight,
+    SentLight,
+)
+from roomlight_generator.transport.lights.direct import DirectLight, Points, Received
+from roomlight_generator.transport.lights.emitters import OPENING, TRIANGLE
+from roomlight_generator.transport.lights.light_visibility import LightVisibility
+from roomlight_generator.transport.lights.sun_spots import NEAR_SPOT_M2
+from roomlight_generator.transport.tables import Table, grown
+from roomlight_generator.transport.tracer import OFFSET_M, Tracer
+
+GATHER_RAYS: Final = 32
+MOST_BOUNCES: Final = 60
+SETTLED: Final = 2e-3
+"""Bounces stop when one adds less than this share of all light: after 8 in a room of albedo 0.5, 25 in a white one."""
+
+FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
+"""(Halvings, distance): patches this near to lamps are halved that many times, 3 means one per face; openings: 1."""
+
+ENCLOSED_M: Final = 0.3
+"""A point near a lamp is inside of a closed lamp if all its rays end on lamps within this: its light does not leave.
+
+A bulb that sticks out of its shade has faces partly inside, a thousand times as bright there as outside."""
+
+_ENCLOSED_RAYS: Final = 24
+SEED_RAYS: Final = 32768
+FIRST_RAYS: Final = 16
+MOST_WAVES: Final = 8
+_RAYS_AT_ONCE: Final = 1 << 16
+
+
+class Arrivals(NamedTuple):
+    """Gather rays after mirrors: hits, last directions, lengths, share left by mirrors, emitted light (`arriving`)."""
+
+    face: Int32[np.ndarray, " n"]
+    u: Float32[np.ndarray, " n"]
+    v: Float32[np.ndarray, " n"]
+    direction: Float32[np.ndarray, "n 3"]
+    distance_m: Float32[np.ndarray, " n"]
+    factor: Float32[np.ndarray, " n"]
+    radiance: Float32[np.ndarray, "n 3"]
+
+
+def follow(
+    tracer: Tracer, light: DirectLight, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"]
+) -> Arrivals:
+    """Trace rays over at most two mirrors to the first other surface; a third mirror absorbs the ray."""
+    hits = tracer.trace(origin, direction)
+    count = len(origin)
+    factor = np.ones(count, np.float32)
+    face, u, v, distance = hits
+    mirrored = np.zeros(count, bool)
+    if tracer.has_mirrors:
+        at = np.flatnonzero(_on_mirror(tracer, face))
+        if len(at):
+            origin, direction = origin.copy(), direction.copy()
+        for _ in range(2):
+            if len(at) == 0:
+                break
+            begin, along, share = origin[at], direction[at], factor[at]
+            ends = RayEnds(face[at], u[at], v[at], along)
+            kernels.mirror_rays(tracer.geometry, tracer.materials, ends, begin, share)
+            again = tracer.trace(begin, along)
+            origin[at], direction[at], factor[at], mirrored[at] = begin, along, share, True
+            face[at], u[at], v[at] = again.face, again.u, again.v
+            distance[at] += again.distance_m
+            at = at[_on_mirror(tracer, again.face)]
+        factor[at] = 0
+    radiance = np.empty((count, 3), np.float32)
+    paths = GatherPaths(origin, distance, mirrored, factor)
+    kernels.arriving(tracer.arrays, light.sources, RayEnds(face, u, v, direction), paths, radiance)
+    return Arrivals(face, u, v, direction, distance, factor, radiance)
+
+
+def _on_mirror(tracer: Tracer, face: Int32[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
+    return (face >= 0) & (tracer.materials.mirror > 0)[tracer.geometry.material[face]]
+
+
+def _fineness(tracer: Tracer, light: DirectLight) -> Fineness:
+    corners = tracer.geometry.corners
+    low = corners.min((0, 1)) - np.float32(0.01)
+    size = corners.max((0, 1)) - low
+    cell = max(0.1, float(size.max()) / 256)
+    level = np.zeros(tuple(int(np.ceil(extent / cell)) + 1 for extent in size), np.uint8)
+    lights = light.lights
+    lamp = np.flatnonzero(lights.kind[lights.start] == TRIANGLE)
+    for halvings, beyond_m in FINE_WITHIN_M:
+        some = lamp if halvings > 1 else np.arange(lights.real)
+        middle, reach = lights.centre[:, some].T, lights.radius[some] + np.float32(beyond_m)
+        first = np.maximum(np.floor((middle - reach[:, None] - low) / cell), 0).astype(np.int64)
+        last = np.floor((middle + reach[:, None] - low) / cell).astype(np.int64) + 1
+        for box_low, box_high in zip(first, last, strict=True):
+            box = level[tuple(slice(a, max(b, 0)) for a, b in zip(box_low, box_high, strict=True))]
+            np.maximum(box, np.uint8(halvings), out=box)
+    return Fineness(level, low, cell)
+
+
+class _PatchSet:
+    """Patches while they are found: columns with a row a patch (`PatchColumns`), of which `count` are in use."""
+
+    def __init__(self, tracer: Tracer, fineness: Fineness) -> None:
+        self.tracer = tracer
+        self.fineness = fineness
+        self.table = Table()
+        self.count = 0
+        shape = 0, kernels.POINTS, 3
+        self.position, self.normal, self.geometric_normal, self.albedo = (np.empty(shape, np.float32) for _ in range(4))
+        self.used, self.visits, self.material = (np.zeros(0, np.int32) for _ in range(3))
+
+    def visit(self, ends: Arrivals) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"]]:
+        """Find or add each hit's patch (-1 without a hit); also returns the cosine at which the ray leaves it."""
+        count = len(ends.face)
+        for name in ("position", "normal", "geometric_normal", "albedo", "used", "visits", "material"):
+            setattr(self, name, grown(getattr(self, name), self.count, self.count + count))
+        self.table.reserve(self.count + count)
+        patch, cosine = np.empty(count, np.int32), np.zeros(count, np.float32)
+        self.count = kernels.visit(
+            self.tracer.arrays,
+            self.fineness,
+            RayEnds(ends.face, ends.u, ends.v, ends.direction),
+            self.table.arrays,
+            PatchColumns(
+                self.position,
+                self.normal,
+                self.geometric_normal,
+                self.albedo,
+                self.used,
+                self.visits,
+                self.material,
+            ),
+            self.count,
+            patch,
+            cosine,
+        )
+        return patch, cosine
+
+
+@dataclass(frozen=True, eq=False)
+class RoomCache:
+    """What patches send out and receive.
+
+    Rows: patches, then wider surroundings, then whole materials, then a row of zeros (the last, so that index -1 finds
+    it). base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat
+    reflects; sun_base and sun_lobe are the parts of both due to the sun's direct light, which spots represent; indirect
+    and indirect_coated are the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen
+    from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside, whose light is unknown.
+    """
+
+    table: PatchTable
+    patches: int
+    base: Float32[np.ndarray, "rows 3"]
+    lobe: Float32[np.ndarray, "rows 3"]
+    sun_base: Float32[np.ndarray, "rows 3"]
+    sun_lobe: Float32[np.ndarray, "rows 3"]
+    indirect: Float32[np.ndarray, "rows 3"]
+    indirect_coated: Float32[np.ndarray, "rows 3"]
+    enclosed: Bool[np.ndarray, " rows"]
+
+    def visible(self, row: Int32[np.ndarray, " n"], distance_m: Float32[np.ndarray, " n"]) -> Int32[np.ndarray, " n"]:
+        """Return the rows, with -1 in place of those that cannot be seen from that distance."""
+        return np.where(self.enclosed[row] & (distance_m > ENCLOSED_M), np.int32(-1), row)
+
+
+def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
+    """Find the patches, light them and let the light bounce; sets `light.visibility` to a row for each of the cache."""
+    fineness = _fineness(tracer, light)
+    lit = _PatchSet(tracer, fineness)
+    lit.visit(_seed_rays(tracer, light, seed))
+    # The lights see only the lit part of a patch that is half in shadow: start over from what those patches see.
+    found = _PatchSet(tracer, fineness)
+    step = _RAYS_AT_ONCE // FIRST_RAYS
+    for start in range(0, lit.count, step):
+        found.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
+    parts = [_linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed))]
+    done = 0
+    step = _RAYS_AT_ONCE // GATHER_RAYS
+    for _ in range(MOST_WAVES):
+        stop = found.count
+        if stop == done:
+            break
+        for start in range(done, stop, step):
+            rays = _gather(tracer, light, found, start, min(start + step, stop), GATHER_RAYS, seed)
+            parts.append(_linked(found, rays))
+        done = stop
+    columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
+    enclosed, changed = _drop_enclosed(tracer, light, found, done, seed)
+    for start in range(0, len(changed), step):
+        some = changed[start : start + step]
+        again = _linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed, some=some))
+        for column, new in zip(columns, again, strict=True):
+            each = len(column) // done
+            column.reshape(done, each, *column.shape[1:])[some] = new.reshape(len(some), each, *new.shape[1:])
+    return _bounced(tracer, light, found, done, columns, enclosed, seed)
+
+
+def _drop_enclosed(
+    tracer: Tracer, light: DirectLight, found: _PatchSet, count: int, seed: int
+) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
+    """Drop points inside of closed lamps from patches that also have points outside.
+
+    Returns which patches are entirely inside, and those that lost points.
+    """
+    enclosed = np.zeros(count, bool)
+    near = found.table.values[found.table.keys >= 1 << 62]
+    near = np.sort(near[near < count])
+    used = found.used[near]
+    owner = np.repeat(np.arange(len(near)), used)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
+    position, normal, geometric_normal = (
+        column[near[owner], place][:, None] for column in (found.position, found.normal, found.geometric_normal)
+    )
+    points = len(owner)
+    if not points:
+        return enclosed, np.zeros(0, np.int32)
+    casting = PatchPoints(
+        position,
+        normal,
+        geometric_normal,
+        np.ones(points, np.int32),
+        np.zeros(points, np.float32),
+        np.arange(points, dtype=np.int64),
+    )
+    rays = PatchRays.empty(points * _ENCLOSED_RAYS)
+    kernels.patch_rays(casting, light.coat.through, _ENCLOSED_RAYS, seed + 5, rays)
+    hits = tracer.trace(rays.origin, rays.direction)
+    items, shown = tracer.geometry.item, tracer.geometry.material
+    lamp = np.zeros(int(items.max()) + 1, bool)
+    lamp[items[tracer.materials.emission[shown].max(1) > 0]] = True
+    stopped = (hits.face >= 0) & (hits.distance_m < ENCLOSED_M) & lamp[items[hits.face]]
+    inside = stopped.reshape(points, _ENCLOSED_RAYS).all(1)
+    outside = np.bincount(owner, ~inside, len(near))
+    enclosed[near[outside == 0]] = True
+    keep = ~inside | (outside == 0)[owner]
+    changed = np.unique(owner[~keep])
+    last = np.cumsum(used)
+    for which in changed.tolist():
+        patch, kept = near[which], np.flatnonzero(keep[last[which] - used[which] : last[which]])
+        for column in (found.position, found.normal, found.geometric_normal, found.albedo):
+            column[patch, : len(kept)] = column[patch, kept]
+        found.used[patch] = len(kept)
+    return enclosed, near[changed]
+
+
+def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
+    """Trace rays from the lights in all directions, evenly over clusters, so that dark corners are found too."""
+    rng = np.random.default_rng([seed, 1])
+    lights = light.lights
+    if len(lights.piece) == 0:
+        low, high = (getattr(tracer.geometry.corners, name)((0, 1)) for name in ("min", "max"))
+        begin = rng.uniform(low, high, (SEED_RAYS, 3)).astype(np.float32)
+    else:
+        # Evenly over clusters and over each one's pieces: weak lamps in corners reach places that windows do not.
+        cluster = rng.integers(len(lights.start), size=SEED_RAYS)
+        piece = lights.start[cluster] + (rng.random(SEED_RAYS) * lights.pieces[cluster]).astype(np.int64)
+        a, b = rng.random((2, SEED_RAYS, 1))
+        table, kind = lights.piece[piece].astype(np.float64), lights.kind[piece, None]
+        first, second, third = table[:, 0:3], table[:, 3:6], table[:, 6:9]
+        root = np.sqrt(a)
+        on_face = first * root * (1 - b) + second * (1 - root) + third * root * b
+        on_opening = first + a * second + b * third
+        begin = np.where(kind == TRIANGLE, on_face, np.where(kind == OPENING, on_opening, first)).astype(np.float32)
+    along = rng.standard_normal((SEED_RAYS, 3)).astype(np.float32)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    return follow(tracer, light, begin + np.float32(OFFSET_M) * along, along)
+
+
+class _Rays(NamedTuple):
+    """Where gather rays ended, the share that the patch's coat lets through, and each patch's number of rays."""
+
+    ends: Arrivals
+    passed: Float32[np.ndarray, " n"]
+    each: int
+
+
+def _gather(
+    tracer: Tracer,
+    light: DirectLight,
+    found: _PatchSet,
+    start: int,
+    stop: int,
+    rays: int,
+    seed: int,
+    *,
+    some: Int32[np.ndarray, " c"] | None = None,
+) -> _Rays:
+    """Trace cosine-weighted rays of the patches from `start` to before `stop`, or of `some`."""
+    streams = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
+    rows = slice(start, stop) if some is None else some
+    points = PatchPoints(
+        found.position[rows],
+        found.normal[rows],
+        found.geometric_normal[rows],
+        found.used[rows],
+        tracer.materials.roughness[found.material[rows]],
+        streams,
+    )
+    sent = PatchRays.empty(len(streams) * rays)
+    kernels.patch_rays(points, light.coat.through, rays, seed, sent)
+    return _Rays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
+
+
+def _linked(found: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
+    """Return for each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
+    patch the irradiance that comes from no patch, plain and as let through by its coat."""
+    ends = rays.ends
+    target, cosine = found.visit(ends)
+    radiance = ends.radiance.reshape(-1, rays.each, 3)
+    through = rays.passed.reshape(-1, rays.each, 1)
+    scale = np.float32(np.pi / rays.each)
+    beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
+    return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
+
+
+def _direct(tracer: Tracer, light: DirectLight, found: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
+    """Compute each patch's direct light, the mean over its points, in two rounds.
+
+    The first only measures which lights each patch sees; the second samples by that. `light.visibility` holds the
+    counts of both.
+    """
+    count = len(visibility.owner)
+    used = found.used[:count]
+    owner = np.repeat(np.arange(count, dtype=np.int32), used)
+    place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
+    points = Points(
+        found.position[owner, place],
+        found.normal[owner, place],
+        found.geometric_normal[owner, place],
+        tracer.materials.roughness[found.material[owner]],
+        np.full(len(owner), -1, np.int32),
+        np.arange(len(owner), dtype=np.int64),
+    )
+
+    alone = place == 0
+    first = Points(*(column[alone] for column in points))
+    light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=visibility.counting(owner[alone]))
+    light.visibility = visibility.visibility()
+    known = points._replace(row=owner)
+    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=visibility.counting(owner))
+    light.visibility = visibility.visibility()
+    weight = (1 / used[owner]).astype(np.float32)
+    means = (
+        np.stack([np.bincount(owner, part[:, k] * weight, count) for k in range(3)], 1).astype(np.float32)
+        for part in each
+    )
+    return Received(*means)
+
+
+def _bounced(
+    tracer: Tracer,
+    light: DirectLight,
+    found: _PatchSet,
+    count: int,
+    columns: tuple[np.ndarray, ...],
+    enclosed: Bool[np.ndarray, " p"],
+    seed: int,
+) -> RoomCache:
+    """Sum the bounces of light between the patches; columns are those of `_linked`."""
+    materials, coat = tracer.materials, light.coat
+    material = found.material[:count].copy()
+    alpha = materials.roughness[material]
+    point = np.arange(kernels.POINTS) < found.used[:count, None]
+    albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
+    visibility = LightVisibility(
+        found.position[:count],
+        found.used[:count],
+        found.material[:count],
+        lights=max(1, len(light.lights.start)),
+        materials=len(materials.mirror),
+    )
+    direct = _direct(tracer, light, found, visibility, seed)
+    target, cosine, factor, distance, passed, beside, beside_coated = columns
+    target[target >= count] = -1  # found by the last wave and never lit
+    target[enclosed[target] & (distance > ENCLOSED_M)] = -1
+    shares = np.empty(len(target), np.float32), np.empty(len(target), np.float32)
+    links = PatchLinks(target, *shares, passed, distance, factor)
+    kernels.link_shares(links, cosine, alpha, coat)
+    base, lobe, sun_base, sun_lobe, bounced, bounced_coated = (np.zeros((count, 3), np.float32) for _ in range(6))
+    sent, sun, gathered = SentLight(base, lobe), SentLight(sun_base, sun_lobe), ReceivedLight(bounced, bounced_coated)
+    if len(light.lights.start) > light.lights.real:
+        kernels.outgoing(albedo, alpha, coat, ReceivedLight(direct.sun, direct.sun_coated), sun)
+        kernels.spots_gathered(links, sun, NEAR_SPOT_M2, GATHER_RAYS, gathered)
+        beside -= bounced
+        beside_coated -= bounced_coated
+        bounced[:], bounced_coated[:] = 0, 0
+    total = 0.0
+    for _ in range(MOST_BOUNCES):
+        received = ReceivedLight(direct.irradiance + beside + bounced, direct.coated + beside_coated + bounced_coated)
+        kernels.outgoing(albedo, alpha, coat, received, sent)
+        before, total = total, float(base.sum() + lobe.sum())
+        if total - before <= SETTLED * total:
+            break
+        kernels.bounce(links, sent, GATHER_RAYS, gathered)
+    solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated
+    return _with_fallbacks(found, visibility, solved, enclosed)
+
+
+def _with_fallbacks(
+    found: _PatchSet, visibility: LightVisibility, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
+) -> RoomCache:
+    """Append to the rows the means over wider cells and over materials, and a row of zeros."""
+    table, count, wide = found.table, len(visibility.owner), visibility.wide
+    table.keys[table.values >= count] = -2  # of the last wave, unlit: -2 is neither a key nor an empty place
+    tables: list[np.ndarray] = []
+    for column in columns:
+        around = _means(column, visibility.owner, count=wide)
+        whole = _means(column, visibility.material, count=visibility.materials, fill=True)
+        nothing = np.zeros((1, column.shape[1]), np.float32)
+        tables.append(np.concatenate([column, around, whole, nothing]).astype(np.float32))
+    base, lobe, sun_base, sun_lobe, indirect, indirect_coated = tables
+    coarse = visibility.coarse
+    return RoomCache(
+        PatchTable(found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
+        count,
+        base,
+        lobe,
+        sun_base,
+        sun_lobe,
+        indirect,
+        indirect_coated,
+        np.concatenate([enclosed, np.zeros(len(indirect) - count, bool)]),
+    )
+
+
+def _means(
+    column: Float[np.ndarray, "p c"],
+    owner: Int32[np.ndarray, " p"],
+    *,
+    count: int,
+    fill: bool = False,
+) -> Float[np.ndarray, "_ c"]:
+    """Average the rows of each owner; owners without rows get zeros, or the mean of all rows if `fill`."""
+    number = np.bincount(owner, minlength=count)
+    total = np.stack([np.bincount(owner, column[:, k], count) for k in range(column.shape[1])], 1)
+    mean = total / np.maximum(number, 1)[:, None]
+    if fill and len(column):
+        mean[number == 0] = column.mean(0)
+    return mean

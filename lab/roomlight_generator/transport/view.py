@@ -1,0 +1,201 @@
+"""Pictures of a room from one point: rays lit from the irradiance cache, smoothed within surfaces, more at edges.
+
+Frames: world, y up, metres; radiance in kcd/m2. Only the sun's own light has edges sharper than a cell of the cache: it
+gets a shadow ray for every ray of the picture.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Bool, Float, Float32, Int32, Int64, UInt8
+
+from roomlight_generator.transport.grid import SHARP, Grid
+from roomlight_generator.transport.irradiance_cache import IrradianceCache
+from roomlight_generator.transport.kernels import glossy, images
+from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
+from roomlight_generator.transport.lights.direct import DirectLight, Points
+from roomlight_generator.transport.paths import Paths, Surfaces, follow_view, surfaces_of
+from roomlight_generator.transport.reflections import Reflections
+from roomlight_generator.transport.tracer import Tracer
+
+EXTRA_RAYS: Final = 3
+"""Rays added in pixels on edges."""
+
+_EXTRA_PLACES: Final = np.array([[-0.33, 0.1], [0.1, -0.33], [0.27, 0.27]])
+"""Where in the pixel (row, column, from its middle): with the middle, nearly one in each row and column of thirds."""
+
+RaysAt = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float32[np.ndarray, "n 3"]]
+"""Returns unit world directions through places (row, column) of a picture; pixel centres are at half integers."""
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A picture's viewpoint: its origin (world, metres), rays, shape (height, width), and a pixel's width in radians.
+
+    dark_faces are shown without their emission (but not in mirrors); the sun's disc is shown if show_sun.
+    """
+
+    origin: Float[np.ndarray, "3"]
+    rays_at: RaysAt
+    shape: tuple[int, int]
+    pixel_angle: float
+    dark_faces: Bool[np.ndarray, " f"] | None = None
+    show_sun: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """Radiance, distance to the first surface (inf without) and its class, panes and mirrors included."""
+
+    radiance: Float32[np.ndarray, "h w 3"]
+    distance_m: Float32[np.ndarray, "h w"]
+    surface: UInt8[np.ndarray, "h w"]
+
+
+class Viewer:
+    """Renders pictures of one room."""
+
+    def __init__(
+        self,
+        tracer: Tracer,
+        light: DirectLight,
+        irradiance_cache: IrradianceCache,
+        *,
+        shown: IrradianceCache | None = None,
+        lobe_passes: int = 1,
+    ) -> None:
+        """Take a solved room.
+
+        Args:
+            tracer: The room.
+            light: Its lights.
+            irradiance_cache: The light of the surfaces that reflections show.
+            shown: The light of the surfaces that pictures show; default: the same.
+            lobe_passes: Passes of which coats' reflections are the mean.
+        """
+        self.tracer, self.light, self.irradiance_cache = tracer, light, irradiance_cache
+        self._shown, self._lobe_passes = shown or irradiance_cache, lobe_passes
+        self.reflections = Reflections(tracer, light, irradiance_cache)
+        self._roughness = tracer.materials.roughness
+
+    def picture(self, camera: Camera, *, seed: int) -> Picture:
+        """Render a picture of height x width rays and more at edges."""
+        height, width = camera.shape
+        row, column = np.divmod(np.arange(height * width), width)
+        paths, points = self._surfaces(camera, row + 0.5, column + 0.5)
+        alpha = self._roughness[points.material]
+        grid = Grid(camera.shape, points, self._kinds(points, paths.mirrors), alpha)
+        received = grid.smooth_received(self._received(points))
+        coated = np.flatnonzero((alpha > 0) & _sparse(row[points.ray], column[points.ray], alpha))
+        lobe, known = np.zeros_like(received), alpha <= 0
+        if len(coated):
+            passes = (self.reflections.lobes(points, coated, seed=seed + k) for k in range(self._lobe_passes))
+            lobe[coated] = sum(passes) / np.float32(self._lobe_passes)
+            known[coated] = True
+            lobe, known = grid.smooth_lobes(lobe, known)
+        received = received + self._sunlight(points, seed)
+        emission = self._emission(points, paths, camera)
+        image = self._composed(paths, points, received, lobe, emission, ~known, camera).reshape(height, width, 3)
+        surface = paths.surface.reshape(camera.shape)
+        edge = grid.edges(image) | (surface != np.roll(surface, 1, axis=1))
+        pixel = np.repeat(np.flatnonzero(edge), EXTRA_RAYS)
+        if len(pixel):
+            image = self._refined(image, grid, pixel, camera, seed)
+        return Picture(image, paths.distance_m.reshape(camera.shape), surface)
+
+    def _refined(
+        self,
+        image: Float32[np.ndarray, "h w 3"],
+        grid: Grid,
+        pixel: Int64[np.ndarray, " n"],
+        camera: Camera,
+        seed: int,
+    ) -> Float32[np.ndarray, "h w 3"]:
+        """Add rays to the picture at jittered places in some pixels, each of which is listed `EXTRA_RAYS` times."""
+        height, width = camera.shape
+        row, column = np.divmod(pixel, width)
+        rng = np.random.default_rng([seed, 5])
+        place = np.tile(_EXTRA_PLACES, (len(pixel) // EXTRA_RAYS, 1)) + rng.uniform(-0.16, 0.16, (len(pixel), 2))
+        paths, points = self._surfaces(camera, row + 0.5 + place[:, 0], column + 0.5 + place[:, 1])
+        kinds = self._kinds(points, paths.mirrors)
+        received, lobe, found = grid.borrowed(points, kinds, row[points.ray], column[points.ray])
+        alone = np.flatnonzero(~found)
+        received[alone] = self._received(points, alone)
+        received += self._sunlight(points, seed + 1)
+        emission = self._emission(points, paths, camera)
+        radiance = self._composed(paths, points, received, lobe, emission, ~found, camera)
+        total, weight = image.reshape(-1, 3).copy(), np.ones(height * width, np.float32)
+        images.add_rays(total, weight, pixel, radiance)
+        return (total / weight[:, None]).reshape(height, width, 3)
+
+    def _surfaces(
+        self, camera: Camera, row: Float[np.ndarray, " n"], column: Float[np.ndarray, " n"]
+    ) -> tuple[Paths, Surfaces]:
+        """Trace rays through places of the picture to the surfaces that they show."""
+        directions = camera.rays_at(row, column)
+        origins = np.broadcast_to(np.asarray(camera.origin, np.float32), directions.shape).copy()
+        paths = follow_view(self.tracer, origins, directions)
+        foot = paths.length_m * np.float32(camera.pixel_angle)
+        return paths, surfaces_of(self.tracer, paths.face, paths.u, paths.v, paths.direction, foot)
+
+    def _received(self, points: Surfaces, some: Int64[np.ndarray, " k"] | None = None) -> Float32[np.ndarray, "_ 3"]:
+        """Return the irradiance of points, without what comes straight from the sun."""
+        at = slice(None) if some is None else some
+        received, sun = self._shown.irradiance(
+            points.position[at],
+            points.normal[at],
+            points.geometric_normal[at],
+            points.face[at],
+            foot_m=points.foot_m[at],
+        )
+        return received - sun
+
+    def _sunlight(self, points: Surfaces, seed: int) -> Float32[np.ndarray, "m 3"]:
+        alpha = self._roughness[points.material]
+        unknown = np.full(len(alpha), -1, np.int32)
+        stream = np.arange(len(alpha), dtype=np.int64)
+        lit = Points(points.position, points.normal, points.geometric_normal, alpha, unknown, stream)
+        return self.light.sunlight(lit, seed=seed)
+
+    def _kinds(self, points: Surfaces, mirrors: UInt8[np.ndarray, " n"]) -> Int32[np.ndarray, " m"]:
+        """Combine material and mirrors on the way into a number, equal for pixels that show one surface."""
+        return points.material + mirrors[points.ray].astype(np.int32) * np.int32(len(self._roughness))
+
+    def _emission(self, points: Surfaces, paths: Paths, camera: Camera) -> Float32[np.ndarray, "m 3"]:
+        if camera.dark_faces is None:
+            return points.emission
+        dark = camera.dark_faces[points.face] & (paths.mirrors[points.ray] == 0)
+        return np.where(dark[:, None], np.float32(0), points.emission)
+
+    def _composed(
+        self,
+        paths: Paths,
+        points: Surfaces,
+        received: Float32[np.ndarray, "m 3"],
+        lobe: Float32[np.ndarray, "m 3"],
+        emission: Float32[np.ndarray, "m 3"],
+        even_lobe: Bool[np.ndarray, " m"],
+        camera: Camera,
+    ) -> Float32[np.ndarray, "n 3"]:
+        """Sum each ray's radiance: surface or sky, less what panes and mirrors take, plus what panes reflect."""
+        alpha = self._roughness[points.material]
+        cosine = np.clip((points.normal * points.view).sum(1), glossy.LEAST_COSINE, 1)
+        light = np.empty_like(received)
+        diffuse_light(received, points.albedo, alpha, cosine, self.light.coat, even_lobe, light)
+        out = np.zeros((len(paths.face), 3), np.float32)
+        out[points.ray] = light + lobe + emission
+        sky = np.flatnonzero(paths.face < 0)
+        out[sky] = self.reflections.sky(paths.direction[sky], show_sun=camera.show_sun)
+        out *= paths.share[:, None]
+        if len(paths.pane_ray):
+            np.add.at(out, paths.pane_ray, self.reflections.panes(paths, camera.pixel_angle))
+        return out
+
+
+def _sparse(
+    row: Int64[np.ndarray, " n"], column: Int64[np.ndarray, " n"], alpha: Float32[np.ndarray, " n"]
+) -> Bool[np.ndarray, " n"]:
+    """Select the pixels whose lobes are sampled: half of the sharp ones, a quarter of the rough; smoothing fills in."""
+    return np.where(alpha < SHARP, (row + column) % 2 == 0, (column + 2 * row) % 4 == 0)

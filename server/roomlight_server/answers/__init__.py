@@ -1,0 +1,1 @@
+"""Answers: light in its forms, composites, objects, the room's mesh and USDZ packages. No sessions, no routes."""

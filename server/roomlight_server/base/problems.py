@@ -1,0 +1,218 @@
+"""Error responses as problem details (RFC 9457): `application/problem+json` with field, value and rule."""
+
+import asyncio
+import logging
+import re
+from collections.abc import Awaitable, Mapping
+from http import HTTPStatus
+from typing import Any, Final, TypeVar
+
+from fastapi import Request, Response
+from fastapi.exceptions import RequestValidationError
+from fastapi.responses import JSONResponse
+from starlette.exceptions import HTTPException
+
+from roomlight.errors import ProbeError, WireError
+from roomlight.wire.frame_message import rule_text
+from roomlight.wire.messages import Problem
+from roomlight_server.base.request_context import REQUEST_ID_HEADER, request_id
+
+_log = logging.getLogger("roomlight.server")
+_R = TypeVar("_R")
+MEDIA_TYPE: Final = "application/problem+json"
+INTERNAL_DETAIL: Final = "unexpected error; the log of the server has the traceback"
+CLIENT_CLOSED: Final = 499
+"""Status in metrics and logs of a request whose client disconnected, as nginx counts it."""
+TYPE_PREFIX: Final = "urn:roomlight:problem:"
+
+TITLES: Final[Mapping[str, tuple[int, str]]] = {
+    "unauthorized": (401, "A valid bearer token is required"),
+    "forbidden-origin": (403, "Web origin is not allowed"),
+    "not-found": (404, "Path not found"),
+    "session-not-found": (404, "Session not found"),
+    "probe-not-found": (404, "Probe not found"),
+    "object-not-found": (404, "Object not found"),
+    "history-not-found": (404, "Frame is not in the history"),
+    "recording-not-found": (404, "Recording not found"),
+    "page-not-built": (404, "Page is not installed"),
+    "method-not-allowed": (405, "Method not allowed"),
+    "body-timeout": (408, "Request body timed out"),
+    "header-timeout": (408, "Request headers timed out"),
+    "frame-conflict": (409, "Frame index was already used"),
+    "session-conflict": (409, "Session exists with other options"),
+    "state-refused": (409, "Saved session cannot be used"),
+    "session-failed": (409, "Session has failed"),
+    "model-not-here": (409, "Model is not available"),
+    "too-many-probes": (409, "Probe limit reached"),
+    "too-many-objects": (409, "Object limit of the token reached"),
+    "upload-offset": (409, "Piece does not continue the file"),
+    "recording-not-ready": (409, "Recording is not complete"),
+    "recording-playing": (409, "Recording is being played"),
+    "too-many-recordings": (409, "Recording limit of the token reached"),
+    "no-frame": (409, "Session has no frame yet"),
+    "session-closed": (410, "Session was closed"),
+    "too-large": (413, "Message is too large"),
+    "bad-request": (400, "Request cannot be parsed"),
+    "bad-frame": (422, "Frame is invalid"),
+    "bad-object": (422, "Object is invalid"),
+    "bad-recording": (422, "Recording cannot be read"),
+    "bad-place": (422, "Object cannot be placed"),
+    "invalid": (422, "Request is invalid"),
+    "session-full": (429, "Session queue is full"),
+    "owner-quota": (429, "Limit of the token reached"),
+    "owner-busy": (429, "Memory limit of the token's requests and answers reached"),
+    "composite-running": (429, "Session is making a composite"),
+    "headers-too-large": (431, "Request headers are too large"),
+    "engine-failed": (500, "Engine failed"),
+    "internal": (500, "Internal server error"),
+    "server-full": (503, "Session limit reached"),
+    "server-busy": (503, "Memory limit of requests and answers reached"),
+    "object-memory": (503, "Object limit of the server reached"),
+    "recording-memory": (503, "Recording limit of the server reached"),
+    "too-many-connections": (503, "Connection limit reached"),
+    "session-moved": (503, "Another server owns the session"),
+    "state-unavailable": (503, "Saved session cannot be read or removed now"),
+    "stopping": (503, "Server is stopping"),
+}
+"""Status and title of each kind of problem; the kind is the end of the problem's `type`."""
+BODY_PROBLEMS: Final = ("bad-request", "body-timeout", "too-large")
+"""Kinds of problem of any request with a body."""
+_TOKEN_LIMITS: Final = ("owner-quota", "owner-busy")
+
+
+class ProblemError(Exception):
+    """An error that is answered with a problem. `retry_after_s` becomes the header `Retry-After`."""
+
+    def __init__(
+        self,
+        kind: str,
+        detail: str,
+        *,
+        field: str | None = None,
+        value: object = None,
+        rule: str | None = None,
+        retry_after_s: int | None = None,
+    ) -> None:
+        """Create an error of a kind in `TITLES`; `value` is shortened to 120 characters."""
+        super().__init__(detail)
+        self.kind, self.retry_after_s = kind, retry_after_s
+        status, title = TITLES[kind]
+        shown = None if value is None else str(value)[:120]
+        self.problem = Problem(
+            type=TYPE_PREFIX + kind, title=title, status=status, detail=detail, field=field, value=shown, rule=rule
+        )
+
+    @classmethod
+    def from_wire(cls, error: WireError) -> "ProblemError":
+        """Convert the error of a message that does not parse or decode."""
+        kind = error.kind if error.kind in TITLES else "invalid"
+        return cls(kind, str(error), field=error.field or None, value=error.value, rule=error.rule)
+
+
+def problem_response(error: ProblemError) -> JSONResponse:
+    """Return the response for an error."""
+    headers: dict[str, str] = {}
+    if error.retry_after_s is not None:
+        headers["Retry-After"] = str(error.retry_after_s)
+    if error.problem.status == 401:
+        headers["WWW-Authenticate"] = "Bearer"
+    content = error.problem.model_dump(exclude_none=True)
+    return JSONResponse(content, error.problem.status, headers=headers, media_type=MEDIA_TYPE)
+
+
+def _answered(request: Request, error: ProblemError) -> JSONResponse:
+    request.app.state.context.metrics.problems.labels(error.kind).inc()
+    return problem_response(error)
+
+
+async def on_problem(request: Request, error: Exception) -> JSONResponse:
+    """Handle `ProblemError` for FastAPI."""
+    assert isinstance(error, ProblemError)
+    await hold_back(error, request.app.state.context.settings.owner_refusal_delay_s)
+    return _answered(request, error)
+
+
+async def hold_back(error: ProblemError, delay_s: float) -> None:
+    """Wait before the answer, if the request is beyond a limit of its token.
+
+    Forty connections that repeat such a request at once keep the event loop busy: a frame of another token took several
+    times as long, because each of its steps waited for theirs.
+    """
+    if error.kind in _TOKEN_LIMITS:
+        await asyncio.sleep(delay_s)
+
+
+async def on_invalid(request: Request, error: Exception) -> JSONResponse:
+    """Handle parameters and bodies that fail validation for FastAPI."""
+    assert isinstance(error, RequestValidationError)
+    first: dict[str, Any] = error.errors()[0]
+    location = [str(part) for part in first["loc"]]
+    field = ".".join(location[1:]) if len(location) > 1 else location[0]
+    rule = rule_text(str(first["msg"]))
+    value = "nothing" if first["type"] == "missing" else ascii(first.get("input"))
+    return _answered(request, ProblemError("invalid", f"{field}: {rule}", field=field, value=value, rule=rule))
+
+
+async def on_http_exception(request: Request, error: Exception) -> JSONResponse:
+    """Handle errors raised by the framework and the middleware."""
+    assert isinstance(error, HTTPException)
+    kind = {404: "not-found", 405: "method-not-allowed", 408: "body-timeout", 413: "too-large"}.get(
+        error.status_code, "bad-request"
+    )
+    detail = str(error.detail) or HTTPStatus(error.status_code).phrase
+    response = _answered(request, ProblemError(kind, detail))
+    response.headers.update(error.headers or {})
+    if error.status_code == 405:  # Starlette lists the methods of the first matching route only
+        response.headers["Allow"] = ", ".join(sorted(_methods_at(request)))
+    return response
+
+
+def _methods_at(request: Request) -> set[str]:
+    """Return the methods of all routes at the path of the request."""
+    methods: set[str] = set()
+    for path, operations in request.app.openapi()["paths"].items():
+        whole = re.escape(path).replace(r"\{path\}", ".+")  # the path of a file has slashes
+        pattern = re.sub(r"\\\{[^}]+\\\}", "[^/]+", whole)
+        if re.fullmatch(pattern, request.url.path):
+            methods |= {method.upper() for method in operations}
+    return methods
+
+
+async def on_disconnect(request: Request, error: Exception) -> Response:
+    """Handle a client that disconnects while it sends its body; metrics count the answer that it does not get."""
+    del error
+    _log.info("client disconnected during its request", extra={"path": request.url.path[:200]})
+    return Response(status_code=CLIENT_CLOSED)
+
+
+async def on_error(request: Request, error: Exception) -> JSONResponse:
+    """Handle any other exception: its details go to the log, not to the client."""
+    del error
+    response = _answered(request, ProblemError("internal", INTERNAL_DETAIL))
+    response.headers[REQUEST_ID_HEADER] = request_id.get()  # Starlette answers outside of all middleware
+    return response
+
+
+def documented(*kinds: str) -> dict[int | str, dict[str, Any]]:
+    """Return the OpenAPI responses for these kinds of problem."""
+    responses: dict[int | str, dict[str, Any]] = {}
+    for kind in kinds:
+        status, title = TITLES[kind]
+        described = responses.get(status, {}).get("description")
+        text = f"`{kind}`: {title}"
+        responses[status] = {
+            "description": f"{described}; {text}" if described else text,
+            "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/Problem"}}},
+        }
+    return responses
+
+
+async def convert_probe_errors(work: Awaitable[_R]) -> _R:
+    """Await an engine call for a probe; an unusable position is a client error (422), any other failure a 500."""
+    try:
+        return await work
+    except ProbeError as error:
+        raise ProblemError("invalid", str(error), field="position", rule=str(error)) from error
+    except Exception as error:  # the session is unchanged: it adds a probe only when the probe is complete
+        _log.exception("probe failed")
+        raise ProblemError("engine-failed", f"the light could not be computed: {type(error).__name__}") from error

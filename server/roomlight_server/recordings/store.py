@@ -1,0 +1,218 @@
+"""The uploaded recordings of a server: quotas, expiry, replays. Used on the event loop."""
+
+import asyncio
+import logging
+import secrets
+import shutil
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Final, Literal
+
+from roomlight.wire.messages import SessionRequest
+from roomlight.wire.recordings import Recording, RecordingList, RecordingRequest, ReplayRequest
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.recordings.files import RecordingFiles
+from roomlight_server.recordings.player import Player
+from roomlight_server.sessions.registry import Registry
+
+_log = logging.getLogger("roomlight.server")
+MAX_FILES: Final = 200_000
+"""Most files of a recording."""
+MAX_RECORDINGS: Final = 64
+"""Most recordings of a token."""
+SPARE_DISK_BYTES: Final = 256 * 2**20
+"""Bytes that an upload leaves free on the disk."""
+
+
+class HeldRecording:
+    """An uploaded recording, its replay, and when it was last used."""
+
+    def __init__(self, owner: str, files: RecordingFiles, now_s: float) -> None:
+        """Create an upload without files."""
+        self.id = files.folder.name
+        self.owner, self.files, self.last_used_s = owner, files, now_s
+        self.player: Player | None = None
+        self.task: asyncio.Task[None] | None = None
+
+    @property
+    def playing(self) -> bool:
+        """Whether a replay runs."""
+        return self.task is not None and not self.task.done()
+
+    @property
+    def status(self) -> Literal["uploading", "ready", "playing", "finished", "failed"]:
+        """See `Recording.status`."""
+        if self.playing:
+            return "playing"
+        if self.player is not None and self.player.progress.problem is not None:
+            return "failed"
+        if self.player is not None:
+            return "finished"
+        return "ready" if self.files.complete else "uploading"
+
+
+class RecordingStore:
+    """All recordings. Each owner has a separate set and a quota."""
+
+    def __init__(self, settings: ServerSettings, registry: Registry, clock: Callable[[], float]) -> None:
+        """Create an empty store; its folder is made with the first recording."""
+        self._settings, self._registry, self._clock = settings, registry, clock
+        self._held: dict[str, HeldRecording] = {}
+        self._root: Path | None = None
+
+    def add(self, owner: str, announced: RecordingRequest) -> Recording:
+        """Begin an upload.
+
+        Raises:
+            ProblemError: It is too large (422), or the quota of the token (409) or of the server (503) is used up.
+        """
+        settings, own = self._settings, [each for each in self._held.values() if each.owner == owner]
+        for field, value, most in (
+            ("bytes", announced.bytes, settings.max_recording_bytes),
+            ("files", announced.files, MAX_FILES),
+        ):
+            if value > most:
+                rule = f"at most {most} {field}"
+                raise ProblemError("invalid", f"{field}: {rule} in a recording", field=field, value=value, rule=rule)
+        limit = settings.max_owner_recording_bytes
+        if len(own) >= MAX_RECORDINGS or _announced(own) + announced.bytes > limit:
+            rule = f"at most {limit} bytes in {MAX_RECORDINGS} recordings of one token"
+            detail = f"{len(own)} recordings take {_announced(own)} bytes: {rule}; delete one first"
+            raise ProblemError("too-many-recordings", detail, field="bytes", value=announced.bytes, rule=rule)
+        root = self._folder()
+        total = _announced(self._held.values())
+        missing = sum(each.files.announced.bytes - each.files.received for each in self._held.values())
+        free = shutil.disk_usage(root).free - SPARE_DISK_BYTES - missing
+        if announced.bytes > min(settings.max_all_recording_bytes - total, free):
+            rule = f"at most {settings.max_all_recording_bytes} bytes of all recordings, and what the disk has free"
+            detail = f"the server has no room for {announced.bytes} bytes: {rule}; retry later"
+            raise ProblemError(
+                "recording-memory", detail, field="bytes", value=announced.bytes, rule=rule, retry_after_s=60
+            )
+        files = RecordingFiles(root / f"r-{secrets.token_hex(8)}", announced)
+        held = HeldRecording(owner, files, self._clock())
+        self._held[held.id] = held
+        return self.describe(held)
+
+    def find(self, owner: str, recording_id: str) -> HeldRecording:
+        """Return a recording, which counts as a use.
+
+        Raises:
+            ProblemError: The owner has no such recording (404).
+        """
+        self.expire()
+        held = self._held.get(recording_id)
+        if held is None or held.owner != owner:
+            detail = "there is no recording of this id; it may have expired; upload it again"
+            raise ProblemError("recording-not-found", detail, field="id", value=recording_id)
+        held.last_used_s = self._clock()
+        return held
+
+    def listed(self, owner: str) -> RecordingList:
+        """Return the recordings of an owner, the newest first."""
+        self.expire()
+        own = [each for each in self._held.values() if each.owner == owner]
+        return RecordingList(
+            recordings=[self.describe(each) for each in reversed(own)],
+            bytes=_announced(own),
+            limit_bytes=self._settings.max_owner_recording_bytes,
+        )
+
+    def describe(self, held: HeldRecording) -> Recording:
+        """Return a recording as clients see it."""
+        files, progress = held.files, None if held.player is None else held.player.progress
+        expiry_s = self._settings.recording_expiry_s
+        idle_s = 0.0 if held.playing else self._clock() - held.last_used_s
+        return Recording(
+            id=held.id,
+            name=files.announced.name,
+            bytes=files.announced.bytes,
+            received=files.received,
+            files=files.announced.files,
+            files_received=files.files,
+            status=held.status,
+            session=None if progress is None else progress.session,
+            frame=0 if progress is None else progress.frame,
+            frames=None if progress is None else progress.frames,
+            unreadable=0 if progress is None else progress.unreadable,
+            problem=None if progress is None else progress.problem,
+            expires_in_s=round(max(0.0, expiry_s - idle_s), 1),
+        )
+
+    async def play(self, held: HeldRecording, request: ReplayRequest) -> None:
+        """Begin a replay into a new session.
+
+        Raises:
+            ProblemError: The upload is not complete, a replay runs, or the session has frames (409); or the session
+                cannot be opened.
+        """
+        if held.playing:
+            raise ProblemError("recording-playing", "the recording is being played; stop it first with DELETE")
+        if not held.files.complete:
+            files = held.files
+            state = f"{files.received} of {files.announced.bytes} bytes, {files.files} of {files.announced.files} files"
+            raise ProblemError("recording-not-ready", f"the upload is not complete: {state}")
+        options = SessionRequest(mode=request.mode, height=request.height)
+        live, _ = await self._registry.open(held.owner, request.session, options)
+        if live.state().frames.accepted:
+            rule = "must have no frame yet; the worlds of two recordings do not fit together"
+            detail = f"the session {request.session!r} has frames: {rule}"
+            raise ProblemError("session-conflict", detail, field="session", value=request.session, rule=rule)
+        if held.playing:  # another request was faster
+            raise ProblemError("recording-playing", "the recording is being played; stop it first with DELETE")
+        probes = self._settings.max_probes
+        held.player = Player(held.files.folder, request, live, max_probes=probes, clock=self._clock)
+        held.task = asyncio.create_task(self._run(held, held.player, request.session))
+
+    async def _run(self, held: HeldRecording, player: Player, session: str) -> None:
+        current_flow.set(Flow(held.owner, session))
+        try:
+            with self._registry.use(held.owner, session):  # it does not expire meanwhile
+                await player.run()
+        except ProblemError as error:
+            player.progress.problem = error.problem
+        finally:
+            held.last_used_s = self._clock()
+
+    async def stop(self, held: HeldRecording) -> None:
+        """Stop the replay, if one runs; the session stays."""
+        if held.task is not None and not held.task.done():
+            held.task.cancel()
+            await asyncio.wait([held.task])
+
+    async def delete(self, held: HeldRecording) -> None:
+        """Stop the replay and delete the files; an upload in progress is cancelled."""
+        self._held.pop(held.id, None)
+        await self.stop(held)
+        await asyncio.to_thread(held.files.delete)
+
+    def expire(self) -> None:
+        """Delete the recordings that are unused for too long."""
+        limit_s = self._clock() - self._settings.recording_expiry_s
+        for held in tuple(self._held.values()):
+            if not held.playing and held.last_used_s < limit_s:
+                del self._held[held.id]
+                held.files.delete()
+                _log.info("recording deleted", extra={"recording": held.id, "reason": "expired"})
+
+    async def close(self) -> None:
+        """Stop all replays and delete all files."""
+        for held in tuple(self._held.values()):
+            await self.stop(held)
+        self._held.clear()
+        if self._root is not None:
+            shutil.rmtree(self._root, ignore_errors=True)
+            self._root = None
+
+    def _folder(self) -> Path:
+        if self._root is None:
+            parent = self._settings.recordings_folder
+            self._root = Path(tempfile.mkdtemp(prefix="roomlight-recordings-", dir=parent))
+        return self._root
+
+
+def _announced(recordings: Iterable[HeldRecording]) -> int:
+    return sum(each.files.announced.bytes for each in recordings)

@@ -1,0 +1,107 @@
+"""The process that reads an uploaded recording: `python -m roomlight_server.recordings.worker PATH FPS`.
+
+It writes records to standard output: the lengths of a JSON text and of a body, the text, the body. The first record
+describes the recording, each following one is a frame message, and the last one has `end`. Uploaded files are not
+trusted: this process has limits on its memory and writes no file, so that a hostile file harms the server in no way.
+The pipe holds the process until the server takes the next frame.
+"""
+
+import json
+import math
+import os
+import resource
+import signal
+import struct
+import sys
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.errors import ProbeError, RoomLightError
+from roomlight.placement import point_in_view
+from roomlight.wire.frame_encoding import pack_frame
+
+RECORD: Final = struct.Struct("<II")
+"""Lengths of the JSON and of the body."""
+MAX_MEMORY_BYTES: Final = 4 * 2**30
+"""Address space of the process; reading a 12-megapixel frame takes 0.6 GB of it, mostly libraries."""
+TIMED_FPS: Final = 10.0
+"""Most frames per second of a recording with timestamps, where none is given: more than two cores process."""
+UNTIMED_FPS: Final = 3.0
+"""Pace of a recording without timestamps: about what two cores keep up with."""
+
+
+def write(output: BinaryIO, text: dict[str, Any], body: bytes = b"") -> None:
+    """Write a record."""
+    encoded = json.dumps(text).encode()
+    output.write(RECORD.pack(len(encoded), len(body)) + encoded + body)
+    output.flush()
+
+
+def capture_path(folder: Path) -> Path:
+    """Return the recording in an upload's folder: a single file or folder inside it, or the folder itself."""
+    entries = list(folder.iterdir())
+    while len(entries) == 1:
+        folder = entries[0]
+        entries = list(folder.iterdir()) if folder.is_dir() else []
+    return folder
+
+
+def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
+    """Write the records of a recording.
+
+    Raises:
+        RoomLightError: The recording cannot be read.
+    """
+    path = capture_path(folder)
+    rate = open_capture(path).frames_per_second
+    every = 1 if rate is None else max(1, math.ceil(rate / (fps or TIMED_FPS) - 0.01))
+    capture = open_capture(path, CaptureOptions(every=every))
+    step_s = every / rate if rate else 1 / (fps or UNTIMED_FPS)
+    probes = [list(probe.position) for probe in capture.probes]
+    write(output, {"frames": capture.frame_count, "format": capture.format, "probes": probes})
+    start_s: float | None = None
+    sent, unusable = 0, 0
+    for frame in capture:
+        try:
+            body = pack_frame(frame, colour="jpeg")
+        except RoomLightError:
+            unusable += 1
+            continue
+        due_s = (frame.index // every) * step_s
+        if rate is not None and frame.timestamp_s is not None:
+            start_s = frame.timestamp_s if start_s is None else start_s
+            due_s = frame.timestamp_s - start_s
+        text: dict[str, Any] = {"due_s": due_s, "unreadable": len(capture.skipped) + unusable}
+        if sent == 0:
+            try:
+                text["view"] = list(point_in_view(frame))
+            except ProbeError:
+                text["view"] = None
+        write(output, text, body)
+        sent += 1
+    reasons = [f"{each.file}: {each.reason}" for each in capture.skipped[:3]]
+    write(output, {"end": True, "unreadable": len(capture.skipped) + unusable, "reasons": reasons})
+
+
+def main(arguments: list[str]) -> None:
+    """Play the recording in the folder of the first argument; the second is the rate, or `-`."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the whole group; the server ends its processes
+    resource.setrlimit(resource.RLIMIT_AS, (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    output = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)  # what a library prints must not enter the records
+    folder, fps = Path(arguments[0]), None if arguments[1] == "-" else float(arguments[1])
+    try:
+        play(folder, fps, output)
+    except BrokenPipeError:
+        pass  # the server has stopped the replay
+    except (RoomLightError, OSError, ValueError) as error:
+        write(output, {"problem": str(error).replace(f"{folder}{os.sep}", "")[:1000]})
+    except MemoryError:
+        write(output, {"problem": f"reading it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])

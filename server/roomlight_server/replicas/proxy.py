@@ -1,0 +1,105 @@
+"""What Ray Serve's HTTP proxies add to a request and to an answer; `middlewares` is imported by them.
+
+The proxy chooses the replica by the header `X-Session-Id`. Browsers cannot set it for a WebSocket, so it is made from
+the path. An error of Ray itself (the replica was killed) becomes a 503 that clients know.
+"""
+
+import json
+import re
+from typing import Any, Final
+
+from starlette.middleware import Middleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from roomlight_server.base.problems import MEDIA_TYPE, ProblemError
+from roomlight_server.base.request_context import REQUEST_ID_HEADER
+from roomlight_server.state.lease import MOVED
+
+SESSION_HEADER: Final = b"x-session-id"
+_SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
+_RAY_HEADERS: Final = (b"x-request-timeout-seconds", b"x-request-disconnect-disabled")
+"""Headers by which any client could change how Ray handles its request."""
+
+
+def middlewares() -> list[Middleware]:
+    """Return the middleware of the proxies, for `RAY_SERVE_HTTP_PROXY_CALLBACK_IMPORT_PATH`."""
+    return [Middleware(SessionRouting)]
+
+
+class SessionRouting:
+    """Sets `X-Session-Id` to the session of the path, and converts errors of Ray to problems."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        """Wrap the proxy."""
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle an ASGI connection."""
+        if scope["type"] not in ("http", "websocket"):
+            await self._app(scope, receive, send)
+            return
+        answer = _Answer(send)
+        await self._app({**scope, "headers": routed_headers(scope["path"], scope["headers"])}, receive, answer.send)
+        if scope["type"] == "http":
+            await answer.finish()
+
+
+def routed_headers(path: str, headers: list[tuple[bytes, bytes]]) -> list[tuple[bytes, bytes]]:
+    """Return headers with the session id of the path, if it has one, in place of the client's."""
+    kept = [(name, value) for name, value in headers if name.replace(b"_", b"-") not in _RAY_HEADERS]
+    found = _SESSION_PATH.match(path)
+    if found is None:
+        return kept
+    own = [(name, value) for name, value in kept if name.replace(b"_", b"-") != SESSION_HEADER]
+    return [*own, (SESSION_HEADER, found[1].encode())]
+
+
+class _Answer:
+    """Passes an answer on; one of Ray itself with a status of 500 and above is replaced by a problem."""
+
+    def __init__(self, send: Send) -> None:
+        self._send = send
+        self._started = self._replaced = False
+
+    async def finish(self) -> None:
+        """Answer if Ray has not: it says nothing when a replica dies, and uvicorn would answer 500."""
+        if not self._started:
+            await self._replace([])
+
+    async def send(self, message: Message) -> None:
+        if message["type"] == "http.response.start":
+            self._started = True
+            headers = _once(message.get("headers", []), REQUEST_ID_HEADER.lower().encode())
+            if message["status"] >= 500 and not _has_type(headers, MEDIA_TYPE):
+                await self._replace(headers)
+                return
+            message = {**message, "headers": headers}
+        if not self._replaced:
+            await self._send(message)
+
+    async def _replace(self, headers: list[tuple[bytes, bytes]]) -> None:
+        self._started = self._replaced = True
+        detail = "the server of the session is away; ask for its state, send lost frames again and go on"
+        problem = ProblemError(MOVED, detail, retry_after_s=1)
+        body = json.dumps(problem.problem.model_dump(exclude_none=True)).encode()
+        ids = [(name, value) for name, value in headers if name.lower() == REQUEST_ID_HEADER.lower().encode()]
+        own = [
+            (b"content-type", MEDIA_TYPE.encode()),
+            (b"content-length", str(len(body)).encode()),
+            (b"retry-after", str(problem.retry_after_s).encode()),
+        ]
+        await self._send({"type": "http.response.start", "status": 503, "headers": [*ids, *own]})
+        await self._send({"type": "http.response.body", "body": body})
+
+
+def _once(headers: Any, name: bytes) -> list[tuple[bytes, bytes]]:
+    """Return headers with the first of those of one name: the replica and the proxy both add the request's id."""
+    kept: list[tuple[bytes, bytes]] = []
+    for each, value in headers:
+        if each.lower() != name or all(one.lower() != name for one, _ in kept):
+            kept.append((bytes(each), bytes(value)))
+    return kept
+
+
+def _has_type(headers: list[tuple[bytes, bytes]], media_type: str) -> bool:
+    return any(name.lower() == b"content-type" and value.startswith(media_type.encode()) for name, value in headers)

@@ -1,0 +1,161 @@
+"""Request bodies: limits on size and time, and frames sent as multipart form data (curl)."""
+
+import asyncio
+import json
+import re
+import time
+from typing import Any, Final
+
+from fastapi import Request
+from pydantic import ValidationError
+from python_multipart.multipart import parse_options_header
+from starlette.datastructures import Headers, UploadFile
+from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartException
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+from roomlight.errors import WireError
+from roomlight.wire.frame_header import FrameHeader
+from roomlight.wire.frame_message import MAX_HEADER_BYTES, pack, to_wire_error
+from roomlight_server.base.byte_budget import Reservation
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.recordings.files import MAX_PIECE_BYTES, PIECE_PATH
+
+MAX_JSON_BYTES: Final = 65_536
+"""Largest JSON body; a request with 64 probes has 6 kB."""
+_MAX_LENGTH_DIGITS: Final = 15
+_CHARSETS: Final = ("utf-8", "utf8", "us-ascii", "ascii")
+OBJECTS_PATH: Final = "/v1/objects"
+_FRAME_PATH: Final = re.compile(r"/v1/sessions/[^/]+/frames/[^/]+")
+
+
+class BodyMiddleware:
+    """Rejects bodies that exceed their limit (413) or arrive too late (408), and measures the time of requests.
+
+    Rejections are HTTPExceptions, because FastAPI passes no other error on while it reads a body. The server reads and
+    discards the rest of the body, so that the client receives the answer.
+    """
+
+    def __init__(
+        self, app: ASGIApp, *, frame_bytes: int, object_bytes: int, timeout_s: float, metrics: Metrics
+    ) -> None:
+        """Wrap an application. Frames, objects and all other bodies (`MAX_JSON_BYTES`) have limits of their own."""
+        self._app, self._frame_bytes, self._timeout_s, self._metrics = app, frame_bytes, timeout_s, metrics
+        self._object_bytes = object_bytes
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle an ASGI connection."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        limit = MAX_JSON_BYTES
+        if _FRAME_PATH.fullmatch(scope["path"]):  # multipart adds boundaries and a header part
+            multipart = Headers(scope=scope).get("content-type", "").startswith("multipart/")
+            limit = self._frame_bytes + (2 * MAX_HEADER_BYTES if multipart else 0)
+        elif PIECE_PATH.fullmatch(scope["path"]):
+            limit = MAX_PIECE_BYTES
+        elif scope["path"] == OBJECTS_PATH:
+            limit = self._object_bytes
+        start_s, status = time.perf_counter(), 0
+
+        async def send_observed(message: Message) -> None:
+            nonlocal status
+            if message["type"] == "http.response.start":
+                status = message["status"]
+            await send(message)
+
+        try:
+            await self._app(scope, self._limited(scope, receive, limit), send_observed)
+        finally:
+            path = getattr(scope.get("route"), "path", "other")
+            labels = self._metrics.requests.labels(scope["method"] if path != "other" else "-", path, str(status))
+            labels.observe(time.perf_counter() - start_s)
+
+    def _limited(self, scope: Scope, receive: Receive, limit: int) -> Receive:
+        declared = Headers(scope=scope).get("content-length", "")
+        # Python converts at most 4,300 digits to an integer
+        too_long = declared.isdecimal() and (len(declared) > _MAX_LENGTH_DIGITS or int(declared) > limit)
+        received, done = 0, False
+        deadline = time.monotonic() + self._timeout_s
+
+        async def limited() -> Message:
+            nonlocal received, done
+            if done:  # the application now waits for a disconnect
+                return await receive()
+            if too_long:
+                raise HTTPException(413, f"the body has {declared[:_MAX_LENGTH_DIGITS]} bytes; the limit is {limit}")
+            try:
+                async with asyncio.timeout(max(0.0, deadline - time.monotonic())):
+                    message = await receive()
+            except TimeoutError:
+                raise HTTPException(408, f"the body did not arrive within {self._timeout_s:g} s") from None
+            received += len(message.get("body", b""))
+            done = message["type"] != "http.request" or not message.get("more_body", False)
+            if received > limit:
+                raise HTTPException(413, f"the body has more than {limit} bytes, the limit")
+            return message
+
+        return limited
+
+
+async def read_frame(request: Request, held: Reservation) -> bytes:
+    """Return the frame message in a request's body, assembled from its parts if the body is multipart.
+
+    `held` reserves the memory as the body arrives.
+
+    Raises:
+        ProblemError: The multipart body cannot be parsed or is not UTF-8 (400), or the memory budget is used up (503).
+    """
+    content_type = request.headers.get("content-type", "")
+    if not content_type.startswith("multipart/form-data"):
+        chunks: list[bytes] = []
+        async for chunk in request.stream():
+            held.add(len(chunk))
+            chunks.append(chunk)
+        return b"".join(chunks)
+    charset = parse_options_header(content_type)[1].get(b"charset", b"utf-8").decode("latin-1")
+    if charset.lower() not in _CHARSETS:  # Starlette decodes with any of Python's codecs, some of which raise
+        rule = "must be utf-8"
+        raise ProblemError("bad-request", f"charset: {rule}", field="Content-Type", value=charset, rule=rule)
+    try:
+        async with request.form(max_files=4, max_fields=4, max_part_size=MAX_HEADER_BYTES) as form:
+            parts: dict[str, bytes] = {}
+            for name, value in form.multi_items():
+                held.add(2 * (value.size or 0) if isinstance(value, UploadFile) else len(value))
+                parts[name] = await value.read() if isinstance(value, UploadFile) else value.encode()
+    except MultiPartException as error:
+        raise ProblemError("bad-request", f"the multipart body cannot be parsed: {error.message}") from error
+    try:
+        return _from_parts(parts)
+    except WireError as error:
+        raise ProblemError.from_wire(error) from error
+
+
+def _from_parts(parts: dict[str, bytes]) -> bytes:
+    """Build a frame message from the parts `header`, `colour`, `depth` and optionally `confidence`.
+
+    Lengths that the header leaves out are filled in.
+    """
+    required = {"header", "colour", "depth"}
+    if not required <= parts.keys() <= required | {"confidence"}:
+        rule = "the parts must be header, colour, depth and optionally confidence"
+        raise WireError("bad-frame", field="", value=", ".join(sorted(parts)), rule=rule)
+    if len(parts["header"]) > MAX_HEADER_BYTES:
+        rule = f"at most {MAX_HEADER_BYTES} bytes"
+        raise WireError("bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=rule)
+    try:
+        header: Any = json.loads(parts["header"])
+    except (ValueError, RecursionError) as error:
+        raise WireError(
+            "bad-frame", field="header", value=f"{len(parts['header'])} bytes", rule=f"must be JSON ({error})"
+        ) from error
+    for name in ("colour", "depth", "confidence"):
+        part = header.get(name) if isinstance(header, dict) else None
+        if isinstance(part, dict) and name in parts:
+            part.setdefault("bytes", len(parts[name]))
+    try:
+        checked = FrameHeader.model_validate_json(json.dumps(header))
+    except ValidationError as error:
+        raise to_wire_error(error, kind="bad-frame") from error
+    return pack(checked, parts["colour"], parts["depth"], parts.get("confidence"))

@@ -1,0 +1,100 @@
+"""Route of composites: the last frame of a session with virtual objects in it."""
+
+import json
+import logging
+import time
+from typing import Annotated, Any, Final
+
+from fastapi import APIRouter, Body, Request, Response
+
+from roomlight.errors import ObjectError, ProbeError, SceneError
+from roomlight.wire.compositing import CompositeRequest
+from roomlight_server.answers.composites import BOXES, MEDIA_TYPES, check_paths, encode, make, memory_of, scene_of
+from roomlight_server.base.byte_budget import Reservation
+from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented
+from roomlight_server.routes.context import Context, ContextDep, OwnerDep, ReservationDep, SessionDep
+from roomlight_server.routes.light import FRAME_HEADER
+from roomlight_server.sessions.live_session import LiveSession
+from roomlight_server.transport.disconnects import until_gone
+
+_log = logging.getLogger("roomlight.server")
+router = APIRouter(prefix="/v1/sessions/{session_id}", tags=["objects"])
+POSES_HEADER: Final = "Roomlight-Poses"
+_OK: Final[dict[int | str, dict[str, Any]]] = {
+    200: {
+        "description": "The picture in the media type of the format. `layers`: a zip of image.png, objects.exr, "
+        "alpha.png (16 bits), shadow.exr and depth.exr; image = frame x shadow x (1 - alpha) + objects, linear.",
+        "headers": {
+            FRAME_HEADER: {"description": "Index of the frame", "schema": {"type": "integer"}},
+            POSES_HEADER: {
+                "description": "JSON: the pose of each object by name, 16 numbers column by column. Sent back as "
+                "`pose` with the anchor `origin`, the object stays where it is.",
+                "schema": {"type": "string"},
+            },
+        },
+        "content": {kind: {} for kind in sorted(set(MEDIA_TYPES.values()))},
+    }
+}
+_EXAMPLES: Final[dict[str, Any]] = {
+    "sphere": {
+        "summary": "A mirror sphere on the surface that a pixel shows",
+        "value": {
+            "objects": [{"shape": "sphere", "size_m": 0.2, "material": {"kind": "mirror"}, "pixel": [320, 260]}],
+            "quality": "preview",
+        },
+    }
+}
+
+
+@router.post(
+    "/composite",
+    summary="The last frame with objects in it",
+    response_class=Response,
+    responses=_OK
+    | documented(
+        *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed", "object-not-found"),
+        *("no-frame", "invalid", "bad-place", "composite-running", "owner-busy", "engine-failed", "server-busy"),
+    ),
+)
+async def composite(
+    live: SessionDep,
+    context: ContextDep,
+    owner: OwnerDep,
+    held: ReservationDep,
+    body: Annotated[CompositeRequest, Body(openapi_examples=_EXAMPLES)],
+    request: Request,
+) -> Response:
+    """Return the last processed frame with objects in it: lit by the room, with shadows, behind real things in front.
+
+    Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait while
+    a composite is made; those of other sessions do not.
+    """
+    return await until_gone(request, _composite(live, context, owner, held, body))
+
+
+async def _composite(
+    live: LiveSession, context: Context, owner: str, held: Reservation, body: CompositeRequest
+) -> Response:
+    with live.composite_turn() as latest:
+        lens = latest.message.intrinsics
+        held.add(memory_of(lens.width, lens.height, body.quality))
+        files = {one.object: context.objects.find(owner, one.object) for one in body.objects if one.object is not None}
+        frame = await live.decode_latest(latest, BOXES[body.quality])
+        scene = scene_of(body, files, frame.intrinsics.width / lens.width)
+        check_paths(frame, scene, body.quality)
+        start_s = time.perf_counter()
+        try:
+            made = await live.composite(lambda engine: make(engine, frame, scene, body.quality))
+        except (SceneError, ObjectError, ProbeError) as error:
+            raise ProblemError("bad-place", str(error), field="objects", rule=str(error)) from error
+        except ProblemError:
+            raise
+        except Exception as error:
+            _log.exception("composite failed", extra={"session": live.name, "frame": latest.index})
+            detail = f"the composite could not be made: {type(error).__name__}"
+            raise ProblemError("engine-failed", detail) from error
+        context.metrics.composite_seconds.labels(body.quality).observe(time.perf_counter() - start_s)
+        data = await context.workers.run_in_encode_pool(encode, made.picture, body.format)
+    poses = {name: [round(value, 6) for value in pose] for name, pose in made.poses.items()}
+    headers = {FRAME_HEADER: str(latest.index), POSES_HEADER: json.dumps(poses, separators=(",", ":"))}
+    return Response(data, media_type=MEDIA_TYPES[body.format], headers=headers)

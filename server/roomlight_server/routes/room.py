@@ -1,0 +1,290 @@
+"""Routes of what a session has seen: list of sessions, picture, camera, room mesh, history, light as USDZ."""
+
+import hashlib
+from typing import Annotated, Any, Final, Literal, cast
+
+import cv2
+import numpy as np
+from fastapi import APIRouter, Path, Query, Request, Response
+from jaxtyping import Float
+from pydantic import BaseModel
+
+from roomlight.conventions import NO_FRAME, linear_to_srgb8
+from roomlight.engine.session import Session
+from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.wire.frame_header import MAX_INDEX
+from roomlight.wire.frame_message import column_major
+from roomlight.wire.messages import FrameCounts, Id, LightForm, ProbeQuery
+from roomlight.wire.room import CameraView, HistoryList, SessionList, SessionSummary, VolumeBox
+from roomlight_server.answers import usdz
+from roomlight_server.answers.light_forms import max_bytes
+from roomlight_server.answers.room_mesh import MAX_TRIANGLES, room_mesh, to_glb
+from roomlight_server.base.problems import ProblemError, documented
+from roomlight_server.routes.context import ContextDep, OwnerDep, ProbeName, ReservationDep, SessionDep
+from roomlight_server.routes.light import COVERAGE_HEADER, FRAME_HEADER, etag_matches, memory_of
+from roomlight_server.sessions.live_session import LiveSession
+from roomlight_server.state.listing import SavedHead
+
+router = APIRouter(tags=["room"])
+KEYFRAMES_HEADER: Final = "Roomlight-Keyframes"
+GLB: Final = "model/gltf-binary"
+_PICTURE_BOX: Final = (1920, 1440)
+"""Pictures that no browser shows (HEIC, raw) are re-encoded at most this large."""
+_MESH_BYTES: Final = 24 * 2**20
+"""Memory of 25 keyframe meshes while they are merged."""
+_MESHES_KEPT: Final = 4
+"""Meshes kept for several clients, of up to 3 MB; making one of 16 keyframes takes 0.7 s of one core."""
+_PROBLEMS: Final = ("unauthorized", "session-not-found", "session-failed", "session-closed", "invalid")
+_UNCHANGED: Final[dict[int | str, dict[str, Any]]] = {304: {"description": "Unchanged: `If-None-Match` names its ETag"}}
+_Index = Annotated[int, Path(ge=0, le=MAX_INDEX)]
+_Metres = Annotated[float | None, Query(ge=-1000, le=1000, allow_inf_nan=False, description="World metres.")]
+
+
+def _binary(*kinds: str) -> dict[int | str, dict[str, Any]]:
+    return {200: {"description": "The bytes", "content": {kind: {} for kind in kinds}}, **_UNCHANGED}
+
+
+def _quoted(*parts: object) -> str:
+    return f'"{hashlib.sha256(repr(parts).encode()).hexdigest()[:24]}"'
+
+
+def _unchanged(request: Request, headers: dict[str, str]) -> Response | None:
+    """Return the answer 304 if the client has what the ETag in `headers` names."""
+    headers["Cache-Control"] = "private, no-cache"
+    if etag_matches(request.headers.get("if-none-match", ""), headers["ETag"]):
+        return Response(status_code=304, headers=headers)
+    return None
+
+
+def _json(request: Request, model: BaseModel) -> Response:
+    """Return JSON with an ETag of its content, or 304."""
+    text = model.model_dump_json()
+    headers = {"ETag": _quoted(text)}
+    return _unchanged(request, headers) or Response(text, media_type="application/json", headers=headers)
+
+
+def _data(request: Request, data: bytes, media_type: str, **headers: str) -> Response:
+    """Return bytes with an ETag of their content, or 304."""
+    given = {"ETag": f'"{hashlib.sha256(data).hexdigest()[:24]}"', **headers}
+    return _unchanged(request, given) or Response(data, media_type=media_type, headers=given)
+
+
+@router.get("/v1/sessions", summary="List the sessions", responses=documented("unauthorized"))
+async def list_sessions(context: ContextDep, owner: OwnerDep) -> SessionList:
+    """Return the sessions of this token: those in memory, last used first, then those on disk alone (`saved`)."""
+    listed = [_summary(live, idle_s) for live, idle_s in context.registry.listed(owner)]
+    listed += [_saved_summary(head) for head in await context.registry.saved(owner)]
+    settings = context.settings
+    return SessionList(sessions=listed, max_sessions=settings.max_sessions, idle_expiry_s=settings.idle_expiry_s)
+
+
+def _summary(live: LiveSession, idle_s: float) -> SessionSummary:
+    state = live.state()
+    return SessionSummary(
+        id=state.id,
+        status=state.status,
+        model=state.model,
+        frames=state.frames,
+        probes=list(state.probes),
+        keyframes=state.keyframes,
+        idle_s=round(idle_s, 1),
+    )
+
+
+def _saved_summary(head: SavedHead) -> SessionSummary:
+    values = head.values
+    used = sum(values.queue.counts[name] for name in ("processed", "superseded", "skipped"))
+    last = values.queue.last_index
+    counts = FrameCounts(accepted=used, queued=0, last_index=last, durable_index=last, **values.queue.counts)
+    return SessionSummary(
+        id=values.name,
+        status="saved",
+        model=cast("Literal['classical', 'completion', 'single', 'video']", head.model),
+        frames=counts,
+        probes=list(values.probes),
+        keyframes=len(values.bases),
+        idle_s=round(head.idle_s, 1),
+    )
+
+
+@router.get(
+    "/v1/sessions/{session_id}/colour",
+    summary="Picture of the last frame",
+    response_class=Response,
+    responses=_binary("image/jpeg", "image/png") | documented(*_PROBLEMS, "no-frame", "server-busy"),
+)
+async def colour(live: SessionDep, context: ContextDep, held: ReservationDep, request: Request) -> Response:
+    """Return the picture of the last processed frame: JPEG or PNG as it was sent, anything else as JPEG."""
+    live.check_open()
+    latest = live.latest
+    if latest is None:
+        raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+    encoding = latest.message.header.colour.encoding
+    headers = {"ETag": _quoted(live.history.key, latest.index), FRAME_HEADER: str(latest.index)}
+    unchanged = _unchanged(request, headers)
+    if unchanged is not None:
+        return unchanged
+    if encoding in ("jpeg", "png"):
+        held.add(len(latest.message.colour))
+        return Response(bytes(latest.message.colour), media_type=f"image/{encoding}", headers=headers)
+    held.add(16 * _PICTURE_BOX[0] * _PICTURE_BOX[1])
+    frame = await live.decode_latest(latest, _PICTURE_BOX)
+    data = await context.workers.run_in_encode_pool(_jpeg, frame.image)
+    return Response(data, media_type="image/jpeg", headers=headers)
+
+
+def _jpeg(image: Float[np.ndarray, "h w 3"]) -> bytes:
+    """Encode linear RGB as JPEG."""
+    return cv2.imencode(".jpg", np.ascontiguousarray(linear_to_srgb8(image)[..., ::-1]))[1].tobytes()
+
+
+@router.get(
+    "/v1/sessions/{session_id}/camera",
+    summary="Camera, its path and the volume",
+    response_model=CameraView,
+    responses=_UNCHANGED | documented(*_PROBLEMS),
+)
+async def camera(live: SessionDep, request: Request) -> Response:
+    """Return the camera of the last processed frame, the cameras of the recorded frames, and the volume's box."""
+    grid = await live.read(_grid)
+    latest = live.latest
+    view = CameraView(
+        frame=NO_FRAME if latest is None else latest.index,
+        intrinsics=None if latest is None else latest.message.header.intrinsics,
+        camera_to_world=None if latest is None else list(latest.message.header.camera_to_world),
+        path=live.history.path(),
+        volume=None if grid is None else _box(grid),
+    )
+    return _json(request, view)
+
+
+def _grid(engine: Session) -> VolumeGrid | None:
+    return engine.grid
+
+
+def _box(grid: VolumeGrid) -> VolumeBox:
+    return VolumeBox(
+        volume_to_world=column_major(grid.volume_to_world),
+        lower_m=grid.lower_m.tolist(),
+        upper_m=grid.upper_m.tolist(),
+    )
+
+
+@router.get(
+    "/v1/sessions/{session_id}/mesh",
+    summary="The room as a mesh",
+    response_class=Response,
+    responses=_binary(GLB) | documented(*_PROBLEMS, "no-frame", "server-busy"),
+)
+async def mesh(
+    live: SessionDep,
+    context: ContextDep,
+    held: ReservationDep,
+    request: Request,
+    triangles: Annotated[int, Query(ge=1000, le=MAX_TRIANGLES, description="Most triangles.")] = MAX_TRIANGLES,
+) -> Response:
+    """Return the surfaces that the keyframes show as binary glTF: world metres, unlit, with a colour per vertex.
+
+    The ETag changes with the keyframes.
+    """
+    meshes = await live.read(_keyframes)
+    if not any(len(mesh.faces) for _, mesh in meshes):
+        raise ProblemError("no-frame", "the session has no keyframe with a surface yet: push a frame with depth")
+    etag = _quoted(live.history.key, triangles, [index for index, _ in meshes])
+    headers = {"ETag": etag, KEYFRAMES_HEADER: str(len(meshes))}
+    unchanged = _unchanged(request, headers)
+    if unchanged is not None:
+        return unchanged
+    made = context.meshes.get(etag)
+    if made is None:
+        held.add(_MESH_BYTES)
+        made = await context.workers.run_in_encode_pool(lambda: to_glb(room_mesh(meshes, max_triangles=triangles)))
+        context.meshes[etag] = made
+        while len(context.meshes) > _MESHES_KEPT:
+            context.meshes.popitem(last=False)
+    return Response(made, media_type=GLB, headers=headers)
+
+
+def _keyframes(engine: Session) -> list[tuple[int, FrameMesh]]:
+    return engine.meshes[: engine.keyframes]
+
+
+@router.get(
+    "/v1/sessions/{session_id}/history",
+    summary="Recorded frames",
+    response_model=HistoryList,
+    responses=_UNCHANGED | documented(*_PROBLEMS),
+)
+async def history(
+    live: SessionDep,
+    request: Request,
+    after: Annotated[int, Query(ge=NO_FRAME, le=MAX_INDEX, description="Only frames after this index.")] = NO_FRAME,
+) -> Response:
+    """Return the recorded frames: stage times, dropped frames, and the lights of each probe.
+
+    When the history is full, every second entry is removed and `stride` doubles: read all entries again then.
+    """
+    live.check_open()
+    return _json(request, live.history.listed(after))
+
+
+@router.get(
+    "/v1/sessions/{session_id}/history/{index}/colour",
+    summary="Small picture of a recorded frame",
+    response_class=Response,
+    responses=_binary("image/jpeg") | documented(*_PROBLEMS, "history-not-found"),
+)
+async def history_colour(live: SessionDep, request: Request, index: _Index) -> Response:
+    """Return a JPEG of 160 pixels on its long side."""
+    live.check_open()
+    return _data(request, await live.history.picture(index), "image/jpeg")
+
+
+@router.get(
+    "/v1/sessions/{session_id}/history/{index}/probes/{name}",
+    summary="Light at a recorded frame",
+    response_class=Response,
+    responses=_binary("image/vnd.radiance") | documented(*_PROBLEMS, "history-not-found"),
+)
+async def history_panorama(live: SessionDep, request: Request, index: _Index, name: ProbeName) -> Response:
+    """Return the panorama of a named probe after a recorded frame: Radiance HDR, 64 x 32 pixels."""
+    live.check_open()
+    return _data(request, await live.history.panorama(index, name), "image/vnd.radiance")
+
+
+@router.get(
+    "/v1/sessions/{session_id}/usdz",
+    summary="Light as a USDZ package",
+    response_class=Response,
+    responses=_binary(usdz.MEDIA_TYPE) | documented(*_PROBLEMS, "probe-not-found", "engine-failed", "server-busy"),
+)
+async def light_usdz(
+    live: SessionDep,
+    context: ContextDep,
+    held: ReservationDep,
+    request: Request,
+    name: Annotated[Id | None, Query(description="A named probe.")] = None,
+    x: _Metres = None,
+    y: _Metres = None,
+    z: _Metres = None,
+) -> Response:
+    """Return the light at a named probe, or at x, y and z, as a USDZ package with a dome light."""
+    point = [each for each in (x, y, z) if each is not None]
+    if len(point) != (3 if name is None else 0):
+        rule = "must have either name, or x, y and z"
+        raise ProblemError("invalid", f"query: {rule}", field="query", value=request.url.query, rule=rule)
+    query = ProbeQuery(name=name) if name is not None else ProbeQuery(position=point)
+    held.add(memory_of(live, 1, max_bytes(LightForm(format="exr"), live.request.height)))
+    light = (await live.lighting.at([query]))[0]
+    headers = {
+        "ETag": f'"{light.etag}-usdz"',
+        COVERAGE_HEADER: f"{light.coverage:.4f}",
+        FRAME_HEADER: str(light.frame),
+        "Content-Disposition": f'attachment; filename="{name or "light"}.usdz"',
+    }
+    unchanged = _unchanged(request, headers)
+    if unchanged is not None:
+        return unchanged
+    data = await context.workers.run_in_encode_pool(usdz.to_usdz, light)
+    return Response(data, media_type=usdz.MEDIA_TYPE, headers=headers)

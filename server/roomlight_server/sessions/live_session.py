@@ -1,0 +1,387 @@
+"""One session of the server: an engine session with its frame queue, named probes and light.
+
+All methods run on the event loop; the engine runs on its own threads. A rejected request leaves the session unchanged.
+If the engine fails while it processes a frame, its state may be inconsistent: the session then has failed, every later
+request is answered with this error, and its memory is released.
+"""
+
+import asyncio
+import logging
+from collections.abc import AsyncGenerator, Callable, Generator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, contextmanager
+from typing import Literal, TypeVar, cast
+
+from roomlight.engine.memory import Footprint
+from roomlight.engine.session import FrameReport, Session
+from roomlight.errors import FrameError, WireError
+from roomlight.frame import Frame
+from roomlight.wire.frame_message import FrameMessage
+from roomlight.wire.messages import FrameResult, Memory, SessionRequest, SessionState
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.problems import INTERNAL_DETAIL, ProblemError
+from roomlight_server.base.request_context import request_id
+from roomlight_server.sessions.engine_access import EngineAccess
+from roomlight_server.sessions.frame_queue import Entry, FrameQueue, replayed
+from roomlight_server.sessions.history import History
+from roomlight_server.sessions.session_lighting import SessionLighting
+from roomlight_server.sessions.session_parts import MAX_CACHED_LIGHTS, CompositeTurn, FrameSlots, Limits, volume_of
+from roomlight_server.state.journal import Journal
+from roomlight_server.state.lease import MOVED, SessionLease
+from roomlight_server.state.live_state import LiveState
+from roomlight_server.work.intake import LatestFrame, decode_to_size, index_of, parse_frame
+from roomlight_server.work.workers import Workers
+
+_log = logging.getLogger("roomlight.server")
+_R = TypeVar("_R")
+
+
+class LiveSession:
+    """One session of the server. The registry maintains `last_used_s` and `users`."""
+
+    def __init__(
+        self,
+        name: str,
+        request: SessionRequest,
+        *,
+        engine: Session,
+        workers: Workers,
+        footprint: Footprint,
+        limits: Limits,
+        metrics: Metrics,
+    ) -> None:
+        """Wrap a new engine session."""
+        self.name, self.request = name, request
+        self.last_used_s = 0.0
+        self.users = 0
+        self._model = engine.model
+        self._keyframe_capacity = engine.options.keyframes
+        self._workers, self._footprint, self._limits, self._metrics = workers, footprint, limits, metrics
+        self._access = EngineAccess(engine)
+        self.lighting = SessionLighting(self._access, workers, limits, request.height)
+        # Frames enter the queue in the order of arrival, although parsing and decoding run on threads. This lock is
+        # never held together with those of `EngineAccess`.
+        self._ingest_lock = asyncio.Lock()
+        self._slots = FrameSlots(limits.frames_in_flight)
+        self.lease: SessionLease | None = None
+        self._queue = FrameQueue(lambda status: metrics.frames.labels(status).inc(), lambda: self.durable_index)
+        self._runner: asyncio.Task[None] | None = None
+        self._reference = request.reference_exposure
+        self._latest: LatestFrame | None = None
+        self.history = History(limits.history_bytes, workers)
+        self._composite_turn = CompositeTurn()
+        self._listeners: set[Callable[[], None]] = set()
+
+    # --- frames -----------------------------------------------------------------------------------------------
+
+    @asynccontextmanager
+    async def frame_slot(self) -> AsyncGenerator[None]:
+        """Hold a slot for a frame in flight (being received, decoded or processed).
+
+        Raises:
+            ProblemError: All slots are taken (429), or the session has ended.
+        """
+        self.check_open()
+        async with self._slots.held():
+            yield
+
+    async def acquire_frame_slot(self) -> None:
+        """Wait for a slot for a frame in flight; `release_frame_slot` frees it.
+
+        Raises:
+            ProblemError: The session has ended.
+        """
+        self.check_open()
+        await self._slots.acquire()
+
+    def release_frame_slot(self) -> None:
+        """Free the slot of a frame."""
+        self._slots.release()
+
+    async def accept(self, body: bytes, index: int | None) -> Entry:
+        """Parse, check and decode a frame message and add it to the queue.
+
+        `index` is the index of the path, or None to use the message's own.
+
+        Returns:
+            The queue entry; its `outcome` becomes the frame's result.
+
+        Raises:
+            ProblemError: The frame is rejected; the session is unchanged.
+        """
+        async with self._ingest_lock:
+            try:
+                entry = await self._accept_in_order(body, index)
+            except WireError as error:
+                self._queue.count_rejected()
+                self._metrics.refused.labels("bad-frame").inc()
+                raise ProblemError.from_wire(error) from error
+            except ProblemError as error:
+                self._queue.count_rejected()
+                self._metrics.refused.labels(error.kind).inc()
+                raise
+        if self._queue.has_waiting and self._runner is None:
+            self._runner = asyncio.create_task(self._run())
+        return entry
+
+    async def _accept_in_order(self, body: bytes, index: int | None) -> Entry:
+        message, digest = await self._workers.run_in_decode_pool(parse_frame, body, self._limits.frame)
+        index = index_of(message, index)
+        self.check_open()
+        if self.lease is not None:
+            await self.lease.check_frame(index, self._queue.last_index)
+        repeated = self._queue.replay_of(index, digest)
+        if repeated is not None:
+            return Entry(index, digest, outcome=replayed(repeated.outcome))
+        usable = {"normal"} | ({"limited"} if self.request.use_limited_tracking else set[str]())
+        entry = Entry(index, digest)
+        if message.header.tracking_state in usable:
+            entry.message = message
+            if not self._queue.has_waiting:
+                entry.frame = await self._decoded(message, index)
+        self.check_open()
+        self._queue.accept(entry)
+        self._access.changed()
+        return entry
+
+    async def _decoded(self, message: FrameMessage, index: int) -> Frame:
+        reference = self._reference or message.header.exposure
+        least = self.request.min_confidence
+        processes = self._workers.decode_processes
+
+        def decode() -> Frame:
+            with self._metrics.decode_seconds.time():
+                return decode_to_size(message, index, reference, least, processes)
+
+        frame = await self._workers.run_in_decode_pool(decode)
+        self._reference = reference
+        return frame
+
+    async def _run(self) -> None:
+        """Process waiting frames until the queue is empty; each is taken when an engine thread is free."""
+        try:
+            while self._queue.has_waiting:
+                async with self._access.engine_lock, self._workers.engine_slot(), self._access.state_lock:
+                    entry = self._queue.take()
+                    if entry is not None:
+                        await self._push(entry)
+                for listener in tuple(self._listeners):
+                    listener()
+        finally:
+            self._runner = None
+            if self._access.ended is not None:
+                self._workers.release_memory()  # of the frame that was being processed
+
+    async def _push(self, entry: Entry) -> None:
+        request_id.set(entry.request_id)  # the task was started by an earlier frame
+        engine, frame = self._access.engine, entry.frame
+        if engine is None:
+            return  # the session has ended, and the entry has its outcome
+        try:
+            if frame is None:
+                frame = await self._decoded_late(entry)
+            report = await self._workers.run_in_engine_pool(engine.push, frame)
+            result = self._result(engine, entry.index, report)
+            if self.lease is not None:
+                await self.lease.check()  # only the owner answers
+        except ProblemError as error:
+            self._reject(entry, error)
+            if error.kind == MOVED:
+                self._end(error)
+        except FrameError as error:
+            rule = str(error)
+            self._reject(entry, ProblemError("bad-frame", rule, field="frame", value=entry.index, rule=rule))
+        except Exception as error:  # out of memory, ONNX Runtime: the state may contain half of the frame
+            _log.exception("engine failed", extra={"session": self.name, "frame": entry.index})
+            self._metrics.frames.labels("failed").inc()
+            advice = "delete the session and open a new one"
+            entry.fail(ProblemError("engine-failed", f"frame {entry.index}: {type(error).__name__}; {advice}"))
+            self._end(ProblemError("session-failed", f"the engine failed on frame {entry.index}; {advice}"))
+        else:
+            self.lighting.frame = entry.index
+            assert entry.message is not None
+            self._latest = LatestFrame(entry.index, entry.message)
+            if self.journal is not None:
+                self.journal.processed(entry.index, entry.message, keyframe=report.keyframe)
+            self._metrics.observe_frame(report)
+            await self.history.add(engine, frame, report, self._queue.counts(), self.lighting.handles)
+            self._queue.processed(entry, result)
+
+    async def _decoded_late(self, entry: Entry) -> Frame:
+        """Decode a frame that replaced a waiting one. ProblemError if that fails: the engine is unchanged then."""
+        assert entry.message is not None
+        try:
+            return await self._decoded(entry.message, entry.index)
+        except WireError as error:
+            raise ProblemError.from_wire(error) from error
+        except Exception as error:
+            _log.exception("unexpected error of a decoder", extra={"session": self.name, "frame": entry.index})
+            raise ProblemError("internal", INTERNAL_DETAIL) from error
+
+    def _reject(self, entry: Entry, problem: ProblemError) -> None:
+        self._metrics.refused.labels(problem.kind).inc()
+        self._queue.reject(entry, problem)
+
+    def _result(self, engine: Session, index: int, report: FrameReport) -> FrameResult:
+        self.lighting.take_coverage(engine, report)
+        return FrameResult(
+            index=index,
+            status="processed",
+            keyframe=report.keyframe,
+            stage_ms={stage: round(ms, 2) for stage, ms in report.stage_ms.items()},
+            coverage=self.lighting.coverage,
+            durable_index=self.durable_index,
+            epoch=None if self.lease is None else self.lease.epoch,
+        )
+
+    # --- composites, reading ----------------------------------------------------------------------------------
+
+    def listen(self, listener: Callable[[], None]) -> Callable[[], None]:
+        """Call `listener` on the event loop after each frame and at the end; return a function that removes it."""
+        self._listeners.add(listener)
+        return lambda: self._listeners.discard(listener)
+
+    @contextmanager
+    def composite_turn(self) -> Generator[LatestFrame]:
+        """Yield the last processed frame; only one composite is made at a time.
+
+        Raises:
+            ProblemError: A composite is being made (429), there is no frame yet (409), or the session has ended.
+        """
+        self.check_open()
+        with self._composite_turn.held():
+            if self._latest is None:
+                raise ProblemError("no-frame", "the session has no processed frame yet: push a frame first")
+            yield self._latest
+
+    async def decode_latest(self, latest: LatestFrame, box: tuple[int, int]) -> Frame:
+        """Decode the frame to fit into a box of (width, height) pixels. Raises ProblemError if that fails."""
+        reference = self._reference or latest.message.header.exposure
+        least, processes = self.request.min_confidence, self._workers.decode_processes
+        try:
+            return await self._workers.run_in_decode_pool(
+                decode_to_size, latest.message, latest.index, reference, least, processes, box=box
+            )
+        except WireError as error:
+            raise ProblemError.from_wire(error) from error
+
+    async def composite(self, work: Callable[[Session], _R]) -> _R:
+        """Run work on the engine on a compositing thread; frames of this session wait, those of others do not.
+
+        Raises:
+            ProblemError: The session has ended.
+        """
+        async with self._workers.composite_slot(), self._access.engine_lock:
+            return await self._workers.run_in_composite_pool(work, self._access.live())
+
+    @property
+    def latest(self) -> LatestFrame | None:
+        """The last processed frame, as it was received."""
+        return self._latest
+
+    async def read(self, work: Callable[[Session], _R]) -> _R:
+        """Run work that reads the engine on a decoding thread. Raises ProblemError if the session has ended."""
+        async with self._access.state_lock:
+            return await self._workers.run_in_decode_pool(work, self._access.live())
+
+    # --- on disk ----------------------------------------------------------------------------------------------
+
+    @property
+    def durable_index(self) -> int | None:
+        """Index up to which frames are on disk; None: none are."""
+        return None if self.journal is None else self.journal.durable_index
+
+    async def copy_state(self, pool: ThreadPoolExecutor) -> LiveState | None:
+        """Return the state between two frames, copied on a thread of the pool; None if the session has ended."""
+        async with self._access.engine_lock:
+            engine, lighting = self._access.engine, self.lighting
+            if engine is None:
+                return None
+            snapshot = await asyncio.get_running_loop().run_in_executor(pool, engine.snapshot)
+            queue, probes = self._queue.saved(), lighting.saved()
+            return LiveState(snapshot, self._reference, probes, queue, lighting.frame, self._latest)
+
+    def resume(self, state: LiveState) -> None:
+        """Continue from a saved state, with the engine that was made from its snapshot."""
+        self._reference, self._latest = state.reference, state.latest
+        self.lighting.restore(state.probes, state.light_frame)
+        self._queue.restore(state.queue)
+
+    # --- state and end ----------------------------------------------------------------------------------------
+
+    @property
+    def journal(self) -> Journal | None:
+        """What is unsaved of the session; None if sessions are not saved."""
+        return self._access.journal
+
+    @journal.setter
+    def journal(self, journal: Journal | None) -> None:
+        self._access.journal = journal
+
+    def check_open(self) -> None:
+        """Check that the session is usable. Raises ProblemError if it has failed or was closed."""
+        self._access.check_open()
+
+    @property
+    def ended(self) -> ProblemError | None:
+        """The reason why the session has ended, or None."""
+        return self._access.ended
+
+    def close(self, reason: ProblemError | None = None) -> None:
+        """End the session: answer all waiting requests and release the engine after its running frame."""
+        self._end(reason or ProblemError("session-closed", "the session was deleted or has expired"))
+
+    def _end(self, reason: ProblemError) -> None:
+        self._access.end(reason)
+        self._latest = None
+        self.lighting.clear()
+        self.history.clear()
+        self._queue.end_all(reason)
+        self._workers.release_memory()
+        for listener in tuple(self._listeners):
+            listener()
+
+    @property
+    def bound_bytes(self) -> int:
+        """Upper bound of the session's memory."""
+        limits = self._limits
+        engine = self._footprint.total(keyframes=self._keyframe_capacity, probes=limits.max_probes, started=True)
+        lights = MAX_CACHED_LIGHTS * self.lighting.light_bytes
+        return engine + lights + limits.frame.max_body_bytes + limits.history_bytes
+
+    @property
+    def frames_in_flight(self) -> int:
+        """Frames that are being received, decoded or processed, or whose outcome is being sent."""
+        return self._slots.taken + self._queue.counts().queued
+
+    @property
+    def probe_count(self) -> int:
+        """Number of named probes."""
+        return len(self.lighting.positions)
+
+    @property
+    def rows(self) -> int:
+        """Rows of the session's panoramas."""
+        return self.request.height
+
+    def state(self) -> SessionState:
+        """Return the current state."""
+        engine = self._access.engine
+        volume = volume_of(engine)
+        keyframes = 0 if engine is None else engine.keyframes
+        held = self._footprint.total(keyframes=keyframes, probes=self.probe_count, started=volume is not None)
+        kept = held + self.lighting.cached_bytes + (0 if self._latest is None else self._latest.size)
+        kept += self.history.size
+        return SessionState(
+            id=self.name,
+            status="open" if self._access.ended is None else "failed",
+            model=cast("Literal['classical', 'completion', 'single', 'video']", self._model),
+            options=self.request,
+            frames=self._queue.counts(),
+            probes={name: list(position) for name, position in self.lighting.positions.items()},
+            coverage=self.lighting.coverage,
+            keyframes=keyframes,
+            memory=Memory(bytes=0 if engine is None else kept, bound_bytes=self.bound_bytes),
+            volume=volume,
+            idle_expiry_s=self._limits.idle_expiry_s,
+        )

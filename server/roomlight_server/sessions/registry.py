@@ -1,0 +1,336 @@
+"""The sessions of a server by owner and id: their limit, and the expiry of idle ones."""
+
+import json
+import logging
+import math
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
+from dataclasses import replace
+
+from roomlight.engine.memory import Footprint
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import Session, SessionOptions
+from roomlight.errors import ModelError, OptionError
+from roomlight.wire.messages import SessionRequest
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.sessions.live_session import LiveSession
+from roomlight_server.sessions.quotas import Quotas
+from roomlight_server.sessions.session_parts import Limits
+from roomlight_server.state.listing import SavedHead
+from roomlight_server.state.restoring import Restorer
+from roomlight_server.state.store import Saveable, StateStore
+from roomlight_server.work.workers import Workers
+
+_log = logging.getLogger("roomlight.server")
+Clock = Callable[[], float]
+"""A monotonic clock, in seconds."""
+
+
+class Registry:
+    """The open sessions. Each owner has a separate set of ids and cannot find the sessions of others."""
+
+    def __init__(
+        self,
+        settings: ServerSettings,
+        workers: Workers,
+        metrics: Metrics,
+        clock: Clock,
+        states: StateStore | None = None,
+    ) -> None:
+        """Create an empty registry; `states` saves and restores its sessions."""
+        self._states = states
+        self._restorer = None if states is None else Restorer(workers)
+        self._settings, self._workers, self._metrics, self._clock = settings, workers, metrics, clock
+        self._sessions: dict[tuple[str, str], LiveSession] = {}
+        self._quotas = Quotas(settings, self._sessions_of)
+        self._limits = Limits(
+            frame=settings.frame_limits,
+            frames_in_flight=settings.frames_in_flight,
+            max_probes=settings.max_probes,
+            idle_expiry_s=settings.session_expiry_s,
+            history_bytes=settings.history_bytes,
+            quotas=self._quotas,
+        )
+        self.stopping = False
+        metrics.sessions.set_function(lambda: len(self._sessions))
+        metrics.session_bytes.set_function(
+            lambda: sum(live.state().memory.bytes for live in tuple(self._sessions.values()))
+        )
+
+    async def open(self, owner: str, name: str, request: SessionRequest) -> tuple[LiveSession, bool]:
+        """Open a session, or return the open session of this id if its options are equal.
+
+        Returns:
+            The session, and whether it is new.
+
+        Raises:
+            ProblemError: The session exists with other options (409), the model is not available (409), the session
+                limit is reached (503), or the session could need too much memory (422).
+        """
+        existing = await self.recall(owner, name)
+        if existing is not None:
+            return self._reopen(existing, request), False
+        if self._states is None:
+            return await self._open_new(owner, name, request)
+        async with self._states.lock(owner, name):
+            return await self._open_new(owner, name, request)
+
+    async def _open_new(self, owner: str, name: str, request: SessionRequest) -> tuple[LiveSession, bool]:
+        graphs = await self._graphs_of(request)
+        existing = self._current(owner, name)  # another request may have opened it in the meantime
+        if existing is not None:
+            return self._reopen(existing, request), False
+        self._check_capacity()
+        self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
+        base = self._workers.base_options
+        model = base.model if request.mode == "auto" else request.mode
+        options = replace(
+            base,
+            model="classical" if model == "auto" and graphs is None else model,
+            height=request.height,
+            unknown_depth=request.unknown_depth,
+        )
+        live = self._live(name, request, _engine(options, graphs), graphs)
+        self._check_size(owner, live)
+        if self._states is not None:
+            live.journal, live.lease = self._states.journal(), await self._states.claim(owner, name, new=True)
+        self._add(owner, live)
+        _log.info("session opened", extra={"session": name, "model": live.state().model})
+        return live, True
+
+    async def recall(self, owner: str, name: str) -> LiveSession | None:
+        """Return the session from memory, or restore it from disk; None if there is none.
+
+        Raises:
+            ProblemError: The saved state cannot be used (409) or not be read now (503), there is no room (429, 503), or
+                another server has owned the session in the meantime (503): the next request restores it.
+        """
+        found = self._current(owner, name)
+        if found is not None and found.lease is not None:
+            try:
+                await found.lease.check()
+            except ProblemError:
+                self.end_moved((owner, name), found)
+                raise
+        if found is not None or self._states is None or self._restorer is None or not self._states.has(owner, name):
+            return found
+        async with self._states.lock(owner, name):
+            found = self._current(owner, name)  # another request may have restored it in the meantime
+            if found is not None or not self._states.has(owner, name):
+                return found
+            self._check_capacity()
+            lease = await self._states.claim(owner, name)  # before it is read: nobody else writes it any more
+            reading = await self._states.read(owner, name)
+            graphs = await self._graphs_of(reading.values.request)
+            engine, state = await self._restorer.restore(reading, graphs)
+            live = self._live(name, reading.values.request, engine, graphs)
+            self._check_size(owner, live)
+            live.resume(state)
+            live.journal, live.lease = self._states.restored(reading), lease
+            self._add(owner, live)
+            _log.info("session restored", extra={"session": name, "frame": state.light_frame})
+            return live
+
+    async def _graphs_of(self, request: SessionRequest) -> LightingGraphs | None:
+        try:
+            return await self._workers.graphs_of(request.mode)
+        except (ModelError, OptionError) as error:
+            raise _no_model(request.mode, error) from error
+
+    def _live(self, name: str, request: SessionRequest, engine: Session, graphs: LightingGraphs | None) -> LiveSession:
+        return LiveSession(
+            name,
+            request,
+            engine=engine,
+            workers=self._workers,
+            footprint=Footprint.of(graphs, request.height),
+            limits=self._limits,
+            metrics=self._metrics,
+        )
+
+    def _add(self, owner: str, live: LiveSession) -> None:
+        live.last_used_s = self._clock()
+        self._sessions[owner, live.name] = live
+
+    def _check_size(self, owner: str, live: LiveSession) -> None:
+        limit = self._settings.max_session_bytes
+        if live.bound_bytes > limit:
+            detail = f"a session with these options could need {live.bound_bytes} bytes"
+            rule = f"at most {limit} bytes per session; a lower height needs less"
+            raise ProblemError("invalid", detail, field="height", value=live.request.height, rule=rule)
+        self._quotas.check_session(owner, live.bound_bytes, retry_after_s=self._expected_wait_s(owner))
+
+    @contextmanager
+    def use(self, owner: str, name: str) -> Generator[LiveSession]:
+        """Return the session; it does not expire inside the context.
+
+        Raises:
+            ProblemError: There is no session of this id (404).
+        """
+        live = self._current(owner, name)
+        if live is None:
+            detail = "there is no session of this id; it may have expired; open it with PUT"
+            raise ProblemError("session-not-found", detail, field="id", value=name)
+        live.users += 1
+        try:
+            yield live
+        finally:
+            live.users -= 1
+            live.last_used_s = self._clock()
+
+    def listed(self, owner: str) -> list[tuple[LiveSession, float]]:
+        """Return the sessions of an owner and the seconds since the last use of each, last used first."""
+        self.expire()
+        now_s = self._clock()
+        own = [live for (each, _), live in self._sessions.items() if each == owner]
+        idle = [(live, 0.0 if live.users else now_s - live.last_used_s) for live in own]
+        return sorted(idle, key=lambda each: each[1])
+
+    async def saved(self, owner: str) -> list[SavedHead]:
+        """Return the sessions of an owner that are on disk and not in memory, last used first."""
+        heads = [] if self._states is None else await self._states.listed(owner)
+        return [head for head in heads if (owner, head.values.name) not in self._sessions]
+
+    def delete(self, owner: str, name: str) -> None:
+        """End a session.
+
+        Raises:
+            ProblemError: There is no session of this id (404).
+        """
+        with self.use(owner, name) as live:
+            del self._sessions[owner, name]
+            live.close()
+            if live.journal is not None:
+                live.journal.closed = True  # what is being copied is not written any more
+            self._record_end(name, "deleted")
+
+    async def erase(self, owner: str, name: str) -> None:
+        """End a session, and remove it from the disk.
+
+        Raises:
+            ProblemError: There is no session of this id (404), or its files cannot be removed (503).
+        """
+        if self._states is None:
+            self.delete(owner, name)
+            return
+        async with self._states.lock(owner, name):
+            if self._current(owner, name) is not None:
+                self.delete(owner, name)
+                await self._states.erase(owner, name)
+            elif not await self._states.erase(owner, name):
+                self.delete(owner, name)  # raises: it is nowhere
+
+    def end_moved(self, key: tuple[str, str], live: Saveable) -> None:
+        """End a session that another server owns; what is not saved of it is lost."""
+        found = self._sessions.get(key)
+        if found is None or found is not live or found.lease is None:
+            return
+        del self._sessions[key]
+        found.close(found.lease.problem)
+        if found.journal is not None:
+            found.journal.closed = True
+        self._record_end(found.name, "moved")
+
+    def items(self) -> list[tuple[tuple[str, str], LiveSession]]:
+        """Return the sessions in memory by (owner, id)."""
+        return list(self._sessions.items())
+
+    @property
+    def frames_in_flight(self) -> int:
+        """Frames that are being received, decoded or processed, or whose outcome is being sent."""
+        return sum(live.frames_in_flight for live in self._sessions.values())
+
+    def expire(self) -> None:
+        """End all sessions that are idle for too long."""
+        limit = self._clock() - self._settings.idle_expiry_s
+        for key, live in tuple(self._sessions.items()):
+            if live.users or live.last_used_s >= limit or self._may_be_saved_yet(live, limit):
+                continue
+            del self._sessions[key]
+            live.close()
+            if self._states is not None:
+                self._states.left_memory(key[0], live)
+            self._record_end(live.name, "expired" if self._states is None else "saved")
+
+    def _may_be_saved_yet(self, live: LiveSession, limit_s: float) -> bool:
+        """Return whether an idle session has unsaved changes; it is kept at most twice as long for them."""
+        unsaved = live.journal is not None and live.journal.unsaved_s > 0
+        return unsaved and live.last_used_s >= limit_s - self._settings.idle_expiry_s
+
+    def close(self) -> None:
+        """End all sessions."""
+        for live in self._sessions.values():
+            live.close()
+        self._sessions.clear()
+
+    def _current(self, owner: str, name: str) -> LiveSession | None:
+        self.expire()
+        return self._sessions.get((owner, name))
+
+    def _record_end(self, name: str, reason: str) -> None:
+        self._metrics.sessions_ended.labels(reason).inc()
+        _log.info("session ended", extra={"session": name, "reason": reason})
+
+    def _reopen(self, live: LiveSession, request: SessionRequest) -> LiveSession:
+        if live.request != request:
+            raise _conflict(live.request, request)
+        live.last_used_s = self._clock()
+        return live
+
+    def _check_capacity(self) -> None:
+        self.check_not_stopping()
+        limit = self._settings.max_sessions
+        if len(self._sessions) < limit:
+            return
+        raise ProblemError(
+            "server-full",
+            f"{limit} sessions are open; delete one that is no longer needed, or retry later",
+            rule=f"at most {limit} sessions",
+            retry_after_s=self._expected_wait_s(),
+        )
+
+    def check_not_stopping(self) -> None:
+        """Check that new sessions and frames are accepted. Raises ProblemError if the server is stopping (503)."""
+        if self.stopping:
+            raise ProblemError("stopping", "the server is stopping; connect again in a few seconds", retry_after_s=5)
+
+    def _sessions_of(self, owner: str) -> list[LiveSession]:
+        return [live for (each, _), live in self._sessions.items() if each == owner]
+
+    def _expected_wait_s(self, owner: str | None = None) -> int:
+        """Return the earliest time in which a session of an owner, or of all, could expire; at most a minute."""
+        used_s = [live.last_used_s for (each, _), live in self._sessions.items() if owner in (None, each)]
+        wait_s = min(used_s, default=self._clock()) + self._settings.idle_expiry_s - self._clock()
+        return max(1, min(60, math.ceil(wait_s)))
+
+
+def _engine(options: SessionOptions, graphs: LightingGraphs | None) -> Session:
+    """Return a new engine session. Raises ProblemError if the weights of its model are missing."""
+    try:
+        return Session(options, graphs=graphs)
+    except ModelError as error:  # of `completion`, whose weights are not among the graphs
+        raise _no_model(options.model, error) from error
+
+
+def _no_model(model: str, error: Exception) -> ProblemError:
+    rule = "must be a model of the server; `auto` is its default model"
+    detail = f"the server has no weights of the model: {error}"
+    return ProblemError("model-not-here", detail, field="mode", value=model, rule=rule)
+
+
+def _conflict(existing: SessionRequest, request: SessionRequest) -> ProblemError:
+    """Return the error that names each differing option with both values; `field` is the first one."""
+    old = {name: json.dumps(value) for name, value in existing.model_dump().items()}
+    new = {name: json.dumps(value) for name, value in request.model_dump().items()}
+    differing = [name for name in old if old[name] != new[name]]
+    first = differing[0]
+    listed = ", ".join(f"{name} {old[name]} (requested: {new[name]})" for name in differing)
+    return ProblemError(
+        "session-conflict",
+        f"the session exists with {listed}; join it with GET, delete it first, or use another id",
+        field=first,
+        value=new[first],
+        rule=f"must be {old[first]}, as when the session was opened",
+    )

@@ -1,0 +1,179 @@
+"""Named probes of one session, and its light at these probes and at other points. Used on the event loop."""
+
+import asyncio
+from collections.abc import Sequence
+from contextlib import nullcontext
+from dataclasses import asdict
+
+from roomlight.conventions import NO_FRAME, Position
+from roomlight.engine.session import FrameReport, Session
+from roomlight.light.light import Light
+from roomlight.wire.messages import ProbeQuery
+from roomlight_server.answers.light_forms import default_panorama, digest_of_light
+from roomlight_server.base.problems import ProblemError, convert_probe_errors
+from roomlight_server.sessions.engine_access import EngineAccess
+from roomlight_server.sessions.session_parts import LightCache, Limits, NamedProbe, finished_light
+from roomlight_server.state.live_state import SavedProbe
+from roomlight_server.work.workers import Workers
+
+
+class SessionLighting:
+    """The named probes and the light of a session.
+
+    Attributes:
+        frame: Index of the last processed frame, after which light is answered; NO_FRAME before the first.
+    """
+
+    def __init__(self, access: EngineAccess, workers: Workers, limits: Limits, height: int) -> None:
+        """Begin without probes; panoramas have `height` rows."""
+        self._access, self._workers, self._limits, self._height = access, workers, limits, height
+        self._named: dict[str, NamedProbe] = {}
+        self._cache = LightCache()
+        self.frame = NO_FRAME
+
+    async def track(self, name: str, position: Position) -> bool:
+        """Track a named probe; an existing name moves to the new position. Return whether the name is new.
+
+        Raises:
+            ProblemError: There are too many probes, the position is unusable, or the session has ended.
+        """
+        async with self._access.engine_lock:
+            engine, old = self._access.live(), self._named.get(name)
+            if old is not None and old.position == position:
+                return False
+            if old is None and len(self._named) >= self._limits.max_probes:
+                limit = self._limits.max_probes
+                detail = f"the session already tracks {limit} named probes; delete one first"
+                raise ProblemError("too-many-probes", detail, rule=f"at most {limit} probes")
+            with self._limits.quotas.adding_probe(self._height) if old is None else nullcontext():
+                await self._replace_probe(engine, name, position)
+            return old is None
+
+    async def _replace_probe(self, engine: Session, name: str, position: Position) -> None:
+        async with self._workers.engine_slot():
+            handle = await convert_probe_errors(self._workers.run_in_engine_pool(engine.track, position))
+        new = NamedProbe(position, handle)
+        if self.has_light:
+            new.coverage = (await self._workers.run_in_decode_pool(engine.light, handle)).coverage
+        async with self._access.state_lock:
+            if name in self._named:
+                self._remove(engine, name)
+            self._named[name] = new
+            self._access.changed(urgent=True)
+
+    async def untrack(self, name: str) -> None:
+        """Stop tracking a named probe.
+
+        Raises:
+            ProblemError: There is no probe of this name (404), or the session has ended.
+        """
+        async with self._access.engine_lock, self._access.state_lock:
+            engine = self._access.live()
+            self._named_probe(name)
+            self._remove(engine, name)
+            self._access.changed(urgent=True)
+
+    def _remove(self, engine: Session, name: str) -> None:
+        named = self._named.pop(name)
+        engine.untrack(named.handle)
+        self._cache.drop(name, named.position)
+
+    async def at(self, queries: Sequence[ProbeQuery]) -> list[Light]:
+        """Return the light at each point after the same frame, with its etag; before the first frame the default light.
+
+        Raises:
+            ProblemError: A probe name is unknown, a position is unusable, or the session has ended.
+        """
+        late = sum(query.name is None for query in queries)
+        lock = self._access.engine_lock if late else self._access.state_lock
+        with self._limits.quotas.late_probes(late):
+            return await self._after_same_frame(queries, lock)
+
+    async def _after_same_frame(self, queries: Sequence[ProbeQuery], lock: asyncio.Lock) -> list[Light]:
+        async with lock:
+            engine = self._access.live()
+            if not self.has_light:
+                return [self._default(query) for query in queries]
+            return [await self._light(engine, query) for query in queries]
+
+    async def _light(self, engine: Session, query: ProbeQuery) -> Light:
+        name, position = query.name, self._position(query)
+        cached = self._cache.get(name, position, self.frame)
+        if cached is not None:
+            return cached
+        if name is not None:
+            found = await self._workers.run_in_decode_pool(engine.light, self._named[name].handle)
+        else:
+            async with self._workers.engine_slot():
+                found = await convert_probe_errors(self._workers.read_in_engine_pool(engine.light_at, position))
+        tracked = found.tracked_lights
+        etag = await self._workers.run_in_decode_pool(digest_of_light, found.panorama, found.observed, tracked)
+        light = finished_light(found, name=name, frame=self.frame, etag=etag)
+        self._cache.put(light)
+        return light
+
+    def _default(self, query: ProbeQuery) -> Light:
+        panorama, observed, etag = default_panorama(self._height)
+        return Light(self._position(query), panorama, observed, 0.0, frame=NO_FRAME, name=query.name, etag=etag)
+
+    def _position(self, query: ProbeQuery) -> Position:
+        if query.name is not None:
+            return self._named_probe(query.name).position
+        assert query.position is not None
+        x, y, z = query.position
+        return x, y, z
+
+    def _named_probe(self, name: str) -> NamedProbe:
+        named = self._named.get(name)
+        if named is None:
+            raise ProblemError("probe-not-found", f"the session has no probe {name!r}", field="name", value=name)
+        return named
+
+    @property
+    def has_light(self) -> bool:
+        """Whether a frame has been processed."""
+        return self.frame != NO_FRAME
+
+    @property
+    def positions(self) -> dict[str, Position]:
+        """Positions of the named probes."""
+        return {name: named.position for name, named in self._named.items()}
+
+    @property
+    def handles(self) -> dict[str, int]:
+        """Handles of the named probes in the engine."""
+        return {name: named.handle for name, named in self._named.items()}
+
+    @property
+    def coverage(self) -> dict[str, float]:
+        """Covered part of the sphere of each named probe."""
+        return {name: round(named.coverage, 4) for name, named in self._named.items()}
+
+    def take_coverage(self, engine: Session, report: FrameReport) -> None:
+        """Take the coverage of the named probes from the report of a frame."""
+        found = dict(zip(engine.handles, report.coverage, strict=True))
+        for named in self._named.values():
+            named.coverage = found.get(named.handle, named.coverage)
+
+    @property
+    def light_bytes(self) -> int:
+        """Memory of one light."""
+        return 16 * 2 * self._height**2  # float32 radiance and observed
+
+    @property
+    def cached_bytes(self) -> int:
+        """Memory of the cached lights."""
+        return len(self._cache) * self.light_bytes
+
+    def clear(self) -> None:
+        """Release the cached lights."""
+        self._cache.clear()
+
+    def saved(self) -> dict[str, SavedProbe]:
+        """Return the named probes for the state on disk."""
+        return {name: SavedProbe(**asdict(named)) for name, named in self._named.items()}
+
+    def restore(self, probes: dict[str, SavedProbe], frame: int) -> None:
+        """Continue with saved probes, after a frame."""
+        self._named = {name: NamedProbe(**one.model_dump()) for name, one in probes.items()}
+        self.frame = frame

@@ -1,0 +1,139 @@
+"""Parts of a live session: its limits, its slots for frames in flight, its named probes, the lights it has computed."""
+
+import asyncio
+from collections import OrderedDict
+from collections.abc import AsyncGenerator, Generator
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass
+from typing import Final
+
+from roomlight.conventions import Position
+from roomlight.engine.session import Session
+from roomlight.light.light import Light
+from roomlight.wire.frame_message import FrameLimits
+from roomlight.wire.messages import Volume
+from roomlight_server.base.problems import ProblemError
+from roomlight_server.sessions.quotas import Quotas
+
+MAX_CACHED_LIGHTS: Final = 8
+"""Lights cached for requests of more forms and for `If-None-Match`; 0.6 MB each at a height of 120."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """Limits of a session; see `ServerSettings`."""
+
+    frame: FrameLimits
+    frames_in_flight: int
+    max_probes: int
+    idle_expiry_s: float
+    history_bytes: int
+    quotas: Quotas
+
+
+@dataclass
+class NamedProbe:
+    """A named probe; `handle` is that of the engine."""
+
+    position: Position
+    handle: int
+    coverage: float = 0.0
+
+
+class FrameSlots:
+    """Slots for frames in flight (being received, decoded or processed)."""
+
+    def __init__(self, limit: int) -> None:
+        """Make all slots free."""
+        self._limit, self._free = limit, asyncio.Semaphore(limit)
+        self.taken = 0
+
+    @asynccontextmanager
+    async def held(self) -> AsyncGenerator[None]:
+        """Hold a slot. Raises ProblemError if all are taken (429)."""
+        if self._free.locked():
+            limit = self._limit
+            detail = f"{limit} frames of this session are in flight; retry with a newer frame"
+            raise ProblemError("session-full", detail, rule=f"at most {limit} frames in flight", retry_after_s=1)
+        await self.acquire()
+        try:
+            yield
+        finally:
+            self.release()
+
+    async def acquire(self) -> None:
+        """Wait for a slot; `release` frees it."""
+        await self._free.acquire()
+        self.taken += 1
+
+    def release(self) -> None:
+        """Free a slot."""
+        self.taken -= 1
+        self._free.release()
+
+
+class CompositeTurn:
+    """The turn of a session to make a composite."""
+
+    def __init__(self) -> None:
+        """Make the turn free."""
+        self._taken = False
+
+    @contextmanager
+    def held(self) -> Generator[None]:
+        """Take the turn. Raises ProblemError if it is taken (429)."""
+        if self._taken:
+            rule = "one composite a session at a time"
+            raise ProblemError("composite-running", f"{rule}; retry later", rule=rule, retry_after_s=1)
+        self._taken = True
+        try:
+            yield
+        finally:
+            self._taken = False
+
+
+class LightCache:
+    """The lights computed last, by name and position."""
+
+    def __init__(self) -> None:
+        """Make an empty cache."""
+        self._lights: OrderedDict[tuple[str | None, Position], Light] = OrderedDict()
+
+    def __len__(self) -> int:
+        return len(self._lights)
+
+    def get(self, name: str | None, position: Position, frame: int) -> Light | None:
+        """Return the light after this frame, if it is cached."""
+        found = self._lights.get((name, position))
+        if found is None or found.frame != frame:
+            return None
+        self._lights.move_to_end((name, position))
+        return found
+
+    def put(self, light: Light) -> None:
+        """Add a light; the one that was used longest ago is dropped."""
+        self._lights[light.name, light.position] = light
+        while len(self._lights) > MAX_CACHED_LIGHTS:
+            self._lights.popitem(last=False)
+
+    def drop(self, name: str, position: Position) -> None:
+        """Remove the light of a named probe."""
+        self._lights.pop((name, position), None)
+
+    def clear(self) -> None:
+        """Remove all lights."""
+        self._lights.clear()
+
+
+def finished_light(found: Light, *, name: str | None, frame: int, etag: str) -> Light:
+    """Return a light of the engine with its name, its frame and its identity."""
+    light = Light(found.position, found.panorama, found.observed, found.coverage, frame=frame, name=name, etag=etag)
+    return light if found.tracked_lights is None else light.with_lights(found.tracked_lights)
+
+
+def volume_of(engine: Session | None) -> Volume | None:
+    """Return the box of a session's volume; None before the first frame and after the end."""
+    grid = None if engine is None else engine.grid
+    if grid is None:
+        return None
+    return Volume(shape=list(grid.shape), voxel_m=grid.edge_m, depth_max_m=grid.depth_max_m)

@@ -1,0 +1,167 @@
+"""Authentication by bearer token, and the check of web origins."""
+
+import asyncio
+import hashlib
+import hmac
+import logging
+import re
+from collections.abc import Iterable
+from typing import Final
+from urllib.parse import urlsplit
+
+from starlette.datastructures import Headers
+from starlette.types import ASGIApp, Receive, Scope, Send
+
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.problems import ProblemError, problem_response
+from roomlight_server.base.request_context import Flow, current_flow
+from roomlight_server.transport.connections import TRANSPORT, ConnectionGuard
+
+_log = logging.getLogger("roomlight.server")
+
+PROBE_PATHS: Final = ("/healthz", "/readyz")
+"""Paths that are answered for every `Host`: a load balancer calls them by address."""
+OPEN_PATHS: Final = (*PROBE_PATHS, "/metrics", "/openapi.json", "/docs", "/", "/phone")
+DOCS_ASSETS: Final = "/docs-assets"
+PAGE_ASSETS: Final = "/assets"
+"""Paths that need no token: their answers contain nothing about any room."""
+LOOPBACK_HOSTS: Final = ("localhost", "127.0.0.1", "::1")
+"""Values of `Host` by which only this machine reaches the server."""
+SUBPROTOCOL: Final = "roomlight.v1"
+_BEARER_SUBPROTOCOL: Final = "bearer."
+_SESSION_PATH: Final = re.compile(r"/v1/sessions/([^/]+)")
+
+
+class Tokens:
+    """The bearer tokens of a server. Tokens are kept and compared as digests; a digest also names the owner."""
+
+    def __init__(self, tokens: Iterable[str]) -> None:
+        """Store the digests of the tokens. Without tokens, all clients are the same owner."""
+        self._digests = [hashlib.sha256(token.encode()).digest() for token in tokens]
+
+    def owner(self, token: str | None) -> str | None:
+        """Return the token's owner, or None if the token is unknown.
+
+        The token is compared with every known token, each in constant time.
+        """
+        if not self._digests:
+            return "anyone"
+        received = hashlib.sha256((token or "").encode()).digest()
+        owner = None
+        for digest in self._digests:
+            if hmac.compare_digest(digest, received):
+                owner = digest.hex()[:16]
+        return owner
+
+
+class AuthMiddleware:
+    """Sets `scope["state"]["owner"]`, or answers 401 or 403 before the body is read."""
+
+    def __init__(
+        self,
+        app: ASGIApp,
+        *,
+        tokens: Tokens,
+        origins: tuple[str, ...],
+        hosts: tuple[str, ...],
+        metrics: Metrics,
+        wrong_token_delay_s: float,
+        guard: ConnectionGuard,
+    ) -> None:
+        """Wrap an application.
+
+        Args:
+            app: The application.
+            tokens: Tokens that are accepted.
+            origins: Web origins that are allowed besides the server's own; `*` allows all.
+            hosts: Names and addresses that the header `Host` may have; empty allows all. A page of another site whose
+                name resolves to this machine (DNS rebinding) has another one.
+            metrics: Count requests without a valid token.
+            wrong_token_delay_s: Time after which a request with a wrong token is answered.
+            guard: Counts unsent answers by owner.
+        """
+        self._guard = guard
+        self._metrics, self._wrong_token_delay_s = metrics, wrong_token_delay_s
+        self._app, self._tokens, self._origins, self._hosts = app, tokens, origins, hosts
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Handle an ASGI connection."""
+        if scope["type"] not in ("http", "websocket") or scope["path"] in PROBE_PATHS:
+            await self._app(scope, receive, send)
+            return
+        headers = Headers(scope=scope)
+        problem = self._check(scope, headers)
+        if problem is None:
+            self._count_for_owner(scope)
+            await self._app(scope, receive, send)
+            return
+        self._metrics.problems.labels(problem.kind).inc()
+        if problem.kind == "unauthorized":
+            await self._record_unauthorized(scope, headers)
+        if scope["type"] == "websocket" and "websocket.http.response" not in scope.get("extensions", {}):
+            await send({"type": "websocket.close", "code": 1008, "reason": problem.kind})
+        else:  # a WebSocket is answered over HTTP until it is accepted
+            await problem_response(problem)(scope, receive, send)
+
+    def _check(self, scope: Scope, headers: Headers) -> ProblemError | None:
+        host, origin = headers.get("host", ""), headers.get("origin")
+        if self._hosts and _host_name(host) not in self._hosts:
+            rule = f"must be one of {', '.join(self._hosts)}"
+            detail = f"the server does not answer for the host {host[:100]!r}; add it to allow_hosts if it is yours"
+            return ProblemError("forbidden-origin", detail, field="Host", value=host, rule=rule)
+        if _is_open(scope["path"]):
+            return None
+        if origin is not None and not self._allowed(origin, host):
+            return ProblemError("forbidden-origin", f"{origin[:100]} is not in allow_origins", field="Origin")
+        if origin is None and not self._origins and headers.get("sec-fetch-site") in ("cross-site", "same-site"):
+            # browsers send no Origin with a GET for <img>, <script> or a link
+            return ProblemError("forbidden-origin", "a page of another site sent this request", field="Sec-Fetch-Site")
+        owner = self._tokens.owner(token_of(scope, headers))
+        if owner is None:
+            return ProblemError("unauthorized", "header Authorization: Bearer TOKEN is required", field="Authorization")
+        scope.setdefault("state", {})["owner"] = owner
+        return None
+
+    def _count_for_owner(self, scope: Scope) -> None:
+        """Count the work and the unsent answers of the request for its owner and session."""
+        state = scope.get("state", {})
+        owner = state.get("owner", "")
+        found = _SESSION_PATH.match(scope["path"])
+        current_flow.set(Flow(owner, found[1] if found else ""))
+        if owner and TRANSPORT in state:
+            self._guard.assign(state[TRANSPORT], owner)
+
+    async def _record_unauthorized(self, scope: Scope, headers: Headers) -> None:
+        """Count a request without a valid token. One with a wrong token is logged, and delayed against guessing."""
+        reason = "missing" if token_of(scope, headers) is None else "wrong"
+        self._metrics.unauthorized.labels(reason).inc()
+        if reason == "wrong":
+            _log.warning("wrong token", extra={"address": (scope.get("client") or ("",))[0]})
+            await asyncio.sleep(self._wrong_token_delay_s)
+
+    def _allowed(self, origin: str, host: str) -> bool:
+        return "*" in self._origins or origin in self._origins or origin.partition("://")[2] == host
+
+
+def _host_name(host: str) -> str | None:
+    """Return the name or address in a header `Host`; None if the header is malformed."""
+    try:
+        return urlsplit(f"//{host}").hostname
+    except ValueError:  # unbalanced brackets
+        return None
+
+
+def _is_open(path: str) -> bool:
+    return path in OPEN_PATHS or path.startswith((f"{DOCS_ASSETS}/", f"{PAGE_ASSETS}/"))
+
+
+def token_of(scope: Scope, headers: Headers) -> str | None:
+    """Return the bearer token of a request or a WebSocket, valid or not."""
+    scheme, _, token = headers.get("authorization", "").partition(" ")
+    if scheme.lower() == "bearer":
+        return token.strip()
+    if scope["type"] == "websocket":  # browsers can set no header but the subprotocol
+        for offered in scope.get("subprotocols", []):
+            if offered.startswith(_BEARER_SUBPROTOCOL):
+                return offered.removeprefix(_BEARER_SUBPROTOCOL)
+    return None

@@ -1,0 +1,218 @@
+"""Thread pools of a server: for the engine, for composites, for decoding, for encoding. The event loop awaits them.
+
+The threads of each pool are shared by time between owners and sessions (`fair_share`). A session waits for an engine
+thread before it chooses its frame, so that it chooses the newest one as late as possible.
+"""
+
+import asyncio
+import threading
+import time
+from collections.abc import AsyncGenerator, Callable
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import asynccontextmanager, suppress
+from contextvars import ContextVar, copy_context
+from dataclasses import replace
+from functools import partial
+from typing import Final, ParamSpec, TypeVar
+
+from roomlight.engine.memory import release_free_memory
+from roomlight.engine.networks.graphs import LightingGraphs
+from roomlight.engine.session import ModelName, SessionOptions, choose_graphs, warm_up
+from roomlight.threads import pausing
+from roomlight_server.base.metrics import Metrics
+from roomlight_server.base.settings import ServerSettings
+from roomlight_server.work.decode_processes import DecodeProcesses
+from roomlight_server.work.fair_share import MAX_PAUSED, FairShare, Turn
+
+_P = ParamSpec("_P")
+_R = TypeVar("_R")
+_engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
+_composite_turn: ContextVar[Turn] = ContextVar("composite_turn")
+STOP_S: Final = 1.0
+"""Time for running work to end when the server stops."""
+
+
+class Workers:
+    """The thread pools, and the network graphs that sessions share."""
+
+    def __init__(self, settings: ServerSettings, metrics: Metrics) -> None:
+        """Create the pools; threads start when they are first used."""
+        self._threads: list[threading.Thread] = []
+        self._stopped = False
+
+        def pool(name: str, threads: int) -> ThreadPoolExecutor:
+            note = partial(_note_thread, self._threads)
+            return ThreadPoolExecutor(threads, thread_name_prefix=name, initializer=note)
+
+        self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
+        self._decode = pool("decode", settings.decode_threads)
+        self._encode = pool("encode", settings.encode_threads)
+        self._composite = pool("composite", settings.composite_threads)
+
+        def share(pool: str, slots: int, slots_per_owner: int | None = None) -> FairShare:
+            waited = metrics.queue_seconds.labels(pool).observe
+            made = FairShare(slots, slots_per_owner=slots_per_owner, waited=waited)
+            metrics.queued.labels(pool).set_function(lambda: made.waiting)
+            return made
+
+        # one thread is left for other owners: a job of these pools is not paused, and may take seconds
+        several = len(settings.tokens) > 1
+        self._engine_share = share("engine", settings.engine_threads)
+        self._decode_share = share("decode", settings.decode_threads, _all_but_one(settings.decode_threads, several))
+        self._encode_share = share("encode", settings.encode_threads, _all_but_one(settings.encode_threads, several))
+        self._composite_share = share("composite", settings.composite_threads)
+        self.decode_processes = DecodeProcesses(
+            settings.decode_timeout_s, settings.object_timeout_s, settings.object_limits
+        )
+        self._decode_threads = settings.decode_threads
+        self._base = SessionOptions(
+            model=settings.model,
+            weights=settings.weights,
+            provider=settings.provider,
+            allow_untrained=settings.allow_untrained,
+            keyframes=settings.keyframes,
+        )
+        self._graphs: dict[ModelName, LightingGraphs | None] = {}
+        self._loading_lock = asyncio.Lock()
+
+    def load(self) -> None:
+        """Load the graphs of the default model, blocking, and start the decoding processes.
+
+        Raises:
+            ModelError: The weights cannot be loaded.
+        """
+        self._graphs[self._base.model] = choose_graphs(self._base)
+        self.decode_processes.start(self._decode_threads)
+
+    async def start(self) -> None:
+        """Load the graphs of the default model if necessary and run them once, which compiles the kernels.
+
+        Raises:
+            ModelError: The weights cannot be loaded.
+        """
+        graphs = await self.graphs_of(self._base.model)
+        await asyncio.get_running_loop().run_in_executor(self._engine, warm_up, graphs)
+
+    def stop(self) -> None:
+        """Drop work that has not started, and wait up to `STOP_S` for the rest; images being decoded are dropped."""
+        self._stopped = True
+        self.decode_processes.stop()
+        deadline_s = time.monotonic() + STOP_S
+        pools = (self._engine, self._composite, self._decode, self._encode)
+        for pool in pools:
+            pool.shutdown(wait=False, cancel_futures=True)
+        for thread in self._threads:
+            thread.join(max(0.0, deadline_s - time.monotonic()))
+
+    def release_paused(self) -> None:
+        """Let paused work of the engine continue, so that it ends before the server stops."""
+        self._engine_share.close()
+
+    @property
+    def base_options(self) -> SessionOptions:
+        """Options of the server on which the options of each session are based."""
+        return self._base
+
+    async def graphs_of(self, model: ModelName) -> LightingGraphs | None:
+        """Return the graphs of a model, loaded once; None for the classical model.
+
+        Raises:
+            ModelError: The weights cannot be loaded.
+        """
+        model = self._base.model if model == "auto" else model
+        async with self._loading_lock:
+            if model not in self._graphs:
+                options = replace(self._base, model=model)
+                loop = asyncio.get_running_loop()
+                self._graphs[model] = await loop.run_in_executor(self._decode, choose_graphs, options)
+        return self._graphs[model]
+
+    def release_memory(self) -> None:
+        """Return the memory of an ended session to the system, on an engine thread after its running work."""
+        with suppress(RuntimeError):  # the pools are shut down
+            self._engine.submit(release_free_memory)
+
+    @asynccontextmanager
+    async def engine_slot(self) -> AsyncGenerator[None]:
+        """Wait for a free engine thread; inside the context, `run_in_engine_pool` starts immediately."""
+        async with self._engine_share.slot() as turn:
+            token = _engine_turn.set(turn)
+            try:
+                yield
+            finally:
+                _engine_turn.reset(token)
+
+    async def run_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run on an engine thread; requires an `engine_slot`. Long work is paused for other sessions."""
+        turn = _engine_turn.get()
+        return await self._run_to_end(self._engine, lambda: _run_paused(turn, lambda: work(*args, **kwargs)))
+
+    async def read_in_engine_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run work that changes nothing, as `run_in_engine_pool`; a cancelled caller ends it at its next pause."""
+        turn = _engine_turn.get()
+        run = partial(_run_paused, turn, lambda: work(*args, **kwargs))
+        return await self._run_to_end(self._engine, run, cancelled=turn.abandon)
+
+    @asynccontextmanager
+    async def composite_slot(self) -> AsyncGenerator[None]:
+        """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately."""
+        async with self._composite_share.slot() as turn:
+            token = _composite_turn.set(turn)
+            try:
+                yield
+            finally:
+                _composite_turn.reset(token)
+
+    async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run on a compositing thread; requires a `composite_slot`. If the caller is cancelled, it ends soon."""
+        turn = _composite_turn.get()
+
+        def run() -> _R:
+            with pausing(turn.check):
+                return work(*args, **kwargs)
+
+        return await self._run_to_end(self._composite, run, cancelled=turn.abandon)
+
+    async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Wait for a decoding thread and run on it."""
+        async with self._decode_share.slot():
+            return await self._run_to_end(self._decode, lambda: work(*args, **kwargs))
+
+    async def run_in_encode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Wait for an encoding thread and run on it."""
+        async with self._encode_share.slot():
+            return await self._run_to_end(self._encode, lambda: work(*args, **kwargs))
+
+    async def _run_to_end(
+        self, pool: ThreadPoolExecutor, work: Callable[[], _R], cancelled: Callable[[], object] | None = None
+    ) -> _R:
+        """Return the result. A cancelled caller still waits for the thread, because the work uses its session.
+
+        `cancelled` is called when the caller is cancelled. When the server has stopped, nobody waits.
+        """
+        future = asyncio.get_running_loop().run_in_executor(pool, copy_context().run, work)
+        try:
+            return await asyncio.shield(future)
+        except asyncio.CancelledError:
+            if cancelled is not None:
+                cancelled()
+            while not future.done() and not self._stopped:
+                with suppress(asyncio.CancelledError):  # cancelled again
+                    await asyncio.wait([future])
+            if future.done():
+                with suppress(asyncio.CancelledError):
+                    future.exception()  # marks it as retrieved
+            raise
+
+
+def _note_thread(threads: list[threading.Thread]) -> None:
+    threads.append(threading.current_thread())
+
+
+def _run_paused(turn: Turn, work: Callable[[], _R]) -> _R:
+    with pausing(turn.pause):
+        return work()
+
+
+def _all_but_one(threads: int, several_owners: bool) -> int | None:
+    return max(1, threads - 1) if several_owners else None

@@ -1,0 +1,199 @@
+"""`roomlight bench stages` on a tiny room: the report is complete, consistent and readable. Speed is not tested."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+from torch.utils.flop_counter import FlopCounterMode
+
+from roomlight.camera import transform_points
+from roomlight.errors import ModelError, OptionError
+from roomlight_bench.stages import plain_torch, stage_costs, stages
+from roomlight_bench.stages.report import StageRow, StagesReport, judge
+from roomlight_bench.stages.roofline import CeilingRuns, Ceilings, Cost
+from roomlight_bench.stages.room import PROBE, RoomSize, views
+from roomlight_bench.timing import Implementation, Timing, time_interleaved
+from roomlight_cli.console import print_table
+from roomlight_export.graphs import graphs_of, sample_inputs
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
+from roomlight_model.networks import VideoModel
+
+SIZE = RoomSize(width=40, height=30, volume_shape=(16, 20, 24), panorama_height=32, samples=100, keyframes=3)
+CONFIG = ModelConfig(
+    SGConfig(volume_shape=(16, 20, 24), channels=8, full_channels=4),
+    BlendConfig(height=16, channels=4, full_channels=2),
+)
+NETWORK_STAGES = ("SGLV network", "3D GRU", "blending network", "2D GRU")
+OWN_STAGES = (
+    "volume initialisation",
+    "ray tracing, network-like volume",
+    "ray tracing, fine steps",
+    "ray tracing, classical volume",
+    "mesh building",
+    "partial-mesh panorama",
+    "fill beyond the mesh",
+    "accumulation",
+    "late probe, classical",
+)
+
+
+@pytest.fixture(scope="module")
+def report(tiny_video: tuple[Path, Path]) -> StagesReport:
+    return stages.run_stages(repeats=2, size=SIZE, model=tiny_video[1])
+
+
+def row(name: str, *, ours: float, reference: float | None = None, torch: float | None = None) -> StageRow:
+    def timing(ms: float | None) -> Timing | None:
+        return None if ms is None else Timing(ms, 2 * ms, 3)
+
+    return StageRow(name, Timing(ours, 2 * ours, 3), timing(reference), timing(torch), None, 1.0, 1.0, 1.0, "", {})
+
+
+def test_every_stage_has_its_times_and_work(report: StagesReport):
+    names = [row.name for row in report.rows]
+    assert set(OWN_STAGES) <= set(names)
+    for network in NETWORK_STAGES:
+        assert any(name.startswith(network) for name in names)
+    assert "late probe, video networks" in names
+    for stage in report.rows:
+        assert 0 < stage.ours.least_ms <= stage.ours.median_ms
+        assert stage.ours.runs == 2
+        assert stage.flops > 0
+        assert stage.bytes > 0
+        assert stage.roof_ms == pytest.approx(Cost(stage.flops, stage.bytes).roof_ms(report.ceilings))
+    assert sum(stage.paper_ms or 0 for stage in report.rows) == pytest.approx(77.4)  # the paper rounds to 77
+
+
+@pytest.mark.slow
+def test_untrained_networks_are_exported_without_weights():
+    report = stages.run_stages(repeats=1, size=replace(SIZE, panorama_height=16), config=CONFIG)
+    assert report.networks == "video, untrained"
+    assert any(stage.name.startswith("blending network") and stage.torch is not None for stage in report.rows)
+
+
+def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
+    by_name = {stage.name: stage for stage in report.rows}
+    for name in ("volume initialisation", "ray tracing, network-like volume", "ray tracing, classical volume"):
+        # 1e-4 of a ray is dropped, radiance is up to 2; depth and colour are float32
+        assert set(by_name[name].differences) == {"reference", "torch"}
+        assert max(by_name[name].differences.values()) < 1e-3
+    assert max(by_name["accumulation"].differences.values()) < 1e-5
+    assert by_name["partial-mesh panorama"].differences["reference"] < 1e-4
+
+
+def test_a_report_survives_json(report: StagesReport):
+    assert StagesReport.from_json(json.loads(json.dumps(report.to_json()))) == report
+
+
+def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
+    console = Console(width=300, record=True, file=None, quiet=False, force_terminal=False)
+    with console.capture() as capture:
+        console.print(report.table())
+    printed = capture.get()
+    for stage in report.rows:
+        assert stage.name in printed
+    for criterion in report.criteria:
+        assert criterion.demand in printed
+    assert f"{report.threads} threads" in printed
+    narrow = Console(width=80, force_terminal=False)
+    with narrow.capture() as capture:
+        print_table(narrow, report.table(width=80))
+    assert "…" not in capture.get()
+    assert "initialisation" in capture.get()
+    assert len(report.criteria) == 6
+
+
+def test_without_pytorch_all_other_stages_are_measured(monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr(plain_torch, "torch_installed", lambda: False)
+    monkeypatch.setattr(stages, "export_possible", lambda: False)
+    report = stages.run_stages(repeats=1, size=SIZE)
+    assert tuple(stage.name for stage in report.rows) == OWN_STAGES
+    assert all(stage.torch is None for stage in report.rows)
+    console = Console(width=300)
+    with console.capture() as capture:
+        console.print(report.table())
+    assert "no comparison with PyTorch" in " ".join(capture.get().split())
+    assert [criterion.demand.split(":")[0] for criterion in report.criteria] == ["volume initialisation"]
+
+
+def test_other_folders_and_zero_repeats_are_refused(tmp_path):
+    with pytest.raises(ModelError, match=r"model\.json"):
+        stages.run_stages(repeats=1, model=tmp_path, size=SIZE)
+    with pytest.raises(OptionError, match="repeats must be at least 1"):
+        stages.run_stages(repeats=0)
+
+
+def test_criteria_hold_and_fail_at_their_limits():
+    rows = [
+        row("volume initialisation", ours=1.0, reference=5.0),
+        row("ray tracing, network-like volume", ours=1.0, torch=29.9),
+        row("SGLV network, ONNX Runtime fp32", ours=100.0),
+        row("SGLV network, OpenVINO bf16", ours=30.0),
+        row("mesh building", ours=5.0),
+        row("partial-mesh panorama", ours=6.0),
+    ]
+    initialisation, march, panorama, both = judge(rows)
+    assert initialisation.holds
+    assert not march.holds
+    assert panorama.holds
+    assert both.measured == pytest.approx(11 / 30)  # of the faster runtime
+    assert not both.holds
+
+
+def test_implementations_are_timed_interleaved():
+    order: list[str] = []
+    implementations = [
+        Implementation(lambda: order.append("a")),
+        Implementation(lambda: order.append("b"), max_runs=2, scale=1000.0),
+    ]
+    progress: list[str] = []
+    first, second = time_interleaved(implementations, 3, progress=progress.append)
+    assert order == ["a", "b", "a", "b", "a"]
+    assert (first.runs, second.runs) == (3, 2)
+    assert progress[-1] == "timing, round 3 of 3"
+
+
+def test_the_roof_is_the_slower_of_arithmetic_and_memory():
+    ceilings = Ceilings(flops_per_s=1e9, bytes_per_s=1e9)
+    assert Cost(2e6, 1e6).roof_ms(ceilings) == pytest.approx(2)
+    assert (Cost(1e6, 1e6) + Cost(0.0, 1e6) * 2.0).roof_ms(ceilings) == pytest.approx(3)
+    runs = CeilingRuns.of(matrix=64, floats=1024)
+    assert runs.ceilings(1.0, 1.0) == Ceilings(2e3 * 64**3, 8e3 * 1024)
+
+
+def test_formulas_count_the_networks_as_pytorch_does():
+    """The formulas count every convolution; PyTorch also counts the two small layers of the global view."""
+    counted: dict[str, float] = {}
+    for graph in graphs_of(VideoModel(CONFIG).eval()):
+        with FlopCounterMode(display=False) as counter:
+            graph.module(*sample_inputs(graph))
+        network = graph.name.replace("_encoder", "").replace("_decoder", "")
+        counted[network] = counted.get(network, 0) + counter.get_total_flops()
+    formulas = {
+        "single_sg": stage_costs.sg_layers(CONFIG.sg, recurrent=False),
+        "video_sg": stage_costs.sg_layers(CONFIG.sg, recurrent=True),
+        "video_sg_gru": stage_costs.sg_gru_layers(CONFIG.sg),
+        "single_blend": stage_costs.blend_layers(CONFIG.blend, panels=8),
+        "video_blend": stage_costs.blend_layers(CONFIG.blend, panels=13),
+        "video_blend_gru": stage_costs.blend_gru_layers(CONFIG.blend),
+    }
+    assert counted.keys() == formulas.keys()
+    for name, layers in formulas.items():
+        assert stage_costs.network_cost(layers).flops == pytest.approx(counted[name], rel=1e-3)
+
+
+def test_views_agree_on_the_room():
+    """All points that the views see lie in the room; the first view has clipped pixels at its window."""
+    frames = views(6, replace(SIZE, width=64, height=48))
+    assert frames[0].clipped.any()
+    assert not frames[0].clipped.all()
+    for frame in frames:
+        points = frame.depth_m[..., None] * frame.intrinsics.rays()
+        world = transform_points(frame.camera_to_world, points).reshape(-1, 3)
+        assert (frame.depth_m > 0).all()
+        assert (world > np.array([-2.4, -1.4, -3.1]) - 1e-3).all()
+        assert (world < np.array([2.2, 1.2, 1.4]) + 1e-3).all()
+        assert np.linalg.norm(world - PROBE, axis=-1).min() > 0.1

@@ -1,0 +1,275 @@
+"""Scores of estimators on captures: values, refusals, intervals over pairs, JSON and tables."""
+
+import dataclasses
+import json
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from roomlight.baselines import MeanColour, WarpAndFill
+from roomlight.camera import Intrinsics
+from roomlight.captures import CaptureOptions, CaptureWriter
+from roomlight.conventions import linear_to_srgb8
+from roomlight.errors import CaptureError, ModelError, OptionError
+from roomlight.frame import Frame
+from roomlight.images import write_exr
+from roomlight.metrics import METRICS, PAPER_INTERVALS
+from roomlight_cli.console import print_table
+from roomlight_evaluation.captures.estimators import Estimator, PredictionFolder
+from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_predictions
+from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
+from roomlight_evaluation.captures.tables import capture_tables
+
+PROBES = ((0.0, 0.0, -1.0), (0.3, 0.1, -1.5))
+INTRINSICS = Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30)
+
+
+def truth(number: int, height: int = 16) -> np.ndarray:
+    return np.random.default_rng(number).exponential(0.5, (height, 2 * height, 3)).astype(np.float16).astype(np.float32)
+
+
+def write_capture(path: Path, *, frames: int = 5, probes: bool = True) -> Path:
+    """A capture of a flat coloured wall two metres ahead; its ground truth is unrelated noise."""
+    with CaptureWriter(path) as writer:
+        for index in range(frames):
+            colour = np.full((30, 40, 3), np.float32(0.1 * (index + 1)))
+            writer.add(
+                srgb8=linear_to_srgb8(colour),
+                depth_m=np.full((30, 40), 2.0, np.float32),
+                intrinsics=INTRINSICS,
+                camera_to_world=np.eye(4),
+            )
+        for number, position in enumerate(PROBES if probes else ()):
+            writer.add_probe(position, truth(number))
+    return path
+
+
+class Oracle:
+    """Returns the truth after `at` further frames, and black before."""
+
+    def __init__(self, name: str = "oracle", at: int = 0, height: int = 16) -> None:
+        self.name = name
+        self._at = at
+        self._height = height
+        self._frames = 0
+
+    def push(self, frame: Frame) -> None:
+        assert frame.image.shape == (30, 40, 3)
+        self._frames += 1
+
+    def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
+        number = min(range(len(PROBES)), key=lambda index: math.dist(PROBES[index], position))
+        panorama = truth(number).repeat(self._height // 16, axis=0).repeat(self._height // 16, axis=1)
+        return panorama if self._frames > self._at else np.zeros_like(panorama)
+
+
+def values(scores: CaptureScores, method: str, metric: str) -> list[tuple[float, ...]]:
+    return [track.scores[metric] for track in scores.tracks if track.method == method]
+
+
+def test_the_truth_scores_zero_and_baselines_do_not(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "room")
+    seen: list[tuple[str, int, int]] = []
+
+    def methods() -> Sequence[Estimator]:
+        return [Oracle(), MeanColour(16), WarpAndFill(16)]
+
+    scores = evaluate_captures([capture], methods, progress=lambda *state: seen.append(state))
+    assert scores.methods == ("oracle", "mean colour", "warp and fill")
+    assert scores.captures == (CaptureSummary("room", str(capture), frames=5, skipped=0, probes=2),)
+    assert seen == [("room", done, 5) for done in range(1, 6)]
+    for metric in METRICS:
+        for track in values(scores, "oracle", metric.key):
+            assert track == pytest.approx([0.0] * len(track), abs=1e-6)
+            assert len(track) == (4 if metric.key == "smoothness" else 5)
+    for metric in ("log_l2", "ldr_l2", "render_l2", "si_rmse_mirror"):
+        assert min(min(track) for track in values(scores, "mean colour", metric)) > 0.001
+    # the mean colour changes as frames come in, and so is not smooth
+    assert min(values(scores, "mean colour", "smoothness")[0]) > 0
+
+
+def test_scores_follow_the_frames(tmp_path: Path) -> None:
+    scores = evaluate_captures([write_capture(tmp_path / "room")], lambda: [Oracle(at=2)])
+    for track in values(scores, "oracle", "log_l2"):
+        assert [value > 0 for value in track] == [True, True, False, False, False]
+    # smoothness i is between frames i and i + 1: the light comes on from the second to the third
+    for track in values(scores, "oracle", "smoothness"):
+        assert [value > 0 for value in track] == [False, True, False, False]
+
+
+def test_panoramas_are_resized_to_the_height_of_the_truth(tmp_path: Path) -> None:
+    scores = evaluate_captures([write_capture(tmp_path / "room", frames=1)], lambda: [Oracle(height=48)])
+    # 48 rows hold three equal ones for each of the 16: the solid-angle weighted mean of each three is the row itself
+    assert values(scores, "oracle", "log_l2")[0] == pytest.approx((0.0,), abs=1e-9)
+
+
+def write_predictions(folder: Path, *, frames: range) -> None:
+    for number in range(len(PROBES)):
+        for index in frames:
+            write_exr(folder / f"probe-{number:02d}" / f"{index:06d}.exr", truth(number))
+
+
+@pytest.mark.parametrize("nested", [False, True])
+def test_predictions_are_scored_as_one_more_method(tmp_path: Path, nested: bool) -> None:
+    capture = write_capture(tmp_path / "room")
+    predictions = tmp_path / "out"
+    write_predictions(predictions / "room" if nested else predictions, frames=range(5))
+    scores = evaluate_captures([capture], lambda: [MeanColour(16)], predictions=predictions)
+    assert scores.methods == ("mean colour", "predictions")
+    assert values(scores, "predictions", "log_l2")[1] == pytest.approx([0.0] * 5, abs=1e-9)
+    alone = evaluate_predictions([capture], predictions)
+    assert alone.methods == ("predictions",)
+    assert values(alone, "predictions", "log_l2") == values(scores, "predictions", "log_l2")
+
+
+def test_predictions_are_numbered_by_frame_index(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "room")
+    write_predictions(tmp_path / "out", frames=range(0, 5, 2))
+    scores = evaluate_predictions([capture], tmp_path / "out", options=CaptureOptions(every=2))
+    assert scores.tracks[0].frames == (0, 2, 4)
+
+
+def test_a_missing_prediction_is_named(tmp_path: Path) -> None:
+    capture = write_capture(tmp_path / "room")
+    write_predictions(tmp_path / "out", frames=range(5))
+    missing = tmp_path / "out" / "probe-01" / "000003.exr"
+    missing.unlink()
+    with pytest.raises(CaptureError, match=r"probe-01/000003\.exr.*is missing"):
+        evaluate_predictions([capture], tmp_path / "out")
+
+
+def test_a_folder_without_predictions_is_named(tmp_path: Path) -> None:
+    capture, other = write_capture(tmp_path / "room"), write_capture(tmp_path / "other")
+    write_predictions(tmp_path / "out", frames=range(5))
+    with pytest.raises(CaptureError, match="no predictions for the capture room"):
+        evaluate_predictions([capture], tmp_path / "nowhere")
+    # with two captures, probe-00 without a capture's name could be either's
+    with pytest.raises(CaptureError, match="no predictions for the capture room"):
+        evaluate_captures([capture, other], lambda: [], predictions=tmp_path / "out")
+
+
+def test_a_capture_without_truth_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CaptureError, match=r"room: there is no ground truth"):
+        evaluate_captures([write_capture(tmp_path / "room", probes=False)], lambda: [MeanColour(16)])
+
+
+def test_two_captures_of_one_name_are_refused(tmp_path: Path) -> None:
+    paths = [write_capture(tmp_path / part / "room") for part in ("a", "b")]
+    with pytest.raises(CaptureError, match="two captures are called room"):
+        evaluate_captures(paths, lambda: [MeanColour(16)])
+
+
+def test_two_methods_of_one_name_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="different names"):
+        evaluate_captures([write_capture(tmp_path / "room")], lambda: [MeanColour(16), MeanColour(16)])
+
+
+def test_an_invalid_panorama_is_refused(tmp_path: Path) -> None:
+    class Broken(Oracle):
+        def light_at(self, position: tuple[float, float, float]) -> np.ndarray:
+            return super().light_at(position) * np.float32(np.nan)
+
+    with pytest.raises(ModelError, match=r"oracle: returned an invalid panorama at .* after frame 0"):
+        evaluate_captures([write_capture(tmp_path / "room")], lambda: [Broken()])
+
+
+def test_predictions_are_read_from_the_current_frames_file(tmp_path: Path) -> None:
+    write_exr(tmp_path / "probe-00" / "000007.exr", truth(0))
+    predictions = PredictionFolder(tmp_path, [PROBES[0]])
+    image = np.zeros((30, 40, 3), np.float32)
+    frame = Frame(7, image, image[..., 0] > 0, np.ones((30, 40), np.float32), INTRINSICS, np.eye(4))
+    predictions.push(frame)
+    np.testing.assert_array_equal(predictions.light_at(PROBES[0]), truth(0))
+
+
+def test_scores_survive_json(tmp_path: Path) -> None:
+    scores = evaluate_captures(
+        [write_capture(tmp_path / "room"), write_capture(tmp_path / "short", frames=1)], lambda: [MeanColour(16)]
+    )
+    path = tmp_path / "scores" / "eval.json"
+    scores.write(path)
+    assert CaptureScores.read(path) == scores
+    data = json.loads(path.read_text())
+    assert data["schema"] == "roomlight-evaluation-1"
+    assert len(data["summary"]) == 3 * len(METRICS)  # both captures and their mean, one method
+    one_frame = next(
+        entry for entry in data["summary"] if entry["capture"] == "short" and entry["metric"] == "smoothness"
+    )
+    assert {interval["mean"] for interval in one_frame["intervals"]} == {None}
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"schema": "other"}', '{"schema": "roomlight-evaluation-1"}'])
+def test_other_json_is_refused_and_the_file_named(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "eval.json"
+    path.write_text(text)
+    with pytest.raises(CaptureError, match=r"eval\.json"):
+        CaptureScores.read(path)
+    with pytest.raises(CaptureError, match="cannot be read"):
+        CaptureScores.read(tmp_path / "none.json")
+
+
+def uniform_scores(by_pair: dict[tuple[str, int], float], *, frames: int = 31, method: str = "m") -> CaptureScores:
+    captures = tuple(
+        CaptureSummary(name, name, frames, 0, sum(key[0] == name for key in by_pair))
+        for name in dict.fromkeys(key[0] for key in by_pair)
+    )
+    tracks = tuple(
+        Track(capture, probe, method, tuple(range(frames)), dict.fromkeys((m.key for m in METRICS), (score,) * frames))
+        for (capture, probe), score in by_pair.items()
+    )
+    return CaptureScores(captures, tracks)
+
+
+def test_captures_have_equal_weight_whatever_their_probes() -> None:
+    scores = uniform_scores({("a", 0): 1.0, ("b", 0): 2.0, ("b", 1): 2.0, ("b", 2): 2.0})
+    for cell in scores.means("m", "log_l2"):
+        assert cell.mean == pytest.approx(1.5)
+        assert 1.0 <= cell.low < 1.5 < cell.high <= 2.0
+    assert [cell.mean for cell in scores.means("m", "log_l2", capture="b")] == [2.0] * 6
+    with pytest.raises(KeyError, match="no scores of 'x'"):
+        scores.means("x", "log_l2")
+
+
+def test_the_bootstrap_interval_matches_the_standard_error() -> None:
+    rng = np.random.default_rng(5)
+    drawn = rng.normal(10, 2, 200)
+    scores = uniform_scores({(f"c{number}", 0): value for number, value in enumerate(drawn.tolist())})
+    cell = scores.means("m", "log_l2")[-1]
+    standard_error = drawn.std() / math.sqrt(len(drawn))
+    assert cell.high - cell.low == pytest.approx(2 * 1.96 * standard_error, rel=0.05)
+    assert cell == scores.means("m", "log_l2")[-1]  # seeded
+    single = uniform_scores({("a", 0): 3.0}).means("m", "log_l2")[0]
+    assert single.mean == 3.0
+    assert math.isnan(single.low)
+
+
+def test_column_headings_are_the_papers_for_31_frames() -> None:
+    assert uniform_scores({("a", 0): 1.0}).columns == (*PAPER_INTERVALS, "all")
+    assert uniform_scores({("a", 0): 1.0}, frames=10).columns == ("[1,3)", "[3,5)", "[5,7)", "[7,9)", "[9,11)", "all")
+    mixed = uniform_scores({("a", 0): 1.0})
+    shorter = dataclasses.replace(mixed.captures[0], name="b", frames=12)
+    assert dataclasses.replace(mixed, captures=(*mixed.captures, shorter)).columns[0] == "part 1 of 5"
+
+
+def test_tables_show_every_metric_method_and_interval() -> None:
+    good = uniform_scores({("a", 0): 0.1, ("b", 0): 0.2}, method="good")
+    bad = uniform_scores({("a", 0): 0.3, ("b", 0): 0.4}, method="bad")
+    both = CaptureScores(good.captures, good.tracks + bad.tracks)
+    console = Console(width=160, record=True, color_system=None, force_terminal=False)
+    tables = capture_tables(both, per_capture=True)
+    assert [table.title for table in tables] == ["2 captures, 2 probes", "a", "b"]
+    with console.capture() as printed:
+        for table in tables:
+            console.print(table)
+    text = printed.get()
+    narrow = Console(width=40, color_system=None, force_terminal=False)
+    with narrow.capture() as printed_narrow:
+        print_table(narrow, tables[0])
+    assert max(map(len, printed_narrow.get().splitlines())) <= 80  # a terminal's usual width, and a pipe's
+    assert "…" not in printed_narrow.get()
+    for wanted in (*PAPER_INTERVALS, *(metric.title for metric in METRICS), "good", "bad", "1.5", "1-2"):
+        assert wanted in text

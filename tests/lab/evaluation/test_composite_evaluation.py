@@ -1,0 +1,199 @@
+"""Composites against the truth: regions, errors, lights that are compared, results that continue."""
+
+import numpy as np
+import pytest
+
+from roomlight.compositing.compositor import Compositor
+from roomlight.compositing.objects.materials import mirror
+from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.placement.scene import AtPosition, SceneObject
+from roomlight.conventions import panorama_rays, panorama_solid_angles
+from roomlight.engine.session import Session, SessionOptions
+from roomlight_evaluation.composites import evaluation as composite_evaluation
+from roomlight_evaluation.composites.methods import HARMONICS, METHODS, OURS, TRUE_LIGHT, harmonics_and_directional
+from roomlight_evaluation.composites.regions import (
+    ELSEWHERE,
+    OBJECT,
+    REGIONS,
+    SHADOW,
+    darker_part,
+    regions,
+    smoothed_truth,
+)
+from roomlight_evaluation.composites.scenes import MATERIALS, SHAPES, real_material, virtual_object
+from roomlight_evaluation.composites.scores import (
+    CompositeScores,
+    SceneScore,
+    darkening_of,
+    errors_of,
+    read_lines,
+    write_line,
+)
+from roomlight_evaluation.composites.tables import composite_markdown, summary, targets_met
+from rooms import BoxRoom, camera_at
+
+FLOOR = np.full((60, 80, 3), 0.5, np.float32)
+
+
+def drawn():
+    """A floor with a black object of 20 x 20 pixels and a shadow of half the light, 10 rows, below it."""
+    covered = np.zeros((60, 80), bool)
+    covered[20:40, 30:50] = True
+    picture = FLOOR.copy()
+    picture[40:50, 30:50] *= 0.5
+    picture[covered] = 0
+    return picture, covered
+
+
+def score(number, factor, material="mirror"):
+    errors = {
+        method: {region: {"rmse": own, "srgb": own, "log": own} for region in REGIONS}
+        for method in METHODS
+        for own in [factor * (0.05 if method in (OURS, TRUE_LIGHT) else 0.1)]
+    }
+    darkening: dict[str, float] = dict.fromkeys(("truth", *METHODS), -0.5)
+    return SceneScore(number, f"room-{number}", "cube", material, dict.fromkeys(REGIONS, 9), errors, darkening, 0.001)
+
+
+def test_regions_are_disjoint_and_find_the_shadow():
+    picture, covered = drawn()
+    masks = regions(picture, FLOOR, covered, np.ones((60, 80), np.float32), radius_m=1.0)
+    total = np.sum([mask.astype(int) for mask in masks.values()], axis=0)
+    assert total.max() == 1
+    assert masks[OBJECT].sum() == 16 * 16  # without the rim of two pixels
+    assert masks[SHADOW][43:48, 32:48].all()
+    assert not masks[SHADOW][:, :24].any()
+    assert masks[ELSEWHERE][5, 5]
+
+
+def test_the_shadow_region_ends_away_from_the_object():
+    picture, covered = drawn()
+    masks = regions(picture, FLOOR, covered, np.full((60, 80), 7.0, np.float32), radius_m=1.0)
+    assert not masks[SHADOW].any()
+
+
+def test_noise_far_from_the_object_is_no_shadow():
+    picture, covered = drawn()
+    rng, distance_m = np.random.default_rng(0), np.full((60, 80), 7.0, np.float32)
+    distance_m[15:55, 25:55] = 1
+    noisy, bare = [image * np.exp(rng.normal(0, 0.1, image.shape)).astype(np.float32) for image in (picture, FLOOR)]
+    masks = regions(noisy, bare, covered, distance_m, radius_m=1.0)
+    assert masks[SHADOW][43:48, 32:48].mean() > 0.95
+    assert masks[SHADOW][:40].sum() < 0.1 * masks[SHADOW].sum()
+    truth = smoothed_truth(FLOOR, noisy, (noisy, bare), covered, masks[SHADOW])
+    assert (truth[masks[ELSEWHERE]] == FLOOR[masks[ELSEWHERE]]).all()
+    assert truth[44:47, 34:46].mean() == pytest.approx(0.25, rel=0.06)
+    assert (truth[covered] == noisy[covered]).all()
+
+
+def test_errors_are_those_of_clipped_light():
+    masks = {OBJECT: np.ones((4, 4), bool), SHADOW: np.zeros((4, 4), bool)}
+    truth, found = np.full((4, 4, 3), 5.0), np.full((4, 4, 3), 0.5)
+    errors = errors_of(found, truth, masks)
+    assert errors[OBJECT]["rmse"] == pytest.approx(0.5)
+    assert errors[OBJECT]["log"] == pytest.approx(np.log(1.01 / 0.51), rel=1e-5)
+    assert np.isnan(errors[SHADOW]["rmse"])
+    assert errors_of(truth, truth + 1, masks)[OBJECT]["srgb"] == 0
+
+
+def test_darkening_is_the_log_of_the_shadow_s_light():
+    picture, covered = drawn()
+    masks = regions(picture, FLOOR, covered, np.ones((60, 80), np.float32), radius_m=1.0)
+    darker = darker_part(picture, FLOOR, covered, masks[SHADOW])
+    darker &= picture[..., 0] == 0.25
+    assert darkening_of(picture, FLOOR, darker) == pytest.approx(np.log(0.5), rel=1e-4)
+    assert np.isnan(darkening_of(picture, FLOOR, np.zeros_like(darker)))
+
+
+def test_harmonics_and_directional_keep_the_light():
+    panorama = np.full((64, 128, 3), 0.2, np.float32)
+    rays = panorama_rays(64).reshape(64, 128, 3)
+    lamp = rays @ np.array([0.6, 0.8, 0.0]) > np.cos(np.radians(8))
+    panorama[lamp] = 20
+    made = harmonics_and_directional(panorama)
+    solid_angle = panorama_solid_angles(64)[..., None]
+    kept = (made * solid_angle).sum() / (panorama * solid_angle).sum()
+    assert kept == pytest.approx(1, abs=0.1)  # harmonics that would be negative are cut
+    assert made.max() > 20  # all of the lamp is in the small disc
+    assert rays[np.unravel_index(made[..., 0].argmax(), (64, 128))] @ np.array([0.6, 0.8, 0.0]) > 0.99
+
+
+def test_a_compositor_takes_a_light_from_elsewhere():
+    room, session = BoxRoom(), Session(SessionOptions(model="classical", height=32))
+    frame = room.frame(camera_at((0.2, 1.4, 1.4), 0, -30))
+    session.push(frame)
+    ball = SceneObject("ball", sphere(0.2, mirror()), AtPosition((0.2, 0.0, -0.8)))
+    asked = []
+
+    def red(position):
+        asked.append(position)
+        return np.broadcast_to(np.array([2, 0, 0], np.float32), (32, 64, 3)).copy()
+
+    compositor = Compositor(session, [ball], quality="preview", match_camera=False, light=red)
+    made = []
+    for number in range(2):
+        session.push(room.frame(camera_at((0.2, 1.4, 1.4), 0, -30), index=number + 1))
+        made.append(compositor.composite(frame))
+    inside = made[-1].alpha > 0.99
+    shown = made[-1].objects
+    upper = inside & (np.cumsum(inside.any(axis=1)) <= inside.any(axis=1).sum() // 3)[:, None]
+    assert upper.sum() > 20
+    assert np.abs(shown[upper] - [2, 0, 0]).max() < 0.02
+    assert np.abs(shown[inside][:, 1:]).max() < 0.02
+    assert shown[inside].max() < 2.02  # below, the ball mirrors its own shade on the floor
+    assert asked == [pytest.approx((0.2, 0.2, -0.8), abs=1e-5)]
+
+
+@pytest.mark.parametrize("material", MATERIALS)
+def test_materials_agree_in_colour(material):
+    (_, look), *_ = virtual_object("cube", material).parts
+    real = real_material(material)
+    if material == "mirror":
+        assert look.metallic == 1
+        assert real.mirror == 1
+    else:
+        assert look.base_colour == real.albedo
+    assert (real.roughness or 0) == pytest.approx(look.roughness**2 if material == "glossy" else 0)
+
+
+@pytest.mark.parametrize(("shape", "size_m"), SHAPES.items())
+def test_objects_have_their_size(shape, size_m):
+    low, high = virtual_object(shape, "diffuse").bounds()
+    assert (high - low).max() == pytest.approx(size_m, rel=1e-5)
+
+
+class Unrendered:
+    def session(self, *_):
+        return None
+
+
+def test_scores_survive_their_file_and_runs_continue(tmp_path, monkeypatch):
+    out, made = tmp_path / "scores.jsonl", []
+    write_line(out, score(0, 1.0))
+    write_line(out, score(3, 2.0))
+    assert read_lines(out)[1].errors[OURS][OBJECT]["rmse"] == pytest.approx(0.1)
+
+    def scored(number, *_):
+        made.append(number)
+        if number == 4:
+            raise ValueError("no walk")
+        return score(number, 1.0)
+
+    monkeypatch.setattr(composite_evaluation, "kept_scene", lambda *_, **__: Unrendered())
+    monkeypatch.setattr(composite_evaluation, "_score", scored)
+    scores = composite_evaluation.evaluate_composites(4, out, options=SessionOptions(model="classical"))
+    assert made == [4, 5, 6]
+    assert [one.number for one in scores.scenes] == [0, 3, 5, 6]
+    assert len(read_lines(out)) == 4
+
+
+def test_ratios_are_of_means_over_the_same_scenes():
+    scores = CompositeScores(tuple(score(k, 1.0 + k, MATERIALS[k % 3]) for k in range(6)))
+    ratio = scores.ratio(OURS, SHADOW, "rmse")
+    assert ratio.mean == pytest.approx(0.5)
+    assert (ratio.low, ratio.high) == pytest.approx((0.5, 0.5))  # the same scenes are drawn for both
+    mean = scores.mean(HARMONICS, OBJECT, "rmse")
+    assert mean.low < mean.mean < mean.high
+    assert targets_met(scores) == {OBJECT: True, SHADOW: True}
+    assert "0.50" in summary(scores)[0]
+    assert "| diffuse |" in composite_markdown(scores)

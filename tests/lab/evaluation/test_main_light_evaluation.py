@@ -1,0 +1,136 @@
+"""Scores of the main light's direction on captures: errors, jumps, light from below, and the truths compared with."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import CaptureWriter
+from roomlight.conventions import linear_to_srgb8, panorama_directions
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import CaptureError
+from roomlight.light.cube import CubeMap
+from roomlight_cli.console import print_table
+from roomlight_evaluation.captures.main_light import (
+    METHODS,
+    DirectionTrack,
+    MainLightScores,
+    brightest_region,
+    evaluate_main_lights,
+    harmonics_direction,
+    peak_direction,
+)
+from roomlight_evaluation.captures.main_light_tables import main_light_table
+
+UP, EAST, DOWN = np.array([0.0, 1.0, 0.0]), np.array([1.0, 0.0, 0.0]), np.array([0.0, -1.0, 0.0])
+
+
+def unit(*vector):
+    return np.array(vector, np.float64) / np.linalg.norm(vector)
+
+
+def lit(height, lamps, level=0.1):
+    panorama = np.full((height, 2 * height, 3), level, np.float32)
+    for direction, radius_deg, radiance in lamps:
+        panorama[panorama_directions(height) @ direction > np.cos(np.radians(radius_deg))] = radiance
+    return panorama
+
+
+def write_capture(path: Path, *, probes=(), depth_m: float = 2.0, frames: int = 6) -> Path:
+    """A grey wall two metres ahead with a white patch in its upper right; truths with a lamp there."""
+    colour = np.full((30, 40, 3), np.float32(0.2))
+    colour[4:9, 26:33] = 1.0
+    with CaptureWriter(path) as writer:
+        for _ in range(frames):
+            writer.add(
+                srgb8=linear_to_srgb8(colour),
+                depth_m=np.full((30, 40), depth_m, np.float32),
+                intrinsics=Intrinsics(32.0, 32.0, 20.0, 15.0, 40, 30),
+                camera_to_world=np.eye(4),
+            )
+        for position in probes:
+            writer.add_probe(position, lit(32, [(unit(0.3, 0.3, -1), 15, 9.0)]))
+    return path
+
+
+def tracks(directions, truth=None):
+    return [DirectionTrack("room", 0, method, tuple(directions), truth, truth) for method in METHODS]
+
+
+def test_jumps_count_from_the_fifth_frame_on() -> None:
+    before, after = [EAST, UP, EAST, UP, EAST], [unit(1, 0.5, 0), UP]
+    summary = MainLightScores(tuple(tracks([*before, *after]))).summary("tracked")
+    assert (summary.jumps, summary.steps) == (2, 2)
+    assert summary.largest_jump_deg == pytest.approx(np.degrees(np.arctan2(1, 0.5)))
+    assert MainLightScores(tuple(tracks(before))).summary("tracked").steps == 0
+
+
+def test_share_below_is_of_all_frames() -> None:
+    scores = MainLightScores(tuple(tracks([UP, DOWN, unit(1, -0.01, 0), EAST])))
+    assert scores.summary("tracked").below == 0.5
+
+
+def test_errors_are_means_over_probes_with_intervals() -> None:
+    near, far = tracks([UP, UP], UP), tracks([EAST, EAST, unit(1, 1, 0)], UP)
+    summary = MainLightScores((*near, *far)).summary("tracked")
+    assert summary.error_deg.mean == pytest.approx((0 + (90 + 90 + 45) / 3) / 2)
+    assert summary.last_error_deg.mean == pytest.approx(45 / 2)
+    assert summary.error_deg.low <= summary.error_deg.mean <= summary.error_deg.high
+    assert np.isnan(MainLightScores(tuple(tracks([UP]))).summary("tracked").error_deg.mean)
+
+
+@pytest.mark.parametrize("direction", [unit(1, 0.4, 0.2), unit(-1, 0.3, 0.02), unit(-1, 0.3, -0.02), unit(0, 1, 0.3)])
+def test_brightest_region_is_a_lamps_centre_anywhere(direction) -> None:
+    """Across the seam of the panorama, at -x, as well."""
+    found = brightest_region(lit(60, [(direction, 11.5, 5.0), (-direction, 4, 5.0)]))
+    assert np.degrees(np.arccos(found @ direction)) < 2
+
+
+def test_brightest_region_has_most_light_not_the_peak() -> None:
+    found = brightest_region(lit(60, [(unit(1, 0.2, 0), 10, 4.0), (unit(-1, 0.5, 0), 2.5, 12.0)]))
+    assert np.degrees(np.arccos(found @ unit(1, 0.2, 0))) < 2
+
+
+@pytest.mark.parametrize("direction", [unit(1, 0.4, 0.2), unit(-0.2, -0.9, 0.4), unit(0.3, 0.1, -1)])
+def test_directions_of_a_cube_are_its_lamps(direction) -> None:
+    cube = CubeMap.from_panorama(lit(60, [(direction, 12, 1.0)]), size=16)
+    for found in (harmonics_direction(cube), peak_direction(cube)):
+        assert np.degrees(np.arccos(found @ direction)) < 3
+
+
+def test_every_method_is_scored_at_every_probe(tmp_path) -> None:
+    capture = write_capture(tmp_path / "room", probes=[(0.0, 0.0, -1.0), (0.2, 0.0, -1.0)])
+    seen = []
+    scores = evaluate_main_lights([capture], SessionOptions(height=32), progress=lambda *state: seen.append(state))
+    assert {(track.probe, track.method) for track in scores.tracks} == {(n, m) for n in (0, 1) for m in METHODS}
+    assert seen[-1] == ("room", 6, 6)
+    for track in scores.tracks:
+        assert len(track.directions) == 6
+        assert track.truth is not None
+        assert np.degrees(np.arccos(track.truth @ unit(0.3, 0.3, -1))) < 3
+    assert scores.summary("tracked").largest_jump_deg < 10.001
+    scores.write(tmp_path / "scores.json")
+    assert len(json.loads((tmp_path / "scores.json").read_text())["tracks"]) == 8
+
+
+def test_a_capture_without_truth_is_scored_for_jumps(tmp_path) -> None:
+    scores = evaluate_main_lights([write_capture(tmp_path / "room")], SessionOptions(height=32))
+    assert all(track.truth is None for track in scores.tracks)
+    console = Console(width=120, record=True)
+    print_table(console, main_light_table(scores))
+    text = console.export_text()
+    assert "Main light, probes: 1" in text
+    assert "ground truth (0)" in " ".join(text.split())
+
+
+def test_a_capture_without_depth_is_refused(tmp_path) -> None:
+    with pytest.raises(CaptureError, match="no pixel has a known depth"):
+        evaluate_main_lights([write_capture(tmp_path / "room", depth_m=0.0)], SessionOptions(height=32))
+
+
+def test_a_missing_capture_is_refused(tmp_path) -> None:
+    with pytest.raises(CaptureError, match="nowhere"):
+        evaluate_main_lights([tmp_path / "nowhere"], SessionOptions(height=32))

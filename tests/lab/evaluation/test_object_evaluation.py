@@ -1,0 +1,131 @@
+"""Spheres and shadows under estimated light: what the errors measure, and rooms from captures and datasets."""
+
+import json
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from fixture_rooms import FOLDER
+from roomlight.captures import CaptureWriter
+from roomlight.conventions import linear_to_srgb8, panorama_directions
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import CaptureError
+from roomlight.sphere_shadow import shadow_of_sphere
+from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
+from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
+from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
+from roomlight_evaluation.objects.tables import object_markdown, object_table
+from rooms import BoxRoom, camera_at
+
+ROWS = 40
+DIRECTIONS = panorama_directions(ROWS)
+AHEAD = (0.0, 0.0, -1.0)
+PROBES = ((0.3, 1.0, -0.5), (-0.4, 0.8, -0.2))
+
+
+def lamp(direction, radiance=50.0, ambient=0.0):
+    inside = DIRECTIONS @ (np.array(direction) / np.linalg.norm(direction)) > np.cos(np.radians(8))
+    return np.repeat(np.where(inside, np.float32(radiance), np.float32(ambient))[..., None], 3, axis=2)
+
+
+def write_room(path, *, probes=True):
+    room = BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
+    with CaptureWriter(path) as writer:
+        for number in range(9):
+            pose = camera_at((0.2, 1.4, 1.0), yaw_degrees=4.0 * number)
+            frame = room.frame(pose, width=64, height=48)
+            writer.add(
+                srgb8=linear_to_srgb8(np.clip(frame.image, 0, 1)),
+                depth_m=frame.depth_m,
+                intrinsics=frame.intrinsics,
+                camera_to_world=pose,
+            )
+        for position in PROBES if probes else ():
+            writer.add_probe(position, room.panorama(np.array(position), height=ROWS)[0])
+    return path
+
+
+def test_the_shadow_lies_where_the_sphere_hides_the_light():
+    from_above = shadow_of_sphere(lamp((0, 1, 0)))
+    assert from_above.min() < 0.01
+    assert (from_above > 0.99).mean() > 0.8  # beyond the sphere's outline there is no shadow
+    assert (
+        shadow_of_sphere(np.ones((ROWS, 2 * ROWS, 3), np.float32)) < 1
+    ).all()  # an even sky: a soft shadow all round
+    low = shadow_of_sphere(lamp((1, 0.4, 0)))
+    assert (low < 0.5).sum() > (from_above < 0.5).sum()  # long
+
+
+def test_the_shadow_does_not_depend_on_the_exposure_and_is_none_in_the_dark():
+    light = lamp((1, 2, 0), ambient=0.2)
+    assert_allclose(shadow_of_sphere(7 * light), shadow_of_sphere(light), atol=1e-5)
+    assert (shadow_of_sphere(np.zeros((ROWS, 2 * ROWS, 3), np.float32)) == 1).all()
+
+
+def test_errors_are_none_under_the_truth_and_grow_with_the_error():
+    objects = LitObjects(lamp((1, 2, 0), 20.0, ambient=0.1), AHEAD)
+    assert set(objects.errors(lamp((1, 2, 0), 20.0, ambient=0.1)).values()) == {0.0}
+    near, far = (objects.errors(lamp(toward, 20.0, ambient=0.1)) for toward in ((1, 2, 0.4), (-1, 2, 0)))
+    for look in LOOKS:
+        assert 0 < near[look] < far[look], look
+
+
+def test_a_place_without_a_shadow_has_no_error_of_it():
+    errors = LitObjects(np.zeros((ROWS, 2 * ROWS, 3), np.float32), AHEAD).errors(lamp((0, 1, 0)))
+    assert np.isnan(errors[SHADOW])
+    assert errors["diffuse"] > 0
+
+
+@pytest.fixture(scope="module")
+def scores(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rooms")
+    reported = []
+    found = evaluate_objects(
+        [write_room(folder / "a"), write_room(folder / "b")],
+        SessionOptions(model="classical"),
+        frames=3,
+        progress=lambda *at: reported.append(at),
+    )
+    assert reported == [("a", 0, 2), ("b", 1, 2)]
+    return found
+
+
+def test_every_method_is_scored_in_every_room(scores):
+    assert scores.methods == (MEAN_COLOUR, HARMONICS, WARPED, "classical", f"classical, {COMPOSITED}")
+    assert [(room.room, room.probes) for room in scores.rooms] == [("a", 2), ("b", 2)]
+    assert scores.ratio(HARMONICS, "diffuse").mean == 1
+    assert scores.ratio("classical", "mirror").mean < scores.ratio(MEAN_COLOUR, "mirror").mean
+
+
+def test_walks_of_a_dataset_are_rooms_too():
+    found = evaluate_objects([FOLDER], SessionOptions(model="classical"), split="test", limit=1)
+    assert [room.room for room in found.rooms] == [f"{FOLDER.name} 0"]
+    assert np.isfinite([found.mean("classical", look).mean for look in LOOKS]).all()
+
+
+def test_networks_are_scored_beside_the_classical_model(tiny_video, tmp_path):
+    options = SessionOptions(model="video", weights=tiny_video[1], allow_untrained=True)
+    found = evaluate_objects([write_room(tmp_path / "a")], options, frames=2)
+    assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "video", f"video, {COMPOSITED}")
+
+
+def test_completion_is_scored_beside_the_classical_model(tmp_path):
+    found = evaluate_objects([write_room(tmp_path / "a")], SessionOptions(model="completion"), frames=2)
+    assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "completion", f"completion, {COMPOSITED}")
+
+
+def test_tables_and_json_show_every_method(scores, tmp_path):
+    markdown = object_markdown(scores)
+    for method in scores.methods:
+        assert markdown.count(f"| {method} | ") == 2
+    assert object_table(scores).row_count == len(scores.methods)
+    scores.write(tmp_path / "scores.json")
+    assert json.loads((tmp_path / "scores.json").read_text())[0]["errors"][HARMONICS].keys() == set(LOOKS)
+
+
+def test_a_capture_without_ground_truth_is_refused(tmp_path):
+    with pytest.raises(CaptureError, match="no ground-truth probes"):
+        evaluate_objects([write_room(tmp_path / "bare", probes=False)], SessionOptions(model="classical"))
+    with pytest.raises(CaptureError, match="no room to score"):
+        evaluate_objects([], SessionOptions(model="classical"))

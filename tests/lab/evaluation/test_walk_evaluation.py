@@ -1,0 +1,126 @@
+"""Comparisons of the recurrent networks on walks: what each method sees, and when it answers."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from recordings import BoxRecordings
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import DatasetError, OptionError
+from roomlight.metrics import log_l2
+from roomlight_evaluation.captures.estimators import EngineEstimator
+from roomlight_evaluation.datasets.walks import (
+    LATE_FROM,
+    NO_RNN,
+    FrameAlone,
+    LateProbe,
+    SimpleAverage,
+    WalkModels,
+    evaluate_walks,
+    walk_frames,
+)
+
+FRAMES = 5
+
+
+class Walks(BoxRecordings):
+    """Walks through boxes, of five frames."""
+
+    folder = Path("boxes")
+
+    def __getitem__(self, number):
+        return self.read(number, frames=[0, 4, 8, 12, 16])
+
+
+@pytest.fixture(scope="module")
+def models(tiny_video):
+    return WalkModels.load(SessionOptions(weights=tiny_video[1], allow_untrained=True))
+
+
+@pytest.fixture(scope="module")
+def evaluated(models):
+    reported = []
+    scores = evaluate_walks([Walks(3, height=120)], models, limit=2, progress=lambda *at: reported.append(at))
+    assert reported == [(1, 2), (2, 2)]
+    return scores
+
+
+def test_every_comparison_is_scored_on_every_walk(evaluated):
+    assert evaluated.methods == (
+        "mean colour", "warp and fill", "classical", NO_RNN, "simple average", "single", "video", "video, late probe",
+        "classical, phone depth", "video, phone depth",
+    )  # fmt: skip
+    assert len(evaluated.captures) == 2
+    for track in evaluated.tracks:
+        assert len(track.scores["log_l2"]) == FRAMES
+        assert len(track.scores["smoothness"]) == FRAMES - 1
+
+
+def test_a_late_probe_has_no_score_before_it_is_asked_for(evaluated, models):
+    late = [track for track in evaluated.tracks if track.method == "video, late probe"]
+    assert all(np.isnan(track.scores["log_l2"]).all() for track in late)
+    video = EngineEstimator(models.video, models.video_graphs)
+    estimator, position, tracked = LateProbe(video), (0.0, 0.0, 0.0), None
+    frames = list(walk_frames(Walks(1)[0], "exact"))
+    for number in range(LATE_FROM):
+        assert estimator.light_at(position) is None
+        frame = replace(frames[number % FRAMES], index=number)
+        video.push(frame)
+        tracked = video.light_at(position)
+        estimator.push(frame)
+    late = estimator.light_at(position)
+    assert late is not None
+    assert tracked is not None
+    assert not np.array_equal(late, tracked)  # it has blended no earlier frame
+
+
+def test_each_frame_alone_knows_nothing_of_earlier_ones(models):
+    frames = list(walk_frames(Walks(1)[0], "exact"))
+    both, last = (FrameAlone(models.single, models.single_graphs) for _ in range(2))
+    for frame in frames:
+        both.push(frame)
+    last.push(frames[-1])
+    np.testing.assert_array_equal(both.light_at((0.0, 0.0, 0.0)), last.light_at((0.0, 0.0, 0.0)))
+
+
+def test_the_average_is_of_the_frames_so_far(models):
+    alone = FrameAlone(models.single, models.single_graphs)
+    average = SimpleAverage(alone)
+    point, seen, result = (0.0, 0.0, 0.0), [], None
+    for frame in list(walk_frames(Walks(1)[0], "exact"))[:3]:
+        alone.push(frame)
+        average.push(frame)
+        seen.append(alone.light_at(point))
+        result = average.light_at(point)
+    assert result is not None
+    np.testing.assert_allclose(result, np.mean(seen, axis=0), rtol=1e-5)
+
+
+def test_scores_are_of_the_walk_s_own_truth(evaluated, models):
+    walks = Walks(3, height=120)
+    recording = walks[0]
+    frames = list(walk_frames(recording, "exact"))
+    alone = FrameAlone(models.single, models.single_graphs)
+    alone.push(frames[2])
+    x, y, z = recording.probe_positions[0]
+    position = (float(x), float(y), float(z))
+    truth = recording.probe_panoramas[0] * np.float32(recording.exposure[0])
+    track = next(one for one in evaluated.tracks if one.method == NO_RNN and one.probe == 0)
+    assert track.scores["log_l2"][2] == pytest.approx(log_l2(alone.light_at(position), truth), rel=1e-5)
+
+
+def test_phone_depth_is_seeded_by_the_walk_s_name():
+    recording = Walks(1)[0]
+    once, again = (list(walk_frames(recording, "arkit")) for _ in range(2))
+    np.testing.assert_array_equal(once[3].depth_m, again[3].depth_m)
+    other = next(iter(walk_frames(replace(recording, name="another"), "arkit")))
+    assert not np.array_equal(other.depth_m, once[0].depth_m)
+
+
+def test_an_empty_dataset_and_single_view_weights_are_refused(models):
+    with pytest.raises(DatasetError, match="boxes: has no finished walk"):
+        evaluate_walks([Walks(0)], models)
+    with pytest.raises(OptionError, match="single-view weights only"):
+        WalkModels.load(SessionOptions(weights=Path("core/roomlight/engine/weights/single").resolve()))
