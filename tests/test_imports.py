@@ -22,7 +22,7 @@ TRAINING_EXTRA = {"torch", "onnx", "onnxscript", "tensorboard", "jax"}
 def modules_of(*folders: str) -> list[str]:
     names: list[str] = []
     for folder in folders:
-        root = next(ROOT / source for source in SOURCES if folder.startswith(source))
+        root = ROOT / Path(folder).parts[0]
         for path in sorted((ROOT / folder).rglob("*.py")):
             parts = path.relative_to(root).with_suffix("").parts
             if not set(parts) & {"node_modules", "scripts"}:
