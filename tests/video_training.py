@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from roomlight_model.checkpoint import Checkpoint
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig, Units
+from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.sequences import WalkExample
@@ -22,11 +22,6 @@ OPTIONS = TrainOptions(
     stage="video-joint", steps=4, batch=2, warm_up=1, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=SHAPE,
     panorama_height=HEIGHT, bf16=False, frames=4, learning_rate=3e-3, model=TINY,
 )  # fmt: skip
-
-
-def with_units(units: Units) -> ModelConfig:
-    """The tiny configuration with other units."""
-    return replace(TINY, sg=replace(TINY.sg, units=units))
 
 
 def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:

@@ -3,9 +3,8 @@
 Names, shapes and order are the interface to the programs that run the graphs. Encoders, GRUs and decoders are separate
 graphs, so that a server can keep states bound between them. Volumes are [z, y, x]; all tensors are float32.
 
-`unit` is a mean colour (`roomlight.engine.networks.units`). Inputs by `SGConfig.units`: with "first", the 3D encoder
-and decoder
-of the video form take the first frame's; with "rescaled", the 3D GRUs take the previous frame's and this frame's.
+`unit`, an input of the video form's 3D encoder and decoder, is the first frame's mean colour
+(`roomlight.engine.networks.units`).
 """
 
 from dataclasses import dataclass
@@ -17,7 +16,7 @@ from torch import Tensor, nn
 from roomlight_model.layers import ConvGRU
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
-from roomlight_model.volume_networks import SGDecoder, SGVolume, UnitShift, merge
+from roomlight_model.volume_networks import SGDecoder, SGVolume, merge
 
 Shape = tuple[int, ...]
 
@@ -74,20 +73,6 @@ class _TwoGRUs(nn.Module):
 
     def forward(self, h0: Tensor, h1: Tensor, f0: Tensor, f1: Tensor) -> tuple[Tensor, Tensor]:
         return self.gru0(h0, f0), self.gru1(h1, f1)
-
-
-class _ShiftedGRUs(nn.Module):
-    """The 3D GRUs on states that are first shifted to this frame's unit (`Units`, "rescaled")."""
-
-    def __init__(self, grus: _TwoGRUs, shift0: UnitShift, shift1: UnitShift) -> None:
-        super().__init__()
-        self.grus, self.shift0, self.shift1 = grus, shift0, shift1
-
-    def forward(
-        self, h0: Tensor, h1: Tensor, f0: Tensor, f1: Tensor, unit_previous: Tensor, unit: Tensor
-    ) -> tuple[Tensor, Tensor]:
-        h0, h1 = self.shift0(h0, unit_previous, unit), self.shift1(h1, unit_previous, unit)
-        return self.grus(h0, h1, f0, f1)
 
 
 def graphs_of(model: SingleModel | VideoModel) -> list[Graph]:
@@ -164,19 +149,14 @@ def _video_graphs(model: VideoModel) -> list[Graph]:
     mask = (1, 1, *at.panorama)
     unit: Shape = (1, 3, 1, 1, 1)
     first: dict[str, Shape] = {}
-    if model.config.sg.carries_unit and model.config.sg.units == "first":
+    if model.config.sg.own_colour:
         first = {"unit": unit}
-    grus: nn.Module = _TwoGRUs(model.sg_gru0, model.sg_gru1)
-    ratio: dict[str, Shape] = {}
-    if model.sg_shift0 is not None and model.sg_shift1 is not None:
-        grus = _ShiftedGRUs(_TwoGRUs(model.sg_gru0, model.sg_gru1), model.sg_shift0, model.sg_shift1)
-        ratio = {"unit_previous": unit, "unit": unit}
     return [
         Graph("video_sg_encoder", model.sg_encoder, {"volume": at.volume, **first}, {"f0": at.f0, "f1": at.f1}),
         Graph(
             "video_sg_gru",
-            grus,
-            {"h0": at.f0, "h1": at.f1, "f0": at.f0, "f1": at.f1, **ratio},
+            _TwoGRUs(model.sg_gru0, model.sg_gru1),
+            {"h0": at.f0, "h1": at.f1, "f0": at.f0, "f1": at.f1},
             {"h0_next": at.f0, "h1_next": at.f1},
         ),
         Graph(

@@ -91,20 +91,18 @@ def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[P
 def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:
     results: list[Tensors] = []
     state: Tensors = {}
-    units = [mean_colour(volume[0]).reshape(1, 3, 1, 1, 1) for volume in volumes]
+    unit = mean_colour(volumes[0][0]).reshape(1, 3, 1, 1, 1)
     for index, volume in enumerate(volumes):
         if index == 0 or not recurrent:
             features = run("single_sg_encoder", {"volume": volume})
             light = run("single_sg_decoder", {**features, "volume": volume})
             hidden = {"h0": features["f0"], "h1": features["f1"]}
         else:
-            # each graph takes those of these inputs that its units need
-            features = run("video_sg_encoder", {"volume": volume, "unit": units[0]})
-            ratio = {"unit_previous": units[index - 1], "unit": units[index]}
-            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features, **ratio})
+            features = run("video_sg_encoder", {"volume": volume, "unit": unit})
+            updated = run("video_sg_gru", {"h0": state["h0"], "h1": state["h1"], **features})
             hidden = {"h0": updated["h0_next"], "h1": updated["h1_next"]}
             previous = {"alpha_previous": state["alpha"], "lobes_previous": state["lobes"]}
-            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous, "unit": units[0]})
+            light = run("video_sg_decoder", {**hidden, "volume": volume, **previous, "unit": unit})
         state = {**hidden, **light}
         results.append(state)
     return results

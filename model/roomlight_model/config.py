@@ -17,11 +17,6 @@ NetworkForm = Literal["single", "video"]
 Norm = Literal["group", "none"]
 GateKernel = Literal[1, 3]
 
-Units = Literal["own", "first", "rescaled"]
-"""Units of the recurrent 3D networks under `SGConfig.own_colour`. `own`: every frame in units of its own mean colour,
-and hidden states mix units. `first`: the first frame's units throughout. `rescaled`: as `own`, but before each frame
-the hidden states are shifted by a learned multiple of the logarithm of the units' ratio."""
-
 FORMS: tuple[str, ...] = get_args(NetworkForm)
 _STRICT = ConfigDict(extra="forbid")
 
@@ -50,18 +45,9 @@ class SGConfig:
     """The heads also receive the initial volume and start as its copy; False: only the paper's two skips."""
     own_colour: bool = True
     """Divide a frame by its mean colour and predict in units of it, so that unseen walls take the room's colour and
-    brightness without learning it."""
+    brightness without learning it. The recurrent networks take the first frame's mean colour for all frames."""
     filled: bool = True
     """Where nothing was seen, `direct` heads start from the surroundings; False: from the mean colour."""
-    units: Units = "first"
-    """Units of the recurrent networks; the single-view networks do not depend on it. After 40 steps from the shipped
-    weights, on 12 held-out walks (four frames, units 1.5 times apart in the mean): log-L2 0.0477 with first, 0.0490
-    rescaled, 0.0488 own (standard error of the differences 0.0015); smoothness x 1,000 is 1.54, 1.83, 1.77."""
-
-    @property
-    def carries_unit(self) -> bool:
-        """Whether the recurrent networks keep a unit between frames."""
-        return self.own_colour and self.units != "own"
 
     def __post_init__(self) -> None:
         if min(self.volume_shape) < 8:
@@ -116,11 +102,13 @@ class ModelConfig:
     def from_dict(values: object) -> "ModelConfig":
         """Read the result of `to_dict`; missing fields take their defaults.
 
+        `sg.units` of older weights must be "first", the only units that are left.
+
         Raises:
             ModelError: A field is unknown, of the wrong type or out of range; the message names it.
         """
         try:
-            return _ADAPTER.validate_json(json.dumps(values), strict=True)
+            return _ADAPTER.validate_json(json.dumps(_without_units(values)), strict=True)
         except ValidationError as error:
             first = error.errors(include_url=False)[0]
             where = ".".join(str(part) for part in first["loc"]) or "it"
@@ -129,6 +117,15 @@ class ModelConfig:
             ) from error
         except (TypeError, ValueError) as error:
             raise ModelError(f"the configuration does not fit this version: it is not JSON ({error})") from error
+
+
+def _without_units(values: object) -> object:
+    """Drop the field `sg.units` of older weights where it says "first"; any other value stays and is refused."""
+    match values:
+        case {"sg": {"units": "first", **sg}, **others}:
+            return {**others, "sg": sg}
+        case _:
+            return values
 
 
 _ADAPTER: Final = TypeAdapter(ModelConfig)

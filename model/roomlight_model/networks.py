@@ -32,7 +32,7 @@ from roomlight_model.panorama_networks import (
     single_panels,
     video_panels,
 )
-from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, UnitShift, mean_colour, merge
+from roomlight_model.volume_networks import SGGRU, SGDecoder, SGEncoder, SGVolume, mean_colour, merge
 
 
 class SGState(NamedTuple):
@@ -42,7 +42,7 @@ class SGState(NamedTuple):
     h1: Float[Tensor, "b c1 z1 y1 x1"]
     volume: SGVolume
     unit: Float[Tensor, "b 3 1 1 1"]
-    """Mean colour in whose units the hidden states are (`roomlight_model.config.Units`)."""
+    """The first frame's mean colour, in whose units the hidden states are."""
 
 
 class Observation(NamedTuple):
@@ -124,9 +124,6 @@ class VideoModel(nn.Module):
         self.sg_encoder = SGEncoder(config.sg)
         self.sg_gru0 = SGGRU(config.sg.channels, gate_kernel=config.sg.fine_gate_kernel)
         self.sg_gru1 = SGGRU(4 * config.sg.channels)
-        rescaled = config.sg.carries_unit and config.sg.units == "rescaled"
-        self.sg_shift0 = UnitShift(config.sg.channels) if rescaled else None
-        self.sg_shift1 = UnitShift(4 * config.sg.channels) if rescaled else None
         self.sg_decoder = SGDecoder(config.sg, recurrent=True)
         self.blend_encoder = BlendEncoder(config.blend, panels=VIDEO_PANELS)
         self.blend_gru0 = BlendGRU(config.blend.channels)
@@ -162,16 +159,11 @@ class VideoModel(nn.Module):
 
     def step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
         """Run frame i > 0."""
-        unit = state.unit if self.config.sg.units == "first" else mean_colour(volume)
-        f0, f1 = self.sg_encoder(volume, unit)  # eq. 3dRNN
-        before0, before1 = state.h0, state.h1
-        if self.sg_shift0 is not None and self.sg_shift1 is not None:
-            before0 = self.sg_shift0(before0, state.unit, unit)
-            before1 = self.sg_shift1(before1, state.unit, unit)
-        h0 = self.sg_gru0(before0, f0)
-        h1 = self.sg_gru1(before1, f1)
-        current = self.sg_decoder(h0, h1, volume, unit)  # eq. 3dMerge
-        return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes), unit)
+        f0, f1 = self.sg_encoder(volume, state.unit)  # eq. 3dRNN
+        h0 = self.sg_gru0(state.h0, f0)
+        h1 = self.sg_gru1(state.h1, f1)
+        current = self.sg_decoder(h0, h1, volume, state.unit)  # eq. 3dMerge
+        return SGState(h0, h1, merge(current, state.volume.alpha, state.volume.lobes), state.unit)
 
     def blend_start(self, seen: Observation) -> BlendState:
         """Run frame 0 at a probe by single-view blending; its features become the hidden states."""

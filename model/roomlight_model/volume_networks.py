@@ -156,30 +156,6 @@ class SGDecoder(nn.Module):
         return SGVolume(alpha[:, 0], lobes, update)
 
 
-class UnitShift(nn.Module):
-    """Moves a hidden state to another unit of colour (`Units`, "rescaled"); initially it changes nothing.
-
-    A state is a tanh of a logarithm's features, which no factor converts; the shift is linear in the logarithm of the
-    units' ratio.
-    """
-
-    def __init__(self, channels: int) -> None:
-        """Build the matrix, with zeros."""
-        super().__init__()
-        self.shift = nn.Linear(3, channels, bias=False)
-        nn.init.zeros_(self.shift.weight)
-
-    def forward(
-        self,
-        hidden: Float[Tensor, "b c z y x"],
-        before: Float[Tensor, "b 3 1 1 1"],
-        now: Float[Tensor, "b 3 1 1 1"],
-    ) -> Float[Tensor, "b c z y x"]:
-        """Return the state in the unit `now`, still in [-1, 1]."""
-        shift = self.shift(torch.log(before / now)[:, :, 0, 0, 0])
-        return (hidden + shift[:, :, None, None, None]).clamp(-1, 1)
-
-
 class SGGRU(ConvGRU):
     """V_h^i = SGGRU(V_h^{i-1}, V_f^i) on either level of features."""
 

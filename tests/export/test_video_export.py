@@ -20,24 +20,23 @@ from roomlight_model.training.examples import Example, example_of
 from roomlight_model.training.sequences import PreparedWalk, WalkExample, collate_walks, with_views
 from roomlight_model.training.trainer import Trainer
 from roomlight_model.training.unroll import Unroll
-from video_training import CPU, HEIGHT, OPTIONS, SHAPE, single_view_weights, with_units
+from video_training import CPU, HEIGHT, OPTIONS, SHAPE, single_view_weights
 
 FRAMES = 5
-UNITS = ["first", pytest.param("rescaled", marks=pytest.mark.slow), pytest.param("own", marks=pytest.mark.slow)]
 
 
-@pytest.fixture(scope="module", params=UNITS)
-def trained(request, tmp_path_factory):
-    """(checkpoint, model folder, units) after two steps."""
-    folder = tmp_path_factory.mktemp(request.param)
-    options = replace(OPTIONS, steps=2, frames=3, learning_rate=2e-2, ema=0.0, model=with_units(request.param))
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    """(checkpoint, model folder) after two steps."""
+    folder = tmp_path_factory.mktemp("video")
+    options = replace(OPTIONS, steps=2, frames=3, learning_rate=2e-2, ema=0.0)
     trainer = Trainer(options, BoxRecordings(2), folder / "run", device=CPU, start_from=single_view_weights())
     trainer.train(report=lambda _: None)
     checkpoint = folder / "run" / "model.pt"
-    report = export_checkpoint(checkpoint, folder / "onnx", ort=request.param == "rescaled")
+    report = export_checkpoint(checkpoint, folder / "onnx", ort=False)
     assert report.form == "video"
     assert len(report.graphs) == 10
-    return checkpoint, folder / "onnx", request.param
+    return checkpoint, folder / "onnx"
 
 
 def walk():
@@ -56,10 +55,9 @@ def walk():
 
 
 def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
-    checkpoint, folder, units = trained
+    checkpoint, folder = trained
     model = load_exported(folder).model  # weights rounded to half precision, as in the graphs
     assert isinstance(model, VideoModel)
-    assert model.config.sg.units == units
     sequence = walk()
     prepared = [PreparedWalk.of(sequence, SHAPE)]
     batch = with_views(collate_walks(prepared, panorama_height=HEIGHT), prepared, panorama_height=HEIGHT)
@@ -86,7 +84,7 @@ def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
 
 
 def test_training_reaches_the_exported_graphs(trained):
-    checkpoint, folder, _ = trained
+    checkpoint, folder = trained
     graphs = load_graphs(folder, provider="cpu")
     assert graphs.form == "video"
     assert graphs.card["stage"] == "video-joint"
@@ -99,13 +97,11 @@ def test_training_reaches_the_exported_graphs(trained):
         torch.testing.assert_close(value, kept[name], rtol=1e-3, atol=1e-6)
 
 
-def test_graphs_name_the_units_that_they_take(trained):
-    _, folder, units = trained
+def test_encoder_and_decoder_take_the_unit(trained):
+    _, folder = trained
     graphs = load_graphs(folder, provider="cpu").graphs
     named = {name for name, graph in graphs.items() if "unit" in graph.inputs}
-    assert named == {
-        "first": {"video_sg_encoder", "video_sg_decoder"}, "rescaled": {"video_sg_gru"}, "own": set(),
-    }[units]  # fmt: skip
+    assert named == {"video_sg_encoder", "video_sg_decoder"}
 
 
 def test_mean_colour_equals_its_twin():

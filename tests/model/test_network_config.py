@@ -63,3 +63,12 @@ def test_refuses(values, named):
 def test_configuration_needs_no_pytorch():
     code = "import sys, roomlight_model, roomlight_model.config; sys.exit('torch' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_units_of_older_weights_are_read_if_they_are_the_first_frames():
+    values = ModelConfig().to_dict()
+    older = {**values, "sg": {**values["sg"], "units": "first"}}
+    assert ModelConfig.from_dict(older) == ModelConfig()
+    older["sg"]["units"] = "own"
+    with pytest.raises(ModelError, match=r"sg.units: .*'own'"):
+        ModelConfig.from_dict(older)

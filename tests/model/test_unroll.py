@@ -13,7 +13,7 @@ from roomlight_model.training.sequences import PreparedWalk, collate_walks, read
 from roomlight_model.training.stages import trained_modules
 from roomlight_model.training.starting import starting_model, starting_options
 from roomlight_model.training.unroll import Unroll, window_mb
-from video_training import CPU, OPTIONS, SHAPE, TINY, dimmed, single_view_weights, with_units
+from video_training import CPU, OPTIONS, SHAPE, TINY, dimmed, single_view_weights
 
 STAGES = ["video-sglv", "video-blend", "video-joint"]
 
@@ -148,9 +148,8 @@ def test_the_memory_of_a_window_grows_with_its_frames():
     assert window_mb(replace(OPTIONS, frames=31, batch=4)) == pytest.approx(2 * whole)
 
 
-@pytest.mark.parametrize("units", ["own", "first", "rescaled"])
-def test_only_first_units_stay_when_frames_darken(units):
-    model = video_model(with_units(units))
+def test_the_first_frames_unit_stays_when_frames_darken():
+    model = video_model()
     batch = batch_of(replace(OPTIONS, stage="video-sglv"), length=3)
     with torch.no_grad():
         state = model.start(batch.volume[:, 0])
@@ -159,13 +158,12 @@ def test_only_first_units_stay_when_frames_darken(units):
             darker = batch.volume[:, frame].clone()
             darker[:, :3] *= 0.25
             state = model.step(darker, state)
-    assert state.unit.equal(first) == (units == "first")
+    assert state.unit.equal(first)
 
 
-@pytest.mark.parametrize("units", ["own", "first", "rescaled"])
-def test_a_sequence_twice_as_bright_has_twice_the_light(units):
+def test_a_sequence_twice_as_bright_has_twice_the_light():
     """Units make the networks equivariant to exposure; only the darkest colours (`DARKEST`) are off."""
-    model = video_model(with_units(units))
+    model = video_model()
     batch = batch_of(replace(OPTIONS, stage="video-sglv"), length=3)
     volumes = batch.volume.clone()
     volumes[:, :, :3] *= 0.4  # below white: fills stop there
@@ -176,19 +174,6 @@ def test_a_sequence_twice_as_bright_has_twice_the_light(units):
     assert (one.alpha - other.alpha).abs().mean() < 0.01
     ratio = (other.lobes[..., :3] / one.lobes[..., :3].clamp(min=1e-6))[one.lobes[..., :3] > 0.02]
     assert ratio.median() == pytest.approx(2, rel=0.1)
-
-
-def test_a_rescaled_state_shifts_by_the_ratio_of_the_units():
-    model = video_model(with_units("rescaled"))
-    assert model.sg_shift0 is not None
-    hidden, before, now = torch.zeros(1, 4, 2, 2, 2), torch.full((1, 3, 1, 1, 1), 0.4), torch.full((1, 3, 1, 1, 1), 0.1)
-    assert model.sg_shift0(hidden, before, now).equal(hidden)
-    with torch.no_grad():
-        model.sg_shift0.shift.weight.fill_(0.1)
-    shifted = model.sg_shift0(hidden, before, now)
-    torch.testing.assert_close(shifted, torch.full_like(hidden, 0.3 * float(np.log(4))))
-    assert model.sg_shift0(hidden, before, now * 1e-9).max() == 1
-    assert video_model().sg_shift0 is None
 
 
 def test_a_warm_start_passes_the_mean_of_state_and_feature():

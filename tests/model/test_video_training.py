@@ -16,7 +16,7 @@ from roomlight_model.training.stages import trained_modules
 from roomlight_model.training.trainer import Trainer
 from roomlight_model.training.unroll import Unroll, with_renderings
 from roomlight_model.training.walk_validation import WalkValidation
-from video_training import CPU, OPTIONS, TINY, dimmed, single_view_weights, with_units
+from video_training import CPU, OPTIONS, TINY, dimmed, single_view_weights
 
 
 def quiet(_):
@@ -79,15 +79,6 @@ def test_the_checkpoint_of_a_video_stage_starts_the_next(tmp_path):
     second = trainer_of(tmp_path / "blend", replace(OPTIONS, stage="video-blend", steps=1), weights)
     for name, value in second.model.state_dict().items():
         assert value.equal(weights.model.state_dict()[name])
-
-
-def test_units_are_chosen_at_the_first_video_stage(tmp_path):
-    rescaled = trainer_of(tmp_path / "a", replace(OPTIONS, model=with_units("rescaled"), steps=1))
-    assert rescaled.options.model.sg.units == "rescaled"
-    rescaled.train(report=quiet)
-    weights = load_checkpoint(tmp_path / "a" / "model.pt")
-    again = trainer_of(tmp_path / "b", OPTIONS, weights)
-    assert again.options.model.sg.units == "rescaled"
 
 
 def test_a_video_stage_needs_weights_to_start_from(tmp_path):

@@ -11,7 +11,7 @@ from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import train as run_training
 from roomlight_cli.train_part import train_part
-from roomlight_model.config import ModelConfig, SGConfig, Units
+from roomlight_model.config import ModelConfig, SGConfig
 from roomlight_model.training.options import HELD_OUT, OPTIONS, TrainOptions, is_video
 from roomlight_model.training.part_trainer import PartOptions
 from roomlight_model.training.subsets import TrainingRooms
@@ -116,13 +116,6 @@ def train(
             min=0, max=1, help="Video stages: share of sequences that stay at a place or return the same way."
         ),
     ] = 0.0,
-    units: Annotated[
-        Units,
-        typer.Option(
-            help="Video stages that start from single-view weights: colours in units of each frame's mean (own), of "
-            "the first frame's (first), or each frame's with shifted states (rescaled)."
-        ),
-    ] = SGConfig.units,
     seed: Annotated[int, typer.Option(min=0, help="Seed of initial weights, order and augmentation.")] = 0,
     device: arguments.Device = "auto",
     every: Annotated[int, typer.Option(min=1, help="Score the held-out rooms every this many steps.")] = 1000,
@@ -166,7 +159,7 @@ def train(
         light_changes=light_changes,
         second_looks=second_looks,
         seed=seed,
-        model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha, units=units)),
+        model=ModelConfig(sg=SGConfig(spherical_gaussians=not rgb_alpha)),
     )
     with console.err.status("opening the datasets") as status:
         rooms = TrainingRooms(

@@ -41,7 +41,7 @@ class Footprint:
         blend += 2 * _outputs(loaded["single_blend_decoder"])  # the weight, and a mask of the same size
         volume += _outputs(loaded["single_sg_encoder"])
         if graphs.form == "video":  # hidden states in two buffers, and the new features
-            volume += 2 * _outputs(loaded["video_sg_encoder"]) + 2 * 3  # and a unit of colour
+            volume += 2 * _outputs(loaded["video_sg_encoder"]) + 3  # and the unit of colour
             blend += _floats(loaded["video_blend_encoder"].inputs) + 2 * _outputs(loaded["video_blend_encoder"])
         else:  # the frame's own volume, and the sums over frames
             volume += _floats(loaded["single_sg_encoder"].inputs)

@@ -7,8 +7,8 @@ keeps nothing between frames.
 
 Video: the first frame goes through the single-view graphs and its features become the hidden states (h = f); from
 then on encoder, GRU, decoder, and the decoder merges with the previous SGLV by V_u. Every state has two buffers, and
-each frame's graphs read one and write the other: nothing is copied. The graphs that need a unit of colour
-(`roomlight.engine.networks.units`) name it as an input. Where the fill has a share of the light (`hedged`), the HDR
+each frame's graphs read one and write the other: nothing is copied. Encoder and decoder take the first frame's mean
+colour as an input (`roomlight.engine.networks.units`). Where the fill has a share of the light (`hedged`), the HDR
 panorama moves half-way here too.
 """
 
@@ -70,18 +70,16 @@ class NetworkBackend:
             hidden = self._hidden = [{"h0": features["f0"], "h1": features["f1"]}]  # after the first frame, h = f
             hidden.append({key: np.zeros_like(array) for key, array in hidden[0].items()})
             fresh = g["video_sg_encoder"].new_outputs()
-            self._units = [np.ones((1, 3, 1, 1, 1), np.float32) for _ in hidden]
-            first = {"unit": self._units[0]} if "unit" in g["video_sg_encoder"].inputs else {}
-            self._unit_per_frame = "unit_previous" in g["video_sg_gru"].inputs
+            self._unit = np.ones((1, 3, 1, 1, 1), np.float32)
+            first = {"unit": self._unit} if "unit" in g["video_sg_encoder"].inputs else {}
             encode = g["video_sg_encoder"].bind({"volume": self._volume, **first}, fresh)
             for old, new in ((0, 1), (1, 0)):
-                ratio = {"unit_previous": self._units[old], "unit": self._units[new]} if self._unit_per_frame else {}
                 h_next = {f"{key}_next": array for key, array in hidden[new].items()}
                 before = {"alpha_previous": sglv[old]["alpha"], "lobes_previous": sglv[old]["lobes"]}
                 self._next.append(
                     [
                         encode,
-                        g["video_sg_gru"].bind({**hidden[old], **fresh, **ratio}, h_next),
+                        g["video_sg_gru"].bind({**hidden[old], **fresh}, h_next),
                         g["video_sg_decoder"].bind(
                             {**hidden[new], **before, "volume": self._volume, **first}, sglv[new]
                         ),
@@ -98,12 +96,12 @@ class NetworkBackend:
             self._fused.add(self._frame_volume, clipping)
             self._fused.write(self._volume)
         if self._frames == 0 or self._fused is not None:
-            steps, result, latest = self._first, self._sglv[0], 0
+            steps, result = self._first, self._sglv[0]
         else:
             parity = (self._frames - 1) % 2
-            steps, result, latest = self._next[parity], self._sglv[1 - parity], 1 - parity
-        if self._fused is None and (self._frames == 0 or self._unit_per_frame):
-            self._units[latest][0, :, 0, 0, 0] = mean_colour(self._volume)
+            steps, result = self._next[parity], self._sglv[1 - parity]
+        if self._fused is None and self._frames == 0:
+            self._unit[0, :, 0, 0, 0] = mean_colour(self._volume)
         for step in steps:
             step.run()
         self._frames += 1
@@ -125,7 +123,7 @@ class NetworkBackend:
         saved: Arrays = {"frames": np.array(self._frames), "alpha": sglv.alpha.copy(), "lobes": sglv.lobes.copy()}
         if self._fused is not None:
             return saved | self._fused.save()
-        saved |= {f"unit{number}": unit.copy() for number, unit in enumerate(self._units)}
+        saved["unit"] = self._unit.copy()
         return saved | {key: array.copy() for key, array in self._hidden[self._latest].items()}
 
     def restore(self, grid: VolumeGrid, saved: Arrays) -> Sglv:
@@ -137,8 +135,7 @@ class NetworkBackend:
         if self._fused is not None:
             self._fused.restore(saved)
             return sglv
-        for number, unit in enumerate(self._units):
-            unit[:] = saved[f"unit{number}"]
+        self._unit[:] = saved["unit"]
         for key, array in self._hidden[self._latest].items():
             array[:] = saved[key]
         return sglv

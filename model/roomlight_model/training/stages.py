@@ -53,8 +53,7 @@ def trained_modules(model: SingleModel | VideoModel, stage: TrainingStage) -> li
     sg: list[nn.Module] = [model.sg_encoder, model.sg_decoder]
     blend: list[nn.Module] = [model.blend_encoder, model.blend_decoder]
     if isinstance(model, VideoModel):
-        shifts = [shift for shift in (model.sg_shift0, model.sg_shift1) if shift is not None]
-        sg += [model.sg_gru0, model.sg_gru1, *shifts]
+        sg += [model.sg_gru0, model.sg_gru1]
         blend += [model.blend_gru0, model.blend_gru1]
     return {"sglv": sg, "blend": blend, "joint": sg + blend}[stage.split("-")[1]]
 

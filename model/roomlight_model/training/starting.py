@@ -18,13 +18,9 @@ def starting_options(options: TrainOptions, start_from: Checkpoint | None) -> Tr
     """
     if start_from is None:
         return options
-    config = start_from.config
-    if isinstance(start_from.model, VideoModel):
-        if not is_video(options.stage):
-            raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
-    elif is_video(options.stage):  # these weights leave the units open
-        config = replace(config, sg=replace(config.sg, units=options.model.sg.units))
-    return replace(options, model=config)
+    if isinstance(start_from.model, VideoModel) and not is_video(options.stage):
+        raise ModelError(f"stage {options.stage} trains a single-view model, not a {start_from.form} one")
+    return replace(options, model=start_from.config)
 
 
 def starting_model(

@@ -1,6 +1,6 @@
 """The unit of colour in which networks see a frame: the geometric mean of what its initial volume shows.
 
-The recurrent networks keep the first frame's unit (`roomlight_model.config.Units`). Readable twin:
+The recurrent networks keep the first frame's unit. Readable twin:
 `roomlight_model.volume_networks.mean_colour`.
 """
 
