@@ -9,8 +9,8 @@ import numpy as np
 from onnx import ModelProto, TensorProto, helper, numpy_helper
 
 from roomlight.compositing.light.object_light import OBJECT_PANELS
-from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.engine.networks.clipping import CHANNELS, SIDE
+from roomlight.engine.panorama.panels import HEIGHT, PANELS
 
 Form = Literal["clipping", "completion", "objects"]
 SHAPES = {

@@ -96,7 +96,7 @@ Parts = Annotated[
     typer.Option(
         "--parts",
         rich_help_panel=MODEL_PANEL,
-        help="A folder with the model folders `clipping`, `completion` and `objects`, instead of the shipped ones.",
+        help="A folder with the model folders `clipping` and `objects`, instead of the shipped ones.",
     ),
 ]
 UnknownDepthOption = Annotated[
@@ -208,10 +208,9 @@ def session_options(
     parts: Path | None = None,
 ) -> SessionOptions:
     """Build the engine's options from the command line's. Raises typer.BadParameter for weights that go unused."""
-    if model in ("classical", "completion") and weights is not None:
+    if model == "classical" and weights is not None:
         raise typer.BadParameter(
-            f"leave out --weights {weights}: --model {model} does not run the paper's networks; "
-            "or choose another --model"
+            f"leave out --weights {weights}: --model classical does not run networks; or choose another --model"
         )
     return SessionOptions(
         model=model,

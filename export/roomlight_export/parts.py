@@ -11,10 +11,10 @@ import torch
 from torch import nn
 
 from roomlight.compositing.light.object_light import OBJECT_PANELS
-from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.engine.networks.clipping import CHANNELS, SIDE
 from roomlight.engine.networks.graphs import DESCRIPTION, FORMAT, PartForm
 from roomlight.engine.networks.providers import open_graph
+from roomlight.engine.panorama.panels import HEIGHT, PANELS
 from roomlight.errors import ModelError
 from roomlight_export.exporting import ExportReport
 from roomlight_export.folder import check_target, new_folder

@@ -1,7 +1,7 @@
 """The networks on a probe's panorama: 2D encoder-decoders on what the frames have shown together.
 
 `CompletionNetwork` completes it, `ObjectLightNetwork` turns it into the light of virtual objects. Panels are those of
-`roomlight.engine.completion`, linear radiance in units of white. All layers wrap around at the left and right
+`roomlight.engine.panorama.panels`, linear radiance in units of white. All layers wrap around at the left and right
 edge; the elevation is an input, because ceilings are brighter than floors.
 """
 
@@ -12,7 +12,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn import functional
 
-from roomlight.engine.completion import HEIGHT, PANELS
+from roomlight.engine.panorama.panels import HEIGHT, PANELS
 from roomlight_model.layers import LEAK, PanoramaConv, block2d
 
 _DERIVED: Final = 4
@@ -39,7 +39,7 @@ class PanelsNetwork(nn.Module):
     def __init__(self, *, more: int, changes: int, width: int = 32) -> None:
         """Build the layers: `width` channels at half the panels' resolution, three times that at an eighth.
 
-        more:     panels of radiance behind those of `completion_panels`.
+        more:     panels of radiance behind those of `panorama_panels`.
         changes:  number of changes, three channels each.
         """
         super().__init__()
@@ -108,7 +108,7 @@ class CompletionNetwork(PanelsNetwork):
 class ObjectLightNetwork(PanelsNetwork):
     """Changes the light that lights objects, and the light that casts their shadows and that mirrors show.
 
-    The panel behind those of `completion_panels` is the luminance that was estimated for clipped pixels.
+    The panel behind those of `panorama_panels` is the luminance that was estimated for clipped pixels.
     """
 
     def __init__(self) -> None:

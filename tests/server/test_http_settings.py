@@ -73,7 +73,7 @@ def test_a_loopback_address_needs_no_token(host):
         (
             "MODEL",
             "magic",
-            "ROOMLIGHT_MODEL: 'magic': input should be 'auto', 'classical', 'completion', 'single' or 'video'",
+            "ROOMLIGHT_MODEL: 'magic': input should be 'auto', 'classical', 'single' or 'video'",
         ),
         ("TOKENS", "short", "ROOMLIGHT_TOKENS or the token file: a token must be 16 to 512 printable"),
         ("TOKEN_FILE", "/nowhere/tokens", "/nowhere/tokens: cannot read the token file"),

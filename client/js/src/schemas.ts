@@ -615,7 +615,7 @@ export interface components {
              * @default auto
              * @enum {string}
              */
-            readonly mode?: "auto" | "classical" | "completion" | "single" | "video";
+            readonly mode?: "auto" | "classical" | "single" | "video";
             /**
              * @description 16 to 512
              * @default 120
@@ -653,7 +653,7 @@ export interface components {
              * @default auto
              * @enum {string}
              */
-            readonly mode?: "auto" | "classical" | "completion" | "single" | "video";
+            readonly mode?: "auto" | "classical" | "single" | "video";
             /**
              * @description 16 to 512
              * @default 120
@@ -681,7 +681,7 @@ export interface components {
             /** @enum {string} */
             readonly status: "open" | "failed";
             /** @enum {string} */
-            readonly model: "classical" | "completion" | "single" | "video";
+            readonly model: "classical" | "single" | "video";
             readonly options: components["schemas"]["SessionRequest"];
             readonly frames: components["schemas"]["FrameCounts"];
             readonly probes: {
@@ -710,7 +710,7 @@ export interface components {
             /** @enum {string} */
             readonly status: "open" | "failed" | "saved";
             /** @enum {string} */
-            readonly model: "classical" | "completion" | "single" | "video";
+            readonly model: "classical" | "single" | "video";
             readonly frames: components["schemas"]["FrameCounts"];
             readonly probes: readonly string[];
             readonly keyframes: number;

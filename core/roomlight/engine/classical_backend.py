@@ -33,21 +33,6 @@ class _Memory:
     frames: int = 0
 
 
-@dataclass(frozen=True)
-class Observed:
-    """What the frames have shown a probe; [H, 2H].
-
-    Attributes:
-        detail: radiance, where observed.
-        known: share observed, 0 to 1.
-        fill: radiance everywhere, spread from the observed.
-    """
-
-    detail: Float[np.ndarray, "h w 3"]
-    known: Float[np.ndarray, "h w"]
-    fill: Float[np.ndarray, "h w 3"]
-
-
 class ClassicalBackend:
     """The classical model of one session; see the module docstring."""
 
@@ -124,16 +109,8 @@ class ClassicalBackend:
         weight = known + volume_weight
         volume = at_most_white(rendered / np.maximum(opaque, 1e-3)[..., None])
         mixed = known[..., None] * at_most_white(detail) + volume_weight[..., None] * volume
-        fill = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
-        hdr = self.completed(Observed(detail, known, fill), state, partial)
+        hdr = push_pull(mixed / np.maximum(weight, 1e-6)[..., None], weight)
         if memory.frames > 0:
             hdr = state.radiance + np.float32(FILL_UPDATE) * (hdr - state.radiance)
         memory.frames += 1
         return Estimate(hdr, partial.mask.astype(np.float32))
-
-    def completed(
-        self, observed: Observed, state: PanoramaState, partial: PartialPanorama
-    ) -> Float[np.ndarray, "h w 3"]:
-        """Return the light of directions that no frame has shown: the fill. Models with a better guess override it."""
-        del state, partial
-        return observed.fill

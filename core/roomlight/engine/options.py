@@ -9,7 +9,7 @@ from roomlight.engine.networks.providers import Provider
 from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.errors import OptionError
 
-ModelName = Literal["auto", "classical", "completion", "single", "video"]
+ModelName = Literal["auto", "classical", "single", "video"]
 """`SessionOptions.model`."""
 ClippingName = Literal["learned", "constants"]
 """`SessionOptions.clipping`."""
@@ -26,15 +26,13 @@ class SessionOptions:
     """Options of a session.
 
     Attributes:
-        model: classical (no networks), completion (classical, with learned light where no frame looked), single or
-            video (the paper's networks), or auto: the network form of `weights`, and without `weights` classical. On
-            streams of 35 captures that no choice was made with, the networks inside the package had 1.0 to 1.2 of
-            warp-and-fill's log-L2, classical 0.82 to 0.94.
+        model: classical (no networks), single or video (the paper's networks), or auto: the network form of `weights`,
+            and without `weights` classical. On streams of 35 captures that no choice was made with, the networks inside
+            the package had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
         hedge: share of the classical fill in the light that networks infer, 0 to 1; see `network_backend`.
         clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
-        parts: a folder with the model directories `clipping`, `completion` and `objects`, instead of those inside the
-            package.
+        parts: a folder with the model directories `clipping` and `objects`, instead of those inside the package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
         allow_untrained: accept weights that were never trained, for tests.
         height: rows of the panoramas, 16 to 2048; they have twice as many columns.

@@ -23,7 +23,6 @@ from roomlight.conventions import NO_FRAME, Position
 from roomlight.depth import complete_depth
 from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.classical_backend import ClassicalBackend
-from roomlight.engine.completion import CompletionBackend, shipped_completion
 from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
@@ -91,7 +90,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
         OptionError: model="video" contradicts `weights`, which are single-view.
         ModelError: the weights are missing, damaged or untrained, or the provider is not available.
     """
-    if options.model in ("classical", "completion") or (options.model == "auto" and options.weights is None):
+    if options.model == "classical" or (options.model == "auto" and options.weights is None):
         return None
     if options.weights is not None:
         graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
@@ -112,8 +111,6 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
 def _backend(options: SessionOptions, graphs: LightingGraphs | None) -> Backend:
     if graphs is not None:
         return NetworkBackend(graphs, hedge=options.hedge)
-    if options.model == "completion":
-        return CompletionBackend(shipped_completion(options.provider, (options.parts or SHIPPED) / "completion"))
     return ClassicalBackend()
 
 
@@ -153,7 +150,7 @@ class Session:
 
     @property
     def model(self) -> str:
-        """The model in use: classical, completion, single or video."""
+        """The model in use: classical, single or video."""
         return self._backend.name
 
     @property

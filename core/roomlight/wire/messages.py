@@ -25,7 +25,7 @@ Id = Annotated[str, StringConstraints(pattern=r"^[A-Za-z0-9_-]{1,64}$", max_leng
 Metres = Annotated[float, Field(ge=-1000, le=1000, allow_inf_nan=False)]
 WirePosition = Annotated[list[Metres], Field(min_length=3, max_length=3)]
 
-ModelName = Literal["auto", "classical", "completion", "single", "video"]
+ModelName = Literal["auto", "classical", "single", "video"]
 LightFormat = Literal["exr", "hdr", "png", "npy", "cube", "ktx2", "specular", "sh", "main_light", "confidence"]
 HarmonicsKind = Literal["total", "ambient"]
 HarmonicsBasis = Literal["arcore", "arkit", "threejs"]
@@ -224,7 +224,7 @@ class SessionState(WireModel):
 
     id: Id
     status: Literal["open", "failed"]
-    model: Literal["classical", "completion", "single", "video"]
+    model: Literal["classical", "single", "video"]
     options: SessionRequest
     frames: FrameCounts
     probes: dict[str, WirePosition]

@@ -25,7 +25,7 @@ class SessionSummary(WireModel):
 
     id: Id
     status: Literal["open", "failed", "saved"]
-    model: Literal["classical", "completion", "single", "video"]
+    model: Literal["classical", "single", "video"]
     frames: FrameCounts
     probes: list[str]
     keyframes: int

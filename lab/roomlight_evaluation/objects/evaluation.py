@@ -98,7 +98,7 @@ def evaluate_objects(
     """
     models = [replace(options, model="classical", weights=None), options]
     sessions = [(one, choose_graphs(one)) for one in models]
-    if sessions[1][1] is None and options.model != "completion":  # the chosen model is the classical one
+    if sessions[1][1] is None:  # the chosen model is the classical one
         sessions.pop(0)
     rooms = [room for source in sources for room in _rooms(source, split, frames, limit)]
     scored: list[RoomObjects] = []

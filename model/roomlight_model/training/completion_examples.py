@@ -12,8 +12,8 @@ from torch import Tensor
 
 from roomlight.compositing.light.object_light import OBJECT_PANELS, object_panels
 from roomlight.dataset.loader import Dataset
-from roomlight.engine.completion import BRIGHTEST, HEIGHT
 from roomlight.engine.options import ModelName
+from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import DatasetError, FrameError
 from roomlight_model.training.examples import example_of

@@ -11,8 +11,8 @@ from jaxtyping import Float, Float32
 from torch import Tensor
 
 from roomlight.conventions import panorama_rays, panorama_solid_angles
-from roomlight.engine.completion import HEIGHT, PANELS
 from roomlight.engine.networks.graphs import PartForm
+from roomlight.engine.panorama.panels import HEIGHT, PANELS
 from roomlight_model.completion_network import CompletionNetwork
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 from roomlight_model.training.stages import EVEN, relative_error
@@ -85,7 +85,7 @@ def completed(network: torch.nn.Module, panels: Float32[Tensor, "b 9 h w"]) -> F
 def changed_light(
     light: Float[Tensor, "b 3 h w"], change: Float[Tensor, "b 3 h w"], share: Float[Tensor, "b 1 h w"]
 ) -> Float32[Tensor, "b 3 h w"]:
-    """Return `roomlight.engine.completion.changed_light`."""
+    """Return `roomlight.engine.panorama.panels.changed_light`."""
     return torch.expm1((torch.log1p(light) + change.float() * share).clamp(0, 11))
 
 

@@ -100,7 +100,7 @@ def _saved_summary(head: SavedHead) -> SessionSummary:
     return SessionSummary(
         id=values.name,
         status="saved",
-        model=cast("Literal['classical', 'completion', 'single', 'video']", head.model),
+        model=cast("Literal['classical', 'single', 'video']", head.model),
         frames=counts,
         probes=list(values.probes),
         keyframes=len(values.bases),

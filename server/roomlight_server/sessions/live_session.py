@@ -375,7 +375,7 @@ class LiveSession:
         return SessionState(
             id=self.name,
             status="open" if self._access.ended is None else "failed",
-            model=cast("Literal['classical', 'completion', 'single', 'video']", self._model),
+            model=cast("Literal['classical', 'single', 'video']", self._model),
             options=self.request,
             frames=self._queue.counts(),
             probes={name: list(position) for name, position in self.lighting.positions.items()},

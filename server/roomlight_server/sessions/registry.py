@@ -310,7 +310,7 @@ def _engine(options: SessionOptions, graphs: LightingGraphs | None) -> Session:
     """Return a new engine session. Raises ProblemError if the weights of its model are missing."""
     try:
         return Session(options, graphs=graphs)
-    except ModelError as error:  # of `completion`, whose weights are not among the graphs
+    except ModelError as error:  # of the parts, whose weights are not among the graphs
         raise _no_model(options.model, error) from error
 
 

@@ -17,9 +17,9 @@ from roomlight.compositing.light.object_light import (
     object_panels,
 )
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.completion import BRIGHTEST, HEIGHT
 from roomlight.engine.networks.graphs import load_part
 from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError
 from roomlight.sample import sample_capture
@@ -119,7 +119,7 @@ def room() -> BoxRoom:
     return BoxRoom(size_m=(5.0, 2.6, 4.5), lamp=((0.5, 2.6, 0.3), 0.3))
 
 
-@pytest.mark.parametrize("model", ["classical", "completion", "single"])
+@pytest.mark.parametrize("model", ["classical", "single"])
 def test_every_model_has_light_for_objects(model: str, room: BoxRoom) -> None:
     session = Session(SessionOptions(model=model, height=32))  # pyright: ignore[reportArgumentType]
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=-35.0), width=64, height=48))

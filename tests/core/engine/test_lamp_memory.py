@@ -14,7 +14,7 @@ PROBE = (0.2, 1.1, 0.3)
 LAMP = ((0.3, 1.5, -2.5), 0.45)
 HEIGHT = 60
 HAS_VIDEO = (SHIPPED / "video" / DESCRIPTION).is_file()
-MODELS = ["classical", "completion", "single", *(["video"] if HAS_VIDEO else [])]
+MODELS = ["classical", "single", *(["video"] if HAS_VIDEO else [])]
 
 
 def dim_room(radiance: float) -> BoxRoom:

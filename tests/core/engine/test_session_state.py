@@ -40,7 +40,7 @@ FRAMES = [_shot(index) for index in range(14)]
 
 
 def _options(model, tiny_video):
-    if model in ("classical", "completion"):
+    if model == "classical":
         return dataclasses.replace(CLASSICAL, model=model)
     return dataclasses.replace(CLASSICAL, model=model, weights=tiny_video[1], provider="cpu", allow_untrained=True)
 
@@ -70,7 +70,7 @@ def saved(tmp_path_factory):
     return session, path
 
 
-@pytest.mark.parametrize("model", ["classical", "completion", "single", "video"])
+@pytest.mark.parametrize("model", ["classical", "single", "video"])
 @pytest.mark.parametrize("at", [0, 1, 2, 6, 7])
 def test_a_loaded_session_goes_on_with_the_same_bits(tiny_video, tmp_path, model, at):
     options = _options(model, tiny_video)
@@ -232,8 +232,8 @@ def test_other_options_and_weights_are_refused(saved, tiny_video, tmp_path):
         Session.load(saved[1], dataclasses.replace(CLASSICAL, height=48))
     with pytest.raises(StateError, match=r"saved with a network for clipped pixels [0-9a-f]{16}, and here is none"):
         _with_clipping(saved[1], tmp_path, "constants")
-    with pytest.raises(StateError, match="saved with the model classical, and here is completion"):
-        Session.load(saved[1], dataclasses.replace(CLASSICAL, model="completion"))
+    with pytest.raises(StateError, match="saved with the model classical, and here is single"):
+        Session.load(saved[1], dataclasses.replace(CLASSICAL, model="single"))
     graphs = load_graphs(tiny_video[1], provider="cpu", allow_untrained=True)
     options = _options("video", tiny_video)
     Session(options, graphs=graphs).save(tmp_path / "video.state")

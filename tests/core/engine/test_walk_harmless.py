@@ -9,7 +9,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from part_models import write_part
 from roomlight.conventions import panorama_solid_angles
 from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED
 from roomlight.engine.session import Session, SessionOptions
@@ -71,26 +70,17 @@ def energies(options, frames):
     return [float((panorama.mean(-1) * never).sum()) for panorama in panoramas], float((truth.mean(-1) * never).sum())
 
 
-HAS_COMPLETION = (SHIPPED / "completion" / DESCRIPTION).is_file()
-
-
 HAS_VIDEO = (SHIPPED / "video" / DESCRIPTION).is_file()
 SHIPPED_MODELS = [
-    *(["completion"] if HAS_COMPLETION else []),
     pytest.param("single", marks=pytest.mark.slow),
     *([pytest.param("video", marks=pytest.mark.slow)] if HAS_VIDEO else []),
 ]
 
 
-@pytest.fixture(scope="module", params=["classical", "brightening", *SHIPPED_MODELS])
-def options(request, tmp_path_factory):
-    """The classical model; a completion that makes the inferred light half as bright again; networks in the package."""
-    if request.param != "brightening":
-        return SessionOptions(model=request.param, provider="cpu", height=60)
-    parts = tmp_path_factory.mktemp("parts")
-    write_part(parts / "completion", "completion", constant=float(np.log(1.5)))
-    (parts / "clipping").symlink_to(SHIPPED / "clipping")
-    return SessionOptions(model="completion", parts=parts, provider="cpu", height=60)
+@pytest.fixture(scope="module", params=["classical", *SHIPPED_MODELS])
+def options(request):
+    """The classical model and the networks in the package."""
+    return SessionOptions(model=request.param, provider="cpu", height=60)
 
 
 @pytest.fixture(scope="module")

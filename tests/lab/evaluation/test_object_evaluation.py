@@ -110,11 +110,6 @@ def test_networks_are_scored_beside_the_classical_model(tiny_video, tmp_path):
     assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "video", f"video, {COMPOSITED}")
 
 
-def test_completion_is_scored_beside_the_classical_model(tmp_path):
-    found = evaluate_objects([write_room(tmp_path / "a")], SessionOptions(model="completion"), frames=2)
-    assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "completion", f"completion, {COMPOSITED}")
-
-
 def test_tables_and_json_show_every_method(scores, tmp_path):
     markdown = object_markdown(scores)
     for method in scores.methods:

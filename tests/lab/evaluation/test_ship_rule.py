@@ -27,7 +27,7 @@ def track(capture: str, method: str, values: dict[str, float | list[float]], *, 
 
 def rule(*captures: dict[str, float | list[float]], frames: int = FRAMES) -> ShipRule:
     """The rule for a candidate with these scores on captures where both others have 1."""
-    return rule_of(scores_of(*captures, frames=frames), "completion", "classical")
+    return rule_of(scores_of(*captures, frames=frames), "single", "classical")
 
 
 def scores_of(*captures: dict[str, float | list[float]], frames: int = FRAMES) -> CaptureScores:
@@ -116,7 +116,7 @@ def test_invisible_errors_count_as_equal():
                                                     frames=FRAMES)
         for one in scores.tracks
     )  # fmt: skip
-    found = rule_of(CaptureScores(scores.captures, tracks), "completion", "classical")
+    found = rule_of(CaptureScores(scores.captures, tracks), "single", "classical")
     assert found.mean("log_l2").mean == 1
 
 
@@ -130,7 +130,7 @@ def test_the_table_has_each_capture_and_the_means():
     console = Console(width=200, record=True)
     print_table(console, ship_rule_table(rule(BETTER | {"energy": 0.75}, BETTER)))
     text = console.export_text()
-    assert "completion against classical" in text
+    assert "single against classical" in text
     assert f"at most {TOLERANCE}, mean {TARGET}" in text
     row = next(line for line in text.split("\n") if "room-0" in line and "log-L2" in line)
     assert "0.80" in row
@@ -142,7 +142,7 @@ def test_the_table_has_each_capture_and_the_means():
 
 def test_scores_and_rule_are_written_as_json(tmp_path: Path):
     scores = scores_of({"log_l2": [0.5, 2.0], "render_l2": 0.8}, frames=2)
-    found = rule_of(scores, "completion", "classical")
+    found = rule_of(scores, "single", "classical")
     write_rule(tmp_path / "rule.json", found, scores)
     read = json.loads((tmp_path / "rule.json").read_text(), parse_constant=lambda name: pytest.fail(name))
     assert read["schema"] == "roomlight-evaluation-1"

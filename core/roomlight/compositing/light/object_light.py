@@ -10,7 +10,7 @@ Its two panoramas differ where a direction is uncertain. Matte and glossy object
 Mirrors show single directions, and light from nowhere in particular would make shadows fainter.
 
 Directions that were measured keep their bits. Cost: one run of the network for each probe and update, see
-`roomlight.engine.completion`.
+`roomlight.engine.panorama.panels`.
 """
 
 from dataclasses import dataclass
@@ -22,14 +22,14 @@ import numpy as np
 from jaxtyping import Float32
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.completion import BRIGHTEST, PANELS, changed_light, completion_panels, panel
 from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.panorama.blend import PanoramaState
+from roomlight.engine.panorama.panels import BRIGHTEST, PANELS, changed_light, panel, panorama_panels
 from roomlight.engine.session import Session
 
 OBJECT_PANELS: Final = PANELS + 1
-"""Input: the panels of the completion network, and the luminance that was estimated for clipped pixels."""
+"""Input: the panorama's panels, and the luminance that was estimated for clipped pixels."""
 
 Panorama = Float32[np.ndarray, "h w 3"]
 
@@ -86,7 +86,7 @@ def shipped_object_light(provider: Provider = "auto", folder: Path = SHIPPED / "
 
 def object_panels(state: PanoramaState) -> Float32[np.ndarray, "10 ph pw"]:
     """Compute the network's input from what the frames have shown of a place."""
-    panels = completion_panels(
+    panels = panorama_panels(
         detail=state.radiance, known=state.seen, clipped=state.clipped, depth_m=state.depth_m, fill=state.radiance
     )
     return np.concatenate([panels, panel(np.minimum(state.guessed, BRIGHTEST))[None]])

@@ -1,0 +1,100 @@
+"""Panels of a panorama, and the change of its light: what was observed stays, the rest changes and is finite."""
+
+import numpy as np
+import pytest
+
+from roomlight.engine.panorama.panels import BRIGHTEST, FARTHEST_M, HEIGHT, PANELS, changed_light, panorama_panels
+
+
+def change_of(constant):
+    return np.full((3, HEIGHT, 2 * HEIGHT), constant, np.float32)
+
+
+def observed(seed=0, height=120):
+    """Random panels' sources: detail, known, clipped, depth, fill."""
+    rng = np.random.default_rng(seed)
+    shape = (height, 2 * height)
+    return {
+        "detail": rng.exponential(1, (*shape, 3)).astype(np.float32),
+        "known": (rng.random(shape) < 0.4).astype(np.float32),
+        "clipped": rng.random(shape).astype(np.float32),
+        "depth_m": rng.uniform(0.5, 6, shape).astype(np.float32),
+        "fill": rng.exponential(0.5, (*shape, 3)).astype(np.float32),
+    }
+
+
+def test_panels_are_means_of_what_was_observed():
+    given = observed()
+    panels = panorama_panels(**given)
+    assert panels.shape == (PANELS, HEIGHT, 2 * HEIGHT)
+    assert panels.dtype == np.float32
+
+    def blocks(plane):
+        return plane.reshape(60, 2, 120, 2, *plane.shape[2:]).sum(axis=(1, 3))
+
+    count = blocks(given["known"])
+    assert panels[3] == pytest.approx(count / 4)
+    seen = count > 0
+    for found, name in ((panels[:3], "detail"), (panels[4], "clipped"), (panels[5], "depth_m")):
+        weight = given["known"].reshape(given["known"].shape + (1,) * (given[name].ndim - 2))
+        expected = blocks(weight * given[name])[seen] / count[seen].reshape(-1, *(1,) * (given[name].ndim - 2))
+        assert np.moveaxis(found, 0, -1)[seen] == pytest.approx(expected, rel=1e-4) if found.ndim == 3 else True
+        assert found.ndim == 3 or found[seen] == pytest.approx(expected, rel=1e-4)
+        assert (found[..., ~seen] == 0).all()
+    assert panels[6:9] == pytest.approx(np.moveaxis(blocks(given["fill"]) / 4, -1, 0), rel=1e-4)
+
+
+def test_panels_rotate_with_the_panorama():
+    given = observed()
+    rolled = panorama_panels(**{name: np.roll(plane, 34, axis=1) for name, plane in given.items()})
+    assert rolled == pytest.approx(np.roll(panorama_panels(**given), 17, axis=2), abs=1e-4)
+
+
+@pytest.mark.parametrize("height", [16, 32, 60, 120, 200])
+def test_panels_have_one_size_for_every_panorama(height):
+    panels = panorama_panels(**observed(height=height))
+    assert panels.shape == (PANELS, HEIGHT, 2 * HEIGHT)
+    assert np.isfinite(panels).all()
+
+
+def test_panels_are_limited():
+    given = observed(height=60)
+    given["detail"][:] = 1e12
+    given["fill"][:] = 1e12
+    given["depth_m"][:] = 1e6
+    panels = panorama_panels(**given)
+    assert panels[:3].max() == panels[6:].max() == BRIGHTEST
+    assert panels[5].max() == FARTHEST_M
+
+
+@pytest.mark.parametrize("height", [32, 60, 120])
+def test_observed_directions_keep_their_bits(height):
+    given = observed(height=height)
+    fill, known = given["fill"], given["known"]
+    result = changed_light(fill, change_of(0.7), 1 - known)
+    assert result.dtype == np.float32
+    assert (result[known == 1] == fill[known == 1]).all()
+    assert np.log1p(result[known == 0]) == pytest.approx(np.log1p(fill[known == 0]) + 0.7, rel=1e-5)
+
+
+def test_partly_observed_directions_change_by_what_is_left():
+    given = observed() | {"known": np.full((120, 240), np.float32(0.25))}
+    result = changed_light(given["fill"], change_of(-0.4), 1 - given["known"])
+    expected = np.maximum(np.expm1(np.log1p(given["fill"]) - 0.3), 0)
+    assert result == pytest.approx(expected, abs=1e-5)
+
+
+@pytest.mark.parametrize("constant", [-30.0, 30.0])
+@pytest.mark.parametrize("radiance", [0.0, 1.0, 1e12])
+@pytest.mark.parametrize("share", [0.0, 0.5, 1.0])
+def test_light_is_finite_for_black_bright_and_empty(constant, radiance, share):
+    shape = (120, 240)
+    image, known = np.full((*shape, 3), np.float32(radiance)), np.full(shape, np.float32(share))
+    flat = np.full(shape, np.float32(1))
+    panels = panorama_panels(detail=image, known=known, clipped=flat, depth_m=flat, fill=image)
+    assert np.isfinite(panels).all()
+    result = changed_light(image, change_of(constant), 1 - known)
+    assert np.isfinite(result).all()
+    assert result.min() >= 0
+    if share < 1:
+        assert result.max() <= BRIGHTEST * 1.001
