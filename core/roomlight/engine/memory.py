@@ -1,4 +1,4 @@
-"""Memory of a session, now and at most: counted from array shapes; measured where Embree allocates."""
+"""Memory of a session, now and at most: counted from array shapes."""
 
 import ctypes
 import sys
@@ -10,9 +10,9 @@ import numpy as np
 from roomlight.engine.networks.graphs import Graph, LightingGraphs
 from roomlight.engine.volume.grid import VOLUME_SHAPE
 
-KEYFRAME_BYTES: Final = 6_400_000
-"""Resident memory of one frame of 320 x 240 with its mesh (5.4 MB measured, see `roomlight.engine.surface.keyframes`),
-and 1 MB for which pixels were clipped and what was estimated for them."""
+KEYFRAME_BYTES: Final = 4_000_000
+"""Memory of one frame of 320 x 240 with its mesh: image and pyramid 1.2 MB, mesh 0.9 MB, which pixels were clipped and
+what was estimated for them 1.6 MB."""
 _SUM_CHANNELS: Final = 7
 """Float32 a voxel of the sums over frames: colour, opacity, count, clipping."""
 _CLASSICAL_CHANNELS: Final = 5 + _SUM_CHANNELS + 11

@@ -231,7 +231,6 @@ class Session:
             self._sglv = self._backend.update(clipping)
         with clock.stage("mesh"):
             self._latest = FrameMesh(frame, sensor_depth_m=sensor_depth_m, sensor_clipped=sensor_clipped)
-            self._latest.build()
         with clock.stage("keyframes"):
             update_keyframes(self._latest, [key.mesh for key in self._keyframes])
             self._latest_is_keyframe = self._keyframes.offer(frame.index, self._latest)

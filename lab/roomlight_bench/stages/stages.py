@@ -220,9 +220,7 @@ def _samples_inside(
 
 def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
     def build() -> FrameMesh:
-        mesh = FrameMesh(frame)
-        mesh.build()
-        return mesh
+        return FrameMesh(frame)
 
     mesh = build()
     position, height = np.asarray(PROBE), size.panorama_height

@@ -216,15 +216,6 @@ def test_every_level_of_the_texture_keeps_its_place(width, height):
     np.testing.assert_allclose(seen.radiance[check][:, :2], uv[check], atol=0.02)
 
 
-def test_building_twice_is_building_once():
-    mesh = FrameMesh(ROOM.frame(POSE))
-    mesh.build()
-    before = mesh.render_panorama(POSE[:3, 3], height=24)
-    mesh.build()
-    after = mesh.render_panorama(POSE[:3, 3], height=24)
-    assert (before.depth_m == after.depth_m).all()
-
-
 @pytest.mark.parametrize("height", [16, 17, 120])
 def test_panoramas_have_the_requested_height(height):
     seen = FrameMesh(ROOM.frame(POSE, width=32, height=24)).render_panorama(POSE[:3, 3], height=height)

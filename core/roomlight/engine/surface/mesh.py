@@ -1,29 +1,27 @@
 """The partial mesh of one frame, and what a probe sees of it: LDR panorama, mask, depth (paper, 4.1, 4.2).
 
-Vertices are depth pixels in world metres; no triangle crosses a depth edge. The mesh is ray traced with Embree and
-textured with the frame's image (`roomlight.engine.surface.texture`).
+Vertices are depth pixels in world metres; no triangle crosses a depth edge. A probe's panorama of the mesh is
+rasterised (`roomlight.engine.kernels.rasterise`) and textured with the frame's image
+(`roomlight.engine.surface.texture`): what rays through its pixel centres meet, without a tree.
 """
 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import panorama_rays
+from roomlight.engine.kernels.rasterise import Raster, Surface, locate, place_vertices, rasterise
 from roomlight.engine.surface.texture import Texture
 from roomlight.frame import Frame
-from roomlight.threads import parallel_for
 
 EDGE_RATIO = 1.08
 """Neighbouring vertices whose depths differ by more than this ratio belong to two surfaces. With a vertex every 0.36
 degrees, a plane exceeds it only under 5 degrees of grazing angle; sofa edges against walls are at 1.2 and more."""
 MAX_VERTICES = 160 * 120
-"""Most vertices of a mesh. Over 38k triangles embreex takes 17 ms (13 of them to copy the mesh element by element,
-whatever its types), over 153k 126 ms. Against those 153k the mask of a 120 x 240 panorama is wrong in 2.4 % of its
-pixels; a mesh of 107 x 80 would cost 8 ms and be wrong in 4.7 %."""
+"""Most vertices of a mesh. Against the 153,000 triangles of all pixels the mask of a 120 x 240 panorama is wrong in
+2.4 % of its pixels; a mesh of 107 x 80 would be wrong in 4.7 %."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +137,6 @@ class FrameMesh:
         self.measured = grid.measured  # [gh, gw]; elsewhere depth is completed
         self.faces = grid_faces(depth)
         self._pixel = (uv.reshape(-1, 2) * [k.width, k.height] - 0.5).astype(np.float32)
-        self._scene: EmbreeScene | None = None
 
     @property
     def grid(self) -> MeshGrid:
@@ -156,59 +153,40 @@ class FrameMesh:
         cx, cy = (k.cx - first) / stride + 0.5, (k.cy - first) / stride + 0.5
         return Intrinsics(k.fx / stride, k.fy / stride, cx, cy, width, height)
 
-    def build(self) -> None:
-        """Build Embree's tree now (17 ms) rather than at the first panorama.
-
-        One ray is traced, because Embree builds on first use, without a lock.
-        """
-        if self._scene is None and len(self.faces):
-            scene = EmbreeScene()
-            TriangleMesh(scene, self.vertices, self.faces)
-            scene.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32), query="OCCLUDED")
-            self._scene = scene
-
     def render_panorama(self, position_world: Float[np.ndarray, "3"], *, height: int = 120) -> PartialPanorama:
-        """Ray trace the mesh from a world position (metres) over all directions of an H x 2H panorama."""
-        self.build()
-        shape = (height, 2 * height)
-        rays = height * 2 * height
-        if self._scene is None:
-            nothing = np.zeros(shape, np.float32)
-            return PartialPanorama(np.zeros((*shape, 3), np.float32), nothing > 0, nothing)
-        scene, directions = self._scene, panorama_rays(height)
-        origins = np.broadcast_to(position_world.astype(np.float32), (rays, 3)).copy()
-        face = np.empty(rays, np.int32)
-        bary = np.empty((rays, 2), np.float32)
-        distance = np.empty(rays, np.float32)
-        normal = np.empty((rays, 3), np.float32)
+        """Render what a world position (metres) sees of the mesh in the directions of an H x 2H panorama.
 
-        def trace(start: int, stop: int) -> None:
-            hits = scene.run(origins[start:stop], directions[start:stop], output=1)
-            face[start:stop], distance[start:stop] = hits["primID"], hits["tfar"]
-            bary[start:stop, 0], bary[start:stop, 1] = hits["u"], hits["v"]
-            normal[start:stop] = hits["Ng"]
+        The back of a surface hides what is behind it and is not seen itself: the camera saw its other side.
+        """
+        pixels, shape = 2 * height * height, (height, 2 * height)
+        raster = self._rasterise(position_world, height)
+        maps, levels = np.empty((pixels, 2), np.float32), np.empty(pixels, np.int8)
+        distance = np.empty(pixels, np.float32)
+        surface = Surface(self.faces, self._pixel, self._depth_m)
+        locate(raster, surface, np.float32(self._focal_px * np.pi / height), maps, levels, distance)
+        radiance, clipping = self.texture.sample(maps, levels)
+        clipped, guessed = (None, None) if clipping is None else (clipping[:, 0], clipping[:, 1])
+        return PartialPanorama(
+            radiance.reshape(*shape, 3),
+            (levels >= 0).reshape(shape),
+            distance.reshape(shape),
+            None if clipped is None else np.ascontiguousarray(clipped).reshape(shape),
+            None if guessed is None else np.ascontiguousarray(guessed).reshape(shape),
+        )
 
-        parallel_for(trace, rays, pieces_per_thread=1)
-        # The camera saw a back face from its other side: its colour on this side is not known.
-        seen = (face >= 0) & ((normal * directions).sum(axis=-1) < 0)
-        faces = self.faces[face[seen]]
-        corners = self._pixel[faces]  # [n, 3, 2]
-        u, v = bary[seen, :1], bary[seen, 1:]
-        pixel = (1 - u - v) * corners[:, 0] + u * corners[:, 1] + v * corners[:, 2]
-        column, row = np.full(rays, -1, np.float32), np.full(rays, -1, np.float32)
-        column[seen], row[seen] = pixel[:, 0], pixel[:, 1]
-        maps = column.reshape(shape), row.reshape(shape)
-        mask = seen.reshape(shape)
-        # image pixels that a panorama's pixel spans on the surface
-        span = np.zeros(rays, np.float32)
-        span[seen] = self._focal_px * np.pi / height * distance[seen] / self._depth_m[faces[:, 0]]
-        radiance = self.texture.sample(maps, span.reshape(shape))
-        radiance[~mask] = 0
-        depth = np.where(seen, distance, np.float32(0)).reshape(shape)
-        clipped, guessed = self.texture.sample_clipping(maps, span.reshape(shape)) or (None, None)
-        if clipped is not None and guessed is not None:
-            clipped[~mask] = guessed[~mask] = 0
-        return PartialPanorama(radiance, mask, depth, clipped, guessed)
+    def _rasterise(self, position_world: Float[np.ndarray, "3"], height: int) -> Raster:
+        count, pixels = len(self.vertices), 2 * height * height
+        raster = Raster(
+            np.full(pixels, np.inf, np.float32),
+            np.full(pixels, -1, np.int32),
+            np.empty((pixels, 2), np.float32),
+            np.zeros(pixels, np.int32),
+        )
+        offsets, places = np.empty((count, 3), np.float32), np.empty((count, 2), np.float32)
+        position = np.asarray(position_world, np.float64)
+        place_vertices(self.vertices, position, height, offsets, places, 0, count)
+        rasterise(self.faces, offsets, places, panorama_rays(height), height, raster, 0, len(self.faces))
+        return raster
 
 
 def grid_faces(depth: Float[np.ndarray, "h w"]) -> Int[np.ndarray, "n 3"]:

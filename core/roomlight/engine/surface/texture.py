@@ -12,9 +12,10 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.rasterise import sample_level
 from roomlight.frame import Frame
 
 TEXTURE_LEVELS: Final = 4
@@ -70,38 +71,24 @@ class Texture:
         return reduce(lambda crc, part: zlib.crc32(np.ascontiguousarray(part).data, crc), parts, 0)
 
     def sample(
-        self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
-    ) -> Float[np.ndarray, "h w 3"]:
-        """Sample the image bilinearly at (column, row), on the pyramid level that averages over about `span` pixels."""
-        return _sample(self.levels, maps, span)
+        self, maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
+    ) -> tuple[Float[np.ndarray, "p 3"], Float[np.ndarray, "p 2"] | None]:
+        """Sample at (column, row) on the given levels of the pyramid; 0 where the level is -1.
 
-    def sample_clipping(
-        self, maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]], span: Float[np.ndarray, "h w"]
-    ) -> tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]] | None:
-        """Sample the share of clipped pixels and the estimated luminance in the same way; None: nothing was clipped."""
-        if self.clipped is None:
-            return None
-        read = _sample(self._clipping_levels, maps, span)
-        return np.ascontiguousarray(read[..., 0]), np.ascontiguousarray(read[..., 1])
+        Returns:
+            The image, and the share of clipped pixels with the estimated luminance (None: nothing was clipped).
+        """
+        clipping = None if self.clipped is None else _sample(self._clipping_levels, maps, levels)
+        return _sample(self.levels, maps, levels), clipping
 
 
 def _sample(
-    levels: list[Float[np.ndarray, "_ _ c"]],
-    maps: tuple[Float[np.ndarray, "h w"], Float[np.ndarray, "h w"]],
-    span: Float[np.ndarray, "h w"],
-) -> Float[np.ndarray, "h w c"]:
-    result = np.empty((*span.shape, levels[0].shape[2]), np.float32)
-    # level k is a box filter of 2^k pixels, sampled by a tent twice as wide: the variance of a box of sqrt(3) 2^k
-    level = np.clip(np.rint(np.log2(np.maximum(span, 1) / np.sqrt(3))), 0, len(levels) - 1)
-    for number, image in enumerate(levels):
-        here = level == number
-        if not here.any():
-            continue
-        scale = [new / old for new, old in zip(image.shape[1::-1], levels[0].shape[1::-1], strict=True)]
-        column, row = ((at + 0.5) * factor - 0.5 for at, factor in zip(maps, scale, strict=True))
-        read = cv2.remap(image, column, row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
-        np.copyto(result, read, where=here[..., None])
-    return result
+    pyramid: list[Float[np.ndarray, "_ _ c"]], maps: Float[np.ndarray, "p 2"], levels: Int[np.ndarray, " p"]
+) -> Float[np.ndarray, "p c"]:
+    out = np.zeros((len(levels), pyramid[0].shape[2]), np.float32)
+    for number, image in enumerate(pyramid):
+        sample_level(image, pyramid[0].shape[:2], maps, levels, number, number == len(pyramid) - 1, out)
+    return out
 
 
 def _pyramid(image: Float[np.ndarray, "h w c"]) -> list[Float[np.ndarray, "_ _ c"]]:

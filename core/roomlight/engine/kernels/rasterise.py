@@ -1,0 +1,246 @@
+# pyright: reportMissingParameterType=false
+"""Rasterisation of a mesh into a panorama; readable reference: Embree's rays through the pixel centres, in the tests.
+
+A panorama looks from one point, so a mesh of small triangles needs no tree: each triangle is tested at the few pixel
+centres inside its bounds, and the nearest hit of a pixel stays. A test is that of a ray and a triangle, exact along
+shared edges: no pixel between two neighbouring triangles is missed.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float32, Int32
+from numba import njit
+
+WIDE = np.float32(0.5)
+"""Triangles that span more azimuth than this, in radians, are bounded by a cone instead of by their corners."""
+MARGIN = np.float32(0.02)
+"""Added to bounds, in pixels, for rounding."""
+_NEAREST_M = np.float32(1e-6)
+_WIDEST_CONE = np.float32(0.2)
+"""Least cosine of a bounding cone's half angle; wider triangles are tested at every pixel."""
+
+
+class Raster(NamedTuple):
+    """Nearest triangles by pixel of an H x 2H panorama, row by row.
+
+    distance:  along the ray in metres; infinite where nothing is hit.
+    triangle:  number of the triangle, -1 where nothing is hit.
+    weights:   barycentric weights of the triangle's second and third corner.
+    front:     1 where the ray meets the side that is counter-clockwise, 0 elsewhere.
+    """
+
+    distance: Float32[np.ndarray, " p"]
+    triangle: Int32[np.ndarray, " p"]
+    weights: Float32[np.ndarray, "p 2"]
+    front: Int32[np.ndarray, " p"]
+
+
+@njit(nogil=True, cache=True)
+def place_vertices(vertices, position, height, offsets, places, start, stop):
+    """Write the offsets of vertices start..stop from `position` [n, 3], and their (column, row) in the panorama [n, 2].
+
+    Centres of pixels are at halves. A vertex at the position itself has NaN for a place.
+    """
+    per_radian = np.float32(height / math.pi)
+    middle = np.float32(height)
+    for i in range(start, stop):
+        x = np.float32(vertices[i, 0] - position[0])
+        y = np.float32(vertices[i, 1] - position[1])
+        z = np.float32(vertices[i, 2] - position[2])
+        offsets[i, 0], offsets[i, 1], offsets[i, 2] = x, y, z
+        length = math.sqrt(x * x + y * y + z * z)
+        if length < _NEAREST_M:
+            places[i, 0] = places[i, 1] = np.float32(np.nan)
+        else:
+            places[i, 0] = middle + per_radian * math.atan2(z, x)
+            places[i, 1] = per_radian * math.acos(min(max(y / length, np.float32(-1)), np.float32(1)))
+
+
+@njit(nogil=True, cache=True)
+def rasterise(faces, offsets, places, rays, height, raster, start, stop):
+    """Rasterise the triangles start..stop of `faces` [n, 3] into `raster`; `rays` [p, 3] are the pixels' directions."""
+    width = 2 * height
+    rows = np.float32(height)
+    for number in range(start, stop):
+        i, j, k = faces[number, 0], faces[number, 1], faces[number, 2]
+        # 1. Bounds in pixels
+        left, right, top, bottom = _corner_bounds(places, i, j, k, height)
+        if not (right - left) * np.float32(math.pi / height) < WIDE:  # also where a place is NaN
+            left, right, top, bottom = _cone_bounds(offsets, i, j, k, height)
+        first_row = max(math.ceil(top - np.float32(0.5)), 0)
+        last_row = min(math.floor(bottom - np.float32(0.5)), height - 1)
+        first_column = math.ceil(left - np.float32(0.5))
+        last_column = math.floor(right - np.float32(0.5))
+        if first_row > last_row or first_column > last_column or top > rows:
+            continue
+        # 2. Planes through the origin and two corners: a ray inside the triangle is on one side of all three
+        ax, ay, az = offsets[i, 0], offsets[i, 1], offsets[i, 2]
+        bx, by, bz = offsets[j, 0], offsets[j, 1], offsets[j, 2]
+        cx, cy, cz = offsets[k, 0], offsets[k, 1], offsets[k, 2]
+        px, py, pz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
+        qx, qy, qz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
+        rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        # and the triangle's plane, from differences: small triangles far away keep their distance's precision
+        ex, ey, ez, fx, fy, fz = bx - ax, by - ay, bz - az, cx - ax, cy - ay, cz - az
+        nx, ny, nz = ey * fz - ez * fy, ez * fx - ex * fz, ex * fy - ey * fx
+        volume, area = nx * ax + ny * ay + nz * az, nx * nx + ny * ny + nz * nz
+        if volume == 0:
+            continue
+        sign = np.float32(1) if volume > 0 else np.float32(-1)
+        # 3. Pixel centres inside, and the nearest triangle of each
+        for row in range(first_row, last_row + 1):
+            for unwrapped in range(first_column, last_column + 1):
+                column = unwrapped % width
+                pixel = row * width + column
+                x, y, z = rays[pixel, 0], rays[pixel, 1], rays[pixel, 2]
+                a = sign * (x * px + y * py + z * pz)
+                b = sign * (x * qx + y * qy + z * qz)
+                c = sign * (x * rx + y * ry + z * rz)
+                if a < 0 or b < 0 or c < 0:
+                    continue
+                slope = sign * (x * nx + y * ny + z * nz)
+                if slope <= 0:
+                    continue
+                distance = sign * volume / slope
+                if distance < raster.distance[pixel]:
+                    raster.distance[pixel] = distance
+                    raster.triangle[pixel] = number
+                    raster.front[pixel] = np.int32(volume < 0)
+                    hx, hy, hz = distance * x - ax, distance * y - ay, distance * z - az
+                    mx, my, mz = hy * fz - hz * fy, hz * fx - hx * fz, hx * fy - hy * fx
+                    raster.weights[pixel, 0] = (mx * nx + my * ny + mz * nz) / area
+                    mx, my, mz = ey * hz - ez * hy, ez * hx - ex * hz, ex * hy - ey * hx
+                    raster.weights[pixel, 1] = (mx * nx + my * ny + mz * nz) / area
+
+
+@njit(nogil=True, cache=True)
+def _corner_bounds(places, i, j, k, height):
+    """Return (left, right, top, bottom) of a narrow triangle, in pixels; columns may lie beyond the panorama's edges."""
+    width, middle = np.float32(2 * height), np.float32(height)
+    u, v, w = places[i, 0], places[j, 0], places[k, 0]
+    left, right = min(u, v, w), max(u, v, w)
+    if right - left > middle:  # it crosses the edge
+        u, v, w = _unwrapped(u, middle, width), _unwrapped(v, middle, width), _unwrapped(w, middle, width)
+        left, right = min(u, v, w), max(u, v, w)
+    u, v, w = places[i, 1], places[j, 1], places[k, 1]
+    # An edge is an arc that bulges to the pole: by sin cos (d phi)^2 / 8 radians, at most half of that square
+    per_pixel = np.float32(math.pi / height)
+    bulge = (right - left) * (right - left) * per_pixel / np.float32(16)
+    margin = MARGIN + bulge
+    return left - MARGIN, right + MARGIN, min(u, v, w) - margin, max(u, v, w) + margin
+
+
+@njit(nogil=True, cache=True)
+def _unwrapped(column, middle, width):
+    return column + width if column < middle else column
+
+
+@njit(nogil=True, cache=True)
+def _cone_bounds(offsets, i, j, k, height):
+    """Return (left, right, top, bottom) of the cone about a triangle's corners, in pixels."""
+    width, rows = np.float32(2 * height), np.float32(height)
+    per_radian = np.float32(height / math.pi)
+    axis = np.zeros(3, np.float32)
+    for corner in (i, j, k):
+        x, y, z = offsets[corner, 0], offsets[corner, 1], offsets[corner, 2]
+        length = math.sqrt(x * x + y * y + z * z)
+        if length < _NEAREST_M:
+            return np.float32(0), width, np.float32(0), rows
+        axis += offsets[corner] / np.float32(length)
+    length = math.sqrt(axis[0] * axis[0] + axis[1] * axis[1] + axis[2] * axis[2])
+    if length < _NEAREST_M:
+        return np.float32(0), width, np.float32(0), rows
+    axis /= np.float32(length)
+    cosine = np.float32(1)
+    for corner in (i, j, k):
+        x, y, z = offsets[corner, 0], offsets[corner, 1], offsets[corner, 2]
+        dot = (axis[0] * x + axis[1] * y + axis[2] * z) / math.sqrt(x * x + y * y + z * z)
+        cosine = min(cosine, np.float32(dot))
+    if cosine < _WIDEST_CONE:
+        return np.float32(0), width, np.float32(0), rows
+    half = math.acos(min(cosine, np.float32(1)))
+    polar = math.acos(min(max(axis[1], np.float32(-1)), np.float32(1)))
+    top, bottom = np.float32((polar - half) * per_radian) - MARGIN, np.float32((polar + half) * per_radian) + MARGIN
+    if top <= 0 or bottom >= rows:  # a pole is inside
+        return np.float32(0), width, top, bottom
+    azimuth = np.float32(height + per_radian * math.atan2(axis[2], axis[0]))
+    reach = np.float32(per_radian * math.asin(min(math.sin(half) / math.sin(polar), 1.0))) + MARGIN
+    return azimuth - reach, azimuth + reach, top, bottom
+
+
+class Surface(NamedTuple):
+    """What the corners of triangles know of the image that the mesh was made from.
+
+    faces:    [n, 3] vertices.
+    pixels:   [v, 2] (column, row) of a vertex in the image, centres at whole numbers.
+    depth_m:  [v] z-depth.
+    """
+
+    faces: Int32[np.ndarray, "n 3"]
+    pixels: Float32[np.ndarray, "v 2"]
+    depth_m: Float32[np.ndarray, " v"]
+
+
+@njit(nogil=True, cache=True)
+def locate(raster, surface, per_pixel, maps, levels, distance):
+    """Find each panorama pixel's place in the image, its pyramid level, and its distance.
+
+    Args:
+        raster: nearest triangles [p].
+        surface: the mesh's corners.
+        per_pixel: image pixels that a panorama pixel spans at a distance equal to the z-depth: focal length x radians.
+        maps: output [p, 2]: (column, row) in the image.
+        levels: output [p]: k for a box of 2^k pixels, -1 where the front of the mesh is not seen.
+        distance: output [p]: metres along the ray, 0 where it is not seen.
+    """
+    one, half_step = np.float32(1), np.float32(math.sqrt(2.0))
+    unit = np.float32(math.sqrt(3.0))  # a tent twice as wide as a box of 2^k has the variance of a box of sqrt(3) 2^k
+    for pixel in range(len(levels)):
+        number = raster.triangle[pixel]
+        if number < 0 or raster.front[pixel] == 0:
+            levels[pixel], distance[pixel] = -1, 0
+            continue
+        i, j, k = surface.faces[number, 0], surface.faces[number, 1], surface.faces[number, 2]
+        v, w = raster.weights[pixel, 0], raster.weights[pixel, 1]
+        u = one - v - w
+        for axis in range(2):
+            maps[pixel, axis] = u * surface.pixels[i, axis] + v * surface.pixels[j, axis] + w * surface.pixels[k, axis]
+        distance[pixel] = raster.distance[pixel]
+        span = per_pixel * raster.distance[pixel] / surface.depth_m[i]
+        level, limit = 0, unit * half_step
+        while span > limit and level < 15:
+            level += 1
+            limit *= np.float32(2)
+        levels[pixel] = level
+
+
+@njit(nogil=True, cache=True)
+def sample_level(image, shape, maps, levels, level, last, out):
+    """Sample one pyramid level [h, w, c] bilinearly into `out` [p, c], at the pixels of this level.
+
+    Args:
+        image: the level.
+        shape: rows and columns of the finest level, in whose pixels `maps` is.
+        maps: (column, row) of each pixel, [p, 2].
+        levels: level wanted by each pixel, -1 for none.
+        level: number of this level.
+        last: whether it is the coarsest, which serves all coarser wishes.
+        out: output; pixels of other levels are not touched.
+    """
+    rows, columns, channels = image.shape
+    scale_row, scale_column = np.float32(rows / shape[0]), np.float32(columns / shape[1])
+    half, one = np.float32(0.5), np.float32(1)
+    for pixel in range(len(levels)):
+        if levels[pixel] != level and not (last and levels[pixel] > level):
+            continue
+        x = min(max((maps[pixel, 0] + half) * scale_column - half, np.float32(0)), np.float32(columns - 1))
+        y = min(max((maps[pixel, 1] + half) * scale_row - half, np.float32(0)), np.float32(rows - 1))
+        left, top = int(x), int(y)
+        right, bottom = min(left + 1, columns - 1), min(top + 1, rows - 1)
+        across, down = x - np.float32(left), y - np.float32(top)
+        for channel in range(channels):
+            above = image[top, left, channel] * (one - across) + image[top, right, channel] * across
+            below = image[bottom, left, channel] * (one - across) + image[bottom, right, channel] * across
+            out[pixel, channel] = above * (one - down) + below * down
