@@ -37,7 +37,7 @@ def traced(vertices, faces, position, height=HEIGHT):
 
 
 def assert_same(vertices, faces, position, *, edge_share=0.0, height=HEIGHT):
-    """Hits, distances and sides are Embree's; at most `edge_share` of the pixels lie on an edge where either is right."""
+    """Hits, distances and sides are Embree's; at most `edge_share` of the pixels lie on edges."""
     vertices, faces = np.asarray(vertices, np.float32), np.asarray(faces, np.int32)
     raster = rasterised(vertices, faces, position, height)
     hits, rays = traced(vertices, faces, position, height)

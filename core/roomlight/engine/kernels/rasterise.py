@@ -117,7 +117,7 @@ def rasterise(faces, offsets, places, rays, height, raster, start, stop):
 
 @njit(nogil=True, cache=True)
 def _corner_bounds(places, i, j, k, height):
-    """Return (left, right, top, bottom) of a narrow triangle, in pixels; columns may lie beyond the panorama's edges."""
+    """Return (left, right, top, bottom) of a narrow triangle, in pixels; columns may lie beyond the edges."""
     width, middle = np.float32(2 * height), np.float32(height)
     u, v, w = places[i, 0], places[j, 0], places[k, 0]
     left, right = min(u, v, w), max(u, v, w)
