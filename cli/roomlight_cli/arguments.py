@@ -10,7 +10,7 @@ from roomlight.captures.options import CameraConvention, PoseDirection
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.engine.networks.providers import Provider
-from roomlight.engine.session import ClippingName, ModelName, SessionOptions
+from roomlight.engine.session import ModelName, SessionOptions
 
 CAPTURE_PANEL: Final = "How to read the capture"
 MODEL_PANEL: Final = "How to estimate the light"
@@ -83,14 +83,6 @@ AllowUntrained = Annotated[
     bool, typer.Option("--allow-untrained", rich_help_panel=MODEL_PANEL, help="Accept weights that were never trained.")
 ]
 Runtime = Annotated[Provider, typer.Option("--provider", rich_help_panel=MODEL_PANEL, help="Where the networks run.")]
-Clipping = Annotated[
-    ClippingName,
-    typer.Option(
-        "--clipping",
-        rich_help_panel=MODEL_PANEL,
-        help="Radiance of clipped pixels: estimated by a network, or constants by kind of surface.",
-    ),
-]
 Parts = Annotated[
     Path | None,
     typer.Option(
@@ -204,7 +196,6 @@ def session_options(
     allow_untrained: bool,
     unknown_depth: UnknownDepth,
     height: int,
-    clipping: ClippingName = SessionOptions.clipping,
     parts: Path | None = None,
 ) -> SessionOptions:
     """Build the engine's options from the command line's. Raises typer.BadParameter for weights that go unused."""
@@ -219,6 +210,5 @@ def session_options(
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
         height=height,
-        clipping=clipping,
         parts=parts,
     )

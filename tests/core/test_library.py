@@ -53,7 +53,7 @@ def test_import_loads_no_heavy_library():
     assert not loaded & {"onnxruntime", "av", "cv2", "numba", "numpy", "OpenEXR", "embreex", "torch", "pydantic"}
 
 
-@pytest.mark.parametrize("option", ["model='large'", "clipping='guessed'", "provider='cuda'", "unknown_depth='near'"])
+@pytest.mark.parametrize("option", ["model='large'", "provider='cuda'", "unknown_depth='near'"])
 def test_an_unknown_name_in_an_option_is_an_option_error(option):
     """In a process of its own, without the test run's type checks."""
     code = f"import roomlight as rl\ntry: rl.SessionOptions({option})\nexcept rl.OptionError as error: print(error)"

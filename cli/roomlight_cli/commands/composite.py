@@ -7,7 +7,6 @@ import typer
 
 from roomlight.compositing.placement.scene import load_scene
 from roomlight.compositing.recordings import SHAPE_SIZE_M
-from roomlight.engine.session import SessionOptions
 from roomlight_cli import arguments
 from roomlight_cli.compositing import Output, composite_recording, film_rate, one_object
 from roomlight_cli.console import say
@@ -83,7 +82,6 @@ def composite(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
-    clipping: arguments.Clipping = SessionOptions.clipping,
     parts: arguments.Parts = None,
     height: Annotated[int, typer.Option(min=16, max=2048, help="Height in pixels of the panoramas of light.")] = 120,
     format_name: arguments.Format = None,
@@ -116,7 +114,6 @@ def composite(
         provider=provider,
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
-        clipping=clipping,
         parts=parts,
         height=height,
     )

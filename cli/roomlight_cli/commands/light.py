@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
+from roomlight.engine.session import choose_graphs, warm_up
 from roomlight_cli import arguments
 from roomlight_cli.console import err, out, say
 from roomlight_cli.lazy import single_command_app
@@ -69,7 +69,6 @@ def light(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
-    clipping: arguments.Clipping = SessionOptions.clipping,
     parts: arguments.Parts = None,
 ) -> None:
     """Light points of one photograph that has depth.
@@ -86,7 +85,6 @@ def light(
         provider=provider,
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
-        clipping=clipping,
         parts=parts,
         height=height,
     )

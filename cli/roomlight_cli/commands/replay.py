@@ -5,7 +5,6 @@ from typing import Annotated
 
 import typer
 
-from roomlight.engine.session import SessionOptions
 from roomlight_cli import arguments
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.replays.replay_options import ReplayOptions
@@ -42,7 +41,6 @@ def replay(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
-    clipping: arguments.Clipping = SessionOptions.clipping,
     parts: arguments.Parts = None,
     height: Annotated[
         int, typer.Option(min=16, max=2048, help="Panorama height in pixels; the width is twice that.")
@@ -91,7 +89,6 @@ def replay(
             provider=provider,
             allow_untrained=allow_untrained,
             unknown_depth=unknown_depth,
-            clipping=clipping,
             parts=parts,
             height=height,
         ),

@@ -11,8 +11,6 @@ from roomlight.errors import OptionError
 
 ModelName = Literal["auto", "classical", "single", "video"]
 """`SessionOptions.model`."""
-ClippingName = Literal["learned", "constants"]
-"""`SessionOptions.clipping`."""
 
 HEDGE: Final = 0.5
 """Default of `SessionOptions.hedge`: 0.65 lowers log-L2 by 1 % and raises the glossy sphere's error by 8 %."""
@@ -31,7 +29,6 @@ class SessionOptions:
             the package had 1.0 to 1.2 of warp-and-fill's log-L2, classical 0.82 to 0.94.
         weights: a model directory of `roomlight export`, instead of the weights inside the package.
         hedge: share of the classical fill in the light that networks infer, 0 to 1; see `network_backend`.
-        clipping: how bright clipped pixels are: learned (a network), or constants by kind of surface.
         parts: a folder with the model directories `clipping` and `objects`, instead of those inside the package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
         allow_untrained: accept weights that were never trained, for tests.
@@ -46,7 +43,6 @@ class SessionOptions:
     model: ModelName = "auto"
     weights: Path | None = None
     hedge: float = HEDGE
-    clipping: ClippingName = "learned"
     parts: Path | None = None
     provider: Provider = "auto"
     allow_untrained: bool = False
@@ -57,7 +53,6 @@ class SessionOptions:
     def __post_init__(self) -> None:
         for name, allowed in (
             ("model", ModelName),
-            ("clipping", ClippingName),
             ("provider", Provider),
             ("unknown_depth", UnknownDepth),
         ):

@@ -27,7 +27,6 @@ from roomlight.engine.network_backend import NetworkBackend
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
 from roomlight.engine.options import WORKING_SIZE, SessionOptions
-from roomlight.engine.options import ClippingName as ClippingName
 from roomlight.engine.options import ModelName as ModelName
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m
 from roomlight.engine.panorama.light_tracking import LightTracker
@@ -134,8 +133,7 @@ class Session:
         chosen = graphs or choose_graphs(self.options)
         self._backend = _backend(self.options, chosen)
         folder, provider = self.options.parts or SHIPPED, self.options.provider
-        learned = self.options.clipping == "learned"
-        self._clipping = shipped_clipping(provider, folder / "clipping") if learned else None
+        self._clipping = shipped_clipping(provider, folder / "clipping")
         self._shape = chosen.volume_shape if chosen else VOLUME_SHAPE
         self._grid: VolumeGrid | None = None
         self._sglv: Sglv | None = None
@@ -287,8 +285,7 @@ class Session:
     @property
     def networks(self) -> dict[str, str]:
         """The model in use, and the identity of the weights of its networks and of the one for clipped pixels."""
-        clipping = "" if self._clipping is None else self._clipping.digest
-        return {"model": self.model, "weights": self._backend.digest, "clipping": clipping}
+        return {"model": self.model, "weights": self._backend.digest, "clipping": self._clipping.digest}
 
     def snapshot(self) -> SessionSnapshot:
         """Return the state after the last frame. Later frames do not change it."""
@@ -335,7 +332,7 @@ class Session:
             ModelError: the weights cannot be used (see `choose_graphs`).
         """
         session = cls(options or snapshot.options, graphs=graphs)
-        for name in ("clipping", "hedge", "height", "keyframes", "unknown_depth"):
+        for name in ("hedge", "height", "keyframes", "unknown_depth"):
             saved, given = getattr(snapshot.options, name), getattr(session.options, name)
             if saved != given:
                 raise StateError(f"the session was saved with {name}={saved!r}, not {given!r}")

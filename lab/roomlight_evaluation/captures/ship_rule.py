@@ -114,13 +114,13 @@ def apply_ship_rule(
     options: CaptureOptions | None = None,
     progress: ProgressCallback | None = None,
 ) -> tuple[ShipRule, CaptureScores]:
-    """Score a candidate beside the reference (default: the classical model with constants) and warp-and-fill.
+    """Score a candidate beside the reference (default: the classical model) and warp-and-fill.
 
     Raises:
         ModelError: Weights are missing.
         CaptureError: A capture cannot be read or has no ground truth.
     """
-    known = reference or SessionOptions(model="classical", clipping="constants")
+    known = reference or SessionOptions(model="classical")
     graphs = [choose_graphs(one) for one in (candidate, known)]
 
     def estimators() -> list[Estimator]:

@@ -7,8 +7,9 @@ import cv2
 import numpy as np
 import pytest
 
+from part_models import write_part
 from roomlight.conventions import LUMINANCE, panorama_directions
-from roomlight.engine.networks.clipping import BRIGHT_GAIN
+from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.surface import bracket
 from roomlight.engine.surface.bracket import restored, update_keyframes
@@ -23,8 +24,20 @@ TRUE = 20.0
 ROOM = BoxRoom(lamp=LAMP, lamp_radiance=TRUE)
 PROBE = (0.3, 1.4, 0.2)
 DARK = 1 / 32
-CLASSICAL = SessionOptions(model="classical", clipping="constants", height=48)
-LEARNED = SessionOptions(model="classical", clipping="learned", provider="cpu", height=48)
+CLASSICAL = SessionOptions(model="classical", provider="cpu", height=48)
+
+
+@pytest.fixture(scope="module")
+def twice_white(tmp_path_factory):
+    """Options whose network says of every clipped pixel that it is twice as bright as white."""
+    parts = tmp_path_factory.mktemp("parts")
+    write_part(parts / "clipping", "clipping", constant=float(np.log(2)))
+    return dataclasses.replace(CLASSICAL, parts=parts)
+
+
+def restored_now(frame, earlier=()):
+    """The frame as a session prepares it, with the depth that it has."""
+    return restored(frame, frame.depth_m, earlier, model=shipped_clipping("cpu"))
 
 
 def shown(exposure, *, position=(0.3, 1.4, 0.2), yaw=0.0, index=0, room=ROOM, width=160):
@@ -74,22 +87,22 @@ def test_a_short_exposure_shows_the_lamp_in_any_order(exposures, moved):
     np.testing.assert_allclose(session.sglv.lobes[voxels][:, :3], TRUE, rtol=0.05)
 
 
-def test_without_a_short_exposure_the_lamp_is_a_guess():
-    session = streamed(shown(1), shown(1, **MOVED))
-    np.testing.assert_allclose(session.light(0).panorama[in_lamp()], BRIGHT_GAIN, rtol=0.05)
+def test_without_a_short_exposure_the_lamp_is_an_estimate(twice_white):
+    session = streamed(shown(1), shown(1, **MOVED), options=twice_white)
+    np.testing.assert_allclose(session.light(0).panorama[in_lamp()], 2, rtol=0.05)
 
 
-def test_still_clipped_is_at_least_the_shortest_exposures_white():
+def test_still_clipped_is_at_least_the_shortest_exposures_white(twice_white):
     """At a quarter of the exposure the lamp is clipped at 4: every estimate starts from there."""
-    session = streamed(shown(1), shown(1 / 4, **MOVED), shown(1))
+    session = streamed(shown(1), shown(1 / 4, **MOVED), shown(1), options=twice_white)
     for light in (session.light(0), session.light_at(PROBE)):
-        np.testing.assert_allclose(light.panorama[in_lamp()], 4 * BRIGHT_GAIN, rtol=0.05)
+        np.testing.assert_allclose(light.panorama[in_lamp()], 4 * 2, rtol=0.05)
 
 
 def test_learned_light_starts_from_the_shortest_exposure():
     """The network knows nothing of the bracket: its estimate is at least what the shortest exposure measured."""
     long, short = shown(1), shown(1 / 4, **MOVED)
-    alone, together = streamed(long, options=LEARNED), streamed(long, short, long, options=LEARNED)
+    alone, together = streamed(long), streamed(long, short, long)
     lamp = alone.light(0).panorama[in_lamp()]
     assert lamp.min() > 1
     for light in (together.light(0), together.light_at(PROBE)):
@@ -98,16 +111,16 @@ def test_learned_light_starts_from_the_shortest_exposure():
 
 
 def test_a_short_exposure_overrides_what_was_learned():
-    session = streamed(shown(1), shown(DARK, **MOVED), shown(1), options=LEARNED)
+    session = streamed(shown(1), shown(DARK, **MOVED), shown(1))
     for light in (session.light(0), session.light_at(PROBE)):
         np.testing.assert_allclose(np.median(light.panorama[in_lamp()]), TRUE, rtol=0.1)
 
 
 def test_a_keyframe_keeps_its_bracket():
     bright, dark = shown(1), shown(DARK, **MOVED)
-    key = FrameMesh(restored(bright, bright.depth_m))
+    key = FrameMesh(restored_now(bright))
     clipped = bright.clipped.sum()
-    taken = update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key])
+    taken = update_keyframes(FrameMesh(restored_now(dark)), [key])
     assert taken > 0.95 * clipped
     true = ROOM.frame(bright.camera_to_world, width=160, height=120).image
     wrong = abs(key.texture.image / true - 1).max(axis=-1) > 0.05
@@ -118,7 +131,7 @@ def test_a_keyframe_keeps_its_bracket():
 
 def test_a_frame_takes_clipped_pixels_from_earlier_ones():
     bright, dark = shown(1, **MOVED), shown(DARK)
-    frame = restored(bright, bright.depth_m, [FrameMesh(restored(dark, dark.depth_m))])
+    frame = restored_now(bright, [FrameMesh(restored_now(dark))])
     assert frame.clipped.sum() < 0.05 * bright.clipped.sum()
     assert frame.guessed is not None
     now_known = bright.clipped & ~frame.clipped
@@ -131,15 +144,15 @@ def test_another_surface_does_not_give_its_radiance():
     """A lamp on a block half a metre before the wall's lamp hides it from the second camera."""
     block = BoxRoom(block=((-0.6, 0.8, -2.0), (1.2, 2.4, -1.9)), lamp=((0.3, 1.6, -1.9), 0.8), lamp_radiance=30.0)
     bright, dark = shown(1), shown(DARK, room=block)
-    key = FrameMesh(restored(bright, bright.depth_m))
-    assert update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key]) == 0
+    key = FrameMesh(restored_now(bright))
+    assert update_keyframes(FrameMesh(restored_now(dark)), [key]) == 0
 
 
 def test_a_lamp_switched_off_gives_no_radiance():
     off = BoxRoom()
     bright, dark = shown(1), shown(DARK, room=off)
-    key = FrameMesh(restored(bright, bright.depth_m))
-    assert update_keyframes(FrameMesh(restored(dark, dark.depth_m)), [key]) == 0
+    key = FrameMesh(restored_now(bright))
+    assert update_keyframes(FrameMesh(restored_now(dark)), [key]) == 0
 
 
 def test_the_rim_of_a_lamp_that_both_clip_is_no_evidence():
@@ -151,8 +164,8 @@ def test_the_rim_of_a_lamp_that_both_clip_is_no_evidence():
         for white in (np.float32(1.0), np.float32(2.0))
     )
     moved = dataclasses.replace(later, camera_to_world=camera_at((0.2, 1.4, 0.2)))
-    key = FrameMesh(restored(bright, bright.depth_m))
-    update_keyframes(FrameMesh(restored(moved, moved.depth_m)), [key])
+    key = FrameMesh(restored_now(bright))
+    update_keyframes(FrameMesh(restored_now(moved)), [key])
     assert key.texture.clipped is not None
     resolved = bright.clipped & ~key.texture.clipped
     assert (soft[resolved] < 2.0).all()
@@ -164,8 +177,8 @@ def test_equal_exposures_search_nothing(monkeypatch):
 
     monkeypatch.setattr(bracket, "take_radiance", refuse)
     bright, second = shown(1), shown(1, **MOVED)
-    key = FrameMesh(restored(bright, bright.depth_m))
-    frame = restored(second, second.depth_m, [key])
+    key = FrameMesh(restored_now(bright))
+    frame = restored_now(second, [key])
     assert update_keyframes(FrameMesh(frame), [key]) == 0
     np.testing.assert_array_equal(frame.clipped, second.clipped)
 
@@ -176,15 +189,15 @@ def test_the_number_of_projections_is_bounded(monkeypatch):
     monkeypatch.setattr(bracket, "MAX_PROJECTIONS", 1000)
     monkeypatch.setattr(bracket, "take_radiance", lambda p, *rest: counted.append(len(p.world)) or take(p, *rest))
     bright, dark = shown(1), shown(DARK)
-    keys = [FrameMesh(restored(bright, bright.depth_m)) for _ in range(4)]
-    update_keyframes(FrameMesh(restored(dark, dark.depth_m)), keys)
+    keys = [FrameMesh(restored_now(bright)) for _ in range(4)]
+    update_keyframes(FrameMesh(restored_now(dark)), keys)
     assert 0 < sum(counted) <= 1000
 
 
 def test_nothing_clipped_gives_the_same_bits_at_any_exposure():
     """Without a clipped pixel neither frames nor textures nor volumes are touched."""
     dark, bright = shown(DARK), shown(DARK, **MOVED)
-    frame = restored(bright, bright.depth_m, [FrameMesh(dark)])
+    frame = restored_now(bright, [FrameMesh(dark)])
     assert frame.image is bright.image
     assert frame.guessed is None
     assert clipping_buffer(VolumeGrid.from_frame(frame), frame) is None
@@ -194,7 +207,7 @@ def test_nothing_clipped_gives_the_same_bits_at_any_exposure():
 
 
 def test_the_mean_volume_gives_clipped_colour_no_weight():
-    frames = [restored(shown(e), shown(e).depth_m) for e in (1, DARK)]
+    frames = [restored_now(shown(e)) for e in (1, DARK)]
     grid = VolumeGrid.from_frame(frames[0], shape=(32, 30, 42))
     means = []
     for order in (frames, frames[::-1], [*frames, frames[0], frames[0]]):
@@ -214,7 +227,7 @@ def test_the_mean_volume_gives_clipped_colour_no_weight():
 
 
 def test_the_volumes_clipped_share_is_the_images():
-    frame = restored(shown(1), shown(1).depth_m)
+    frame = restored_now(shown(1))
     grid = VolumeGrid.from_frame(frame, shape=(32, 30, 42))
     planes = clipping_buffer(grid, frame)
     assert planes is not None
@@ -228,7 +241,7 @@ def test_the_volumes_clipped_share_is_the_images():
 
 
 def test_a_texture_knows_its_lower_bound():
-    frame = restored(shown(1 / 4), shown(1 / 4).depth_m)
+    frame = restored_now(shown(1 / 4))
     texture = Texture.of(frame)
     np.testing.assert_allclose(texture.bound[frame.clipped], 4.0, rtol=1e-5)
     np.testing.assert_allclose(texture.bound[~frame.clipped], frame.image[~frame.clipped] @ LUMINANCE, rtol=1e-5)

@@ -122,13 +122,8 @@ def test_a_folder_without_a_part_is_named(tmp_path):
     Session(SessionOptions(model="classical", parts=tmp_path, provider="cpu"))
 
 
-def test_constants_need_no_network(tmp_path):
-    session = Session(SessionOptions(clipping="constants", parts=tmp_path))
-    assert session.push(clipped_frames(1)[0]).index == 0
-
-
 def test_a_panorama_needs_a_frame_and_a_handle():
-    session = Session(SessionOptions(clipping="constants", height=32))
+    session = Session(SessionOptions(height=32))
     handle = session.track((0.0, 1.2, 0.0))
     with pytest.raises(ProbeError, match="no panorama for tracked probe 0: no frame has been pushed yet"):
         session.panorama_state(handle)

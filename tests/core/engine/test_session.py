@@ -299,7 +299,7 @@ def test_networks_without_weights_are_refused_by_name(model, monkeypatch, tmp_pa
 def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_path):
     monkeypatch.setattr(session_module, "SHIPPED", tmp_path)
     assert choose_graphs(SessionOptions(model="auto", allow_untrained=True)) is None
-    assert Session(SessionOptions(clipping="constants")).model == "classical"
+    assert Session(SessionOptions()).model == "classical"
 
 
 def test_after_warming_up_no_kernel_is_compiled_any_more(pan_frames):

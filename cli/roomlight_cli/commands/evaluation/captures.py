@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.markup import escape
 
-from roomlight.engine.session import SessionOptions, warm_up
+from roomlight.engine.session import warm_up
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_evaluation.captures.evaluation import evaluate_engine, evaluate_predictions
@@ -53,7 +53,6 @@ def evaluate(
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
-    clipping: arguments.Clipping = SessionOptions.clipping,
     parts: arguments.Parts = None,
     format_name: arguments.Format = None,
     depth_key: arguments.DepthKey = None,
@@ -80,7 +79,6 @@ def evaluate(
         provider=provider,
         allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
-        clipping=clipping,
         parts=parts,
         height=120,
     )

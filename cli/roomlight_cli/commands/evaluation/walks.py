@@ -25,16 +25,13 @@ def eval_walks(
     weights: arguments.Weights = None,
     provider: arguments.Runtime = "auto",
     allow_untrained: arguments.AllowUntrained = False,
-    clipping: arguments.Clipping = SessionOptions.clipping,
 ) -> None:
     """Score the recurrent networks on walks through rooms that no network was trained on.
 
     The table compares them with each frame alone, a simple average, the single-view form, the classical model and
     baselines, with late probes and with depth as a phone measures it.
     """
-    options = SessionOptions(
-        model="video", weights=weights, provider=provider, allow_untrained=allow_untrained, clipping=clipping
-    )
+    options = SessionOptions(model="video", weights=weights, provider=provider, allow_untrained=allow_untrained)
     models = WalkModels.load(options)
     with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)

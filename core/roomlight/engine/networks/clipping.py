@@ -1,13 +1,11 @@
 """Estimated radiance of clipped pixels: the camera's value says "at least white", the rest of the frame says more.
 
 A small network estimates it from the frame, its depth and its pose (`ClippingModel`; `roomlight_model` trains it on
-frames whose true radiance is known). It replaces three constants, which remain for comparison
-(`restore_by_constants`): pixels without depth were taken for windows and lamps, clipped pixels on surfaces that face up
-for glare, the others for bright walls. Radiance is in units of the frame's own white.
+frames whose true radiance is known). Radiance is in units of the frame's own white.
 
 Cost of `restore_clipped` for a frame of 320 x 240 pixels that has clipped ones: 16 to 18 ms of processor time, 6 to 7
 times the stage `volume` (2.5 ms); the planes are 4 ms of it, the network 11 ms, which two cores share.
-It is part of the stage `prepare` of `FrameReport.stage_ms`. The constants take 2.6 to 4.5 ms.
+It is part of the stage `prepare` of `FrameReport.stage_ms`.
 """
 
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ from typing import Final
 
 import cv2
 import numpy as np
-from jaxtyping import Bool, Float, Float32
+from jaxtyping import Float, Float32
 
 from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
 from roomlight.engine.networks.providers import Provider
@@ -27,16 +25,6 @@ SIDE: Final = 160
 """Side of the network's square input: a frame of the working size is halved."""
 CHANNELS: Final = 11
 """Planes of the input, see `clipping_planes`."""
-
-WINDOW_GAIN: Final = 4.0
-"""Constants: where depth is unknown. Windows by day and lamps lie between 2 and 60 times white."""
-GLARE_GAIN: Final = 0.7
-"""Constants: on surfaces that face up (floors, tables); most of the glare does not reach the probe."""
-BRIGHT_GAIN: Final = 2.0
-"""Constants: on all other surfaces."""
-UP_FACING: Final = 0.8
-"""A surface faces up if its normal's y is above this: within 37 degrees of the zenith, so that noisy depth
-passes."""
 
 
 @dataclass(frozen=True)
@@ -93,18 +81,14 @@ def shipped_clipping(provider: Provider = "auto", folder: Path = SHIPPED / "clip
     return ClippingModel(load_part(folder, "clipping", provider=provider))
 
 
-def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model: ClippingModel | None = None) -> Frame:
+def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model: ClippingModel) -> Frame:
     """Estimate the radiance of the clipped pixels of a frame; the returned frame has the depth `depth_m`.
 
     Channels that did not saturate keep their value. The network's estimate is never below the measured value, which is
     a lower bound. A frame without clipped pixels keeps its image.
-
-    model:  the network; None: the constants (`restore_by_constants`).
     """
     if not frame.clipped.any():
         return replace(frame, depth_m=depth_m)
-    if model is None:
-        return restore_by_constants(frame, depth_m)
     white = white_of(frame)
     where = np.flatnonzero(frame.clipped)
     measured = frame.image.reshape(-1, 3)[where]
@@ -122,16 +106,6 @@ _SATURATED: Final = 0.95
 def white_of(frame: Frame) -> float:
     """Return the radiance at which a frame with clipped pixels saturates: 1 at the session's own exposure."""
     return max(float(np.median(frame.image[frame.clipped].max(-1))), 1e-6)
-
-
-def restore_by_constants(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
-    """Multiply the clipped pixels by the constant of their kind: window, glare or bright surface."""
-    size = frame.clipped.shape[1], frame.clipped.shape[0]
-    unknown = _resize(frame.depth_m <= 0, size)
-    up = _resize(surface_normals(replace(frame, depth_m=depth_m))[..., 1] > UP_FACING, size)
-    gain = np.where(unknown, WINDOW_GAIN, np.where(up, GLARE_GAIN, BRIGHT_GAIN))
-    gain = np.where(frame.clipped, gain, 1.0).astype(np.float32)
-    return replace(frame, image=frame.image * gain[..., None], depth_m=depth_m)
 
 
 def clipping_planes(frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "11 side side"]:
@@ -187,7 +161,3 @@ def _heading(camera_to_world: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 
 
 def _area(image: Float[np.ndarray, "h w *c"], size: tuple[int, int]) -> Float[np.ndarray, "h2 w2 *c"]:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-
-
-def _resize(mask: Bool[np.ndarray, "h w"], size: tuple[int, int]) -> Bool[np.ndarray, "h2 w2"]:
-    return cv2.resize(mask.astype(np.uint8), size, interpolation=cv2.INTER_NEAREST) > 0

@@ -17,7 +17,7 @@ from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
 from roomlight.engine.backend import Arrays
 from roomlight.engine.networks.providers import Provider
-from roomlight.engine.options import ClippingName, ModelName, SessionOptions
+from roomlight.engine.options import ModelName, SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values, change_arrays, changed
@@ -39,7 +39,6 @@ class _Options(_Values):
     model: ModelName
     weights: Path | None
     hedge: float
-    clipping: ClippingName
     parts: Path | None
     provider: Provider
     allow_untrained: bool

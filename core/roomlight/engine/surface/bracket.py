@@ -42,14 +42,14 @@ def restored(
     depth_m: Float[np.ndarray, "dh dw"],
     earlier: Iterable[FrameMesh] = (),
     *,
-    model: ClippingModel | None = None,
+    model: ClippingModel,
 ) -> Frame:
     """Return the frame with the depth `depth_m`, its clipped pixels taken from earlier frames or else estimated.
 
     frame:    as measured, with the sensor's depth.
     depth_m:  its completed depth.
     earlier:  meshes of earlier frames; of two that know as much, the later one counts.
-    model:    estimates what no frame shows; None: constants.
+    model:    estimates what no frame shows.
     """
     if not frame.clipped.any():
         return replace(frame, depth_m=depth_m)
