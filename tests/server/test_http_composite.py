@@ -156,12 +156,16 @@ def test_a_session_without_frames_has_no_composite(server):
     assert (answer.status, answer.kind) == (409, "no-frame")
 
 
-def test_quality_limits_the_pixels(server, monkeypatch):
-    monkeypatch.setattr(composites, "MAX_PATHS", 64 * 20)
-    answer = composite(server, BALL, quality="good")
-    assert (answer.status, answer.kind) == (422, "invalid")
-    assert "at most 20 pixels at quality good" in answer.json["rule"]
-    assert composite(server, BALL, quality="preview").status == 200
+def test_a_large_object_gets_fewer_paths_and_is_not_refused(server, monkeypatch):
+    traced = []
+    original = composites.make
+    monkeypatch.setattr(composites, "MAX_PATHS", 1)
+    monkeypatch.setattr(
+        "roomlight_server.routes.composites.make",
+        lambda *given: traced.append(original(*given)) or traced[-1],
+    )
+    assert composite(server, BALL, quality="good").status == 200
+    assert traced[0].picture.samples == 1
 
 
 def test_one_composite_a_session_at_a_time(server, monkeypatch):

@@ -76,6 +76,7 @@ class Compositor:
         match_camera: bool = True,
         background_glass: bool = True,
         light: LightAt | None = None,
+        max_paths: int | None = None,
     ) -> None:
         """Begin; objects are placed at the first frame, or at the frame that their pixel belongs to.
 
@@ -88,6 +89,8 @@ class Compositor:
             background_glass: show the frame through glass; else the probes' light.
             light: panorama at a world position, from elsewhere (a light probe, another estimator); default the
                 session's light.
+            max_paths: limit on the light paths of a picture, see `render_objects`; `Composite.samples` says what a
+                pixel got.
 
         Raises:
             OptionError: the quality is unknown.
@@ -99,7 +102,7 @@ class Compositor:
         self.quality: Quality = cast(Quality, quality)
         self.geometry = SceneGeometry()
         self._session, self._seed, self._match = session, seed, match_camera
-        self._background_glass = background_glass
+        self._background_glass, self._max_paths = background_glass, max_paths
         self._standing: list[StandingObject] = []
         self._probes = SceneProbes(session, light)
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
@@ -212,6 +215,8 @@ class Compositor:
             crop = crop.union(crop_of_sphere(k, pose, sphere[:3], reach * float(sphere[3])))
         if not object_crop.empty:
             object_crop = object_crop.grown(8, k.width, k.height)
+        if not crop.empty:  # a rim of the reach at the image's edge gets the neighbours that normals need
+            crop = crop.grown(2 * shadow_step(self.quality, k.width), k.width, k.height)
         return crop.union(object_crop), object_crop
 
     def _follow_camera(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
@@ -250,6 +255,7 @@ class Compositor:
             seed=self._seed,
             background=BehindGlass(frame) if glass else None,
             supports=supports,
+            max_paths=self._max_paths,
         )
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
@@ -359,6 +365,7 @@ class Compositor:
             rendered.depth_m[inner.slices],
             numbers[rendered.object_id[inner.slices]],  # -1 reads the last entry
             clock.cpu_ms,
+            rendered.samples,
         )
 
 

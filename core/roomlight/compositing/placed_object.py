@@ -119,11 +119,32 @@ def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], pla
         if plane is not None and not same:
             known.append(plane)
         carriers.append(-1 if plane is None else same[0] if same else len(known) - 1)
-    shading = np.stack(spheres).astype(np.float32)
-    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
     points = np.array([plane.point for plane in known], np.float32).reshape(-1, 3)
     normals = np.array([plane.normal for plane in known], np.float32).reshape(-1, 3)
-    return Supports(points, normals, shading, np.array(carriers, np.int32), SUPPORT_REACH_M)
+    bounding = np.stack(spheres)
+    shading = bounding.astype(np.float32)  # a copy
+    shading[:, 3] = np.minimum(shading[:, 3], objects.shade_radii())
+    ends_m = np.array(
+        [0.0 if k < 0 else _plane_end(known[k], sphere, objects) for k, sphere in zip(carriers, bounding, strict=True)],
+        np.float32,
+    )
+    return Supports(points, normals, shading, np.array(carriers, np.int32), ends_m, SUPPORT_REACH_M)
+
+
+def _plane_end(plane: Plane, sphere: Float[np.ndarray, "4"], objects: ObjectScene) -> float:
+    """Return how far from an object its plane is known: as far as a table may reach, or up to an object that passes
+    through the plane, because there the table has ended."""
+    centre, radius = sphere[:3].astype(np.float64), float(sphere[3])
+    end = radius + 0.5 * SUPPORT_REACH_M
+    for low, high in objects.bounds():
+        middle, half = (low + high) / 2, (high - low) / 2
+        height, reach = float(plane.height_of(middle)), float(half @ np.abs(plane.normal))
+        if height - reach >= -SINK_M or height + reach <= 0:
+            continue
+        offset = np.clip(centre, low, high) - centre
+        aside = offset - (offset @ plane.normal) * plane.normal
+        end = min(end, float(np.linalg.norm(aside)))
+    return end
 
 
 def _same(first: Plane, second: Plane) -> bool:

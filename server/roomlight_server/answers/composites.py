@@ -14,7 +14,7 @@ from roomlight.compositing.compositor import Compositor, check_in_view
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.compositing.picture.layer_files import encode_layers, encode_picture
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import AtPixel, AtPose, AtPosition, Scene, SceneObject, parse_scene
+from roomlight.compositing.placement.scene import Scene, parse_scene
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ObjectError, SceneError
 from roomlight.frame import Frame
@@ -29,10 +29,8 @@ BOXES: Final[dict[CompositeQuality, tuple[int, int]]] = {
     "final": (1280, 960),
 }
 """Width and height that frames are reduced to fit into, by quality; upright frames turn the box."""
-PATHS: Final[dict[CompositeQuality, int]] = {"preview": 1, "good": 64, "final": 256}
-"""Light paths a pixel."""
 MAX_PATHS: Final = 20_000_000
-"""Light paths of one composite: about 50 s of CPU time."""
+"""Light paths of one composite, about 50 s of CPU time: larger objects get fewer paths a pixel."""
 _PIXEL_BYTES: Final = 150
 """Memory a pixel while a composite is made: the frame, the layers and their files."""
 MEDIA_TYPES: Final[dict[CompositeFormat, str]] = {
@@ -80,47 +78,13 @@ def memory_of(width: int, height: int, quality: CompositeQuality) -> int:
     return min(width * height, box_width * box_height) * _PIXEL_BYTES
 
 
-def check_paths(frame: Frame, scene: Scene, quality: CompositeQuality) -> None:
-    """Check that the objects cover few enough pixels for the quality, before they are placed exactly.
-
-    Raises:
-        ProblemError: The objects need more than `MAX_PATHS` (422).
-    """
-    pixels = sum(_covered_pixels(frame, held) for held in scene.objects)
-    most = MAX_PATHS // PATHS[quality]
-    if pixels > most:
-        rule = f"at most {most} pixels at quality {quality}; choose preview, smaller objects or a smaller frame"
-        detail = f"the objects' surroundings cover {pixels} pixels: {rule}"
-        raise ProblemError("invalid", detail, field="objects", value=pixels, rule=rule)
-
-
-def _covered_pixels(frame: Frame, held: SceneObject) -> int:
-    """Return the pixels of the square around an object's bounding sphere, all of them where its distance is unknown."""
-    everything = frame.intrinsics.width * frame.intrinsics.height
-    radius = float(np.linalg.norm(held.box.high - held.box.low)) / 2
-    distance = _distance(frame, held.place)
-    if distance is None or distance <= 1.5 * radius:
-        return everything
-    return min(everything, int((2 * radius * frame.intrinsics.fx / (distance - radius)) ** 2))
-
-
-def _distance(frame: Frame, place: AtPosition | AtPose | AtPixel) -> float | None:
-    if isinstance(place, AtPixel):
-        rows, columns = frame.depth_m.shape
-        row = int(np.clip(place.v / frame.intrinsics.height * rows, 0, rows - 1))
-        column = int(np.clip(place.u / frame.intrinsics.width * columns, 0, columns - 1))
-        return float(frame.depth_m[row, column]) or None
-    point = np.array(place.position) if isinstance(place, AtPosition) else place.pose[:3, 3]
-    return float(np.linalg.norm(point - frame.camera_to_world[:3, 3]))
-
-
 def make(engine: Session, frame: Frame, scene: Scene, quality: CompositeQuality) -> Made:
     """Composite one frame.
 
     Raises:
         SceneError: A place is refused, or an object is not in view.
     """
-    compositor = Compositor(engine, scene, quality=quality)
+    compositor = Compositor(engine, scene, quality=quality, max_paths=MAX_PATHS)
     try:
         picture = compositor.composite(frame)
         check_in_view(compositor, frame)

@@ -9,7 +9,7 @@ from fastapi import APIRouter, Body, Request, Response
 
 from roomlight.errors import ObjectError, ProbeError, SceneError
 from roomlight.wire.compositing import CompositeRequest
-from roomlight_server.answers.composites import BOXES, MEDIA_TYPES, check_paths, encode, make, memory_of, scene_of
+from roomlight_server.answers.composites import BOXES, MEDIA_TYPES, encode, make, memory_of, scene_of
 from roomlight_server.base.byte_budget import Reservation
 from roomlight_server.base.problems import BODY_PROBLEMS, ProblemError, documented
 from roomlight_server.routes.context import Context, ContextDep, OwnerDep, ReservationDep, SessionDep
@@ -81,7 +81,6 @@ async def _composite(
         files = {one.object: context.objects.find(owner, one.object) for one in body.objects if one.object is not None}
         frame = await live.decode_latest(latest, BOXES[body.quality])
         scene = scene_of(body, files, frame.intrinsics.width / lens.width)
-        check_paths(frame, scene, body.quality)
         start_s = time.perf_counter()
         try:
             made = await live.composite(lambda engine: make(engine, frame, scene, body.quality))

@@ -243,6 +243,15 @@ def test_encoding_agrees_with_the_reference():
     assert (encode_srgb8(srgb8_to_linear(codes)) == codes).all()
 
 
+def test_paths_are_limited_for_objects_that_cover_many_pixels(session):
+    near = SceneObject("near", cube(0.8), AtPosition((0.2, 0.6, 0.4)))
+    made = Compositor(session, [near], max_paths=400_000).composite(view())
+    covered = int((made.alpha > 0).sum())
+    assert covered > 12_500  # 32 paths for each would be too many
+    assert 1 <= made.samples <= 400_000 / covered
+    assert Compositor(session, [BALL], max_paths=10**9).composite(view()).samples == 64
+
+
 def test_a_session_without_frames_is_refused():
     with pytest.raises(SceneError, match="push a frame first"):
         Compositor(Session(SessionOptions(model="classical", height=16)), [BALL]).composite(view())

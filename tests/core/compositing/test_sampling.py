@@ -25,6 +25,7 @@ FLOOR = Supports(
     np.array([[0, 1, 0]], np.float32),
     np.array([[0, 0, 0, 0.5]], np.float32),
     np.zeros(1, np.int32),
+    np.array([1.0], np.float32),
     reach_m=1.0,
 )
 

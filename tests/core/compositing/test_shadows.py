@@ -9,6 +9,7 @@ from light_rooms import lit, unit
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse, glass
 from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.rendering.shadows import (
@@ -154,6 +155,31 @@ def test_a_rim_thinner_than_the_step_is_unchanged():
     ratio = shadow_ratio([held], rim, replace(CAMERA, width=2), POSE, ShadowQuality(4, 16, 0))
     assert ratio.shape == (120, 2, 3)
     assert (ratio == 1).all()
+
+
+@pytest.mark.parametrize("rim", [np.s_[:, 70:71], np.s_[80:81, :]])
+def test_a_rim_of_one_pixel_has_no_normals_and_stays_unchanged(rim):
+    held = ball(lit(60, [((0.35, 1.0, 0.2), 15.0, 10.0)], level=0.5), height=0.2)
+    depth_m = np.ascontiguousarray(floor_depth()[rim])
+    camera = replace(CAMERA, cx=CAMERA.cx - (rim[1].start or 0), cy=CAMERA.cy - (rim[0].start or 0))
+    camera = replace(camera, width=depth_m.shape[1], height=depth_m.shape[0])
+    ratio = shadow_ratio([held], depth_m, camera, POSE, ShadowQuality(1, 16, 2))
+    assert (ratio == 1).all()
+
+
+def test_an_emissive_texture_dims_the_light_that_an_object_gives():
+    spots = np.zeros((64, 64, 3), np.float32)
+    spots[0, :2] = 1  # 0.05 % of the texture
+    panorama = lit(60, [], level=1.0)
+    dim = diffuse((0.1, 0.1, 0.1))
+    dark, grid = ratio_of(ball(panorama, height=0.25, material=dim), ShadowQuality(1, 64, 8))
+    bright = replace(dim, emissive=(1.0, 1.0, 1.0))
+    spotted = replace(bright, emissive_texture=Texture.from_linear(spots))
+    lamp, _ = ratio_of(ball(panorama, height=0.25, material=bright), ShadowQuality(1, 64, 8))
+    faint, _ = ratio_of(ball(panorama, height=0.25, material=spotted), ShadowQuality(1, 64, 8))
+    below = grid.known & (np.linalg.norm(grid.points, axis=-1) < 0.15)
+    assert lamp[below].mean() > dark[below].mean() + 0.3
+    assert faint[below].mean() == pytest.approx(dark[below].mean(), abs=0.002)
 
 
 def test_noise_of_depth_leaves_the_support_flat():

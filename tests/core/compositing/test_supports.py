@@ -1,5 +1,6 @@
 """Objects reflect the surface that they stand on as a near one, and their shade on it."""
 
+import cv2
 import numpy as np
 import pytest
 from shading_reference import look_at
@@ -8,7 +9,9 @@ from roomlight.camera import Intrinsics
 from roomlight.compositing.kernels.ground import Supports
 from roomlight.compositing.light.lighting import ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, mirror
-from roomlight.compositing.objects.primitives import sphere
+from roomlight.compositing.objects.primitives import cube, sphere
+from roomlight.compositing.placed_object import supports_of
+from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
 from roomlight.compositing.rendering.tracer import ObjectScene
 from roomlight.conventions import panorama_directions
@@ -23,7 +26,7 @@ FLOOR = np.array([[0, 0, 0]], np.float32), np.array([[0, 1, 0]], np.float32)
 
 def supports(shade_radius: float = 0.0) -> Supports:
     spheres = np.array([[*CENTRE, shade_radius]], np.float32)
-    return Supports(*FLOOR, spheres, np.zeros(1, np.int32), reach_m=50.0)
+    return Supports(*FLOOR, spheres, np.zeros(1, np.int32), np.array([25.0], np.float32), reach_m=50.0)
 
 
 def ball(material: Material) -> ObjectScene:
@@ -102,6 +105,49 @@ def test_a_table_ends_beside_the_objects_on_it(quality: str | RenderSettings) ->
     scene, light = ball(mirror()), split_floor()
     plain = render_objects(scene, CAMERA, pose, light, quality=quality)
     for other, ends in (((2.0, 0.1, 0.0, 0.1), True), ((0.4, 0.1, 0.2, 0.1), False)):
-        near = Supports(*FLOOR, np.array([other], np.float32), np.zeros(1, np.int32), reach_m=1.0)
+        carrier, end_m = np.zeros(1, np.int32), np.array([0.6], np.float32)
+        near = Supports(*FLOOR, np.array([other], np.float32), carrier, end_m, reach_m=1.0)
         beside = render_objects(scene, CAMERA, pose, light, quality=quality, supports=near)
         assert (np.abs(beside.radiance - plain.radiance).max() < 1e-5) == ends
+
+
+@pytest.mark.parametrize("quality", ["preview", RenderSettings(256, 2, denoised=False)])
+@pytest.mark.parametrize("crosses", [True, False])
+def test_light_has_no_step_where_the_table_of_another_object_ends(quality: str | RenderSettings, crosses: bool) -> None:
+    """A mirror stands on the floor through the height of a table, or hangs over it; a ball lies on the table."""
+    table, floor = (Plane(np.array([0, y, 0]), np.array([0.0, 1, 0])) for y in (0.5, 0.0))
+    moves = np.tile(np.eye(4), (2, 1, 1))
+    moves[0, :3, 3], moves[1, :3, 3] = (-0.6, 0.6, 0.0), (0.3, 0.5 if crosses else 1.05, 0.0)
+    panel = cube(1.0, mirror()).transformed(np.diag([1.0, 1.0, 0.02, 1.0]))
+    objects = ObjectScene([sphere(0.1).transformed(moves[0]), panel.transformed(moves[1])])
+    spheres = [np.array([-0.6, 0.6, 0, 0.1]), np.array([*moves[1, :3, 3], 0.71])]
+    supports = supports_of(objects, spheres, [table, floor if crosses else None])
+    up = panorama_directions(64)[..., 1:2]
+    panorama = np.repeat(np.where(up < -0.5, 0.8, 0.2), 3, axis=2).astype(np.float32)  # a bright patch of table
+    light = ProbeSet.single(panorama, (0.0, 0.8, 0.3))
+    centre = moves[1, :3, 3]
+    picture = render_objects(
+        objects, CAMERA, look_at((0.3, float(centre[1]) + 0.3, 1.6), tuple(centre)), light, quality=quality,
+        supports=supports,
+    )  # fmt: skip
+    whole = (picture.object_id == 1) & (picture.alpha > 0.999)
+    smooth = cv2.GaussianBlur(picture.radiance[..., 0], (0, 0), 1.0)
+    whole = cv2.erode(whole.astype(np.uint8), np.ones((9, 9), np.uint8)) > 0
+    assert whole.sum() > 1000
+    along_x = np.abs(np.diff(smooth, axis=1))[whole[:, 1:] & whole[:, :-1]]
+    assert along_x.max() < 0.06  # a seam steps by 0.2
+
+
+def test_a_table_ends_where_an_object_passes_through_its_plane() -> None:
+    table = Plane(np.array([0, 0.5, 0]), np.array([0.0, 1, 0]))
+    moves = np.tile(np.eye(4), (2, 1, 1))
+    moves[0, :3, 3], moves[1, :3, 3] = (0.0, 0.6, 0.0), (0.4, 0.5, 0.0)
+    spheres = [np.array([0, 0.6, 0, 0.1]), np.array([0.4, 0.5, 0, 0.2])]
+    alone = supports_of(ObjectScene([sphere(0.1).transformed(moves[0])]), spheres[:1], [table])
+    beside = supports_of(
+        ObjectScene([held.transformed(move) for held, move in zip((sphere(0.1), cube(0.2)), moves, strict=True)]),
+        spheres,
+        [table, None],
+    )
+    assert alone.ends_m[0] == pytest.approx(0.6)
+    assert beside.ends_m[0] == pytest.approx(0.3)  # the cube's near face

@@ -23,6 +23,7 @@ class Supports(NamedTuple):
         normals: [k, 3] unit.
         spheres: [m, 4] centre and radius, each as large as an object seen from above.
         carriers: [m] the plane that each of these objects stands on, -1 for none.
+        ends_m: [m] distance from each of these objects at which its plane is known no longer.
         reach_m: distance along a ray up to which the planes reach; beyond it the panorama is far away again.
     """
 
@@ -30,36 +31,46 @@ class Supports(NamedTuple):
     normals: np.ndarray
     spheres: np.ndarray
     carriers: np.ndarray
+    ends_m: np.ndarray
     reach_m: float
 
 
 @njit(**JIT)
-def _near_its_objects(supports, k, x, y, z):
-    """Return whether a point is over the part of plane k around an object that stands on it: tables end somewhere."""
+def _height_over(supports, k, x, y, z):
+    """Return the height of a point over plane k in metres."""
+    n, q = supports.normals[k], supports.points[k]
+    return (x - q[0]) * n[0] + (y - q[1]) * n[1] + (z - q[2]) * n[2]
+
+
+@njit(**JIT)
+def _plane_share(supports, k, x, y, z):
+    """Return how far plane k is known under a point: 1 near its objects, falling smoothly to 0 at their `ends_m`."""
     n = supports.normals[k]
+    most = 0.0
     for m in range(supports.spheres.shape[0]):
         if supports.carriers[m] != k:
             continue
         ox, oy, oz = supports.spheres[m, 0] - x, supports.spheres[m, 1] - y, supports.spheres[m, 2] - z
         rise = ox * n[0] + oy * n[1] + oz * n[2]
-        reach = supports.spheres[m, 3] + 0.5 * supports.reach_m
-        if ox * ox + oy * oy + oz * oz - rise * rise < reach * reach:
-            return True
-    return False
+        far = math.sqrt(max(ox * ox + oy * oy + oz * oz - rise * rise, 0.0))
+        end, half = supports.ends_m[m], 0.5 * (supports.ends_m[m] - supports.spheres[m, 3])
+        share = min(max((end - far) / max(half, 1e-6), 0.0), 1.0)
+        most = max(most, share * share * (3 - 2 * share))
+    return most
 
 
 @njit(**JIT)
-def support_below(supports, x, y, z):
-    """Return the nearest plane under a point and the height above it; -1 where there is none."""
+def next_plane_below(supports, x, y, z, above_m):
+    """Return the highest plane under a point that lies more than `above_m` below it, and the point's height over it.
+
+    The plane is -1 where there is none.
+    """
     best, least = -1, 1e30
     for k in range(supports.points.shape[0]):
-        n = supports.normals[k]
-        height = (
-            (x - supports.points[k, 0]) * n[0] + (y - supports.points[k, 1]) * n[1] + (z - supports.points[k, 2]) * n[2]
-        )
-        if -0.01 < height < least and _near_its_objects(supports, k, x, y, z):
+        height = _height_over(supports, k, x, y, z)
+        if above_m < height < least:
             best, least = k, height
-    return best, max(least, 0.0)
+    return best, least
 
 
 @njit(**JIT)
@@ -83,6 +94,23 @@ def light_left(spheres, normal, x, y, z):
 
 
 @njit(**JIT)
+def _plane_radiance(positions, images, weights, n, x, y, z):
+    """Return the probes' weight that sees a point of a plane with normal n from above, and its mean radiance there."""
+    red, green, blue, known = 0.0, 0.0, 0.0, 0.0
+    for j in range(images.shape[0]):
+        vx, vy, vz = x - positions[j, 0], y - positions[j, 1], z - positions[j, 2]
+        above = -(vx * n[0] + vy * n[1] + vz * n[2])
+        length = math.sqrt(vx * vx + vy * vy + vz * vz)
+        if above <= 0.02 * length:  # the probe is below the plane, or sees it edge on
+            continue
+        r, g, b = bilinear_at(images[j], place_of(vx / length, vy / length, vz / length))
+        red, green, blue = red + weights[j] * r, green + weights[j] * g, blue + weights[j] * b
+        known += weights[j]
+    scale = 1 / known if known > 0 else 0.0
+    return known, red * scale, green * scale, blue * scale
+
+
+@njit(**JIT)
 def arriving(world, images, weights, p, d):
     """Return the radiance that arrives at point p from direction d, of the supports and of the panoramas `images`."""
     return arriving_at(world, images, weights, p, d, place_of(d[0], d[1], d[2]))
@@ -95,29 +123,30 @@ def arriving_at(world, images, weights, p, d, place):
     r, g, b = mixed_at(images, weights, place)
     if supports.points.shape[0] == 0:
         return r, g, b
-    k, height = support_below(supports, p[0], p[1], p[2])
-    if k < 0:
-        return r, g, b
-    n = supports.normals[k]
-    down = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
-    if down * supports.reach_m <= height:
-        return r, g, b
-    far = height / down
-    x, y, z = p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2]
-    red, green, blue, known = 0.0, 0.0, 0.0, 0.0
-    for j in range(images.shape[0]):
-        vx, vy, vz = x - light.position[j, 0], y - light.position[j, 1], z - light.position[j, 2]
-        above = -(vx * n[0] + vy * n[1] + vz * n[2])
-        length = math.sqrt(vx * vx + vy * vy + vz * vz)
-        if above <= 0.02 * length:  # the probe is below the plane, or sees it edge on
+    red, green, blue, rest = 0.0, 0.0, 0.0, 1.0
+    above_m = -0.01
+    for _ in range(supports.points.shape[0]):
+        k, above_m = next_plane_below(supports, p[0], p[1], p[2], above_m)
+        if k < 0:
+            break
+        n, height = supports.normals[k], max(above_m, 0.0)
+        down = -(d[0] * n[0] + d[1] * n[1] + d[2] * n[2])
+        if down * supports.reach_m <= height:
             continue
-        e, f, h = bilinear_at(images[j], place_of(vx / length, vy / length, vz / length))
-        red, green, blue = red + weights[j] * e, green + weights[j] * f, blue + weights[j] * h
-        known += weights[j]
-    if known <= 0:
-        return r, g, b
-    near = min(2 * (1 - far / supports.reach_m), 1.0)
-    left = light_left(supports.spheres, n, x, y, z)
-    scale = near * left / known
-    rest = (1 - near) * left
-    return rest * r + scale * red, rest * g + scale * green, rest * b + scale * blue
+        share = rest * _plane_share(supports, k, p[0], p[1], p[2])
+        if share <= 0:
+            continue
+        far = height / down
+        x, y, z = p[0] + far * d[0], p[1] + far * d[1], p[2] + far * d[2]
+        known, e, f, h = _plane_radiance(light.position, images, weights, n, x, y, z)
+        if known <= 0:
+            continue
+        near = min(2 * (1 - far / supports.reach_m), 1.0)
+        left = share * light_left(supports.spheres, n, x, y, z)
+        red += left * (near * e + (1 - near) * r)
+        green += left * (near * f + (1 - near) * g)
+        blue += left * (near * h + (1 - near) * b)
+        rest -= share
+        if rest <= 0:
+            break
+    return red + rest * r, green + rest * g, blue + rest * b

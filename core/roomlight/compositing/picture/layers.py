@@ -30,6 +30,7 @@ class Composite:
         stage_ms: milliseconds by stage: place, light, depth, camera, scene, render, shadow, occlusion, combine.
         waiting: names of objects whose pixel belongs to a frame that was not composited yet.
         stage_cpu_ms: processor time by stage, of the whole process.
+        samples: light paths that each pixel of the objects got; 0 for a preview.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -44,6 +45,7 @@ class Composite:
     crop_depth_m: Float32[np.ndarray, "oh ow"]
     crop_object_id: Int32[np.ndarray, "oh ow"]
     stage_cpu_ms: dict[str, float] = field(default_factory=dict[str, float])
+    samples: int = 0
 
     @cached_property
     def objects(self) -> Float32[np.ndarray, "h w 3"]:

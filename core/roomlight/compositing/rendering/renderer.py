@@ -5,7 +5,7 @@ pixel has its own fixed low-discrepancy points, so equal inputs give equal bytes
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal, NamedTuple
 
 import cv2
@@ -71,12 +71,14 @@ class RenderedObjects:
         alpha: [h, w] share of the pixel that objects cover, 0 to 1; glass covers, and holds what is seen through it.
         depth_m: [h, w] z-depth, mean over the covered part; 0 where no object is.
         object_id: [h, w] the nearest object's index in the scene; -1 where no object is.
+        samples: paths a pixel that were traced; 0 for a preview.
     """
 
     radiance: Float32[np.ndarray, "h w 3"]
     alpha: Float32[np.ndarray, "h w"]
     depth_m: Float32[np.ndarray, "h w"]
     object_id: Int32[np.ndarray, "h w"]
+    samples: int = 0
 
 
 class _World(NamedTuple):
@@ -157,6 +159,7 @@ def render_objects(
     seed: int = 0,
     background: Background | None = None,
     supports: Supports | None = None,
+    max_paths: int | None = None,
 ) -> RenderedObjects:
     """Render the objects as seen by the camera and lit by the probes.
 
@@ -169,6 +172,8 @@ def render_objects(
         seed: Chooses the sampling points; keep it from frame to frame.
         background: What glass shows of the frame behind it; None: the probes' light. Previews do not use it.
         supports: Surfaces that the objects stand on, which they reflect as near ones; None: all light is far away.
+        max_paths: Limit on the paths of the picture: where objects cover so many pixels that it is exceeded, each pixel
+            gets half as many paths, and so on, but one at least. None: no limit.
 
     Raises:
         OptionError: The quality is unknown, or its samples are not a power of two up to 65536.
@@ -194,19 +199,20 @@ def render_objects(
         if settings.samples == 0:
             _preview(scene, world, lights, view, film, camera)
         else:
-            _sampled(scene, world, view, film, camera, settings, background)
+            settings = _sampled(scene, world, view, film, camera, settings, background, max_paths)
     shape = camera.height, camera.width
     radiance = film.radiance.reshape(*shape, 3)
     alpha = film.alpha.reshape(shape)
     if settings.denoised and len(pixels):
         radiance = denoise(radiance, alpha, film.albedo.reshape(*shape, 3), film.normal.reshape(*shape, 3))
-    return RenderedObjects(radiance, alpha, film.depth_m.reshape(shape), film.object_id.reshape(shape))
+    depth_m, object_id = film.depth_m.reshape(shape), film.object_id.reshape(shape)
+    return RenderedObjects(radiance, alpha, depth_m, object_id, settings.samples)
 
 
 def no_supports() -> Supports:
     """Return that objects stand on nothing: all light is far away."""
     points, normals, spheres = (np.zeros((0, columns), np.float32) for columns in (3, 3, 4))
-    return Supports(points, normals, spheres, np.zeros(0, np.int32), reach_m=1.0)
+    return Supports(points, normals, spheres, np.zeros(0, np.int32), np.zeros(0, np.float32), reach_m=1.0)
 
 
 def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
@@ -341,8 +347,9 @@ def _sampled(
     camera: Intrinsics,
     settings: RenderSettings,
     background: Background | None,
-) -> None:
-    """Trace paths through the pixels that objects cover, and their neighbours."""
+    max_paths: int | None,
+) -> RenderSettings:
+    """Trace paths through the pixels that objects cover, and their neighbours; return the settings within the limit."""
     pixels = view.row * camera.width + view.column
     _, hits = _camera_hits(scene, view, _COVERAGE_SAMPLES)
     covered = np.zeros(camera.width * camera.height, np.uint8)
@@ -350,6 +357,8 @@ def _sampled(
     grown = cv2.dilate(covered.reshape(camera.height, camera.width), np.ones((3, 3), np.uint8)).reshape(-1)
     chosen = np.flatnonzero(grown[pixels])
     view, pixels = view.part(chosen), pixels[chosen]
+    while max_paths is not None and settings.samples > 1 and settings.samples * len(pixels) > max_paths:
+        settings = replace(settings, samples=settings.samples // 2)
     per_pass = min(settings.samples, _BLOCK_RAYS)
     per_block = max(1, _BLOCK_RAYS // per_pass)
     blocks = -(-len(pixels) // per_block)
@@ -365,6 +374,7 @@ def _sampled(
             _store(film, pixels[own], total)
 
     parallel_for(work, blocks, pieces_per_thread=16)
+    return settings
 
 
 def _traced(

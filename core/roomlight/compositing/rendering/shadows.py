@@ -33,6 +33,7 @@ from roomlight.compositing.kernels.shadow_rays import (
     object_rays,
 )
 from roomlight.compositing.kernels.shadows import Change, SurfaceGrid, filter_change, upsample_ratio
+from roomlight.compositing.kernels.surfaces import BASE_COLOUR, EMISSIVE, METALLIC_ROUGHNESS
 from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.picture.occlusion import depth_edges
@@ -130,7 +131,8 @@ def surface_grid(
 ) -> SurfaceGrid:
     """Return points and normals of the real surfaces on the pixels of a depth image; points near a support lie on it.
 
-    Depth is smoothed within surfaces; pixels at depth edges and without depth are not known.
+    Depth is smoothed within surfaces; pixels at depth edges, without depth and without a normal are not known: a normal
+    needs neighbours, which an image of one row or one column lacks.
     """
     known = depth_m > 0
     filled = np.where(known, depth_m, depth_m.max(initial=1.0)).astype(np.float32)
@@ -143,7 +145,7 @@ def surface_grid(
     planes = np.array([(plane.point, plane.normal) for plane in supports], np.float32).reshape(-1, 2, 3)
     arguments = (raw, smooth, pose[:, 3], planes, (np.float32(SNAP_M), np.float32(SNAP_SHARE)), points, normals)
     parallel_for(lambda start, stop: fill_surfaces(*arguments, start, stop), len(raw))
-    return SurfaceGrid(points, normals, known)
+    return SurfaceGrid(points, normals, known & normals.any(axis=-1))
 
 
 def shadow_ratio(
@@ -387,16 +389,18 @@ def _opacity(scene: ObjectScene, rays: Rays) -> Float32[np.ndarray, " n"]:
 def _looks(scene: ObjectScene, levels: int) -> Looks:
     """Return the objects' surfaces as matte surfaces around them are lit by them."""
     table = scene.materials
-    colours = _mean_colours(scene) * ((1 - table.transmission) * table.opacity)[:, None]
-    metal, last = table.metallic[:, None], levels - 1
-    level = np.rint(np.maximum(table.roughness, _LEAST_ROUGHNESS) * last)
+    means = scene.texture_means()
+    base, rough = means[table.texture[:, BASE_COLOUR]], means[table.texture[:, METALLIC_ROUGHNESS]]
+    colours = table.base * base * ((1 - table.transmission) * table.opacity)[:, None]
+    metal, last = (table.metallic * rough[:, 2])[:, None], levels - 1
+    level = np.rint(np.maximum(table.roughness * rough[:, 1], _LEAST_ROUGHNESS) * last)
     return Looks(
         scene.surfaces.corners,
         scene.surfaces.material,
         scene.surfaces.object_id,
         (colours * (1 - metal)).astype(np.float32),
         (colours * metal).astype(np.float32),
-        table.emissive,
+        table.emissive * means[table.texture[:, EMISSIVE]],
         np.clip(level, 1, last).astype(np.int32),
     )
 
@@ -408,23 +412,6 @@ def _ground(caster: Caster) -> Ground:
         return Ground(False, np.zeros(3, np.float32), np.array([0, 1, 0], np.float32), spheres)
     plane = caster.support
     return Ground(True, plane.point.astype(np.float32), plane.normal.astype(np.float32), spheres)
-
-
-def _mean_colours(scene: ObjectScene) -> Float32[np.ndarray, "m 3"]:
-    """Return each material's base colour times its texture's mean."""
-    colours = scene.materials.base.copy()
-    for row, texture in enumerate(scene.materials.texture[:, 0]):
-        if texture >= 0:
-            colours[row] *= _texture_mean(scene, row)
-    return colours
-
-
-def _texture_mean(scene: ObjectScene, row: int) -> Float[np.ndarray, "3"]:
-    face = int(np.flatnonzero(scene.surfaces.material == row)[0])
-    held = scene.objects[scene.surfaces.object_id[face]]
-    texture = held.parts[scene.surfaces.part[face]][1].base_colour_texture
-    assert texture is not None
-    return texture.texels[::4, ::4, :3].mean(axis=(0, 1)) / 65535
 
 
 def _fade(spheres: Float[np.ndarray, "k 4"], grid: SurfaceGrid, reach: float) -> Float32[np.ndarray, "h w"]:

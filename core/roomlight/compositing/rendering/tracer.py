@@ -170,6 +170,18 @@ class ObjectScene:
         total_m2 = np.bincount(self.surfaces.object_id, area_m2, len(self.objects))
         return np.sqrt(total_m2 / np.pi).astype(np.float32)
 
+    def texture_means(self) -> Float32[np.ndarray, "t1 3"]:
+        """Return the mean linear colour of each texture; the last row, which the index -1 reads, is white."""
+        return self._base._texture_means
+
+    @cached_property
+    def _texture_means(self) -> Float32[np.ndarray, "t1 3"]:
+        table = self.textures
+        ends = table.first + table.width.astype(np.int64) * table.height
+        images = [table.texels[first:end, :3] for first, end in zip(table.first, ends, strict=True)]
+        means = [image.mean(axis=0, dtype=np.float64) / 65535 for image in images]
+        return np.array([*means, np.ones(3)], np.float32)
+
     def is_open(self) -> Bool[np.ndarray, " f"]:
         """Return which triangles have nothing of the scene above their plane: light reaches them unhindered.
 
