@@ -1,5 +1,6 @@
 """Servers on real sockets for the tests, a plain HTTP client, frame messages, an engine that waits on demand."""
 
+import asyncio
 import http.client
 import json
 import threading
@@ -41,6 +42,7 @@ class RunningServer:
 
         async def startup_and_signal(sockets=None):
             await startup(sockets)
+            self.loop = asyncio.get_running_loop()
             self._up.set()
 
         self._server.startup = startup_and_signal

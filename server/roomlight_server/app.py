@@ -41,8 +41,9 @@ from roomlight_server.routes.context import Context, ContextDep
 from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
 from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
-from roomlight_server.transport.connections import ConnectionGuard
+from roomlight_server.transport.guard import ConnectionGuard
 from roomlight_server.transport.stop_middleware import StopMiddleware
+from roomlight_server.transport.watchdog import Watchdog
 from roomlight_server.work.workers import Workers
 
 _log = logging.getLogger("roomlight.server")
@@ -171,6 +172,7 @@ async def _running(context: Context, when_ready: Callable[[], object] | None) ->
     registry, states = context.registry, context.states
     tasks = [
         asyncio.create_task(_prepare(context, when_ready)),
+        asyncio.create_task(Watchdog(context.metrics, context.guard).run()),
         asyncio.create_task(_expire(context, every_s=min(5.0, context.settings.idle_expiry_s / 4))),
     ]
     if states is not None:

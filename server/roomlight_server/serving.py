@@ -4,8 +4,10 @@ import asyncio
 import gc
 import logging
 import os
+import resource
 import signal
 import socket
+import ssl
 import sys
 import threading
 from collections.abc import Callable
@@ -20,7 +22,9 @@ from roomlight_server.app import create_app
 from roomlight_server.base.logs import configure_logging, native_lines_logged
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.routes.context import Context
-from roomlight_server.transport.connections import HttpProtocol, StreamProtocol
+from roomlight_server.transport.http_protocol import HttpProtocol
+from roomlight_server.transport.stream_protocol import StreamProtocol
+from roomlight_server.transport.tls_listener import TlsListener
 
 _log = logging.getLogger("roomlight.server")
 STOP_S: Final = 10.0
@@ -31,6 +35,8 @@ GRACE_S: Final = 1
 """Time to finish answers after the listening socket is closed."""
 KEEP_ALIVE_S: Final = 75
 """Time that an idle connection is kept open, so that a phone that pauses need not reconnect."""
+OTHER_FILES: Final = 384
+"""Open files besides connections: libraries, the state of sessions, uploads, pipes of processes."""
 SWITCH_S: Final = 0.001
 """Interval after which a computing thread releases Python's global lock to the event loop. Compared with the default of
 0.005 it halves the median of `/healthz` beside a running engine (1.9 to 2.4 ms before, 1.1 to 1.3 after); the time of a
@@ -48,6 +54,25 @@ class GracefulServer(uvicorn.Server):
         """Create a server; `when_stopping` is called when the stop begins."""
         super().__init__(config)
         self._when_stopping = when_stopping
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        """Listen; with a certificate, by `TlsListener`."""
+        app: Any = self.config.app
+        context: Context = app.state.context
+        settings = context.settings
+        if settings.tls_cert is None:
+            await super().startup(sockets)
+            return
+        tls = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+        tls.load_cert_chain(settings.tls_cert, settings.tls_key)
+        await super().startup([])
+
+        def make() -> HttpProtocol:
+            return HttpProtocol(self.config, self.server_state, self.lifespan.state)
+
+        self.servers: list[Any] = [
+            TlsListener(bound, tls, context.guard, make) for bound in sockets or [listen(settings)]
+        ]
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Stop; at most `STOP_S`."""
@@ -96,8 +121,6 @@ def make_server(
             ws_max_queue=settings.frames_in_flight,
             ws_per_message_deflate=False,  # 6.9 MB on the wire became 3.8 GB; frames are compressed already
             server_header=False,
-            ssl_certfile=settings.tls_cert,
-            ssl_keyfile=settings.tls_key,
             timeout_keep_alive=KEEP_ALIVE_S,
             timeout_graceful_shutdown=GRACE_S,
         ),
@@ -140,6 +163,19 @@ def _listen_locally(settings: ServerSettings, bound: socket.socket) -> list[sock
     return [listen(settings.model_copy(update={"host": "127.0.0.1", "port": port}))]
 
 
+def allow_files(connections: int) -> None:
+    """Raise this process's limit of open files, as far as it may, so that so many connections fit."""
+    needed = connections + OTHER_FILES
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft >= needed or soft == resource.RLIM_INFINITY:
+        return
+    allowed = needed if hard == resource.RLIM_INFINITY else min(needed, hard)
+    resource.setrlimit(resource.RLIMIT_NOFILE, (allowed, hard))
+    if allowed < needed:
+        rule = f"max_connections should be at most {max(1, allowed - OTHER_FILES)}"
+        _log.warning("the limit of open files is low", extra={"files": allowed, "rule": rule})
+
+
 def freeze_garbage_collector() -> None:
     """Exclude permanent objects (kernels, models, routes) from garbage collection.
 
@@ -170,6 +206,7 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
     with native_lines_logged():
         configure_logging(settings.log_level)
         sys.setswitchinterval(SWITCH_S)
+        allow_files(settings.max_connections)
         app = create_app(settings, when_ready=freeze_garbage_collector)
         context: Context = app.state.context
         context.workers.load()

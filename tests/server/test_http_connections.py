@@ -98,7 +98,7 @@ BUSY = b"PUT /v1/sessions/room HTTP/1.1\r\nHost: localhost\r\nContent-Length: 10
 
 def wait_until_busy(server, count):
     guard = server.app.state.context.guard
-    while len(guard._addresses) - len(guard._idle) < count:
+    while guard.connections - guard.idle_connections < count:
         pass
 
 
@@ -141,7 +141,7 @@ def test_the_address_with_most_connections_makes_room(caplog):
 
 
 def wait_until_admitted(server, count):
-    while len(server.app.state.context.guard._addresses) < count:
+    while server.app.state.context.guard.connections < count:
         pass
 
 

@@ -102,6 +102,11 @@ class Metrics:
             "roomlight_requests_abandoned", "Requests whose client was gone before the answer.", registry=registry
         )
         self.connections = Gauge("roomlight_connections", "Open connections.", registry=registry)
+        self.loop_lag = Gauge(
+            "roomlight_event_loop_lag_seconds",
+            "Largest lateness of the event loop in the last 10 seconds.",
+            registry=registry,
+        )
         self.pending_bytes = Gauge(
             "roomlight_pending_bytes", "Memory of requests and answers in progress.", registry=registry
         )

@@ -16,7 +16,7 @@ from roomlight_server.recordings.store import RecordingStore
 from roomlight_server.sessions.live_session import LiveSession
 from roomlight_server.sessions.registry import Registry
 from roomlight_server.state.store import StateStore
-from roomlight_server.transport.connections import ConnectionGuard
+from roomlight_server.transport.guard import ConnectionGuard
 from roomlight_server.work.workers import Workers
 
 

@@ -90,10 +90,11 @@ class _Connection:
         """Run until the client disconnects or the session ends; then all tasks have ended."""
         remove_listener = self._live.listen(self._update_due.set)
         try:
+            task = asyncio.current_task()
+            name = task.get_name() if task else None
             async with self._tasks:
-                self._tasks.create_task(self._receive_messages())
-                self._tasks.create_task(self._handle_messages())
-                self._tasks.create_task(self._send_updates())
+                for work in (self._receive_messages(), self._handle_messages(), self._send_updates()):
+                    self._tasks.create_task(work, name=name)
         except* _ConnectionEndedError:
             pass
         finally:

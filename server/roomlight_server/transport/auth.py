@@ -15,7 +15,7 @@ from starlette.types import ASGIApp, Receive, Scope, Send
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError, problem_response
 from roomlight_server.base.request_context import Flow, current_flow
-from roomlight_server.transport.connections import TRANSPORT, ConnectionGuard
+from roomlight_server.transport.guard import TRANSPORT, ConnectionGuard
 
 _log = logging.getLogger("roomlight.server")
 

@@ -1,0 +1,228 @@
+"""Work that one connection makes before there is a request, over real sockets: it is bounded, and the rest go on."""
+
+import json
+import logging
+import socket
+import ssl
+import time
+
+import pytest
+from websockets.sync.client import connect
+
+from http_servers import RunningServer
+from roomlight_server.base import tls
+from roomlight_server.serving import allow_files
+from roomlight_server.transport import tls_listener
+from roomlight_server.transport.guard import Allowance
+
+GET = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n"
+CHUNKED = b"PUT /v1/sessions/a HTTP/1.1\r\nHost: localhost\r\nTransfer-Encoding: chunked\r\n\r\n"
+UPGRADE = (
+    b"GET /v1/sessions/room/stream HTTP/1.1\r\nHost: localhost\r\nUpgrade: websocket\r\nConnection: Upgrade\r\n"
+    b"Sec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\nSec-WebSocket-Version: 13\r\n\r\n"
+)
+MOST = 2**25
+"""Bytes of a flood at most; a server without a limit takes them all."""
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        running.open()
+        yield running
+
+
+@pytest.fixture
+def connection(server):
+    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as made:
+        yield made
+
+
+def ws_frame(opcode, data=b""):
+    return bytes([opcode, 0x80 | len(data)]) + bytes(4) + data
+
+
+def upgraded(connection):
+    """Open a WebSocket by hand: a client library would not send what follows."""
+    connection.sendall(UPGRADE)
+    head = b""
+    while not head.endswith(b"\r\n\r\n"):
+        head += connection.recv(1)
+    assert head.startswith(b"HTTP/1.1 101")
+
+
+def is_closed(connection):
+    try:
+        return connection.recv(1) == b""
+    except ConnectionResetError:
+        return True
+
+
+def flood(connection, data):
+    """Send the data until the server closes the connection; return whether it did."""
+    sent = 0
+    try:
+        while sent < MOST:
+            sent += connection.send(data)
+    except ConnectionError:
+        return True
+    return False
+
+
+def refused(server, kind):
+    """Return how many connections were closed for this reason, from /metrics."""
+    line = f'roomlight_connections_refused_total{{kind="{kind}"}} '
+    text = server.call("GET", "/metrics").body.decode()
+    return sum(float(each.removeprefix(line)) for each in text.splitlines() if each.startswith(line))
+
+
+@pytest.mark.parametrize(
+    ("kind", "head", "data"),
+    [
+        ("pipelining", b"", (GET + b"\r\n") * 2000),
+        ("tiny-pieces", CHUNKED, b"1\r\n \r\n" * 9000),
+        ("headers-too-large", b"", (GET + b"a:\r\n" * 4000 + b"\r\n") * 9),
+    ],
+)  # fmt: skip
+def test_a_flood_of_http_is_closed_counted_and_logged(server, connection, caplog, kind, head, data):
+    """25 MB of pipelined requests took 1.2 GB and 6.5 s of a neighbour's frame, and nothing was logged."""
+    before = refused(server, kind)
+    connection.sendall(head)
+    assert flood(connection, data)
+    assert refused(server, kind) == before + 1
+    assert [vars(each)["address"] for each in caplog.records if vars(each).get("kind") == kind] == ["127.0.0.1"]
+
+
+def test_requests_that_wait_are_all_answered_in_order(connection):
+    """A client may pipeline up to 17 requests; reading stays paused until they are answered."""
+    names = [f"missing-{number}" for number in range(16)]
+    connection.sendall(b"".join(b"GET /v1/sessions/%s HTTP/1.1\r\nHost: localhost\r\n\r\n" % n.encode() for n in names))
+    connection.sendall(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n")
+    with connection.makefile("rb") as answers:
+        text = answers.read().decode()
+    assert text.count("HTTP/1.1 404") == 16
+    assert [text.index(f'"{name}"') for name in names] == sorted(text.index(f'"{name}"') for name in names)
+    assert text.count("HTTP/1.1 200") == 1
+
+
+def test_a_body_of_small_chunks_is_read(connection):
+    """100 bytes a chunk is small, and still a client that streams."""
+    body = json.dumps({"mode": "classical"}).encode() + b" " * 60_000
+    pieces = [body[at : at + 100] for at in range(0, len(body), 100)]
+    head = b"PUT /v1/sessions/room HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
+    chunks = b"".join(b"%x\r\n%s\r\n" % (len(piece), piece) for piece in pieces)
+    connection.sendall(head + b"Transfer-Encoding: chunked\r\n\r\n" + chunks + b"0\r\n\r\n")
+    assert connection.recv(12) in (b"HTTP/1.1 200", b"HTTP/1.1 409")
+
+
+@pytest.mark.parametrize(
+    ("kind", "first", "data"),
+    [
+        ("fragments", ws_frame(0x02), ws_frame(0x00) * 10_000),
+        ("fragments", ws_frame(0x02), ws_frame(0x00, b"x") * 10_000),
+        ("control-frames", b"", ws_frame(0x89) * 10_000),
+        ("control-frames", b"", ws_frame(0x89, bytes(125)) * 500),
+        ("control-frames", b"", ws_frame(0x8A) * 10_000),
+    ],
+    ids=["empty fragments", "fragments of a byte", "pings", "large pings", "pongs"],
+)
+def test_a_flood_of_websocket_frames_is_closed_counted_and_logged(server, connection, kind, first, data):
+    """Empty fragments and pings took 7 to 14 s of a neighbour's frame, for as long as they came."""
+    before = refused(server, kind)
+    upgraded(connection)
+    connection.sendall(first)
+    assert flood(connection, data)
+    assert refused(server, kind) == before + 1
+
+
+def test_a_fragmented_message_of_usual_pieces_is_read(server):
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream") as stream:
+        text = '{"type": "track", "name": "table", "position": [0, 0, -1]}'
+        stream.send([text, *([" " * 2048] * 20)])
+        assert json.loads(stream.recv(timeout=60))["type"] == "probes"
+        for _ in range(3):
+            stream.ping().wait(60)
+
+
+def test_messages_that_arrive_together_are_answered_one_after_the_other(server):
+    with connect(f"ws://127.0.0.1:{server.port}/v1/sessions/room/stream", max_queue=1000) as stream:
+        names = [f"p{number}" for number in range(300)]
+        for name in names:
+            stream.send(json.dumps({"type": "untrack", "name": name}))
+        problems = [json.loads(stream.recv(timeout=60))["problem"] for _ in names]
+        assert [problem["value"] for problem in problems] == names
+
+
+def test_an_allowance_grows_with_time_up_to_its_maximum():
+    now_s = 0.0
+    allowance = Allowance(10.0, 3, lambda: now_s)
+    assert [allowance.try_take() for _ in range(5)] == [True, True, True, False, False]
+    now_s = 0.2
+    assert [allowance.try_take() for _ in range(3)] == [True, True, False]
+    now_s = 100.0
+    assert [allowance.take() for _ in range(5)] == pytest.approx([0.0, 0.0, 0.0, 0.1, 0.2])
+
+
+@pytest.fixture(scope="module")
+def secure_server(tmp_path_factory):
+    certificate, key = tls.ensure_certificate(tmp_path_factory.mktemp("state"), ("127.0.0.1",))
+    with RunningServer(tls_cert=certificate, tls_key=key, max_connections_per_address=4) as running:
+        yield running
+
+
+def secure_status(server):
+    context = ssl.create_default_context(cafile=server.settings.tls_cert)
+    with (
+        socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.9", 0)) as plain,
+        context.wrap_socket(plain, server_hostname="127.0.0.1") as secure,
+    ):
+        secure.sendall(GET + b"\r\n")
+        return secure.recv(12)
+
+
+def test_unfinished_handshakes_count_as_connections(secure_server, caplog):
+    """1,400 silent connections took all descriptors for 58 s: limits began after the handshake."""
+    silent = [socket.create_connection(("127.0.0.1", secure_server.port), 60) for _ in range(12)]
+    assert all(is_closed(connection) for connection in silent[4:])
+    assert secure_server.app.state.context.guard.connections == 4
+    assert secure_status(secure_server) == b"HTTP/1.1 200"
+    assert any(vars(each).get("kind") == "too-many-connections" for each in caplog.records)
+    for connection in silent:
+        connection.close()
+
+
+def test_a_handshake_has_a_deadline(tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr(tls_listener, "HANDSHAKE_S", 0.2)
+    certificate, key = tls.ensure_certificate(tmp_path, ("127.0.0.1",))
+    with RunningServer(tls_cert=certificate, tls_key=key) as server:
+        with socket.create_connection(("127.0.0.1", server.port), 60, ("127.0.0.7", 0)) as silent:
+            assert is_closed(silent)
+        lines = [vars(each) for each in caplog.records if vars(each).get("address") == "127.0.0.7"]
+        assert [line["kind"] for line in lines] == ["tls-handshake"]
+        assert server.app.state.context.guard.connections == 0
+
+
+def test_a_server_raises_its_limit_of_open_files(monkeypatch, caplog):
+    limits = []
+    monkeypatch.setattr("resource.getrlimit", lambda _: (256, 700))
+    monkeypatch.setattr("resource.setrlimit", lambda _, values: limits.append(values))
+    allow_files(100)
+    allow_files(512)
+    assert limits == [(484, 700), (700, 700)]
+    assert [vars(each)["rule"] for each in caplog.records] == ["max_connections should be at most 316"]
+
+
+def test_a_late_event_loop_is_measured_and_named(server, caplog):
+    caplog.set_level(logging.WARNING)
+    loop = server.loop
+    loop.call_soon_threadsafe(time.sleep, 1.0)
+
+    def lines():
+        return [vars(each) for each in caplog.records if each.getMessage() == "the event loop is late"]
+
+    while not lines():
+        server.call("GET", "/healthz")
+    assert lines()[0]["late_s"] > 0.5
+    text = server.call("GET", "/metrics").body.decode()
+    lag = next(line for line in text.splitlines() if line.startswith("roomlight_event_loop_lag_seconds "))
+    assert float(lag.split()[1]) > 0.5
