@@ -4,7 +4,9 @@ Installed before any import of the project. Packages called `kernels` are left o
 functions from their own source and takes no wrapper. And networks that are tiny, exported once a run.
 """
 
+import json
 import os
+import shutil
 from pathlib import Path
 
 import pytest
@@ -43,9 +45,10 @@ install_import_hook(_modules(), "beartype.beartype")
 
 @pytest.fixture(scope="session")
 def tiny_video(tmp_path_factory: pytest.TempPathFactory, worker_id: str) -> tuple[Path, Path]:
-    """Export a small untrained video model once for all workers; returns (checkpoint, model folder).
+    """Export a small video model once for all workers; returns (checkpoint, model folder).
 
-    It holds the single-view graphs too: volumes of 16 x 15 x 21 voxels, panoramas of 32 rows.
+    Its card states one step of training. It holds the single-view graphs too: volumes of 16 x 15 x 21 voxels, panoramas
+    of 32 rows.
     """
     base = tmp_path_factory.getbasetemp()
     folder = (base if worker_id == "master" else base.parent) / "tiny-video"  # workers share the parent
@@ -68,4 +71,19 @@ def _export_tiny_video(folder: Path) -> None:
     unfinished.mkdir()
     save_untrained(unfinished / "video.pt", "video", config, seed=3)
     export_checkpoint(unfinished / "video.pt", unfinished / "video", ort=False)
+    _state_steps(unfinished / "video", 1)
     unfinished.rename(folder)
+
+
+@pytest.fixture
+def untrained_video(tiny_video: tuple[Path, Path], tmp_path: Path) -> Path:
+    """A copy of the folder of `tiny_video` whose card says that its weights were never trained."""
+    folder = shutil.copytree(tiny_video[1], tmp_path / "untrained")
+    _state_steps(folder, 0)
+    return folder
+
+
+def _state_steps(folder: Path, steps: int) -> None:
+    description = json.loads((folder / "model.json").read_text())
+    description["card"]["steps"] = steps
+    (folder / "model.json").write_text(json.dumps(description))

@@ -79,9 +79,6 @@ Weights = Annotated[
         rich_help_panel=MODEL_PANEL, help="A model folder that `roomlight export` wrote, instead of the shipped one."
     ),
 ]
-AllowUntrained = Annotated[
-    bool, typer.Option("--allow-untrained", rich_help_panel=MODEL_PANEL, help="Accept weights that were never trained.")
-]
 Runtime = Annotated[Provider, typer.Option("--provider", rich_help_panel=MODEL_PANEL, help="Where the networks run.")]
 Parts = Annotated[
     Path | None,
@@ -193,7 +190,6 @@ def session_options(
     model: ModelName,
     weights: Path | None,
     provider: Provider,
-    allow_untrained: bool,
     unknown_depth: UnknownDepth,
     height: int,
     parts: Path | None = None,
@@ -207,7 +203,6 @@ def session_options(
         model=model,
         weights=weights,
         provider=provider,
-        allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
         height=height,
         parts=parts,

@@ -20,7 +20,6 @@ EXTRAS: Final = {"torch": "train", "onnx": "train", "onnxscript": "train", "tens
 
 FLAGS: Final = {
     "above_m": "--above",
-    "allow_untrained": "--allow-untrained",
     "camera_convention": "--camera-convention",
     "depth_key": "--depth-key",
     "depth_orientation": "--depth-orientation",
@@ -73,8 +72,8 @@ def run(app: typer.Typer) -> None:
 def with_flags(error: RoomLightError) -> str:
     """Return the error's message with the command line's flags for Python's options.
 
-    Names with an underscore, in backticks, or before "=" are replaced everywhere ("allow_untrained=True"
-    becomes "--allow-untrained"). A name that is the first word of an OptionError is replaced too.
+    Names with an underscore, in backticks, or before "=" are replaced everywhere ("max_frames" becomes "--max-frames").
+    A name that is the first word of an OptionError is replaced too.
     """
     message = str(error)
     if isinstance(error, OptionError):
@@ -88,7 +87,7 @@ def with_flags(error: RoomLightError) -> str:
             return match.group()
         return quote + FLAGS[name] + (" " if value == "=" else "")
 
-    return re.sub(rf"(?<![\w./-])(`?)({names})\b(=True\b|=)?(?!/)", flag, message)
+    return re.sub(rf"(?<![\w./-])(`?)({names})\b(=)?(?!/)", flag, message)
 
 
 def progress_bars() -> Progress:

@@ -25,12 +25,11 @@ def refuse_local_model(server: str, session: SessionOptions) -> None:
     """Refuse options of the engine here for a session on a server.
 
     Raises:
-        typer.BadParameter: Weights, provider or allow_untrained are set.
+        typer.BadParameter: Weights or provider are set.
     """
-    if session.weights is not None or session.provider != "auto" or session.allow_untrained:
+    if session.weights is not None or session.provider != "auto":
         raise typer.BadParameter(
-            "--weights, --provider and --allow-untrained are the server's own: give them to the `roomlight serve` "
-            f"at {server}"
+            f"--weights and --provider are the server's own: give them to the `roomlight serve` at {server}"
         )
 
 

@@ -131,8 +131,8 @@ def test_an_error_is_one_line_without_traceback(
         (FrameError("every frame is bad"), "every frame is bad"),
         (FrameError("use the `every` and `max_frames` that"), "use the `--every` and `--max-frames` that"),
         (
-            ModelError("w: untrained; set allow_untrained=True to use it"),
-            "w: untrained; set --allow-untrained to use it",
+            ModelError("w: not here; set min_confidence=2 to use it"),
+            "w: not here; set --min-confidence 2 to use it",
         ),
         (ModelError("give weights=DIR or model='classical'"), "give --weights DIR or --model 'classical'"),
         (FrameError("/data/depth_key/a.png: state depth_unit_m."), "/data/depth_key/a.png: state --depth-unit."),

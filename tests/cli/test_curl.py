@@ -48,16 +48,16 @@ def send(address, number):
 @pytest.mark.usefixtures("no_pictures")
 @pytest.mark.parametrize("model", ["classical", "video"])
 def test_curl_gets_the_light_of_an_offline_replay(model, tiny_video, tmp_path):
-    untrained = {} if model == "classical" else {"weights": tiny_video[1], "allow_untrained": True}
+    weights = {} if model == "classical" else {"weights": tiny_video[1]}
     options = ReplayOptions(
         CaptureOptions(every=EVERY, max_frames=FRAMES),
-        session=SessionOptions(model=model, height=HEIGHT, **untrained),
+        session=SessionOptions(model=model, height=HEIGHT, **weights),
         probes=(PROBE,),
     )
     replay(SAMPLE, tmp_path / "offline", options)
     offline = {int(path.stem): path.read_bytes() for path in (tmp_path / "offline/probe-00").glob("*.exr")}
     assert sorted(offline) == list(range(0, EVERY * FRAMES, EVERY))
-    with RunningServer(model=model, **untrained) as server:
+    with RunningServer(model=model, **weights) as server:
         address = f"http://127.0.0.1:{server.port}/v1/sessions/room"
         json_type = ("-H", "Content-Type: application/json")
         wanted = json.dumps({"height": HEIGHT, "reference_exposure": 1.0})

@@ -107,14 +107,14 @@ def test_files_are_the_same_as_those_of_a_local_replay(native, server, tmp_path)
 @pytest.mark.parametrize("model", ["video", "single"])
 def test_networks_give_the_same_files(native, tiny_video, model, tmp_path):
     """The server has the weights; the remote replay names the model only."""
-    untrained = {"weights": tiny_video[1], "allow_untrained": True}
+    weights = {"weights": tiny_video[1]}
     here = replay(
         native,
         tmp_path / "here",
-        ReplayOptions(session=SessionOptions(model=model, height=32, **untrained), probes=PROBES),
+        ReplayOptions(session=SessionOptions(model=model, height=32, **weights), probes=PROBES),
     )
     remote = ReplayOptions(session=SessionOptions(model=model, height=32), probes=PROBES)
-    with RunningServer(model="video", **untrained) as running:
+    with RunningServer(model="video", **weights) as running:
         there = replay_through(f"http://127.0.0.1:{running.port}", native, tmp_path / "there", remote)
     assert panoramas(tmp_path / "there") == panoramas(tmp_path / "here")
     assert len(panoramas(tmp_path / "here")) == 2 * len(here.report["frames"]) > 3

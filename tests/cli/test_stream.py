@@ -355,7 +355,7 @@ def test_an_error_is_printed_after_what_was_done(timed, monkeypatch, roomlight):
 
 @pytest.mark.parametrize(
     "options",
-    [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu"), SessionOptions(allow_untrained=True)],
+    [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")],
 )
 def test_engine_options_are_refused_for_a_server(options):
     with pytest.raises(typer.BadParameter, match="roomlight serve"):

@@ -97,7 +97,7 @@ def test_classical_light_equals_the_engine_bit_exactly(tmp_path, bodies):
 @pytest.mark.slow
 def test_network_light_equals_the_engine_bit_exactly(tmp_path, tiny_video):
     weights = tiny_video[1]
-    expected = direct(SessionOptions(model="video", weights=weights, allow_untrained=True, height=32))
-    with RunningServer(model="video", weights=weights, allow_untrained=True) as server:
+    expected = direct(SessionOptions(model="video", weights=weights, height=32))
+    with RunningServer(model="video", weights=weights) as server:
         compare(server, "auto", messages(), expected, tmp_path)
         assert server.state()["model"] == "video"

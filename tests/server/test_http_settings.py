@@ -103,9 +103,9 @@ def test_an_empty_token_file_is_an_error(tmp_path):
         load_settings(token_file=path)
 
 
-def test_unusable_weights_are_reported_before_listening(tiny_video):
+def test_unusable_weights_are_reported_before_listening(untrained_video):
     with pytest.raises(ModelError, match="never trained"):
-        serve(ServerSettings(model="video", weights=tiny_video[1], port=0), listening=print)
+        serve(ServerSettings(model="video", weights=untrained_video, port=0), listening=print)
 
 
 def test_an_unusable_address_is_named():

@@ -67,7 +67,6 @@ def light(
     model: arguments.Model = "auto",
     weights: arguments.Weights = None,
     provider: arguments.Runtime = "auto",
-    allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
     parts: arguments.Parts = None,
 ) -> None:
@@ -83,7 +82,6 @@ def light(
         model=model,
         weights=weights,
         provider=provider,
-        allow_untrained=allow_untrained,
         unknown_depth=unknown_depth,
         parts=parts,
         height=height,

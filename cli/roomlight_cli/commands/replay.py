@@ -39,7 +39,6 @@ def replay(
     model: arguments.Model = "auto",
     weights: arguments.Weights = None,
     provider: arguments.Runtime = "auto",
-    allow_untrained: arguments.AllowUntrained = False,
     unknown_depth: arguments.UnknownDepthOption = "rim",
     parts: arguments.Parts = None,
     height: Annotated[
@@ -87,7 +86,6 @@ def replay(
             model=model,
             weights=weights,
             provider=provider,
-            allow_untrained=allow_untrained,
             unknown_depth=unknown_depth,
             parts=parts,
             height=height,

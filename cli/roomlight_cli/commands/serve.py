@@ -67,7 +67,6 @@ def serve(
     provider: Annotated[
         str | None, _flag(arguments.MODEL_PANEL, "Where networks run: auto, cpu or openvino (default: auto).")
     ] = None,
-    allow_untrained: arguments.AllowUntrained = False,
     keyframes: Annotated[
         int | None, _flag(_LIMITS, "Frames kept per session for probes added later (default: 24), 5.4 MB each.")
     ] = None,
@@ -126,7 +125,6 @@ def serve(
         "model": model,
         "weights": weights,
         "provider": provider,
-        "allow_untrained": allow_untrained or None,
         "keyframes": keyframes,
         "max_sessions": max_sessions,
         "max_probes": max_probes,

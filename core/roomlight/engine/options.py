@@ -31,7 +31,6 @@ class SessionOptions:
         hedge: share of the classical fill in the light that networks infer, 0 to 1; see `network_backend`.
         parts: a folder with the model directories `clipping` and `objects`, instead of those inside the package.
         provider: runs the networks: openvino, cpu, or auto (OpenVINO if it is installed and supported).
-        allow_untrained: accept weights that were never trained, for tests.
         height: rows of the panoramas, 16 to 2048; they have twice as many columns.
         keyframes: most frames kept for positions that are requested later, 1 or more.
         unknown_depth: where pixels without depth are placed (`roomlight.depth`).
@@ -45,7 +44,6 @@ class SessionOptions:
     hedge: float = HEDGE
     parts: Path | None = None
     provider: Provider = "auto"
-    allow_untrained: bool = False
     height: int = 120
     keyframes: int = DEFAULT_KEYFRAMES
     unknown_depth: UnknownDepth = "rim"

@@ -92,7 +92,7 @@ def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
     if options.model == "classical" or (options.model == "auto" and options.weights is None):
         return None
     if options.weights is not None:
-        graphs = load_graphs(options.weights, provider=options.provider, allow_untrained=options.allow_untrained)
+        graphs = load_graphs(options.weights, provider=options.provider)
         if options.model == "video" and graphs.form == "single":
             raise OptionError(f'{options.weights}: holds single-view weights only; use model="single" or "auto"')
         return replace(graphs, form="single") if options.model == "single" else graphs
@@ -324,7 +324,7 @@ class Session:
 
         Args:
             snapshot: the state; make each session from a snapshot of its own.
-            options: default: the saved ones. Others may differ in weights, parts, provider and allow_untrained.
+            options: default: the saved ones. Others may differ in weights, parts and provider.
             graphs: as in `Session`.
 
         Raises:
@@ -384,7 +384,7 @@ class Session:
 
         Args:
             path: the saved file.
-            options: default: the saved ones. Others may differ in weights, parts, provider and allow_untrained.
+            options: default: the saved ones. Others may differ in weights, parts and provider.
             graphs: as in `Session`.
 
         Raises:

@@ -59,7 +59,6 @@ class ServerBenchOptions:
         frames: Use at most this many frames of the sample capture; phones start again after the last.
         model: Model of the sessions.
         weights: A model folder instead of the shipped weights.
-        allow_untrained: Accept untrained weights.
         height: Rows of the panoramas.
     """
 
@@ -72,7 +71,6 @@ class ServerBenchOptions:
     frames: int | None = None
     model: ModelName = "auto"
     weights: Path | None = None
-    allow_untrained: bool = False
     height: int = 120
 
     @property
@@ -80,7 +78,7 @@ class ServerBenchOptions:
         """Arguments of `roomlight serve` that allow what these options measure."""
         limits = ["--max-sessions", str(max(self.sessions) + 4), "--max-probes", str(max(self.points))]
         weights = [] if self.weights is None else ["--weights", str(self.weights)]
-        return [*limits, "--model", self.model, *weights, *(["--allow-untrained"] if self.allow_untrained else [])]
+        return [*limits, "--model", self.model, *weights]
 
 
 def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback | None = None) -> ServerReport:
@@ -132,14 +130,7 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
 
 
 def _engine(options: ServerBenchOptions) -> Engine:
-    return Engine(
-        SessionOptions(
-            model=options.model,
-            weights=options.weights,
-            allow_untrained=options.allow_untrained,
-            height=options.height,
-        )
-    )
+    return Engine(SessionOptions(model=options.model, weights=options.weights, height=options.height))
 
 
 def _open(client: Client, options: ServerBenchOptions) -> Session:

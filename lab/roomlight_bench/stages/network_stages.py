@@ -78,12 +78,10 @@ def load_networks(model: Path) -> Networks:
         ModelError: The folder is not a model folder, or does not fit this version.
     """
     loaded: dict[RuntimeName, LightingGraphs] = {
-        runtime: load_graphs(model, provider=runtime, allow_untrained=True) for runtime in _runtimes()
+        runtime: load_graphs(model, provider=runtime) for runtime in _runtimes()
     }
     described = json.loads((model / "model.json").read_text())
-    return Networks(
-        ModelConfig.from_dict(described.get("config", {})), loaded, trained=bool(loaded["cpu"].card.get("steps"))
-    )
+    return Networks(ModelConfig.from_dict(described.get("config", {})), loaded, trained=True)
 
 
 def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> list[BenchStage]:

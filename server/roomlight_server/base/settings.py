@@ -43,7 +43,6 @@ class ServerSettings(BaseSettings):
         model: Meaning of `mode: auto`.
         weights: Folder or file of trained weights; see `roomlight.engine`.
         provider: Where networks run.
-        allow_untrained: Whether untrained weights are accepted.
         keyframes: Frames kept per session for probes that are requested later.
         max_sessions: Each holds up to 150 MB of keyframes and 20 MB of volume with the default options.
         max_session_bytes: Sessions whose options could exceed this are rejected.
@@ -109,7 +108,6 @@ class ServerSettings(BaseSettings):
     model: ModelName = "auto"
     weights: Path | None = None
     provider: Provider = "auto"
-    allow_untrained: bool = False
     keyframes: Annotated[int, Field(ge=1, le=1000)] = DEFAULT_KEYFRAMES
     max_sessions: Annotated[int, Field(ge=1, le=100_000)] = 16
     max_session_bytes: Annotated[int, Field(ge=2**20)] = 640 * 2**20

@@ -39,7 +39,6 @@ class Restorer:
             weights=base.weights,
             provider=base.provider,
             parts=base.parts,
-            allow_untrained=base.allow_untrained,
         )
         try:
             bases = await self._bases(reading, options)

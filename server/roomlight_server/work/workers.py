@@ -69,7 +69,6 @@ class Workers:
             model=settings.model,
             weights=settings.weights,
             provider=settings.provider,
-            allow_untrained=settings.allow_untrained,
             keyframes=settings.keyframes,
         )
         self._graphs: dict[ModelName, LightingGraphs | None] = {}

@@ -26,7 +26,7 @@ def folder(tiny_video, tmp_path):
 
 
 def _load(folder, **options):
-    return load_graphs(folder, **{"provider": "cpu", "allow_untrained": True, **options})
+    return load_graphs(folder, **{"provider": "cpu", **options})
 
 
 def _chosen_form(model, **options):
@@ -49,16 +49,12 @@ def test_a_complete_folder_loads_with_its_shapes(folder):
     assert len(graphs.graphs) == 10
 
 
-def test_untrained_weights_need_permission(folder):
-    with pytest.raises(ModelError, match=r"never trained.*allow_untrained=True"):
+def test_untrained_weights_are_refused(folder):
+    _edit(folder, card={"steps": 0})
+    with pytest.raises(ModelError, match=r"never trained \(steps = 0\).*roomlight train"):
         load_graphs(folder, provider="cpu")
     with pytest.raises(ModelError, match="never trained"):
         Session(SessionOptions(weights=folder, provider="cpu"))
-
-
-def test_trained_weights_need_no_permission(folder):
-    _edit(folder, card={"steps": 1000})
-    assert load_graphs(folder, provider="cpu").card["steps"] == 1000
 
 
 def test_an_empty_card_counts_as_untrained(folder):
@@ -131,7 +127,7 @@ def test_what_onnx_runtime_refuses_is_named(folder):
 
 def test_a_single_view_folder_supports_single_and_auto_not_video(folder):
     _edit(folder, form="single")
-    options = {"weights": folder, "provider": "cpu", "allow_untrained": True}
+    options = {"weights": folder, "provider": "cpu"}
     for model in ("single", "auto"):
         assert _chosen_form(model, **options) == "single"
     with pytest.raises(OptionError, match="single-view weights only"):
@@ -139,7 +135,7 @@ def test_a_single_view_folder_supports_single_and_auto_not_video(folder):
 
 
 def test_a_video_folder_serves_every_form(folder):
-    options = {"weights": folder, "provider": "cpu", "allow_untrained": True}
+    options = {"weights": folder, "provider": "cpu"}
     forms = {model: _chosen_form(model, **options) for model in FORMS_ASKED}
     assert forms == {"single": "single", "video": "video", "auto": "video"}
 

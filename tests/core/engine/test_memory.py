@@ -46,8 +46,8 @@ def test_the_classical_models_volume():
 
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_the_networks_volume_and_probe(tiny_video, form):
-    graphs = replace(load_graphs(tiny_video[1], allow_untrained=True), form=form)
-    session = pushed(SessionOptions(model=form, weights=tiny_video[1], allow_untrained=True, height=32))
+    graphs = replace(load_graphs(tiny_video[1]), form=form)
+    session = pushed(SessionOptions(model=form, weights=tiny_video[1], height=32))
     footprint = Footprint.of(graphs, 32)
     assert footprint.volume == held_by(session._backend)
     probe = session._probes[0]

@@ -30,13 +30,11 @@ HEIGHT = 32
 
 @pytest.fixture(scope="module")
 def graphs(tiny_video):
-    return load_graphs(tiny_video[1], provider="cpu", allow_untrained=True)
+    return load_graphs(tiny_video[1], provider="cpu")
 
 
 def _options(tiny_video, form, height=HEIGHT):
-    return SessionOptions(
-        model=form, weights=tiny_video[1], provider="cpu", allow_untrained=True, height=height, hedge=0.0
-    )
+    return SessionOptions(model=form, weights=tiny_video[1], provider="cpu", height=height, hedge=0.0)
 
 
 def _observation(sglv, frame, before):

@@ -39,7 +39,7 @@ def test_another_form_is_named(tmp_path):
 def test_a_part_alone_is_no_model(tmp_path):
     folder = write_part(tmp_path / "part", "clipping")
     with pytest.raises(ModelError, match="the form clipping, which no model runs by itself"):
-        load_graphs(folder, provider="cpu", allow_untrained=True)
+        load_graphs(folder, provider="cpu")
 
 
 def test_networks_of_a_model_are_no_part():

@@ -296,9 +296,9 @@ def test_networks_without_weights_are_refused_by_name(model, monkeypatch, tmp_pa
         Session(SessionOptions(model=model))
 
 
-def test_auto_without_weights_is_classical_and_never_untrained(monkeypatch, tmp_path):
+def test_auto_without_weights_is_classical(monkeypatch, tmp_path):
     monkeypatch.setattr(session_module, "SHIPPED", tmp_path)
-    assert choose_graphs(SessionOptions(model="auto", allow_untrained=True)) is None
+    assert choose_graphs(SessionOptions(model="auto")) is None
     assert Session(SessionOptions()).model == "classical"
 
 

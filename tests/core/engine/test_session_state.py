@@ -42,7 +42,7 @@ FRAMES = [_shot(index) for index in range(14)]
 def _options(model, tiny_video):
     if model == "classical":
         return dataclasses.replace(CLASSICAL, model=model)
-    return dataclasses.replace(CLASSICAL, model=model, weights=tiny_video[1], provider="cpu", allow_untrained=True)
+    return dataclasses.replace(CLASSICAL, model=model, weights=tiny_video[1], provider="cpu")
 
 
 def _bits(session):
@@ -234,7 +234,7 @@ def test_other_options_and_weights_are_refused(saved, tiny_video, tmp_path):
         _with_clipping(saved[1], tmp_path, 64 * "0")
     with pytest.raises(StateError, match="saved with the model classical, and here is single"):
         Session.load(saved[1], dataclasses.replace(CLASSICAL, model="single"))
-    graphs = load_graphs(tiny_video[1], provider="cpu", allow_untrained=True)
+    graphs = load_graphs(tiny_video[1], provider="cpu")
     options = _options("video", tiny_video)
     Session(options, graphs=graphs).save(tmp_path / "video.state")
     other = copy.copy(graphs.graphs["video_sg_gru"])

@@ -109,11 +109,11 @@ def test_percentiles_of_nothing_are_none():
     assert Latencies.of([3.0]) == Latencies(1, 3.0, 3.0, 3.0, 3.0)
 
 
-def test_a_server_that_cannot_start_is_an_error_with_its_log(tiny_video):
+def test_a_server_that_cannot_start_is_an_error_with_its_log(untrained_video):
     with pytest.raises(ServerError, match="max-sessions: -1"), ServerProcess(["--max-sessions", "-1"]):
         pass
     with pytest.raises(ModelError, match="never trained"):
-        run_server_bench(replace(TINY, model="video", weights=tiny_video[1]))
+        run_server_bench(replace(TINY, model="video", weights=untrained_video))
 
 
 @pytest.mark.slow

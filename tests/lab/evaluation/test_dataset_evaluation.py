@@ -34,7 +34,7 @@ class Boxes(BoxRecordings):
 
 @pytest.fixture(scope="module")
 def evaluated(tiny_video):
-    options = SessionOptions(model="single", weights=tiny_video[1], allow_untrained=True)
+    options = SessionOptions(model="single", weights=tiny_video[1])
     methods = [
         BaselineMethod(MeanColour), BaselineMethod(WarpAndFill),
         EngineMethod("classical", SessionOptions(model="classical"), None),

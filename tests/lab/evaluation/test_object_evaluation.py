@@ -105,7 +105,7 @@ def test_walks_of_a_dataset_are_rooms_too():
 
 
 def test_networks_are_scored_beside_the_classical_model(tiny_video, tmp_path):
-    options = SessionOptions(model="video", weights=tiny_video[1], allow_untrained=True)
+    options = SessionOptions(model="video", weights=tiny_video[1])
     found = evaluate_objects([write_room(tmp_path / "a")], options, frames=2)
     assert found.methods[-4:] == ("classical", f"classical, {COMPOSITED}", "video", f"video, {COMPOSITED}")
 

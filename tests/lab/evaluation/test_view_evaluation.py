@@ -37,7 +37,7 @@ def capture(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def scores(capture, tiny_video):
-    model = SessionOptions(model="video", weights=tiny_video[1], allow_untrained=True, height=HEIGHT)
+    model = SessionOptions(model="video", weights=tiny_video[1], height=HEIGHT)
     return evaluate_views([capture], [model], ahead=AHEAD, spacing=2)
 
 

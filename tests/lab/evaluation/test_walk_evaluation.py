@@ -36,7 +36,7 @@ class Walks(BoxRecordings):
 
 @pytest.fixture(scope="module")
 def models(tiny_video):
-    return WalkModels.load(SessionOptions(weights=tiny_video[1], allow_untrained=True))
+    return WalkModels.load(SessionOptions(weights=tiny_video[1]))
 
 
 @pytest.fixture(scope="module")

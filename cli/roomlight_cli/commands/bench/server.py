@@ -21,7 +21,6 @@ def bench_server(
     fps: Annotated[float, typer.Option(min=0.1, max=60, help="Frames per second that each phone sends.")] = 3.0,
     model: arguments.Model = "auto",
     weights: arguments.Weights = None,
-    allow_untrained: arguments.AllowUntrained = False,
     json_out: arguments.FiguresJson = None,
 ) -> None:
     """Load a server on this machine with streaming phones, beside direct engine calls (3 minutes)."""
@@ -31,7 +30,6 @@ def bench_server(
         fps=fps,
         model=model,
         weights=weights,
-        allow_untrained=allow_untrained,
     )
     with console.err.status("measuring") as status:
         report = run_server_bench(options, progress=status.update)

@@ -47,7 +47,6 @@ def eval_dataset(
     pictured: Annotated[int, typer.Option(min=1, max=50, help="Rooms in --picture.")] = 5,
     weights: arguments.Weights = None,
     provider: arguments.Runtime = "auto",
-    allow_untrained: arguments.AllowUntrained = False,
 ) -> None:
     """Score light from single images on a dataset of rooms that no network was trained on.
 
@@ -55,7 +54,7 @@ def eval_dataset(
     """
     others = [_named_folder(text) for text in also or ()]
     model = "single" if weights is None else "auto"
-    session = SessionOptions(model=model, weights=weights, provider=provider, allow_untrained=allow_untrained)
+    session = SessionOptions(model=model, weights=weights, provider=provider)
     methods = _methods(session, others)
     with console.progress_bars() as bars:
         task = bars.add_task("scoring", total=None)

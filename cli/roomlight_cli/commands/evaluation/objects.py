@@ -27,14 +27,13 @@ def eval_objects(
     markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Also write the tables as Markdown.")] = None,
     model: arguments.Model = "auto",
     weights: arguments.Weights = None,
-    allow_untrained: arguments.AllowUntrained = False,
 ) -> None:
     """Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.
 
     The table compares the model, as it is and as composites change it, with SH + directional light
     and other simple lights. Half a second to two seconds a room.
     """
-    options = SessionOptions(model=model, weights=weights, allow_untrained=allow_untrained)
+    options = SessionOptions(model=model, weights=weights)
     with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)
         warm_up()

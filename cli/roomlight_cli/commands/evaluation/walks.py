@@ -24,14 +24,13 @@ def eval_walks(
     json_out: Annotated[Path | None, typer.Option("--json", help="Also write every score as JSON.")] = None,
     weights: arguments.Weights = None,
     provider: arguments.Runtime = "auto",
-    allow_untrained: arguments.AllowUntrained = False,
 ) -> None:
     """Score the recurrent networks on walks through rooms that no network was trained on.
 
     The table compares them with each frame alone, a simple average, the single-view form, the classical model and
     baselines, with late probes and with depth as a phone measures it.
     """
-    options = SessionOptions(model="video", weights=weights, provider=provider, allow_untrained=allow_untrained)
+    options = SessionOptions(model="video", weights=weights, provider=provider)
     models = WalkModels.load(options)
     with console.progress_bars() as bars:
         task = bars.add_task("compiling kernels (first run only)", total=None)

@@ -134,21 +134,21 @@ class LightingGraphs:
         return self.graphs["single_blend_encoder"].inputs["panels"][-2]
 
 
-def load_graphs(path: Path, *, provider: Provider = "auto", allow_untrained: bool = False) -> LightingGraphs:
+def load_graphs(path: Path, *, provider: Provider = "auto") -> LightingGraphs:
     """Load and check a model directory.
 
     Raises:
         ModelError: it is not a model directory, a graph is missing or differs from its digest, the provider is not
-            available, or the weights were never trained and `allow_untrained` is False.
+            available, or the weights were never trained.
     """
     index = read_description(path)
     form, card, entries = index["form"], index["card"], index["graphs"]
     if form not in get_args(NetworkForm):
         raise ModelError(f"{path}: holds networks of the form {form}, which no model runs by itself")
-    if not card.get("steps") and not allow_untrained:
+    if not card.get("steps"):
         raise ModelError(
             f"{path}: these weights were never trained (steps = {card.get('steps', 'not stated')}), "
-            "their light would be noise; set allow_untrained=True to use them nevertheless"
+            "their light would be noise; train them with `roomlight train`"
         )
     resolved = resolve_provider(provider)
     graphs: dict[str, Graph] = {}

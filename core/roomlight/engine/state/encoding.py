@@ -41,7 +41,6 @@ class _Options(_Values):
     hedge: float
     parts: Path | None
     provider: Provider
-    allow_untrained: bool
     height: int
     keyframes: int
     unknown_depth: UnknownDepth
