@@ -18,7 +18,7 @@ from roomlight.errors import OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame
 from roomlight_cli.arguments import parse_pixel
-from roomlight_cli.console import progress_bars
+from roomlight_cli.console import print_notes, progress_bars
 from roomlight_cli.video import VideoWriter
 
 DEFAULT_RATE: Final = 30.0
@@ -114,6 +114,7 @@ def composite_recording(
             else:
                 _write_pictures(picture, output)
             count += 1
+    print_notes(capture.notes)
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
     kind = "film" if output.is_film else "pictures"
     return f"{count} frames{skipped}; {kind}: {output.path}"

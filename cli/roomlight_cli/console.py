@@ -2,6 +2,7 @@
 
 import re
 import sys
+from collections.abc import Iterable
 from typing import Final, NoReturn
 
 import typer
@@ -11,6 +12,7 @@ from rich.measure import Measurement
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
 from roomlight.errors import OptionError, RoomLightError
+from roomlight.notes import Note
 
 err = Console(stderr=True, highlight=False)
 out = Console(highlight=False)
@@ -51,6 +53,12 @@ FLAGS: Final = {
 def say(text: str) -> None:
     """Print a line as it is, neither wrapped nor read as markup: it may name files."""
     out.print(text, soft_wrap=True, markup=False)
+
+
+def print_notes(notes: Iterable[Note]) -> None:
+    """Print what the files state and was left out, guessed or changed, a line each."""
+    for note in notes:
+        err.print(f"[yellow]note:[/] {escape(str(note))}", soft_wrap=True)
 
 
 def run(app: typer.Typer) -> None:

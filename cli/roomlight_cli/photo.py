@@ -22,9 +22,11 @@ from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, OptionError
 from roomlight.files import write_json
-from roomlight.frame import ASPECT_TOLERANCE, Frame
-from roomlight.images import decode_colour, exif_camera, read_bytes, write_exr, write_png
+from roomlight.frame import ASPECT_TOLERANCE, Frame, hidden
+from roomlight.images import decode_picture, exif_camera, read_bytes, write_exr, write_png
+from roomlight.imaging.exif import oriented
 from roomlight.light.light import Light
+from roomlight.notes import Note
 from roomlight.placement import ABOVE_M, point_at_pixel
 from roomlight.spheres import Material, SphereRenderer, view_toward
 
@@ -32,7 +34,6 @@ DepthOrientation = Literal["auto", "upright", "stored"]
 """Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
 FovSource = Literal["option", "exif", "default"]
 
-MILLIMETRE_M: Final = 0.001
 DEFAULT_FOV_DEG: Final = 60.0
 """Horizontal field of view without any better knowledge: a phone's main camera held level has 65 to 70 degrees, upright
 about 52."""
@@ -51,12 +52,14 @@ class Photo:
         fov_deg: Horizontal field of view of the upright photograph, in degrees.
         fov_source: The caller's option, the photo's EXIF, or `DEFAULT_FOV_DEG`.
         focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
+        notes: What the file states and was not used.
     """
 
     frame: Frame
     fov_deg: float
     fov_source: FovSource
     focal_35mm: float | None = None
+    notes: tuple[Note, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -118,7 +121,7 @@ def read_photo(
         depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres.
         fov_deg: Horizontal field of view of the upright photograph; None takes EXIF's focal length, else
             `DEFAULT_FOV_DEG`.
-        depth_unit_m: Metres per stored unit of a PNG or .npy, if it is another.
+        depth_unit_m: Metres per stored unit, if it is another.
         depth_orientation: Whether the depth map is upright or stored as the photo is. "auto" decides by the aspect,
             which tells where EXIF rotates the photo by 90 degrees.
 
@@ -129,8 +132,8 @@ def read_photo(
             orientation that was not stated.
     """
     data = read_bytes(image)
-    colour, clipped = decode_colour(data, str(image))
-    exif = exif_camera(data, str(image))
+    picture = decode_picture(data, str(image))
+    colour, exif = picture.image, exif_camera(data, str(image))
     height, width = colour.shape[:2]
     depth_m = _read_depth(depth, depth_unit_m)
     depth_m = _upright_depth(depth_m, exif.orientation, (width, height), depth_orientation, str(depth))
@@ -139,23 +142,25 @@ def read_photo(
         fov_deg, source = exif.fov_deg(width, height), "exif"
     if fov_deg is None:
         fov_deg, source = DEFAULT_FOV_DEG, "default"
+    if picture.seen is not None:
+        colour, depth_m = hidden(colour, depth_m, picture.seen)
     focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
     frame = Frame(
         index=0,
         image=colour,
-        clipped=clipped,
+        clipped=picture.clipped,
+        seen=picture.seen,
         depth_m=depth_m,
         intrinsics=Intrinsics(focal, focal, width / 2, height / 2, width, height),
         camera_to_world=np.eye(4),
         source=str(image),
     )
-    return Photo(frame, fov_deg, source, exif.focal_35mm)
+    return Photo(frame, fov_deg, source, exif.focal_35mm, picture.notes)
 
 
 def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
     """Return the depth in metres as stored. Raises ImageError, and FrameError for empty or mis-scaled depth."""
     data = read_bytes(path)
-    unit_m = unit_m or (1.0 if data[:6] == b"\x93NUMPY" and _is_float(data) else MILLIMETRE_M)
     depth_m = decode_depth_map(data, str(path), unit_m=unit_m)
     known = depth_m[depth_m > 0]
     if known.size == 0:
@@ -164,7 +169,7 @@ def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
     if not 0.02 < median_m < _FARTHEST_M:
         raise FrameError(
             f"{path}: its median depth would be {median_m:.3g} m, which no room has; state the metres per stored unit "
-            f"as depth_unit_m (it was taken to be {unit_m:g} m)"
+            f"as depth_unit_m (integers are taken for millimetres, floats for metres)"
         )
     return depth_m
 
@@ -199,14 +204,6 @@ def _upright_depth(
             "depth has it too; state depth_orientation as upright (as viewers show the photo) or stored"
         )
     return rotated if fits["stored"] else depth_m
-
-
-def oriented(pixels: Float[np.ndarray, "h w"], orientation: int) -> Float[np.ndarray, "uh uw"]:
-    """Return stored pixels upright, by EXIF's orientation tag (1 to 8)."""
-    if orientation >= 5:
-        pixels = pixels.T
-    flip_rows, flip_columns = orientation in (3, 4, 7, 8), orientation in (2, 3, 6, 7)
-    return np.ascontiguousarray(pixels[:: -1 if flip_rows else 1, :: -1 if flip_columns else 1])
 
 
 def _same_aspect(depth_m: Float[np.ndarray, "h w"], photo_size: tuple[int, int]) -> bool:
@@ -275,9 +272,3 @@ def _spheres(light: Light, view: tuple[float, float, float]) -> np.ndarray:
         canvas.text((left, _GAP), f"{material} sphere", width=_SPHERE)
         canvas.sphere((left, _GAP + LABEL_ROWS), light.panorama, spheres, material)
     return canvas.image
-
-
-def _is_float(data: bytes) -> bool:
-    """Return whether a .npy file's header names a float type; its text begins at byte 10 or 12."""
-    header = data[:256].decode("latin-1")
-    return any(f"'descr': '{order}f" in header for order in "<>=|")

@@ -21,6 +21,7 @@ from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
+from roomlight.notes import Note
 from roomlight.placement import ABOVE_M, point_at_pixel, point_in_view
 from roomlight.wire.messages import FrameResult, ModelName
 from roomlight_client import (
@@ -111,6 +112,7 @@ class Tally:
         refused: Refused by the server; `reasons` holds the first few reasons.
         lost: Sent without an answer.
         unreadable: Bad frames of the recording itself.
+        notes: What the recording states and was left out, guessed or changed.
         pace: 1 = as recorded; less where reading the recording does not keep up.
     """
 
@@ -125,6 +127,7 @@ class Tally:
     refused: int = 0
     lost: int = 0
     unreadable: int = 0
+    notes: tuple[Note, ...] = ()
     pace: float = 1.0
     session_id: str = ""
     model: str = ""
@@ -261,7 +264,7 @@ class _Player:
                     self._unanswered += 1
                     tasks.create_task(self._send(frame, tasks))
                 self._show(tally)
-            tally.unreadable = len(capture.skipped)
+            tally.unreadable, tally.notes = len(capture.skipped), capture.notes
         if tally.processed:
             await self._fetch_light()
 

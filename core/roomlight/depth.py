@@ -12,7 +12,7 @@ from typing import Final, Literal
 
 import cv2
 import numpy as np
-from jaxtyping import Float, Float32
+from jaxtyping import Bool, Float, Float32
 
 UnknownDepth = Literal["rim", "far", "drop"]
 """Where pixels without depth are placed: at the depth of the hole's rim, on the volume's far boundary, or nowhere."""
@@ -61,6 +61,16 @@ def complete_depth(depth_m: Float[np.ndarray, "h w"]) -> Float[np.ndarray, "h w"
         for _ in range(_SWEEPS):
             filled = np.where(known_here, mean, cv2.blur(filled, (3, 3), borderType=cv2.BORDER_REPLICATE))
     return np.where(known, depth_m, 1 / np.maximum(filled, 1e-6)).astype(np.float32)
+
+
+def without_unseen(
+    depth_m: Float[np.ndarray, "h w"], seen: Bool[np.ndarray, "ih iw"] | None
+) -> Float[np.ndarray, "h w"]:
+    """Return the depth with 0 where a mask of any size says that the image shows nothing; None: it shows all."""
+    if seen is None:
+        return depth_m
+    there = cv2.resize(seen.astype(np.uint8), depth_m.shape[::-1], interpolation=cv2.INTER_NEAREST)
+    return np.where(there > 0, depth_m, np.float32(0))
 
 
 def _shrink(image: Float[np.ndarray, "h w"], size: tuple[int, int]) -> Float[np.ndarray, "h2 w2"]:

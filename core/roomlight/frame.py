@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Bool, Float, Float32
 
 from roomlight.camera import Intrinsics, check_rigid
-from roomlight.depth import clean_depth
+from roomlight.depth import clean_depth, without_unseen
 from roomlight.errors import FrameError
 
 CLIPPED_SRGB8: Final = 250
@@ -42,6 +42,8 @@ class Frame:
         guessed: float32 [h, w]: luminance of the image that is an estimate for clipped pixels
             (`roomlight.engine.networks.clipping`); image less this is the least that it can be. None: nothing is
             estimated.
+        seen: bool [h, w]: pixels that show something; None: all do. The others (transparent or masked) count for
+            nothing: `hidden` gives them no depth and the colour around them.
 
     Raises:
         FrameError: parts do not fit each other, radiance is negative or not finite, the pose is not rigid.
@@ -56,6 +58,7 @@ class Frame:
     timestamp_s: float | None = None
     source: str = ""
     guessed: Float[np.ndarray, "h w"] | None = None
+    seen: Bool[np.ndarray, "h w"] | None = None
 
     def __post_init__(self) -> None:
         name = self.source or f"frame {self.index}"
@@ -79,6 +82,8 @@ class Frame:
             raise FrameError(f"{name}: the clipping mask {self.clipped.shape} does not fit the image")
         if self.guessed is not None and self.guessed.shape != (height, width):
             raise FrameError(f"{name}: the estimated luminance {self.guessed.shape} does not fit the image")
+        if self.seen is not None and self.seen.shape != (height, width):
+            raise FrameError(f"{name}: the mask of seen pixels {self.seen.shape} does not fit the image")
         depth_height, depth_width = self.depth_m.shape
         if min(depth_height, depth_width) < 2:
             raise FrameError(f"{name}: depth of {depth_width} x {depth_height} is too small; 2 x 2 is the least")
@@ -113,13 +118,16 @@ class Frame:
             max_width, max_height = max_height, max_width
         scale = min(1.0, max_width / width, max_height / height)
         new_width, new_height = max(2, round(width * scale)), max(2, round(height * scale))
-        image, clipped, guessed = self.image, self.clipped, self.guessed
+        image, clipped, guessed, seen = self.image, self.clipped, self.guessed, self.seen
         if (new_width, new_height) != (width, height):
             image = cv2.resize(image, (new_width, new_height), interpolation=cv2.INTER_AREA)
             share = cv2.resize(clipped.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA)
             clipped = share >= 0.5
             if guessed is not None:
                 guessed = cv2.resize(guessed, (new_width, new_height), interpolation=cv2.INTER_AREA)
+            if seen is not None:
+                share = cv2.resize(seen.astype(np.float32), (new_width, new_height), interpolation=cv2.INTER_AREA)
+                seen = share >= 0.5
         depth = self.depth_m
         if depth.shape[0] > new_height or depth.shape[1] > new_width:
             depth = cv2.resize(depth, (new_width, new_height), interpolation=cv2.INTER_NEAREST_EXACT)
@@ -128,9 +136,28 @@ class Frame:
             image=image,
             clipped=clipped,
             guessed=guessed,
+            seen=seen,
             depth_m=depth,
             intrinsics=self.intrinsics.resized(new_width, new_height),
         )
+
+
+def hidden(
+    image: Float[np.ndarray, "h w 3"], depth_m: Float[np.ndarray, "dh dw"], seen: Bool[np.ndarray, "h w"]
+) -> tuple[Float32[np.ndarray, "h w 3"], Float32[np.ndarray, "dh dw"]]:
+    """Return image and depth without the pixels that are not seen: their depth is 0, their colour that around them.
+
+    The colour matters where a consumer knows no mask, such as a server: neither black nor what an editor left there.
+    """
+    weight = seen.astype(np.float32)
+    known = image.astype(np.float32) * weight[..., None]
+    filled = np.broadcast_to(known.sum(axis=(0, 1)) / max(float(weight.sum()), 1.0), image.shape).astype(np.float32)
+    for side in (257, 65, 17, 5):  # from far to near, so that the nearest colour stays
+        share = cv2.blur(weight, (side, side))
+        near = cv2.blur(known, (side, side)) / np.maximum(share, 1e-6)[..., None]
+        filled = np.where(share[..., None] > 1e-3, near, filled)
+    colour = np.where(seen[..., None], image, np.maximum(filled, 0)).astype(np.float32)
+    return colour, without_unseen(depth_m, seen)
 
 
 def _checked_image(image: Float[np.ndarray, "h w 3"], name: str) -> Float32[np.ndarray, "h w 3"]:

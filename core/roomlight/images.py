@@ -1,19 +1,16 @@
 """Read and write image files: JPEG, PNG, EXR and Radiance HDR. Sizes are checked before pixels are decoded.
 
-Colour is decoded to linear RGB, depth to metres. Every failure is an `ImageError` that names the file.
+Colour is decoded to linear RGB, depth to metres. Every failure is an `ImageError` that names the file. The rules for
+orientation, colour space, alpha and end marks are in docs/reading-rules.md; `roomlight.imaging` reads what they need.
 
-Sizes are read by hand and EXIF by Pillow. Pillow reads no HDR and no EXR; of PNG and JPEG it reads the size, but takes
-16 and 34 us instead of 0.4 and 10, on every frame of a stream, and keeps each segment of a JPEG in memory: 8 MB of
-empty segments take 4 s and 270 MB, where `peek_size` stops at the limit of `image_limits`. EXIF is read from a user's
-own photos only.
+Sizes are read by hand. Pillow reads no HDR and no EXR; of PNG and JPEG it reads the size, but takes 16 and 34 us
+instead of 0.4 and 10, on every frame of a stream, and keeps each segment of a JPEG in memory: 8 MB of empty segments
+take 4 s and 270 MB, where `peek_size` stops at the limit of `roomlight.imaging.limits`.
 """
 
 import io
-import math
-import os
 import struct
 import tempfile
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -22,47 +19,45 @@ import cv2
 import numpy as np
 import OpenEXR
 from jaxtyping import Bool, Float, Shaped, UInt8
-from PIL import ExifTags, Image
+from PIL import Image
 
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import CLIPPED_SRGB8
-from roomlight.image_limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
+from roomlight.imaging.exif import ExifCamera, oriented, read_exif
+from roomlight.imaging.exr import exr_size, read_exr
+from roomlight.imaging.limits import MAX_JPEG_SEGMENTS, check_jpeg, check_png
+from roomlight.imaging.tags import ImageTags, profile_to_srgb8, read_tags
+from roomlight.notes import Note
 
 MAX_PIXELS: Final = 64_000_000
 """Largest image decoded (8192 x 7812). Phones take up to 48 megapixels; a larger header is a decompression bomb."""
+MIN_ALPHA: Final = 0.5
+"""Pixels of less alpha show nothing."""
 
 _PNG: Final = b"\x89PNG\r\n\x1a\n"
 _JPEG: Final = b"\xff\xd8"
 _HDR: Final = b"#?"
 _EXR: Final = b"\x76\x2f\x31\x01"
-_FILM_DIAGONAL_MM: Final = math.hypot(36, 24)
 
 
 @dataclass(frozen=True)
-class ExifCamera:
-    """What a photo's EXIF states about its camera.
+class ColourImage:
+    """A decoded picture.
 
     Attributes:
-        focal_35mm: Focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
-        orientation: EXIF's orientation tag, 1 to 8. 1 is upright, 3 upside down; the stored pixels must be rotated
-            by 90 degrees clockwise for 6 and counter-clockwise for 8; 2, 4, 5 and 7 are mirrored.
+        image: Linear RGB (Rec. 709), float32 [h, w, 3].
+        clipped: Pixels whose stored value saturated.
+        seen: Pixels that show something; None if all do. The others are transparent, or outside an EXR's data window.
+        notes: What the file states and was not used.
     """
 
-    focal_35mm: float | None = None
-    orientation: int = 1
-
-    def fov_deg(self, width: int, height: int) -> float | None:
-        """Return the horizontal field of view in degrees of an image of this size in pixels; None if not stated.
-
-        The equivalence is by the diagonal, as the camera industry's CIPA DCG-001 defines it.
-        """
-        if self.focal_35mm is None:
-            return None
-        focal_px = self.focal_35mm * math.hypot(width, height) / _FILM_DIAGONAL_MM
-        return math.degrees(2 * math.atan(width / (2 * focal_px)))
+    image: Float[np.ndarray, "h w 3"]
+    clipped: Bool[np.ndarray, "h w"]
+    seen: Bool[np.ndarray, "h w"] | None = None
+    notes: tuple[Note, ...] = ()
 
 
 def exif_camera(data: bytes, name: str) -> ExifCamera:
@@ -76,17 +71,7 @@ def exif_camera(data: bytes, name: str) -> ExifCamera:
     if data[:8] != _PNG and data[:2] != _JPEG:
         return ExifCamera()
     _check_size(data, name)
-    try:
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(data), formats=("JPEG", "PNG")) as image:
-            exif = image.getexif()
-            orientation = exif.get(ExifTags.Base.Orientation)
-            focal = exif.get_ifd(ExifTags.IFD.Exif).get(ExifTags.Base.FocalLengthIn35mmFilm)
-    except Exception:  # Pillow raises whatever the damaged bytes lead to: SyntaxError, struct.error, KeyError, ...
-        return ExifCamera()
-    return ExifCamera(
-        focal_35mm=float(focal) if isinstance(focal, int) and focal > 0 else None,  # 0 is EXIF's "unknown"
-        orientation=orientation if isinstance(orientation, int) and 1 <= orientation <= 8 else 1,
-    )
+    return read_exif(data)
 
 
 def read_bytes(path: Path) -> bytes:
@@ -100,28 +85,66 @@ def read_bytes(path: Path) -> bytes:
     return data
 
 
+def decode_picture(data: bytes, name: str, *, as_stored: bool = False) -> ColourImage:
+    """Decode a JPEG, PNG, EXR or HDR file to linear RGB by the file's colour space.
+
+    Files of 8 and 16 bits clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless `as_stored`. EXR
+    and HDR are linear and never clip.
+
+    Raises:
+        ImageError: The data does not decode, its header declares more than `MAX_PIXELS`, or its colour space is not
+            read; begins with `name`.
+    """
+    if data[:4] == _EXR:
+        _check_size(data, name)
+        exr = read_exr(data, name)
+        image, alpha, seen = _finite(exr.colour(), name), exr.alpha(), exr.seen
+        if alpha is not None:
+            opaque = alpha >= MIN_ALPHA
+            seen = opaque if seen is None else seen & opaque
+        return ColourImage(image, np.zeros(image.shape[:2], bool), _unless_all(seen))
+    if data[:2] == _HDR:
+        if b"32-bit_rle_xyze" in data[:4096]:
+            raise ImageError(f"{name}: the HDR holds XYZ, which is not read; convert it to RGB")
+        encoded = _decode_with_opencv(data, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
+        image = _finite(np.ascontiguousarray(encoded[..., ::-1], np.float32), name)
+        return ColourImage(image, np.zeros(image.shape[:2], bool))
+    return _decode_encoded(data, name, as_stored=as_stored)
+
+
+def _decode_encoded(data: bytes, name: str, *, as_stored: bool) -> ColourImage:
+    """Decode a JPEG or PNG."""
+    _check_size(data, name)
+    try:
+        tags = read_tags(data, name)
+    except (ValueError, struct.error) as error:
+        raise ImageError(f"{name}: {error}") from error
+    depth = 0 if tags.space.is_srgb else cv2.IMREAD_ANYDEPTH
+    encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION | depth)
+    rgb = np.ascontiguousarray(encoded[..., ::-1])
+    clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
+    notes = tags.notes
+    if tags.profile is not None:
+        source = Image.open(io.BytesIO(data)) if _is_cmyk(data) else rgb
+        converted, more = profile_to_srgb8(source, tags.profile, name)
+        rgb, notes = rgb if converted is None else converted, notes + more
+    image = srgb8_to_linear(rgb) if tags.space.is_srgb else tags.space.to_linear(rgb)
+    seen = _opaque(data, name) if tags.alpha else None
+    turn = 1 if as_stored else tags.exif.orientation
+    if turn != 1:
+        image, clipped = oriented(image, turn), oriented(clipped, turn)
+        seen = None if seen is None else oriented(seen, turn)
+    elif tags.exif.orientation != 1:
+        notes = (*notes, _unturned(tags, name))
+    return ColourImage(image, clipped, _unless_all(seen), notes)
+
+
 def decode_colour(
     data: bytes, name: str, *, as_stored: bool = False
 ) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
-    """Decode a JPEG, PNG, EXR or HDR file to linear RGB float32 and the mask of clipped pixels.
-
-    8-bit files are sRGB-encoded, clip at `CLIPPED_SRGB8`, and are rotated by their EXIF orientation unless `as_stored`;
-    EXR and HDR are linear and never clip.
-
-    Raises:
-        ImageError: The data does not decode, or its header declares more than `MAX_PIXELS`; begins with `name`.
-    """
-    if data[:4] == _EXR:
-        image = _decode_exr(data, name)
-        return image, np.zeros(image.shape[:2], bool)
-    if data[:2] == _HDR:
-        encoded = _decode_with_opencv(data, name, cv2.IMREAD_ANYDEPTH | cv2.IMREAD_COLOR)
-        image = _finite(np.ascontiguousarray(encoded[..., ::-1], np.float32), name)
-        return image, np.zeros(image.shape[:2], bool)
-    orientation = cv2.IMREAD_IGNORE_ORIENTATION if as_stored else 0
-    encoded = _decode_with_opencv(data, name, cv2.IMREAD_COLOR | orientation)
-    rgb = np.ascontiguousarray(encoded[..., ::-1])
-    return srgb8_to_linear(rgb), np.max(rgb, axis=-1) >= CLIPPED_SRGB8
+    """Decode a file to linear RGB float32 and the mask of clipped pixels; see `decode_picture`. Raises ImageError."""
+    picture = decode_picture(data, name, as_stored=as_stored)
+    return picture.image, picture.clipped
 
 
 def read_colour(path: Path) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"]]:
@@ -129,21 +152,29 @@ def read_colour(path: Path) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray
     return decode_colour(read_bytes(path), str(path))
 
 
-def decode_depth(data: bytes, name: str, *, unit_m: float) -> Float[np.ndarray, "h w"]:
-    """Decode depth in metres (0 = unknown) from a 16-bit PNG in units of `unit_m`, or a float EXR in metres.
+def decode_depth(
+    data: bytes, name: str, *, unit_m: float | None = None, integer_m: float = 0.001
+) -> Float[np.ndarray, "h w"]:
+    """Decode depth in metres (0 = unknown) from a 16-bit PNG or a float EXR.
+
+    Args:
+        data: The file.
+        name: The file in messages.
+        unit_m: Metres of one stored unit, of integers and floats alike; None if nobody states it.
+        integer_m: Metres of one integer unit if `unit_m` is None; floats are metres then.
 
     Raises:
         ImageError: The data does not decode or is not a depth map; the message begins with `name`.
     """
     if data[:4] == _EXR:
-        depth = _decode_exr(data, name)[..., 0]
-        depth[depth >= 65504] = 0.0  # half's largest value and infinity both mean that nothing was hit
-    else:
-        raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
-        if raw.ndim != 2 or raw.dtype != np.uint16:
-            raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
-        depth = raw.astype(np.float32) * np.float32(unit_m)
-        depth[raw == 65535] = 0.0
+        _check_size(data, name)
+        with np.errstate(over="ignore", invalid="ignore"):
+            return clean_depth(read_exr(data, name).depth() * np.float32(1.0 if unit_m is None else unit_m))
+    raw = _decode_with_opencv(data, name, cv2.IMREAD_UNCHANGED)
+    if raw.ndim != 2 or raw.dtype != np.uint16:
+        raise ImageError(f"{name}: depth must be a 16-bit grey PNG, this is {raw.dtype} with shape {raw.shape}")
+    depth = raw.astype(np.float32) * np.float32(integer_m if unit_m is None else unit_m)
+    depth[raw == 65535] = 0.0
     return clean_depth(depth)
 
 
@@ -206,24 +237,71 @@ def write_png(path: Path, image: Shaped[np.ndarray, "h w *c"]) -> None:
 
 def _decode_with_opencv(data: bytes, name: str, flags: int) -> Shaped[np.ndarray, "h w *c"]:
     width, height = _check_size(data, name)
+    if data[:2] == _JPEG and check_jpeg(data, name) is None:
+        data = _ended(data, name)
     try:
         image = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
     except cv2.error as error:
         raise ImageError(f"{name}: does not decode ({error.err})") from error
     if image is None:  # pyright: ignore[reportUnnecessaryComparison]  (OpenCV's own stub leaves the None out)
         raise ImageError(f"{name}: does not decode; the file is truncated or damaged")
-    if image.shape[:2] not in ((height, width), (width, height)):  # EXIF may rotate it by 90 degrees
+    if image.shape[:2] != (height, width):
         raise ImageError(f"{name}: its header says {width} x {height} but {image.shape[1]} x {image.shape[0]} decoded")
     return image
 
 
+def _ended(data: bytes, name: str) -> bytes:
+    """Add the end mark to a JPEG that lacks it.
+
+    Where scan data is missing, the decoder consumes what is put in its place and the last pixels depend on it.
+
+    Raises:
+        ImageError: Scan data is missing too: the file is truncated.
+    """
+    pictures: list[bytes] = []
+    for filler in (b"\x00", b"\x5b"):
+        try:
+            with Image.open(io.BytesIO(data + filler * 4096 + b"\xff\xd9"), formats=("JPEG",)) as image:
+                pictures.append(image.tobytes())
+        except Exception as error:  # as of damaged EXIF, whatever the bytes lead to
+            raise ImageError(f"{name}: the JPEG ends before its end mark; the file is truncated") from error
+    if pictures[0] != pictures[1]:
+        raise ImageError(f"{name}: the JPEG ends before its end mark; the file is truncated")
+    return data + b"\xff\xd9"
+
+
+def _opaque(data: bytes, name: str) -> Bool[np.ndarray, "h w"]:
+    """Return where a PNG is opaque, for every way in which PNG stores alpha."""
+    try:
+        with Image.open(io.BytesIO(data), formats=("PNG",)) as image:
+            alpha = np.asarray(image.convert("RGBA").getchannel("A"))
+    except Exception as error:  # Pillow raises whatever the damaged bytes lead to
+        raise ImageError(f"{name}: its alpha does not decode ({error})") from error
+    return alpha >= 255 * MIN_ALPHA
+
+
+def _unless_all(seen: Bool[np.ndarray, "h w"] | None) -> Bool[np.ndarray, "h w"] | None:
+    return None if seen is None or seen.all() else seen
+
+
+def _is_cmyk(data: bytes) -> bool:
+    if data[:2] != _JPEG:
+        return False
+    with Image.open(io.BytesIO(data), formats=("JPEG",)) as image:
+        return image.mode == "CMYK"
+
+
+def _unturned(tags: ImageTags, name: str) -> Note:
+    return Note(
+        f"{name}: EXIF orientation {tags.exif.orientation}",
+        "pixels are read as stored, which is what intrinsics and depth refer to",
+        "rotate the images, and their intrinsics and poses, if the poses are for upright images",
+    )
+
+
 def _check_size(data: bytes, name: str) -> tuple[int, int]:
-    """Read (width, height) from the header. Raises ImageError above `MAX_PIXELS` and beyond `image_limits`."""
-    if data[:8] == _PNG:
-        check_png(data, name)
-    elif data[:2] == _JPEG:
-        check_jpeg(data, name)
-    width, height = _exr_size(data, name) if data[:4] == _EXR else peek_size(data, name)
+    """Read (width, height) from the header. Raises ImageError above `MAX_PIXELS` and the limits of JPEG and PNG."""
+    width, height = exr_size(data, name) if data[:4] == _EXR else peek_size(data, name)
     if width < 1 or height < 1 or width * height > MAX_PIXELS:
         raise ImageError(f"{name}: its header says {width} x {height} pixels; up to {MAX_PIXELS} in all are read")
     return width, height
@@ -238,12 +316,11 @@ def peek_size(data: bytes, name: str) -> tuple[int, int]:
     try:
         if data[:8] == _PNG:
             width, height = struct.unpack(">II", data[16:24])
-            if data[-12:-4] != b"\x00\x00\x00\x00IEND":
+            if check_png(data, name) is None:
                 raise ImageError(f"{name}: the PNG ends before its end mark; the file is truncated")
             return width, height
         if data[:2] == _JPEG:
-            if b"\xff\xd9" not in data[-64:]:
-                raise ImageError(f"{name}: the JPEG ends before its end mark; the file is truncated")
+            check_jpeg(data, name)
             return _jpeg_size(data, name)
         if data[:2] == _HDR:
             line = data[data.index(b"\n\n") + 2 :].split(b"\n", 1)[0].split()
@@ -268,45 +345,6 @@ def _jpeg_size(data: bytes, name: str) -> tuple[int, int]:
             return width, height
         offset += 2 + length
     raise ImageError(f"{name}: the JPEG has more than {MAX_JPEG_SEGMENTS} segments before its size")
-
-
-def _exr_size(data: bytes, name: str) -> tuple[int, int]:
-    at = data.find(b"dataWindow\x00box2i\x00", 0, 65536)
-    if at < 0 or len(data) < at + 17 + 20:
-        raise ImageError(f"{name}: the EXR header has no data window; the file is truncated or damaged")
-    x0, y0, x1, y1 = struct.unpack("<iiii", data[at + 21 : at + 37])
-    return x1 - x0 + 1, y1 - y0 + 1
-
-
-def _decode_exr(data: bytes, name: str) -> Float[np.ndarray, "h w 3"]:
-    """Decode an EXR to RGB float32 (a single channel is repeated); NaN and negative values become 0."""
-    width, height = _check_size(data, name)
-    path = Path(name)
-    own_copy = None
-    if not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
-        handle, own_name = tempfile.mkstemp(suffix=".exr")
-        os.close(handle)
-        own_copy = path = Path(own_name)
-        own_copy.write_bytes(data)
-    try:
-        with OpenEXR.File(str(path)) as file:
-            channels = {key: np.asarray(channel.pixels) for key, channel in file.channels().items()}
-    except Exception as error:  # the binding raises bare RuntimeError, ValueError or Iex's own by version
-        raise ImageError(f"{name}: the EXR does not decode ({error})") from error
-    finally:
-        if own_copy is not None:
-            own_copy.unlink(missing_ok=True)
-    if any(pixels.shape[:2] != (height, width) or pixels.dtype.kind not in "fu" for pixels in channels.values()):
-        raise ImageError(f"{name}: the EXR is deep, subsampled or damaged; plain half or float channels are read")
-    for key in ("RGB", "RGBA"):
-        if key in channels:
-            return _finite(np.ascontiguousarray(channels[key][..., :3], np.float32), name)
-    if {"R", "G", "B"} <= channels.keys():
-        return _finite(np.stack([channels[key] for key in "RGB"], axis=-1).astype(np.float32), name)
-    if len(channels) >= 1:
-        only = channels.get("Y", channels.get("Z", channels.get("R", next(iter(channels.values())))))
-        return _finite(np.repeat(only[..., None], 3, axis=-1).astype(np.float32), name)
-    raise ImageError(f"{name}: the EXR has no channel")
 
 
 def _finite(image: Float[np.ndarray, "h w 3"], name: str) -> Float[np.ndarray, "h w 3"]:

@@ -12,8 +12,9 @@ from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import FrameError, ImageError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
+from roomlight.imaging.exif import oriented
 from roomlight.placement import point_at_pixel
-from roomlight_cli.photo import DEFAULT_FOV_DEG, light_photo, oriented, photo_positions, read_photo
+from roomlight_cli.photo import DEFAULT_FOV_DEG, light_photo, photo_positions, read_photo
 from rooms import BoxRoom, camera_at
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

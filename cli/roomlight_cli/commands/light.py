@@ -8,7 +8,7 @@ from rich.markup import escape
 
 from roomlight.engine.session import choose_graphs, warm_up
 from roomlight_cli import arguments
-from roomlight_cli.console import err, out, say
+from roomlight_cli.console import err, out, print_notes, say
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.photo import DepthOrientation, Photo, PhotoLight, light_photo, photo_positions, read_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
@@ -89,6 +89,7 @@ def light(
     photo = read_photo(image, depth, fov_deg=fov, depth_unit_m=depth_unit, depth_orientation=depth_orientation)
     positions = photo_positions(photo.frame, positions, pixels, above_m=above)
     graphs = choose_graphs(options)
+    print_notes(photo.notes)
     _print_field_of_view(photo)
     with err.status("estimating the light"):
         warm_up()

@@ -13,7 +13,7 @@ from rich.table import Table
 
 from roomlight.errors import RoomLightError
 from roomlight_cli import arguments
-from roomlight_cli.console import err, out, say
+from roomlight_cli.console import err, out, print_notes, say
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.probe_notes import percent, probe_warnings
 from roomlight_cli.server_options import Token, recovery_line
@@ -145,6 +145,7 @@ def _print_result(tally: Tally, options: StreamOptions) -> None:
         say(f"  {name}: {value}")
     for warning in probe_warnings(tally.light.coverage) if tally.light else ():
         out.print(f"  [yellow]warning:[/] {escape(warning)}", soft_wrap=True)
+    print_notes(tally.notes)
     for reason in tally.reasons:
         err.print(f"[yellow]refused[/] {escape(reason)}", soft_wrap=True)
     if options.keep and tally.session_id:

@@ -238,6 +238,7 @@ def _report(
         ],
         "interpolated": interpolated,
         "skipped": [asdict(s) for s in capture.skipped] + unusable,
+        "notes": [asdict(note) for note in capture.notes],
     }
 
 

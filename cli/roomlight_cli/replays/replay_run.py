@@ -7,7 +7,8 @@ import typer
 from rich.markup import escape
 
 from roomlight.engine.session import warm_up
-from roomlight_cli.console import err, out, progress_bars, say
+from roomlight.notes import Note
+from roomlight_cli.console import err, out, print_notes, progress_bars, say
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.remote_replay import replay_through
@@ -57,6 +58,7 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
 
 
 def _print_result(folder: Path, report: dict[str, Any]) -> None:
+    print_notes(Note(**note) for note in report.get("notes", ()))
     stages = report["stage_ms_median"]
     say(
         _count(len(report["frames"]), "frame")

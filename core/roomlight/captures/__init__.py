@@ -6,7 +6,7 @@ RoomLight's conventions: world y up, camera x right, y up, z backward, camera-to
 """
 
 from roomlight.captures.capture import Capture, ProbeTruth, SkippedFrame
-from roomlight.captures.native import CaptureWriter
+from roomlight.captures.formats.native import CaptureWriter
 from roomlight.captures.opening import FORMATS, open_capture
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.stray_writer import RecordedFrame, write_stray_scanner

@@ -12,14 +12,16 @@ from pathlib import Path
 from typing import Final, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
+from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid, rigid_inverse
 from roomlight.captures.options import CameraConvention, CaptureOptions, PoseDirection, up_vector
+from roomlight.captures.times import timeline
 from roomlight.conventions import OPENCV_TO_OPENGL, rotation_to_y_up
 from roomlight.errors import CaptureError, FrameError, ImageError, RoomLightError
-from roomlight.frame import Frame
-from roomlight.images import read_panorama
+from roomlight.frame import Frame, hidden
+from roomlight.images import ColourImage, read_panorama
+from roomlight.notes import Note
 
 DEPTH_MEDIAN_M: Final = (0.01, 100.0)
 """Allowed range of the median known depth. Rooms lie inside; a wrong unit (factor 1000) falls outside."""
@@ -67,16 +69,14 @@ class PoseConventions:
 
 @dataclass(frozen=True)
 class RawFrame:
-    """One record as stored: image decoded to linear RGB, depth in metres, pose in the file's conventions."""
+    """One record as stored: picture decoded to linear RGB, depth in metres, pose in the file's conventions."""
 
     name: str
-    image: Float[np.ndarray, "h w 3"]
-    clipped: Bool[np.ndarray, "h w"]
+    picture: ColourImage
     depth_m: Float[np.ndarray, "dh dw"]
     depth_name: str
     intrinsics: Intrinsics
     pose: Float[np.ndarray, "4 4"]
-    timestamp_s: float | None = None
     confidence: UInt8[np.ndarray, "ch cw"] | None = None
 
 
@@ -95,13 +95,14 @@ class Reader(Protocol):
     conventions: PoseConventions
     count: int
     probes: list[RawProbe]
+    notes: list[Note]
 
     def name_of(self, index: int) -> str:
         """Return the file to name when record `index` fails."""
         ...
 
-    def timestamps_s(self) -> list[float]:
-        """Return the times of all records, for the frame rate; empty when the format stores none."""
+    def timestamps(self) -> list[float | None]:
+        """Return the time of each record as stored, None where it has none; empty when the format stores none."""
         ...
 
     def records(self) -> AbstractContextManager[ReadRecord]:
@@ -122,6 +123,11 @@ class Capture:
         frames_per_second: The rate of the selected records by their timestamps; None without timestamps.
         probes: Ground-truth panoramas that come with the capture.
         skipped: Records that the latest iteration has skipped so far, each with its file and reason.
+
+    Example:
+        capture = open_capture("my-recording")
+        frames = list(capture)
+        print(*capture.notes, *capture.skipped, sep="\n")
     """
 
     def __init__(self, path: Path, reader: Reader, options: CaptureOptions) -> None:
@@ -140,11 +146,15 @@ class Capture:
         self._pose_direction = options.pose_direction or conventions.pose
         up = up_vector(options.world_up) if options.world_up is not None else conventions.world_up
         self._to_y_up = rotation_to_y_up(np.array(up, np.float64))
+        self._up_is_assumed, self._first_pose, self._noted = options.world_up is None, True, set[str]()
         self._min_confidence = 1 if options.min_confidence is None else options.min_confidence
         if reader.count == 0:
             raise CaptureError(f"{path}: has no frames")
         selected = range(0, reader.count, options.every)
         self._indices = selected if options.max_frames is None else selected[: options.max_frames]
+        stored = reader.timestamps()
+        self._timeline = timeline(stored or [None] * reader.count, str(path))
+        self._notes = dict.fromkeys([*reader.notes, *self._timeline.notes])
         self.probes = tuple(
             ProbeTruth(position=_tuple3(self._to_y_up[:3, :3] @ position), panorama_path=panorama)
             for position, panorama in reader.probes
@@ -158,10 +168,13 @@ class Capture:
     @property
     def frames_per_second(self) -> float | None:
         """Rate of the selected records by the median step between timestamps; None without timestamps."""
-        times = np.array(self._reader.timestamps_s(), np.float64)
-        steps = np.diff(times[np.isfinite(times)])
-        step = float(np.median(steps)) if steps.size else 0.0
-        return 1.0 / (step * self._options.every) if step > 1e-6 else None
+        step_s = self._timeline.step_s
+        return None if step_s is None else 1.0 / (step_s * self._options.every)
+
+    @property
+    def notes(self) -> tuple[Note, ...]:
+        """What the files state and was left out, guessed or changed, as far as they have been read."""
+        return tuple(self._notes)
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames in order. `Frame.index` is the record's index: every = 10 yields 0, 10, 20, ...
@@ -204,16 +217,26 @@ class Capture:
         name = self._reader.name_of(index)
         try:
             raw = read(index)
-            return Frame(
+            picture, depth_m = raw.picture, self._checked_depth(raw)
+            image = picture.image
+            if picture.seen is not None:
+                image, depth_m = hidden(image, depth_m, picture.seen)
+                if not depth_m.any():
+                    raise FrameError(f"{raw.name}: no pixel that is seen has a known depth")
+            pose = check_rigid(raw.pose)
+            frame = Frame(
                 index=index,
-                image=raw.image,
-                clipped=raw.clipped,
-                depth_m=self._checked_depth(raw),
+                image=image,
+                clipped=picture.clipped,
+                depth_m=depth_m,
                 intrinsics=raw.intrinsics,
-                camera_to_world=self._to_conventions(raw.pose),
-                timestamp_s=raw.timestamp_s,
+                camera_to_world=self._to_conventions(pose),
+                timestamp_s=self._timeline.times_s[index],
                 source=raw.name,
+                seen=picture.seen,
             )
+            self._take_notes(raw, pose, frame)
+            return frame
         except FrameError:
             raise
         except RoomLightError as error:
@@ -221,9 +244,22 @@ class Capture:
         except (ValueError, OverflowError) as error:
             raise FrameError(f"{name}: {error}") from error
 
+    def _take_notes(self, raw: RawFrame, pose: Float[np.ndarray, "4 4"], frame: Frame) -> None:
+        """Keep the notes of a frame, one for all frames of a kind: the first frame's file stands for the others."""
+        for note in raw.picture.notes:
+            kind = note.left_out.replace(raw.name, "")
+            if kind not in self._noted:
+                self._noted.add(kind)
+                self._notes[note] = None
+        if self._first_pose:
+            self._first_pose = False
+            upward = float(-frame.camera_to_world[1, 2])
+            if np.abs(pose[:3, :3] - np.eye(3)).max() < 0.02 and abs(upward) > 0.99 and self._up_is_assumed:
+                self._notes[_lying_camera(frame.source, self._camera_convention, upward)] = None
+
     def _to_conventions(self, pose: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "4 4"]:
-        """Convert a stored pose to camera-to-world with OpenGL camera axes in a y-up world."""
-        rigid = check_rigid(pose)
+        """Convert a stored, rigid pose to camera-to-world with OpenGL camera axes in a y-up world."""
+        rigid = pose
         if self._pose_direction == "world-to-camera":
             rigid = rigid_inverse(rigid)
         if self._camera_convention == "opencv":
@@ -257,6 +293,17 @@ class Capture:
                 "min_confidence sets the threshold"
             )
         return trusted
+
+
+def _lying_camera(name: str, convention: str, upward: float) -> Note:
+    """Make the note for a world that is the first camera's: of a tracker that knows no gravity."""
+    up = "y" if convention == "opengl" else "-y"
+    return Note(
+        f"{name}: the first pose is the identity, so that the camera looks straight {'up' if upward > 0 else 'down'} "
+        "in the world that the format assumes",
+        "the panorama may be turned by 90 degrees",
+        f"state world_up (--world-up {up} if the first camera was held level)",
+    )
 
 
 def _tuple3(values: Float[np.ndarray, "3"]) -> tuple[float, float, float]:

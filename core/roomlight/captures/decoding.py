@@ -1,48 +1,93 @@
 """Depth, confidence and pinhole parameters as the phone and robot formats store them. Metres and pixels."""
 
 import io
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
 from roomlight.camera import Intrinsics
-from roomlight.captures.source import FolderSource
+from roomlight.captures.source import FolderSource, Source
 from roomlight.depth import clean_depth
 from roomlight.errors import ImageError
-from roomlight.images import MAX_PIXELS, decode_colour, decode_depth, decode_grey8
+from roomlight.images import MAX_PIXELS, ColourImage, decode_depth, decode_grey8, decode_picture, peek_size
+
+
+@dataclass(frozen=True)
+class Rgbd:
+    """One record's picture and its depth in metres (0 = unknown)."""
+
+    picture: ColourImage
+    depth_m: Float[np.ndarray, "dh dw"]
 
 
 def read_rgbd(
-    source: FolderSource, colour_name: str, depth_name: str, *, unit_m: float
-) -> tuple[Float[np.ndarray, "h w 3"], Bool[np.ndarray, "h w"], Float[np.ndarray, "dh dw"]]:
-    """Read one record's linear image, its mask of clipped pixels and its depth in metres (0 = unknown)."""
-    image, clipped = decode_colour(source.read(colour_name), source.label(colour_name))
-    depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m)
-    return image, clipped, depth_m
+    source: FolderSource, colour_name: str, depth_name: str, *, unit_m: float | None, integer_m: float = 0.001
+) -> Rgbd:
+    """Read one record's picture, as stored, and its depth; units as `decode_depth_map` takes them."""
+    picture = read_picture(source, colour_name)
+    depth_m = decode_depth_map(source.read(depth_name), source.label(depth_name), unit_m=unit_m, integer_m=integer_m)
+    return Rgbd(picture, depth_m)
 
 
-def decode_depth_map(data: bytes, label: str, *, unit_m: float) -> Float[np.ndarray, "h w"]:
-    """Decode depth in metres (0 = unknown) from 16-bit PNG or .npy in units of `unit_m`, or float EXR in metres.
+def read_picture(source: Source, name: str) -> ColourImage:
+    """Read a picture with its pixels as stored: intrinsics, depth and masks refer to them."""
+    return decode_picture(source.read(name), source.label(name), as_stored=True)
+
+
+def read_mask(source: Source, name: str) -> Bool[np.ndarray, "h w"]:
+    """Read a mask: pixels of 0 are not seen. Raises FrameError and ImageError."""
+    data = source.read(name)
+    decoded = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if peek_size(data, name) else None
+    if decoded is None:
+        raise ImageError(f"{source.label(name)}: the mask does not decode")
+    mask = np.asarray(decoded)
+    return (mask if mask.ndim == 2 else mask[..., :3].max(axis=-1)) > 0
+
+
+def with_mask(picture: ColourImage, mask: Bool[np.ndarray, "mh mw"]) -> ColourImage:
+    """Return the picture without the pixels where a mask of any size is False."""
+    height, width = picture.image.shape[:2]
+    seen = cv2.resize(mask.astype(np.uint8), (width, height), interpolation=cv2.INTER_NEAREST) > 0
+    return replace(picture, seen=seen if picture.seen is None else seen & picture.seen)
+
+
+def decode_depth_map(
+    data: bytes, label: str, *, unit_m: float | None, integer_m: float = 0.001
+) -> Float[np.ndarray, "h w"]:
+    """Decode depth in metres (0 = unknown) from a 16-bit PNG, a .npy or an EXR.
+
+    Args:
+        data: The file.
+        label: The file in messages.
+        unit_m: Metres of one stored unit in files of every kind, as the user or the index states it; None: integers
+            are in `integer_m`, floats in metres.
+        integer_m: Metres of one unit of integers that nobody states.
 
     Raises:
         ImageError: The data is damaged, too large or no depth map; the message begins with `label`.
     """
     if data[:6] != b"\x93NUMPY":
-        return decode_depth(data, label, unit_m=unit_m)
+        return decode_depth(data, label, unit_m=unit_m, integer_m=integer_m)
     stream = io.BytesIO(data)
     try:
         version = np.lib.format.read_magic(stream)
         read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, dtype = read_header(stream, max_header_size=4096)
-        if len(shape) != 2 or dtype.kind not in "uif" or not 0 < shape[0] * shape[1] <= MAX_PIXELS:
+        size = [length for length in shape if length != 1] if len(shape) > 2 else list(shape)
+        if len(size) != 2 or dtype.kind not in "uif" or not 0 < size[0] * size[1] <= MAX_PIXELS:
             raise ImageError(f"{label}: depth must be an array [h, w] of numbers, this is {dtype} {shape}")
         stream.seek(0)
-        depth = np.load(stream, allow_pickle=False)
+        depth = np.load(stream, allow_pickle=False).reshape(size)
     except (ValueError, EOFError, SyntaxError, OSError, TypeError) as error:
         raise ImageError(f"{label}: the .npy file is damaged ({error})") from error
+    default_m = 1.0 if dtype.kind == "f" else integer_m
     with np.errstate(over="ignore", invalid="ignore"):
-        return clean_depth((depth.astype(np.float64) * unit_m).astype(np.float32))
+        metres = (depth.astype(np.float64) * (default_m if unit_m is None else unit_m)).astype(np.float32)
+    if dtype == np.uint16:
+        metres[depth == 65535] = 0.0
+    return clean_depth(metres)
 
 
 def decode_confidence(data: bytes, label: str) -> UInt8[np.ndarray, "h w"]:
@@ -71,34 +116,3 @@ def intrinsics_without_size(
             "the intrinsics are for another size"
         )
     return Intrinsics(float(matrix[0, 0]), float(matrix[1, 1]), cx, cy, width, height)
-
-
-def undistorted(
-    images: list[tuple[np.ndarray, int]], intrinsics: Intrinsics, *, coefficients: list[float], fisheye: bool
-) -> tuple[list[np.ndarray], Intrinsics]:
-    """Remove lens distortion from images of one view, each given with its OpenCV interpolation.
-
-    The new camera is cropped to pixels that the old one saw: black padding would count as measured darkness.
-    Images may differ in size; each uses K scaled to its own size.
-    """
-    size = (intrinsics.width, intrinsics.height)
-    distortion = np.array(coefficients, np.float64)
-    matrix = _opencv_matrix(intrinsics)
-    if fisheye:
-        new = cv2.fisheye.estimateNewCameraMatrixForUndistortRectify(matrix, distortion, size, np.eye(3), balance=0.0)
-    else:
-        new, _ = cv2.getOptimalNewCameraMatrix(matrix, distortion, size, 0)
-    straight = Intrinsics(float(new[0, 0]), float(new[1, 1]), float(new[0, 2]) + 0.5, float(new[1, 2]) + 0.5, *size)
-    results: list[np.ndarray] = []
-    for image, interpolation in images:
-        height, width = image.shape[:2]
-        old_k, new_k = (_opencv_matrix(camera.resized(width, height)) for camera in (intrinsics, straight))
-        build = cv2.fisheye.initUndistortRectifyMap if fisheye else cv2.initUndistortRectifyMap
-        columns, rows = build(old_k, distortion, np.eye(3), new_k, (width, height), cv2.CV_32FC1)
-        results.append(cv2.remap(image, columns, rows, interpolation, borderMode=cv2.BORDER_REPLICATE))
-    return results, straight
-
-
-def _opencv_matrix(camera: Intrinsics) -> Float[np.ndarray, "3 3"]:
-    """Return K with pixel centres at whole numbers, as OpenCV expects."""
-    return np.array([[camera.fx, 0, camera.cx - 0.5], [0, camera.fy, camera.cy - 0.5], [0, 0, 1]], np.float64)

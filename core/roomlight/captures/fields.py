@@ -5,6 +5,8 @@ shorter here: a bad frame must not refuse the capture, so that every entry is ch
 the same checks serve CSV and text files.
 """
 
+import codecs
+import csv
 import json
 import math
 from collections.abc import Generator, Mapping
@@ -31,7 +33,7 @@ def naming(label: str, error: type[CaptureError] | type[FrameError]) -> Generato
 def parse_json(data: bytes, label: str) -> dict[str, Any]:
     """Parse a JSON object. Raises CaptureError, which says where the JSON breaks."""
     try:
-        value: Any = json.loads(data)
+        value: Any = json.loads(data.removeprefix(codecs.BOM_UTF8))
     except RecursionError as error:
         raise CaptureError(f"{label}: the JSON is nested too deeply to be a capture's index") from error
     except ValueError as error:  # JSONDecodeError, UnicodeDecodeError, integers of thousands of digits
@@ -42,11 +44,38 @@ def parse_json(data: bytes, label: str) -> dict[str, Any]:
 
 
 def parse_text(data: bytes, label: str) -> list[str]:
-    """Split a UTF-8 text file into lines. Raises CaptureError for bytes that are not text."""
+    """Split a text file into lines. UTF-8, and UTF-16 with its mark; other bytes are Latin-1, as in old comments.
+
+    Raises:
+        CaptureError: The bytes are not text.
+    """
+    data = data.removeprefix(codecs.BOM_UTF8)
+    if b"\0" in data and data[:2] not in (b"\xff\xfe", b"\xfe\xff"):
+        raise CaptureError(f"{label}: is not text (a zero at byte {data.index(0)})")
     try:
-        return data.decode("utf-8").splitlines()
-    except UnicodeDecodeError as error:
-        raise CaptureError(f"{label}: is not text ({error.reason} at byte {error.start})") from error
+        return data.decode("utf-16" if data[:2] in (b"\xff\xfe", b"\xfe\xff") else "utf-8").splitlines()
+    except UnicodeDecodeError:
+        return data.decode("latin-1").splitlines()
+
+
+def parse_table(data: bytes, label: str) -> list[list[str]]:
+    """Split a CSV file into rows of values, without empty rows.
+
+    Values are separated by commas, or by semicolons or tabs as spreadsheet programs of other countries write them; with
+    these a comma is a decimal point. Quotes around values are removed. Raises CaptureError for bytes that are not text.
+    """
+    lines = [line for line in parse_text(data, label) if line.strip()]
+    head = lines[0] if lines else ""
+    separator = next((mark for mark in ("\t", ";") if mark in head), ",")
+    try:
+        rows = [
+            [value.strip() for value in row] for row in csv.reader(lines, delimiter=separator, skipinitialspace=True)
+        ]
+    except csv.Error as error:
+        raise CaptureError(f"{label}: is not a table ({error})") from error
+    if separator != ",":
+        rows = [[value.replace(",", ".") for value in row] for row in rows]
+    return rows
 
 
 def number(value: object, what: str) -> float:
@@ -125,6 +154,11 @@ def objects(value: object, what: str) -> list[dict[str, Any]]:
     return [item if isinstance(item, dict) else {} for item in value]
 
 
+def flag(value: object) -> bool:
+    """Return whether a flag is set, as JSON, numbers or words state it."""
+    return value.strip().lower() in ("true", "1", "yes") if isinstance(value, str) else value is True or value == 1
+
+
 def unit(value: object, what: str) -> float:
     """Check for a length unit in metres: from a nanometre to a kilometre."""
     result = positive(value, what)
@@ -144,7 +178,7 @@ def first_of(entry: Mapping[str, Any], shared: Mapping[str, Any], *keys: str) ->
 
 def numbers_of_line(line: str, count: int, what: str) -> list[float]:
     """Parse the first `count` numbers of a line, separated by blanks or commas; NaN and infinity pass."""
-    parts = line.replace(",", " ").split()
+    parts = (line.replace(",", ".").replace(";", " ") if ";" in line else line.replace(",", " ")).split()
     if len(parts) < count:
         raise ValueError(f"{what} has {len(parts)} values where {count} are needed: {_short(line)}")
     try:

@@ -6,16 +6,16 @@ from itertools import islice
 from pathlib import Path
 from typing import Final
 
-from roomlight.captures import native, nerfstudio, record3d, stray_scanner
 from roomlight.captures.capture import Capture, Reader
-from roomlight.captures.native import NativeReader
-from roomlight.captures.nerfstudio import NerfstudioReader
+from roomlight.captures.formats import native, nerfstudio, record3d, stray_scanner
+from roomlight.captures.formats.native import NativeReader
+from roomlight.captures.formats.nerfstudio import NerfstudioReader
+from roomlight.captures.formats.record3d import Record3DReader
+from roomlight.captures.formats.seven_scenes import SevenScenesReader
+from roomlight.captures.formats.stray_scanner import StrayScannerReader
+from roomlight.captures.formats.tum import TumReader
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.record3d import Record3DReader
-from roomlight.captures.seven_scenes import SevenScenesReader
-from roomlight.captures.source import ZipSource
-from roomlight.captures.stray_scanner import StrayScannerReader
-from roomlight.captures.tum import TumReader
+from roomlight.captures.source import FolderSource, ZipSource
 from roomlight.errors import CaptureError, OptionError, UnknownFormatError
 
 _READERS: Final[dict[str, Callable[[Path, CaptureOptions], Reader]]] = {
@@ -37,6 +37,8 @@ _SIGNS: Final = (
 )
 
 _IMAGES: Final = (".jpg", ".jpeg", ".png", ".exr")
+_NESTED: Final = 3
+"""Folders above a capture's own that are opened."""
 _LISTED: Final = 1000
 """Most files of a folder that are looked at for a message."""
 
@@ -44,7 +46,8 @@ _LISTED: Final = 1000
 def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Capture:
     """Open a capture for reading: its index is read and checked, no image is decoded.
 
-    `path` is the capture's folder, its `.r3d` file, or its index (`transforms.json`, `capture.json`).
+    `path` is the capture's folder, a folder that holds nothing but it, its `.r3d` file, or its index
+    (`transforms.json`, `capture.json`).
 
     Raises:
         OptionError: `options.format` is not one of `FORMATS`.
@@ -60,6 +63,8 @@ def open_capture(path: str | Path, options: CaptureOptions | None = None) -> Cap
             raise CaptureError(f"{path}: there is no such file or folder")
         if path.is_file() and path.name in (native.INDEX, nerfstudio.INDEX):
             path = path.parent
+        if chosen.format is None:
+            path = _innermost(path)
         name = chosen.format or _detect(path)
         if path.is_file() and name != "record3d":
             raise CaptureError(f"{path}: is a file; the {name} format is a folder")
@@ -72,7 +77,9 @@ def _detect(path: Path) -> str:
     """Return the format's name by the files in the folder or the archive. Raises UnknownFormatError."""
 
     def has(*names: str) -> bool:
-        return any((path / name).exists() or (path / name).is_symlink() for name in names)
+        return any(source.has(name) for name in names)
+
+    source = FolderSource(path)
 
     if path.is_file():
         if path.suffix.lower() == ".r3d":
@@ -96,6 +103,34 @@ def _detect(path: Path) -> str:
     )
 
 
+def _innermost(path: Path) -> Path:
+    """Return the capture's folder: `path`, or the only folder of captures below it, as archives unpack to.
+
+    Raises:
+        UnknownFormatError: Several folders below it hold captures.
+    """
+    for _ in range(_NESTED):
+        if not path.is_dir() or _is_capture(path):
+            return path
+        inner = [one for one in islice(sorted(path.iterdir()), _LISTED) if one.is_dir() and one.name[0] not in "._"]
+        captures = [one for one in inner if _is_capture(one)]
+        if len(captures) > 1:
+            listed = ", ".join(one.name for one in captures[:6])
+            raise UnknownFormatError(f"{path}: holds {len(captures)} captures ({listed}); open one of them")
+        if not captures and len(inner) != 1:
+            return path
+        path = captures[0] if captures else inner[0]
+    return path
+
+
+def _is_capture(path: Path) -> bool:
+    try:
+        _detect(path)
+    except UnknownFormatError:
+        return False
+    return True
+
+
 def _bare_images(path: Path) -> str:
     """Return what images without an index lack, as a sentence; empty if the folder holds no image."""
     if not path.is_dir():
@@ -112,11 +147,13 @@ def _bare_images(path: Path) -> str:
 
 def _detect_zip(path: Path) -> str:
     """Return "record3d" if the archive's listing is Record3D's. Raises UnknownFormatError with what it holds."""
-    members = list(ZipSource(path).names())
+    source = ZipSource(path)
+    members = list(source.names())
     for index, folder in record3d.LAYOUTS:
         if index in members and any(name.startswith(f"{folder}/") for name in members):
             return "record3d"
     top = sorted({f"{name.split('/')[0]}/" if "/" in name else name for name in members})
+    top = [source.prefix] if source.prefix else top
     found = ", ".join(top[:6]) + (f" and {len(top) - 6} more" if len(top) > 6 else "")
     raise UnknownFormatError(
         f"{path}: this zip archive is not a Record3D capture (metadata with rgbd/, or metadata.json with rgb/); "

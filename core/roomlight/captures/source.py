@@ -2,14 +2,20 @@
 
 A path out of the folder, a directory or a pipe in place of a file, or a size over the limit is refused before any byte
 is read, with an error that names the file.
+
+Names come from other systems: a name that is not there as written is looked for with backslashes as slashes, in another
+case, in another normal form of Unicode, and with percent signs decoded. Two files that fit are an error.
 """
 
+import re
 import stat
+import unicodedata
+import urllib.parse
 import zipfile
 import zlib
 from collections.abc import Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 from roomlight.errors import CaptureError, FrameError
@@ -30,6 +36,7 @@ class FolderSource:
     def __init__(self, root: Path) -> None:
         self.root = root
         self._resolved = root.resolve()
+        self._listings: dict[Path, tuple[int, dict[str, list[str]]]] = {}
 
     def opened(self) -> AbstractContextManager[object]:
         """Return an empty context: a folder is not held open."""
@@ -46,11 +53,10 @@ class FolderSource:
             FrameError: There is no such file, it is outside the folder, not a regular file, or over `max_bytes`.
         """
         shown = self.label(name[:300].replace("\0", "\\0"))
-        relative = Path(name.replace("\\", "/"))
-        if not name or "\0" in name or relative.is_absolute():
+        if not name or "\0" in name or re.match(r"[/\\]|[A-Za-z]:[/\\]", name):
             raise FrameError(f"{shown}: not a path inside the capture folder; paths must be relative to it")
         try:
-            full = (self._resolved / relative).resolve()
+            full = (self._resolved / self.actual(name)).resolve()
             if not full.is_relative_to(self._resolved):
                 raise FrameError(
                     f"{shown}: leads out of the capture folder (to {full}); "
@@ -69,16 +75,77 @@ class FolderSource:
     def has(self, name: str) -> bool:
         """Whether the folder has an entry of this name. A broken link counts, so that reading it reports an error."""
         try:
-            path = self.root / name
+            path = self.root / self.actual(name)
             return path.exists() or path.is_symlink()
-        except OSError:
+        except FrameError:  # several files fit; reading it names them
+            return True
+        except (OSError, ValueError):
             return False
+
+    def with_suffix(self, name: str, suffixes: tuple[str, ...]) -> str:
+        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic)."""
+        try:
+            if (self.root / self.actual(name)).is_file() or PurePosixPath(name).suffix.lower() in suffixes:
+                return name
+        except (OSError, ValueError):  # a name too long, a NUL byte; reading it says so
+            return name
+        return next((name + suffix for suffix in suffixes if self.has(name + suffix)), name)
+
+    def actual(self, name: str) -> str:
+        """Return the name as the folder spells it; `name` with forward slashes if there is nothing like it.
+
+        Raises:
+            FrameError: It is spelled otherwise, and several files fit.
+        """
+        name = name.replace("\\", "/")
+        for spelled in dict.fromkeys((name, urllib.parse.unquote(name))):
+            try:
+                path = self.root / spelled
+                if path.exists() or path.is_symlink():
+                    return spelled
+            except (OSError, ValueError):
+                return name
+        for spelled in dict.fromkeys((name, urllib.parse.unquote(name))):
+            found = self._respelled(spelled)
+            if found is not None:
+                return found
+        return name
+
+    def _respelled(self, name: str) -> str | None:
+        """Walk down the folder, each part in any case and normal form."""
+        parts: list[str] = []
+        for part in PurePosixPath(name).parts:
+            folder = self.root.joinpath(*parts)
+            if part == ".." or (folder / part).exists():
+                parts.append(part)
+                continue
+            matches = self._listing(folder).get(_folded(part), [])
+            if len(matches) > 1:
+                raise FrameError(f"{self.label(name)}: is there only as {' and '.join(sorted(matches))}; rename one")
+            if not matches:
+                return None
+            parts.append(matches[0])
+        return "/".join(parts)
+
+    def _listing(self, folder: Path) -> dict[str, list[str]]:
+        """Return the folder's names by their folded form, listed anew when the folder has changed."""
+        try:
+            changed = folder.stat().st_mtime_ns
+            if self._listings.get(folder, (None,))[0] != changed:
+                names: dict[str, list[str]] = {}
+                for entry in folder.iterdir():
+                    names.setdefault(_folded(entry.name), []).append(entry.name)
+                self._listings[folder] = changed, names
+            return self._listings[folder][1]
+        except OSError:
+            return {}
 
     def names(self, folder: str = "") -> Iterator[str]:
         """Yield the names of a folder's entries, as `folder/entry`; none if the folder does not exist."""
         try:
+            folder = self.actual(folder) if folder else folder
             entries = sorted(entry.name for entry in (self.root / folder).iterdir())
-        except OSError:
+        except (OSError, FrameError):
             return
         for entry in entries:
             yield f"{folder}/{entry}" if folder else entry
@@ -96,14 +163,19 @@ class FolderSource:
 
 
 class ZipSource:
-    """A zip archive read in place: nothing is extracted, so that member names cannot write anywhere."""
+    """A zip archive read in place: nothing is extracted, so that member names cannot write anywhere.
+
+    Names are relative to `prefix`, the folder that holds all members: programs that pack a folder again put it there.
+    """
 
     def __init__(self, path: Path) -> None:
         """Read the list of members. Raises CaptureError if the file is not a zip archive."""
         self.root = path
         self._archive: zipfile.ZipFile | None = None
         with self.opened() as archive:
-            self._members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
+            listed = [info for info in archive.infolist() if not info.is_dir() and not _is_litter(info.filename)]
+        self.prefix = _common_folder([info.filename for info in listed])
+        self._members = {info.filename[len(self.prefix) :].replace("\\", "/"): info for info in listed}
 
     @contextmanager
     def opened(self) -> Generator[zipfile.ZipFile]:
@@ -121,7 +193,7 @@ class ZipSource:
 
     def label(self, name: str) -> str:
         """Return the name as messages show it."""
-        return f"{self.root}:{name}"
+        return f"{self.root}:{self.prefix}{name}"
 
     def has(self, name: str) -> bool:
         """Whether the archive has this member."""
@@ -156,6 +228,28 @@ class ZipSource:
 
 
 Source = FolderSource | ZipSource
+
+
+def _folded(name: str) -> str:
+    return unicodedata.normalize("NFC", name).casefold()
+
+
+def _is_litter(name: str) -> bool:
+    """Whether a member is what macOS and Windows add to archives."""
+    parts = name.split("/")
+    return "__MACOSX" in parts or parts[-1] in (".DS_Store", "Thumbs.db", "desktop.ini") or parts[-1].startswith("._")
+
+
+def _common_folder(names: list[str]) -> str:
+    """Return the folder that holds all members, such as `2024-05-01/`; empty if they lie at the top.
+
+    A folder that formats know by name is not taken away.
+    """
+    folders = {name.split("/")[0] if "/" in name else "" for name in names}
+    if len(folders) != 1 or "" in folders or folders & {"rgbd", "rgb", "depth", ".."}:
+        return ""
+    (folder,) = folders
+    return f"{folder}/"
 
 
 def read_index(source: Source, name: str) -> bytes:

@@ -15,7 +15,7 @@ from av.video.stream import VideoStream
 from jaxtyping import Float, UInt8
 
 from roomlight.camera import Intrinsics, check_rigid
-from roomlight.captures.stray_scanner import COLUMNS, MATRIX, MATRIX_SIZE, ODOMETRY, VIDEO
+from roomlight.captures.formats.stray_scanner import COLUMNS, MATRIX, MATRIX_SIZE, ODOMETRY, VIDEO
 from roomlight.conventions import OPENCV_TO_OPENGL
 from roomlight.errors import OutputError
 from roomlight.files import write_atomic

@@ -8,13 +8,18 @@ import av
 import numpy as np
 from av.error import FFmpegError
 from av.video.frame import VideoFrame
-from jaxtyping import UInt8
 
+from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import FrameError
-from roomlight.images import MAX_PIXELS
+from roomlight.frame import CLIPPED_SRGB8
+from roomlight.images import MAX_PIXELS, ColourImage
+from roomlight.imaging.colour_spaces import ColourSpace
+from roomlight.notes import Note
 
 _UNSPECIFIED: Final = 2
-"""FFmpeg's AVCOL_SPC_UNSPECIFIED; read as BT.709, which phones write."""
+"""H.273's code of what is not stated; a matrix that is not stated is read as BT.709's, which phones write."""
+_BT2020_MATRICES: Final = (9, 10)
+_BT2020: Final = 9
 
 
 class VideoFrames:
@@ -63,8 +68,13 @@ class VideoFrames:
         """Number of frames that the container lists."""
         return len(self._number_of)
 
-    def frame(self, number: int) -> UInt8[np.ndarray, "h w 3"]:
-        """Decode a frame to sRGB 8-bit pixels. Raises FrameError if it does not exist or does not decode."""
+    def frame(self, number: int) -> ColourImage:
+        """Decode a frame to linear RGB by the video's colour tags; rotation tags are not applied, as poses refer to the
+        sensor.
+
+        Raises:
+            FrameError: The frame does not exist or does not decode, or its colour space is not read.
+        """
         if number >= self.count:
             raise FrameError(f"{self._label}: has {self.count} frames, so there is no frame {number}")
         if number <= self._at:
@@ -74,7 +84,7 @@ class VideoFrames:
             found = self._number_of.get(frame.pts, -1) if frame.pts is not None else -1
             self._at = max(self._at, found)
             if found == number:
-                return self._rgb(frame, number)
+                return self._picture(frame, number)
             if found > number:  # the wanted frame did not decode; keep this one for a later call
                 self._decoded.insert(0, frame)
                 self._at = number
@@ -96,12 +106,37 @@ class VideoFrames:
                 continue  # this packet is damaged; its frame is missed by its number
         return self._decoded.pop(0) if self._decoded else None
 
-    def _rgb(self, frame: VideoFrame, number: int) -> UInt8[np.ndarray, "h w 3"]:
+    def _picture(self, frame: VideoFrame, number: int) -> ColourImage:
         if frame.is_corrupt or frame.width * frame.height > MAX_PIXELS:
             raise FrameError(f"{self._label}: frame {number} is damaged")
         try:
+            space = _colour_space(frame)
+        except ValueError as error:
+            raise FrameError(f"{self._label}: {error}") from error
+        # HLG and PQ have 10 bits, which 8 would band in the shadows.
+        layout = "rgb24" if space.is_srgb else "rgb48le"
+        try:
             if frame.colorspace == _UNSPECIFIED:
-                frame = frame.reformat(format="rgb24", src_colorspace="ITU709")
-            return np.ascontiguousarray(frame.to_ndarray(format="rgb24"))
+                frame = frame.reformat(format=layout, src_colorspace="ITU709")
+            rgb = np.ascontiguousarray(frame.to_ndarray(format=layout))
         except (FFmpegError, ValueError, MemoryError) as error:
             raise FrameError(f"{self._label}: frame {number} does not convert to RGB ({error})") from error
+        clipped = np.max(rgb, axis=-1) >= CLIPPED_SRGB8 * (1 if rgb.dtype == np.uint8 else 257)
+        notes: tuple[Note, ...] = ()
+        if frame.rotation:
+            rotation = Note(
+                f"{self._label}: its rotation of {frame.rotation} degrees",
+                "frames are read as stored, which is what intrinsics and poses refer to",
+                "rotate the video, and its intrinsics and poses, if they are for upright frames",
+            )
+            notes = (rotation,)
+        image = srgb8_to_linear(rgb) if space.is_srgb else space.to_linear(rgb)
+        return ColourImage(image, clipped, notes=notes)
+
+
+def _colour_space(frame: VideoFrame) -> ColourSpace:
+    """Return the colour space of a frame's tags. Raises ValueError for one that is not read."""
+    primaries = int(frame.color_primaries)
+    if primaries == _UNSPECIFIED and int(frame.colorspace) in _BT2020_MATRICES:
+        primaries = _BT2020
+    return ColourSpace.of_codes(primaries, int(frame.color_trc))

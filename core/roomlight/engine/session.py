@@ -20,7 +20,7 @@ from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
 from roomlight.conventions import NO_FRAME, Position
-from roomlight.depth import complete_depth
+from roomlight.depth import complete_depth, without_unseen
 from roomlight.engine.backend import Backend, ProbeMemory
 from roomlight.engine.classical_backend import ClassicalBackend
 from roomlight.engine.network_backend import NetworkBackend
@@ -213,6 +213,7 @@ class Session:
             sensor_depth_m = frame.depth_m
             rim = self.options.unknown_depth == "rim"
             depth_m = complete_depth(frame.depth_m) if rim else frame.depth_m
+            depth_m = without_unseen(depth_m, frame.seen)
             sensor_clipped = frame.clipped
             frame = restored(frame, depth_m, [mesh for _, mesh in self.meshes], model=self._clipping)
             grid = self._grid or VolumeGrid.from_frame(frame, shape=self._shape)
@@ -222,7 +223,8 @@ class Session:
             self._grid = grid
         assert self._keyframes is not None
         with clock.stage("volume"):
-            far = self.options.unknown_depth != "drop"
+            # after completion only pixels that show nothing are without depth
+            far = self.options.unknown_depth == "far" or (rim and frame.seen is None)
             clipping = clipping_buffer(grid, frame)
             initial_volume(grid, frame, far_unknown=far, out=self._backend.volume_buffer(), clipping=clipping)
         with clock.stage("sglv"):

@@ -11,7 +11,7 @@ import pytest
 from capture_checks import one_skipped
 
 from roomlight.captures import open_capture
-from roomlight.captures.record3d import _declared_size
+from roomlight.captures.formats.record3d import _declared_size
 from roomlight.errors import CaptureError, UnknownFormatError
 
 VIEWS = formats.scene()

@@ -14,8 +14,8 @@ from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.errors import ImageError, ObjectError
-from roomlight.image_limits import check_jpeg, check_png
 from roomlight.images import peek_size
+from roomlight.imaging.limits import check_jpeg, check_png
 
 _PNG, _JPEG = b"\x89PNG\r\n\x1a\n", b"\xff\xd8\xff"
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from roomlight.camera import Intrinsics
-from roomlight.depth import complete_depth
+from roomlight.depth import complete_depth, without_unseen
 from roomlight.engine.backend import Arrays
 from roomlight.engine.options import WORKING_SIZE, SessionOptions
 from roomlight.engine.state.snapshot import KeptFrame
@@ -26,6 +26,7 @@ def base_of_frame(frame: Frame, options: SessionOptions) -> FrameMesh:
     """Make the base from a frame as it was pushed to a session with these options."""
     frame = frame.resized(*WORKING_SIZE)
     depth_m = complete_depth(frame.depth_m) if options.unknown_depth == "rim" else frame.depth_m
+    depth_m = without_unseen(depth_m, frame.seen)
     mesh = FrameMesh(replace(frame, depth_m=depth_m), sensor_depth_m=frame.depth_m)
     mesh.texture = Texture(frame.image)
     return mesh

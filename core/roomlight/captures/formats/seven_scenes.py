@@ -22,6 +22,7 @@ from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.notes import Note
 
 INTRINSICS: Final = "camera-intrinsics.txt"
 GRAVITY: Final = "gravity-direction.txt"
@@ -41,8 +42,9 @@ class SevenScenesReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m or 0.001
+        self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
         found = [match for match in map(_RECORD.fullmatch, self._source.names()) if match]
         self._stems = sorted({match[1] for match in found}, key=lambda stem: int(stem[6:]))
         self._colour = {match[1]: match[0] for match in found if match[2] == "color"}
@@ -61,7 +63,7 @@ class SevenScenesReader:
         stem = self._stems[index]
         return self._source.label(self._colour.get(stem, f"{stem}.color.png"))
 
-    def timestamps_s(self) -> list[float]:
+    def timestamps(self) -> list[float | None]:
         """Return no times: the format stores none."""
         return []
 
@@ -81,14 +83,14 @@ class SevenScenesReader:
             pose = fields.matrix_of_text(pose_data, 4, pose_label)
             if not np.isfinite(pose).all():
                 raise ValueError("the pose holds NaN or infinity (lost tracking)")
-        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
-            intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0])
+            intrinsics = intrinsics_without_size(self._matrix, width=width, height=height)
         return RawFrame(
             name=label,
-            image=image,
-            clipped=clipped,
-            depth_m=depth_m,
+            picture=read.picture,
+            depth_m=read.depth_m,
             depth_name=self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,

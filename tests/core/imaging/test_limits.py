@@ -9,7 +9,8 @@ import pytest
 from slow_images import chunk, jpeg_of_scans, png_of_texts
 
 from roomlight.errors import ImageError
-from roomlight.image_limits import (
+from roomlight.images import decode_colour, decode_grey8, peek_size
+from roomlight.imaging.limits import (
     MAX_JPEG_SCANS,
     MAX_JPEG_SEGMENTS,
     MAX_PNG_CHUNKS,
@@ -17,7 +18,6 @@ from roomlight.image_limits import (
     check_jpeg,
     check_png,
 )
-from roomlight.images import decode_colour, decode_grey8, peek_size
 
 
 def pixels(height=36, width=48):

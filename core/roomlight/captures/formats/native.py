@@ -24,6 +24,7 @@ import json
 import shutil
 from collections.abc import Generator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final
@@ -41,6 +42,7 @@ from roomlight.captures.stray_writer import depth_to_png, encoded
 from roomlight.errors import CaptureError, FrameError, OutputError
 from roomlight.files import write_atomic
 from roomlight.images import write_exr
+from roomlight.notes import Note
 
 INDEX: Final = "capture.json"
 FORMAT: Final = "roomlight-capture"
@@ -61,7 +63,8 @@ class NativeReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m or 0.001
+        self.notes: list[Note] = []
+        self._unit_m = options.depth_unit_m
         self._label = self._source.label(INDEX)
         index = fields.parse_json(read_index(self._source, INDEX), self._label)
         if index.get("format") != FORMAT:
@@ -80,9 +83,9 @@ class NativeReader:
         name = self._frames[index].get("colour")
         return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
 
-    def timestamps_s(self) -> list[float]:
-        """Return the times of the frames that have one."""
-        return [time for frame in self._frames if (time := _time(frame)) is not None]
+    def timestamps(self) -> list[float | None]:
+        """Return the frames' times."""
+        return [_time(frame) for frame in self._frames]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -106,7 +109,10 @@ class NativeReader:
             size = (fields.pixels(lens.get("width"), "width"), fields.pixels(lens.get("height"), "height"))
             intrinsics = Intrinsics(fx, fy, cx, cy, *size)
         label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
-        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        picture = read.picture
+        if exposure != 1.0:
+            picture = replace(picture, image=picture.image / np.float32(exposure))
         confidence = None
         if entry.get("confidence") is not None:
             with fields.naming(where, FrameError):
@@ -114,13 +120,11 @@ class NativeReader:
             confidence = decode_confidence(self._source.read(confidence_name), self._source.label(confidence_name))
         return RawFrame(
             name=label,
-            image=image if exposure == 1.0 else image / np.float32(exposure),
-            clipped=clipped,
-            depth_m=depth_m,
+            picture=picture,
+            depth_m=read.depth_m,
             depth_name=depth_label,
             intrinsics=intrinsics,
             pose=pose,
-            timestamp_s=_time(entry),
             confidence=confidence,
         )
 

@@ -20,10 +20,11 @@ from roomlight.camera import pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
 from roomlight.captures.decoding import intrinsics_without_size, read_rgbd
+from roomlight.captures.formats.seven_scenes import INTRINSICS, read_matrix
 from roomlight.captures.options import CaptureOptions
-from roomlight.captures.seven_scenes import INTRINSICS, read_matrix
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.notes import Note
 
 MAX_GAP_S: Final = 0.02
 """Largest time between a colour image and its depth or pose; cameras and tracker run at 30 and 100 Hz."""
@@ -44,8 +45,9 @@ class TumReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m or 1 / 5000
+        self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
         self._colour = self._stream("rgb.txt")
         self._depth = self._stream("depth.txt")
         self._poses = self._stream("groundtruth.txt", most=50 * MAX_FRAMES)
@@ -63,7 +65,7 @@ class TumReader:
         """Return the colour file."""
         return self._source.label(self._colour[index][1])
 
-    def timestamps_s(self) -> list[float]:
+    def timestamps(self) -> list[float | None]:
         """Return the colour images' times."""
         return [time for time, _ in self._colour]
 
@@ -80,18 +82,17 @@ class TumReader:
         with fields.naming(f"{self._source.label('groundtruth.txt')}: near {time_s}", FrameError):
             values = fields.coordinates(fields.numbers_of_line(pose_line, 7, "the pose"), "the pose")
             pose = pose_from_quaternion(values[3:], values[:3])
-        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m, integer_m=1 / 5000)
+        height, width = read.picture.image.shape[:2]
         with fields.naming(label, FrameError):
-            intrinsics = intrinsics_without_size(self._matrix, width=image.shape[1], height=image.shape[0], shift=0.5)
+            intrinsics = intrinsics_without_size(self._matrix, width=width, height=height, shift=0.5)
         return RawFrame(
             name=label,
-            image=image,
-            clipped=clipped,
-            depth_m=depth_m,
+            picture=read.picture,
+            depth_m=read.depth_m,
             depth_name=self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
-            timestamp_s=time_s,
         )
 
     def _stream(self, name: str, *, most: int = MAX_FRAMES) -> list[tuple[float, str]]:

@@ -11,7 +11,8 @@ N is also the row of `poses` ([qx qy qz qw px py pz]) and of `frameTimestamps`: 
 of the files.
 
 Conventions: camera-to-world, OpenGL camera, world y-up (ARKit's). `K` is column-major at the
-size `w` x `h` (portrait or landscape as recorded); `perFrameIntrinsicCoeffs` ([fx, fy, cx, cy] a frame)
+size `w` x `h` (portrait or landscape as recorded); a depth map has `dw` x `dh` values, or as many as its bytes.
+`perFrameIntrinsicCoeffs` ([fx, fy, cx, cy] a frame)
 overrides it. cx and cy are ARKit's and used unchanged: pixel centres at half integers.
 """
 
@@ -29,12 +30,13 @@ from jaxtyping import Float, UInt8
 from roomlight.camera import Intrinsics, pose_from_quaternion
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import decode_depth_map
+from roomlight.captures.decoding import decode_depth_map, read_picture
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, Source, ZipSource, read_index
 from roomlight.depth import clean_depth
 from roomlight.errors import CaptureError, FrameError
-from roomlight.images import decode_colour
+from roomlight.images import MAX_PIXELS
+from roomlight.notes import Note
 
 LAYOUTS: Final = (("metadata", "rgbd"), ("metadata.json", "rgb"))
 """Index and folder of colour images, of a `.r3d` and of an export."""
@@ -55,8 +57,9 @@ class Record3DReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source: Source = FolderSource(path) if path.is_dir() else ZipSource(path)
-        self._unit_m = options.depth_unit_m or 1.0
+        self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
         self._packed = self._source.has("metadata")
         index_name, folder = LAYOUTS[0 if self._packed else 1]
         self._label = self._source.label(index_name)
@@ -86,10 +89,9 @@ class Record3DReader:
         """Return the colour file."""
         return self._source.label(self._colour[index])
 
-    def timestamps_s(self) -> list[float]:
-        """Return the times of the records if the metadata has one for each, else none."""
-        times = [self._time_of(number) for number in self._numbers]
-        return [time for time in times if time is not None] if None not in times else []
+    def timestamps(self) -> list[float | None]:
+        """Return the times of the records."""
+        return [self._time_of(number) for number in self._numbers]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -111,46 +113,57 @@ class Record3DReader:
             if number < len(self._lenses):
                 lens = fields.vector(self._lenses[number], 4, "perFrameIntrinsicCoeffs").tolist()
             intrinsics = self._camera(lens)
-        image, clipped = decode_colour(self._source.read(self._colour[index]), self.name_of(index))
+        picture = read_picture(self._source, self._colour[index])
         depth_name = f"rgbd/{number}.depth" if self._packed else f"depth/{number}.exr"
         return RawFrame(
             name=self.name_of(index),
-            image=image,
-            clipped=clipped,
+            picture=picture,
             depth_m=self._depth(depth_name),
             depth_name=self._source.label(depth_name),
             intrinsics=intrinsics,
             pose=pose,
-            timestamp_s=self._time_of(number),
             confidence=self._confidence(f"rgbd/{number}.conf"),
         )
 
     def _depth(self, name: str) -> Float[np.ndarray, "dh dw"]:
         data, label = self._source.read(name), self._source.label(name)
         if not self._packed:
-            depth_m = decode_depth_map(data, label, unit_m=1.0)
-            return depth_m * np.float32(self._unit_m)
-        height, width = self._depth_size
+            return decode_depth_map(data, label, unit_m=self._unit_m)
+        height, width = self._size_of(data, 4)
         values = np.frombuffer(_unpacked(data, label, height * width * 4), "<f4").reshape(height, width)
         with np.errstate(over="ignore", invalid="ignore"):
-            return clean_depth(values.astype(np.float32) * np.float32(self._unit_m))
+            return clean_depth(values.astype(np.float32) * np.float32(self._unit_m or 1.0))
 
     def _confidence(self, name: str) -> UInt8[np.ndarray, "dh dw"] | None:
         if not self._packed or not self._source.has(name):
             return None
-        height, width = self._depth_size
-        data = _unpacked(self._source.read(name), self._source.label(name), height * width)
-        return np.frombuffer(data, np.uint8).reshape(height, width)
+        data = self._source.read(name)
+        height, width = self._size_of(data, 1)
+        unpacked = _unpacked(data, self._source.label(name), height * width)
+        return np.frombuffer(unpacked, np.uint8).reshape(height, width)
 
     def _camera(self, lens: list[float]) -> Intrinsics:
         return Intrinsics(lens[0], lens[1], lens[2], lens[3], self._width, self._height)
 
-    def _stated_depth_size(self) -> tuple[int, int]:
-        """Return (rows, columns); the default is ARKit's 256 x 192 in the image's orientation."""
-        portrait = self._height > self._width
-        height: Any = self._metadata.get("dh", 256 if portrait else 192)
-        width: Any = self._metadata.get("dw", 192 if portrait else 256)
+    def _stated_depth_size(self) -> tuple[int, int] | None:
+        """Return (rows, columns) of the depth; None if the metadata does not state them."""
+        height, width = self._metadata.get("dh"), self._metadata.get("dw")
+        if height is None or width is None:
+            return None
         return fields.pixels(height, "dh"), fields.pixels(width, "dw")
+
+    def _size_of(self, data: bytes, item: int) -> tuple[int, int]:
+        """Return (rows, columns) of a packed plane: as stated, else by its bytes and the image's aspect.
+
+        LiDAR gives 256 x 192 values, the FaceID camera 640 x 480.
+        """
+        if self._depth_size is not None:
+            return self._depth_size
+        count = _declared_size(data) // item
+        width = round((count * self._width / self._height) ** 0.5)
+        if width > 0 and count % width == 0 and 0 < count <= MAX_PIXELS:
+            return count // width, width
+        return (256, 192) if self._height > self._width else (192, 256)
 
     def _time_of(self, number: int) -> float | None:
         if number >= len(self._times):

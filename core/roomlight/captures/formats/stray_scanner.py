@@ -25,9 +25,8 @@ from roomlight.captures.decoding import decode_confidence, decode_depth_map
 from roomlight.captures.options import CaptureOptions
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.captures.video import VideoFrames
-from roomlight.conventions import srgb8_to_linear
 from roomlight.errors import CaptureError, FrameError
-from roomlight.frame import CLIPPED_SRGB8
+from roomlight.notes import Note
 
 VIDEO: Final = "rgb.mp4"
 MATRIX: Final = "camera_matrix.csv"
@@ -53,8 +52,9 @@ class StrayScannerReader:
             CaptureError: The index is missing or damaged, so that no frame can be read.
         """
         self._source = FolderSource(folder)
-        self._unit_m = options.depth_unit_m or 0.001
+        self._unit_m = options.depth_unit_m
         self.probes: list[RawProbe] = []
+        self.notes: list[Note] = []
         self._label = self._source.label(ODOMETRY)
         try:
             self._video = self._source.path(VIDEO, max_bytes=MAX_VIDEO_BYTES)
@@ -68,12 +68,14 @@ class StrayScannerReader:
             fields.positive(float(matrix[1, 1]), "fy")
             self._lens = [float(matrix[row, column]) for row, column in ((0, 0), (1, 1), (0, 2), (1, 2))]
             _intrinsics(self._lens, MATRIX_SIZE)
-        lines = fields.parse_text(read_index(self._source, ODOMETRY), self._label)
-        rows = [[value.strip() for value in line.split(",")] for line in lines if line.strip()]
-        header = rows[0] if rows else []
+        rows = fields.parse_table(read_index(self._source, ODOMETRY), self._label)
+        header = [column.lower() for column in rows[0]] if rows else []
         missing = [column for column in COLUMNS if column not in header]
         if missing:
-            raise CaptureError(f"{self._label}: its first line lacks the columns {', '.join(missing)}")
+            raise CaptureError(
+                f"{self._label}: its first line lacks the columns {', '.join(missing)}; "
+                f"it has {', '.join(header)[:200]}"
+            )
         self._at = {column: header.index(column) for column in header}
         self._rows = rows[1:]
         self.count = len(self._rows)
@@ -85,14 +87,14 @@ class StrayScannerReader:
         """Return the odometry file and the line (the header is line 1)."""
         return f"{self._label}: line {index + 2}"
 
-    def timestamps_s(self) -> list[float]:
-        """Return the times of the odometry's rows; rows without a time are left out."""
-        times: list[float] = []
+    def timestamps(self) -> list[float | None]:
+        """Return the times of the odometry's rows."""
+        times: list[float | None] = []
         for row in self._rows:
             try:
                 times.append(self._value(row, "timestamp"))
             except ValueError:
-                continue
+                times.append(None)
         return times
 
     @contextmanager
@@ -124,18 +126,17 @@ class StrayScannerReader:
         depth_label = self._source.label(depth_name)
         depth_m = decode_depth_map(self._source.read(depth_name), depth_label, unit_m=self._unit_m)
         confidence = self._confidence(number)
-        srgb8 = video.frame(number)
+        picture = video.frame(number)
+        height, width = picture.image.shape[:2]
         with fields.naming(f"{self._source.label(VIDEO)}: frame {number}", FrameError):
-            intrinsics = _scaled(lens, width=srgb8.shape[1], height=srgb8.shape[0])
+            intrinsics = _scaled(lens, width=width, height=height)
         return RawFrame(
             name=f"{self._source.label(VIDEO)}: frame {number}",
-            image=srgb8_to_linear(srgb8),
-            clipped=np.max(srgb8, axis=-1) >= CLIPPED_SRGB8,
+            picture=picture,
             depth_m=depth_m,
             depth_name=depth_label,
             intrinsics=intrinsics,
             pose=pose,
-            timestamp_s=self._value(row, "timestamp"),
             confidence=confidence,
         )
 

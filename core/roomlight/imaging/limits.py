@@ -1,7 +1,8 @@
-"""Limits on the structure of JPEG and PNG files, checked before pixels are decoded.
+"""Limits on the structure of JPEG and PNG files, and the place of their end marks.
 
 A decoder takes time for each scan of a progressive JPEG and each compressed text of a PNG, however small the file:
-scans of 12 megapixels take 8 ms each, texts that expand to 8 MB 34 ms each.
+scans of 12 megapixels take 8 ms each, texts that expand to 8 MB 34 ms each. Phones append videos, depth maps and
+private data to their photos; decoders ignore what follows the end mark, and so does RoomLight.
 """
 
 import re
@@ -24,8 +25,8 @@ _START_OF_SCAN, _END = 0xDA, 0xD9
 _COMPRESSED: Final = (b"zTXt", b"iTXt", b"iCCP")
 
 
-def check_jpeg(data: bytes, name: str) -> None:
-    """Check the number of segments and scans of a JPEG.
+def check_jpeg(data: bytes, name: str) -> int | None:
+    """Check the number of segments and scans of a JPEG; returns the offset after its end mark, None without one.
 
     Raises:
         ImageError: There are too many; begins with `name`.
@@ -34,7 +35,7 @@ def check_jpeg(data: bytes, name: str) -> None:
     while (found := _MARKER.search(data, offset)) is not None:
         marker, offset = data[found.start() + 1], found.end()
         if marker == _END:
-            return
+            return offset
         segments += 1
         scans += marker == _START_OF_SCAN
         if scans > MAX_JPEG_SCANS:
@@ -43,10 +44,11 @@ def check_jpeg(data: bytes, name: str) -> None:
             raise ImageError(f"{name}: the JPEG has more than {MAX_JPEG_SEGMENTS} segments")
         if marker not in (0x01, 0xD8) and offset + 2 <= len(data):
             offset += struct.unpack_from(">H", data, offset)[0]
+    return None
 
 
-def check_png(data: bytes, name: str) -> None:
-    """Check the number of chunks of a PNG.
+def check_png(data: bytes, name: str) -> int | None:
+    """Check the number of chunks of a PNG; returns the offset after its end mark, None without one.
 
     Raises:
         ImageError: There are too many; begins with `name`.
@@ -61,3 +63,6 @@ def check_png(data: bytes, name: str) -> None:
         if compressed > MAX_PNG_COMPRESSED_CHUNKS:
             raise ImageError(f"{name}: the PNG has more than {MAX_PNG_COMPRESSED_CHUNKS} compressed texts and profiles")
         offset += 12 + length
+        if kind == b"IEND":
+            return offset if offset <= len(data) else None
+    return None

@@ -1,20 +1,21 @@
-"""Captures described by a `transforms.json`: nerfstudio, instant-ngp, nerf-synthetic, NeRFCapture.
+"""Captures described by a `transforms.json`: nerfstudio, instant-ngp, nerf-synthetic, NeRFCapture, ScanNet++.
 
-Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?}]`;
-intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
+Schema: `frames: [{file_path, depth_file_path | depth_path, transform_matrix, timestamp?, intrinsics?, mask_path?,
+is_bad?}]`; intrinsics `fl_x fl_y cx cy w h` per frame or once, or `camera_angle_x`. Colour names may lack their suffix.
+Pixels of a mask that are 0 are not seen; frames that are marked `is_bad` are skipped.
 
 Conventions: camera-to-world, OpenGL camera. The world is z-up (nerfstudio), unless the file has `world_up`
 (x, y, z, -x, -y, -z or three numbers), or is NeRFCapture's (it alone has `depth_path` or `*integer_*scale`
 keys), whose world is ARKit's, y-up. cx and cy are used unchanged: pixel centres at half integers, as
-nerfstudio and ARKit have them.
+nerfstudio and ARKit have them. Translations are divided by `applied_scale`.
 
-Depth: uint16 PNG or .npy times the unit, or float EXR in metres. The unit is `depth_unit_scale_factor`, or
-`integer_depth_scale` (metres a step, NeRFCapture's script), else 0.001. NeRFCapture's app writes a
-placeholder of 1.0 as `depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there.
+Depth: 16-bit PNG, .npy or EXR times `depth_unit_scale_factor`, or `integer_depth_scale` (metres a step, NeRFCapture's
+script); without them integers are millimetres and floats metres. NeRFCapture's app writes a placeholder of 1.0 as
+`depth_integer_scale`; a unit of 0.1 m and more is therefore ignored there.
 
 Frames are put in order of `timestamp` if all have one, else of the numbers in their file names, as
-nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in the same world. Lens
-distortion (`k1..k4, p1, p2`; OPENCV and OPENCV_FISHEYE) is removed.
+nerfstudio does. `probes: [{position, file_path}]` are ground-truth panoramas in the same world. Lenses are those of
+`roomlight.captures.lenses`.
 """
 
 import math
@@ -24,21 +25,45 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import cv2
-import numpy as np
-
 from roomlight.camera import Intrinsics
 from roomlight.captures import fields
 from roomlight.captures.capture import PoseConventions, RawFrame, RawProbe, ReadRecord
-from roomlight.captures.decoding import read_rgbd, undistorted
+from roomlight.captures.decoding import read_mask, read_rgbd, with_mask
+from roomlight.captures.lenses import MODEL_KEYS, lens_of, straightened
 from roomlight.captures.options import CaptureOptions, up_vector
 from roomlight.captures.source import MAX_FRAMES, FolderSource, read_index
 from roomlight.errors import CaptureError, FrameError
+from roomlight.images import ColourImage
+from roomlight.notes import Note
 
 INDEX: Final = "transforms.json"
 _SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr")
-_DISTORTION: Final = ("k1", "k2", "p1", "p2", "k3", "k4")
 _NERFCAPTURE_SCALES: Final = ("integer_depth_scale", "depth_integer_scale")
+_READ: Final = frozenset(
+    {
+        *("frames", "probes", "file_path", "depth_file_path", "depth_path", "transform_matrix", "timestamp"),
+        *(
+            "fl_x",
+            "fl_y",
+            "cx",
+            "cy",
+            "w",
+            "h",
+            "camera_angle_x",
+            "world_up",
+            "depth_unit_scale_factor",
+            "applied_scale",
+        ),
+        *("mask_path", "is_bad", *_NERFCAPTURE_SCALES, *MODEL_KEYS),
+    }
+)
+_HARMLESS: Final = frozenset(  # what trainers of radiance fields need, and names
+    {
+        *("aabb_scale", "scale", "offset", "applied_transform", "ply_file_path", "train_filenames", "val_filenames"),
+        *("test_filenames", "test_frames", "sharpness", "colmap_im_id", "has_mask", "camera_angle_y", "name", "id"),
+        *("version", "format", "fps", "n_frames", "camera_id", "frame_id", "orientation_override", "rotation"),
+    }
+)
 
 
 class NerfstudioReader:
@@ -62,22 +87,23 @@ class NerfstudioReader:
             )
             self.conventions = PoseConventions("opengl", "camera-to-world", self._world_up())
             self._unit_m = options.depth_unit_m or self._depth_unit()
+            self._scale = fields.positive(self._shared.get("applied_scale", 1.0), "applied_scale")
             self.probes = [self._probe(entry) for entry in fields.objects(self._shared.get("probes", []), "probes")]
         if len(self._frames) > MAX_FRAMES:
             raise CaptureError(f"{self._label}: lists {len(self._frames)} frames; up to {MAX_FRAMES} are read")
         self.count = len(self._frames)
         self._depth_keys = self._choose_depth(options.depth_key)
         self._refuse_broken_lens()
+        self.notes = self._unread_keys()
 
     def name_of(self, index: int) -> str:
         """Return the colour file as the index names it."""
         name = self._frames[index].get("file_path")
         return self._source.label(name[:300]) if isinstance(name, str) else f"{self._label}: frame {index}"
 
-    def timestamps_s(self) -> list[float]:
-        """Return the frames' timestamps if all frames have one, else none."""
-        times = [_time(frame) for frame in self._frames]
-        return [time for time in times if time is not None] if None not in times else []
+    def timestamps(self) -> list[float | None]:
+        """Return the frames' timestamps."""
+        return [_time(frame) for frame in self._frames]
 
     @contextmanager
     def records(self) -> Generator[ReadRecord]:
@@ -88,40 +114,53 @@ class NerfstudioReader:
         entry = self._frames[index]
         where = f"{self._label}: frame {index}"
         with fields.naming(where, FrameError):
+            if fields.flag(entry.get("is_bad")):
+                raise ValueError("is marked is_bad")
             pose = fields.matrix4(entry.get("transform_matrix"), "transform_matrix")
-            colour_name = self._with_suffix(fields.text(entry.get("file_path"), "file_path"))
+            pose[:3, 3] /= self._scale
+            colour_name = self._source.with_suffix(fields.text(entry.get("file_path"), "file_path"), _SUFFIXES)
             depth_name = fields.first_of(entry, {}, *self._depth_keys)
             if depth_name is None:
                 raise FrameError(f"{where}: has no depth ({' or '.join(self._depth_keys)})")
             depth_name = fields.text(depth_name, "the depth file's name")
+            depth_name = self._source.with_suffix(depth_name, (".png", ".exr", ".npy"))
+            lens = lens_of(entry, self._shared)
         colour_label, depth_label = self._source.label(colour_name), self._source.label(depth_name)
-        image, clipped, depth_m = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        read = read_rgbd(self._source, colour_name, depth_name, unit_m=self._unit_m)
+        picture, depth_m = self._masked(entry, read.picture, where), read.depth_m
         with fields.naming(f"{where} ({colour_label})", FrameError):
-            intrinsics = self._intrinsics(entry, image.shape[1], image.shape[0])
-            coefficients, fisheye = self._distortion(entry)
-            if any(coefficients) and (intrinsics.width, intrinsics.height) == (
-                image.shape[1],
-                image.shape[0],
-            ):
-                views = [
-                    (image, cv2.INTER_LINEAR),
-                    (clipped.astype(np.uint8), cv2.INTER_NEAREST),
-                    (depth_m, cv2.INTER_NEAREST),
-                ]
-                (image, mask, depth_m), intrinsics = undistorted(
-                    views, intrinsics, coefficients=coefficients, fisheye=fisheye
-                )
-                clipped = mask > 0
+            intrinsics = self._intrinsics(entry, picture.image.shape[1], picture.image.shape[0])
+            if not lens.straight and (intrinsics.height, intrinsics.width) == picture.image.shape[:2]:
+                picture, depth_m, intrinsics = straightened(picture, depth_m, intrinsics, lens)
         return RawFrame(
             name=colour_label,
-            image=image,
-            clipped=clipped,
+            picture=picture,
             depth_m=depth_m,
             depth_name=depth_label,
             intrinsics=intrinsics,
             pose=pose,
-            timestamp_s=_time(entry),
         )
+
+    def _masked(self, entry: dict[str, Any], picture: ColourImage, where: str) -> ColourImage:
+        """Apply the frame's mask, which may have another size."""
+        if entry.get("mask_path") is None:
+            return picture
+        with fields.naming(where, FrameError):
+            name = self._source.with_suffix(fields.text(entry["mask_path"], "mask_path"), _SUFFIXES)
+        return with_mask(picture, read_mask(self._source, name))
+
+    def _unread_keys(self) -> list[Note]:
+        keys = {str(key)[:40] for entry in (self._shared, *self._frames) for key in entry} - _READ - _HARMLESS
+        keys = {key for key in keys if not key.startswith(("ftheta", "aabb", "depth"))}
+        if not keys:
+            return []
+        listed = ", ".join(sorted(keys)[:8]) + (" and more" if len(keys) > 8 else "")
+        note = Note(
+            f"{self._label}: the keys {listed}",
+            "they are not read",
+            "undo them first if they change poses, lens, depth or exposure",
+        )
+        return [note]
 
     def _intrinsics(self, entry: dict[str, Any], image_width: int, image_height: int) -> Intrinsics:
         """Build intrinsics: per-frame values override global ones; a missing size is the image's."""
@@ -148,21 +187,6 @@ class NerfstudioReader:
             height,
         )
 
-    def _distortion(self, entry: dict[str, Any]) -> tuple[list[float], bool]:
-        """Return the coefficients in OpenCV's order for the camera model, and whether it is the fisheye model."""
-        values = {key: fields.first_of(entry, self._shared, key) for key in _DISTORTION}
-        known = {key: 0.0 if value is None else fields.number(value, key) for key, value in values.items()}
-        model = fields.first_of(entry, self._shared, "camera_model")
-        if not any(known.values()):
-            return [], False
-        if max(abs(value) for value in known.values()) > 100:
-            raise ValueError(f"the lens distortion {known} is out of range; coefficients are at most 100")
-        if model == "OPENCV_FISHEYE":
-            return [known["k1"], known["k2"], known["k3"], known["k4"]], True
-        if model not in (None, "OPENCV", "PINHOLE", "SIMPLE_RADIAL", "RADIAL", "SIMPLE_PINHOLE") or known["k4"]:
-            raise ValueError(f"camera_model {model!r} with distortion is not read; undistort the images first")
-        return [known["k1"], known["k2"], known["p1"], known["p2"], known["k3"]], False
-
     def _refuse_broken_lens(self) -> None:
         """Refuse the capture if its global intrinsics are invalid and some frame needs them."""
         with fields.naming(self._label, CaptureError):
@@ -187,7 +211,8 @@ class NerfstudioReader:
             return up_vector((x, y, z))
         return up_vector(fields.text(stated, "world_up"))
 
-    def _depth_unit(self) -> float:
+    def _depth_unit(self) -> float | None:
+        """Return the metres of one stored unit; None if the file does not state them."""
         if self._shared.get("depth_unit_scale_factor") is not None:
             return fields.unit(self._shared["depth_unit_scale_factor"], "depth_unit_scale_factor")
         for key in _NERFCAPTURE_SCALES:
@@ -195,7 +220,7 @@ class NerfstudioReader:
                 unit_m = fields.unit(self._shared[key], key)
                 if unit_m < 0.1:
                     return unit_m
-        return 0.001
+        return None
 
     def _choose_depth(self, depth_key: str | None) -> tuple[str, ...]:
         keys = (depth_key,) if depth_key is not None else ("depth_file_path", "depth_path")
@@ -205,12 +230,6 @@ class NerfstudioReader:
             hint = f"its frames have {names}; set depth_key" if present else "a capture needs depth"
             raise CaptureError(f"{self._label}: no frame has {' or '.join(keys)}; {hint}")
         return keys
-
-    def _with_suffix(self, name: str) -> str:
-        """Add the existing file's suffix to a name without one (`images/0`: NeRFCapture, nerf-synthetic)."""
-        if Path(name).suffix.lower() in _SUFFIXES or self._source.has(name):
-            return name
-        return next((name + suffix for suffix in _SUFFIXES if self._source.has(name + suffix)), name)
 
     def _probe(self, entry: dict[str, Any]) -> RawProbe:
         position = fields.vector(entry.get("position"), 3, "a probe's position")

@@ -1,0 +1,95 @@
+"""Times of a capture's frames, checked: their unit is recognised, and gaps are capped.
+
+Files state seconds; some tools write nanoseconds, and a single wrong stamp would stall whoever plays the recording for
+years.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from roomlight.notes import Note
+
+MAX_GAP_S: Final = 5.0
+"""A longer gap between frames is played as one of this length."""
+_REGULAR: Final = 0.5
+"""Interquartile range of the steps, relative to their median, up to which they are those of a camera."""
+_UNITS: Final = {1e-3: "milliseconds", 1e-6: "microseconds", 1e-9: "nanoseconds"}
+_CAMERA_STEP_S: Final = 1 / 30
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """The time of each record in seconds, None where none is known, and what was changed."""
+
+    times_s: tuple[float | None, ...]
+    notes: tuple[Note, ...] = ()
+
+    @property
+    def step_s(self) -> float | None:
+        """The median step; None without times that go on."""
+        known = [time for time in self.times_s if time is not None]
+        step = float(np.median(np.diff(known))) if len(known) > 1 else 0.0
+        return step if step > 1e-6 else None
+
+
+def timeline(stored: list[float | None], name: str) -> Timeline:
+    """Make the times of records in order from what the file states.
+
+    Args:
+        stored: A time of each record; None or not finite where there is none.
+        name: The capture in messages.
+
+    Returns:
+        Times in seconds that never go backwards and have no gap above `MAX_GAP_S`.
+    """
+    places = [index for index, time in enumerate(stored) if time is not None and math.isfinite(time)]
+    values = np.array([stored[index] for index in places], np.float64)
+    times: list[float | None] = [None] * len(stored)
+    notes: list[Note] = []
+    if len(values) > 1:
+        steps = np.diff(values)
+        unit = _unit(steps)
+        if unit != 1:
+            notes.append(
+                Note(
+                    f"{name}: timestamps a median of {np.median(steps):g} apart",
+                    f"read as {_UNITS[unit]}",
+                    "store seconds if that is wrong",
+                )
+            )
+        values, steps = values * unit, steps * unit
+        forward = steps[steps > 0]
+        usual = min(float(np.median(forward)), MAX_GAP_S) if forward.size else 0.0
+        long, back = steps > MAX_GAP_S, steps < 0
+        if long.any() or back.any():
+            notes.append(_gap_note(name, steps, places))
+            steps = np.where(back, usual, np.minimum(steps, MAX_GAP_S))
+            values = values[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    for index, value in zip(places, values.tolist(), strict=True):
+        times[index] = value
+    return Timeline(tuple(times), tuple(notes))
+
+
+def _gap_note(name: str, steps: np.ndarray, places: list[int]) -> Note:
+    wrong = np.flatnonzero((steps > MAX_GAP_S) | (steps < 0))
+    at = int(wrong[0])
+    return Note(
+        f"{name}: {len(wrong)} steps of time, the first of {steps[at]:g} s before record {places[at + 1]}",
+        f"longer steps are played as {MAX_GAP_S:g} s, backward ones as the usual step",
+        "correct the timestamps if the pace matters",
+    )
+
+
+def _unit(steps: np.ndarray) -> float:
+    """Return the seconds of one stored unit, by the step that a camera has."""
+    forward = steps[steps > 0]
+    if forward.size == 0:
+        return 1.0
+    low, step, high = np.percentile(forward, [25, 50, 75])
+    regular = high - low <= _REGULAR * step
+    if step <= 10 or (step <= 600 and not regular):
+        return 1.0
+    return min(_UNITS, key=lambda unit: abs(math.log(step * unit / _CAMERA_STEP_S)))

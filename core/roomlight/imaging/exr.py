@@ -1,0 +1,204 @@
+"""Channels of OpenEXR files: which of them are the colour, and which is the depth.
+
+Renderers write many layers into a file, named `Layer.Pass.Channel`. Colour is R, G, B without a layer, else the layer
+that is called Combined, rgba, beauty or the like, else the only layer with R, G and B. Depth is Z, or Z or V of a layer
+called depth, or the only channel of the file; a Z beside X and Y is a vector, and red is no depth.
+"""
+
+import os
+import struct
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import OpenEXR
+from jaxtyping import Bool, Float
+
+from roomlight.errors import ImageError
+from roomlight.imaging.colour_spaces import REC709, to_rec709
+
+_COMBINED: Final = ("combined", "rgba", "rgb", "beauty", "color", "colour", "image", "composite", "main")
+_DEEPEST: Final = 65504.0
+"""Half's largest value: it and beyond, and infinity, mean that nothing was hit."""
+
+
+@dataclass(frozen=True)
+class ExrChannels:
+    """The full-size channels of all parts by name, as stored; `seen` is where the data window has pixels."""
+
+    name: str
+    channels: dict[str, Float[np.ndarray, "h w"]]
+    primaries: tuple[float, ...]
+    seen: Bool[np.ndarray, "h w"] | None
+
+    def colour(self) -> Float[np.ndarray, "h w 3"]:
+        """Return linear Rec. 709 RGB; a grey channel is repeated.
+
+        Raises:
+            ImageError: The file has no colour, or several and none is the main one.
+        """
+        layer = self._colour_layer()
+        if layer is not None:
+            image = np.stack([self.channels[f"{layer}{key}"] for key in "RGB"], axis=-1).astype(np.float32)
+            return self._to_rec709(image)
+        grey = self.channels.get("Y")
+        if grey is None and len(self.channels) == 1:
+            grey = next(iter(self.channels.values()))
+        if grey is None:
+            raise ImageError(f"{self.name}: the EXR has no colour; its channels are {_listed(self.channels)}")
+        return np.repeat(grey[..., None], 3, axis=-1).astype(np.float32)
+
+    def alpha(self) -> Float[np.ndarray, "h w"] | None:
+        """Return the alpha of the colour's layer; None without one. Raises ImageError as `colour`."""
+        layer = self._colour_layer()
+        return None if layer is None else self.channels.get(f"{layer}A")
+
+    def _colour_layer(self) -> str | None:
+        """Return the prefix of the colour's channels; None if no layer has R, G and B."""
+        layers = sorted({key[:-1] for key in self.channels if key[-1:] == "R"})
+        layers = [layer for layer in layers if f"{layer}G" in self.channels and f"{layer}B" in self.channels]
+        if "" in layers:
+            return ""
+        chosen = [layer for layer in layers if _last(layer) in _COMBINED] or layers
+        if len(chosen) > 1:
+            raise ImageError(f"{self.name}: the EXR has the layers {_listed(chosen)}; keep the one that is the picture")
+        return chosen[0] if chosen else None
+
+    def depth(self) -> Float[np.ndarray, "h w"]:
+        """Return the depth as stored; what was not hit is 0.
+
+        Raises:
+            ImageError: No channel, or more than one, can be the depth.
+        """
+        found = self._depth_channels()
+        if len(found) != 1:
+            what = "several channels that can be the depth" if found else "no depth channel (Z, Depth.Z or Depth.V)"
+            listed = _listed(found or self.channels)
+            raise ImageError(f"{self.name}: the EXR has {what}: {listed}; export depth in a file of its own")
+        depth = self.channels[found[0]].astype(np.float32)
+        return np.where(depth >= _DEEPEST, np.float32(0), depth)
+
+    def _depth_channels(self) -> list[str]:
+        ranked: dict[int, list[str]] = {}
+        for key in self.channels:
+            layer, _, last = key.rpartition(".")
+            vector = f"{layer}.X" if layer else "X"
+            if last.lower() in ("z", "depth") and vector not in self.channels and layer == "":
+                ranked.setdefault(0, []).append(key)
+            elif last.lower() in ("z", "v", "y", "r", "depth") and "depth" in _last(f"{layer}."):
+                ranked.setdefault(1 + (last.lower() in "yr"), []).append(key)
+        if ranked:
+            return ranked[min(ranked)]
+        if len(self.channels) == 1:
+            return list(self.channels)
+        if set(self.channels) - {"A"} == {"R", "G", "B"}:  # a grey picture of depth
+            red, green, blue = (self.channels[key] for key in "RGB")
+            if np.array_equal(red, green, equal_nan=True) and np.array_equal(red, blue, equal_nan=True):
+                return ["R"]
+        return []
+
+    def _to_rec709(self, image: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "h w 3"]:
+        if max(abs(a - b) for a, b in zip(self.primaries, REC709, strict=True)) < 0.002:
+            return image
+        try:
+            matrix = to_rec709(self.primaries)  # pyright: ignore[reportArgumentType]  (eight numbers)
+        except ValueError as error:
+            raise ImageError(f"{self.name}: the EXR {error}") from error
+        return image @ matrix.T.astype(np.float32)
+
+
+def exr_size(data: bytes, name: str) -> tuple[int, int]:
+    """Read (width, height) of the larger of data and display window, without decoding pixels. Raises ImageError."""
+    sizes: list[tuple[int, int]] = []
+    for window in (b"dataWindow", b"displayWindow"):
+        at = data.find(window + b"\x00box2i\x00", 0, 65536)
+        start = at + len(window) + 11
+        if at >= 0 and len(data) >= start + 16:
+            x0, y0, x1, y1 = struct.unpack_from("<iiii", data, start)
+            sizes.append((x1 - x0 + 1, y1 - y0 + 1))
+    if len(sizes) < 2:
+        raise ImageError(f"{name}: the EXR header has no data window; the file is truncated or damaged")
+    if any(min(size) < 1 for size in sizes):
+        return 0, 0
+    return max(sizes, key=lambda size: size[0] * size[1])
+
+
+def read_exr(data: bytes, name: str) -> ExrChannels:
+    """Decode all channels of a file whose size has been checked. Raises ImageError."""
+    path = Path(name)
+    own_copy = None
+    if not path.is_file() or path.stat().st_size != len(data):  # bytes from an archive or the network
+        handle, own_name = tempfile.mkstemp(suffix=".exr")
+        os.close(handle)
+        own_copy = path = Path(own_name)
+        own_copy.write_bytes(data)
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as file:
+            # copies of the headers: leaving the block empties them
+            parts = [
+                (dict(part.header), {key: np.asarray(channel.pixels) for key, channel in part.channels.items()})
+                for part in file.parts
+            ]
+    except Exception as error:  # the binding raises bare RuntimeError, ValueError or Iex's own by version
+        raise ImageError(f"{name}: the EXR does not decode ({error})") from error
+    finally:
+        if own_copy is not None:
+            own_copy.unlink(missing_ok=True)
+    if not parts or not all(planes for _, planes in parts):  # the binding prints what went wrong and goes on
+        raise ImageError(f"{name}: the EXR does not decode; it is truncated or damaged")
+    return _joined(parts, name)
+
+
+def _joined(parts: list[tuple[dict[str, Any], dict[str, np.ndarray]]], name: str) -> ExrChannels:
+    """Join the parts' channels, each laid into the first part's display window."""
+    display = _window(parts[0][0]["displayWindow"])
+    width, height = display[2] - display[0] + 1, display[3] - display[1] + 1
+    channels: dict[str, np.ndarray] = {}
+    seen: np.ndarray | None = None
+    for header, planes in parts:
+        x0, y0, x1, y1 = _window(header["dataWindow"])
+        for key, pixels in planes.items():
+            if pixels.dtype.kind not in "fu" or pixels.shape != (y1 - y0 + 1, x1 - x0 + 1):
+                raise ImageError(
+                    f"{name}: the EXR is deep, subsampled or damaged; plain half or float channels are read"
+                )
+            label = str(header.get("name", ""))
+            full = key if len(parts) == 1 or not label or key.startswith(f"{label}.") else f"{label}.{key}"
+            if len(parts) > 1 and len(planes) >= 3 and label.lower() in _COMBINED:
+                full = key
+            if (x0, y0, x1, y1) == display:
+                channels[full] = pixels
+                continue
+            whole = np.zeros((height, width), np.float32)
+            rows = slice(max(y0, display[1]), min(y1, display[3]) + 1)
+            columns = slice(max(x0, display[0]), min(x1, display[2]) + 1)
+            if rows.start < rows.stop and columns.start < columns.stop:
+                target = (
+                    slice(rows.start - display[1], rows.stop - display[1]),
+                    slice(columns.start - display[0], columns.stop - display[0]),
+                )
+                whole[target] = pixels[rows.start - y0 : rows.stop - y0, columns.start - x0 : columns.stop - x0]
+                if seen is None:
+                    seen = np.zeros((height, width), bool)
+                    seen[target] = True
+            channels[full] = whole
+    stated = parts[0][0].get("chromaticities")
+    primaries = tuple(float(value) for value in np.ravel(stated)) if stated is not None else REC709
+    return ExrChannels(name, channels, primaries if len(primaries) == 8 else REC709, seen)
+
+
+def _window(box: Any) -> tuple[int, int, int, int]:
+    (x0, y0), (x1, y1) = np.asarray(box[0]).tolist(), np.asarray(box[1]).tolist()
+    return int(x0), int(y0), int(x1), int(y1)
+
+
+def _last(layer: str) -> str:
+    """Return the last name of `Layer.Pass.`, in lower case."""
+    return layer.rstrip(".").rpartition(".")[2].lower()
+
+
+def _listed(names: Any) -> str:
+    shown = [str(name).rstrip(".") or "(no layer)" for name in names]
+    return ", ".join(shown[:6]) + (f" and {len(shown) - 6} more" if len(shown) > 6 else "")

@@ -1,0 +1,167 @@
+"""Colour tags of JPEG and PNG files: ICC profiles, PNG's cICP, gAMA and cHRM, EXIF, gain maps, alpha.
+
+The first of these that a file has decides: cICP, ICC profile, PNG's sRGB, gAMA with cHRM, EXIF's Adobe RGB; a file
+without any is sRGB. ICC profiles are applied by LittleCMS (Pillow).
+"""
+
+import io
+import struct
+import zlib
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+from jaxtyping import UInt8
+from PIL import Image, ImageCms
+
+from roomlight.imaging.colour_spaces import ADOBE_RGB, REC709, Chromaticities, ColourSpace
+from roomlight.imaging.exif import ExifCamera, read_exif
+from roomlight.notes import Note
+
+PNG: Final = b"\x89PNG\r\n\x1a\n"
+_MAX_PROFILE_BYTES: Final = 4_000_000
+_ICC_SEGMENT: Final = b"ICC_PROFILE\0"
+_GAIN_MAPS: Final = (b"hdrgm:Version", b"http://ns.apple.com/HDRGainMap/", b"urn:iso:std:iso:ts:21496:-1")
+
+
+_SRGB: Final = ColourSpace()
+_NO_EXIF: Final = ExifCamera()
+
+
+@dataclass(frozen=True)
+class ImageTags:
+    """What a file states about its pixels.
+
+    Attributes:
+        space: The colour space, unless a profile decides.
+        profile: The ICC profile; None without one.
+        exif: Camera and orientation.
+        alpha: Whether the file has alpha.
+        notes: What is stated and not used.
+    """
+
+    space: ColourSpace = _SRGB
+    profile: bytes | None = None
+    exif: ExifCamera = _NO_EXIF
+    alpha: bool = False
+    notes: tuple[Note, ...] = ()
+
+
+def read_tags(data: bytes, name: str) -> ImageTags:
+    """Read the tags of a JPEG or PNG whose structure `limits` has checked.
+
+    Raises:
+        ValueError: The file states a colour space that is not read.
+    """
+    return _png_tags(data, name) if data[:8] == PNG else _jpeg_tags(data, name)
+
+
+def _jpeg_tags(data: bytes, name: str) -> ImageTags:
+    pieces: dict[int, bytes] = {}
+    exif, notes = ExifCamera(), list[Note]()
+    offset = 2
+    while offset + 4 <= len(data) and data[offset] == 0xFF and data[offset + 1] not in (0xDA, 0xD9):
+        marker, (length,) = data[offset + 1], struct.unpack_from(">H", data, offset + 2)
+        body = data[offset + 4 : offset + 2 + length]
+        if marker == 0xE2 and body.startswith(_ICC_SEGMENT) and len(body) > 14:
+            pieces[body[12]] = body[14:]
+        elif marker == 0xE1 and body.startswith(b"Exif\0\0"):
+            exif = read_exif(data)
+        if marker in (0xE1, 0xE2) and any(mark in body for mark in _GAIN_MAPS):
+            notes = [
+                Note(
+                    f"{name}: its HDR gain map",
+                    "highlights end at the photo's white",
+                    "give a linear EXR for the full range",
+                )
+            ]
+        offset += 2 + length if marker != 0xFF else 1
+    profile = b"".join(pieces[key] for key in sorted(pieces)) or None
+    space = ColourSpace(ADOBE_RGB, gamma=563 / 256) if exif.adobe_rgb and profile is None else ColourSpace()
+    return ImageTags(space, profile, exif, notes=tuple(notes))
+
+
+def _png_tags(data: bytes, name: str) -> ImageTags:
+    chunks: dict[bytes, bytes] = {}
+    offset = 8
+    while offset + 12 <= len(data):
+        length, kind = struct.unpack_from(">I4s", data, offset)
+        if kind == b"IEND":
+            break
+        if kind in (b"IHDR", b"cICP", b"iCCP", b"sRGB", b"gAMA", b"cHRM", b"tRNS", b"eXIf", b"acTL"):
+            chunks.setdefault(kind, data[offset + 8 : offset + 8 + length])
+        offset += 12 + length
+    alpha = b"tRNS" in chunks or (len(chunks.get(b"IHDR", b"")) >= 10 and chunks[b"IHDR"][9] in (4, 6))
+    exif = read_exif(data) if b"eXIf" in chunks else ExifCamera()
+    notes = []
+    if b"acTL" in chunks:
+        notes.append(Note(f"{name}: the frames of an animated PNG", "the first is read", "give one file a frame"))
+    space, profile = ColourSpace(), None
+    if len(chunks.get(b"cICP", b"")) == 4:
+        space = ColourSpace.of_codes(chunks[b"cICP"][0], chunks[b"cICP"][1])
+    elif b"iCCP" in chunks:
+        profile = _inflated(chunks[b"iCCP"].partition(b"\0")[2][1:])
+    elif b"sRGB" not in chunks and len(chunks.get(b"gAMA", b"")) == 4:
+        space = _measured(chunks[b"gAMA"], chunks.get(b"cHRM", b""))
+    return ImageTags(space, profile, exif, alpha, tuple(notes))
+
+
+def _inflated(data: bytes) -> bytes | None:
+    try:
+        return zlib.decompressobj().decompress(data, _MAX_PROFILE_BYTES) or None
+    except zlib.error:
+        return None
+
+
+def _measured(gamma_chunk: bytes, chromaticity_chunk: bytes) -> ColourSpace:
+    """Return the colour space of PNG's gAMA and cHRM; values near sRGB's are sRGB."""
+    (gamma,) = struct.unpack(">I", gamma_chunk)
+    primaries: Chromaticities = REC709
+    if len(chromaticity_chunk) == 32:
+        white_x, white_y, *rest = (value / 100_000 for value in struct.unpack(">8I", chromaticity_chunk))
+        stated: Any = (*rest, white_x, white_y)
+        if max(abs(a - b) for a, b in zip(stated, REC709, strict=True)) > 0.005:
+            primaries = stated
+    if gamma == 0 or abs(gamma - 45455) < 1500:
+        return ColourSpace(primaries)
+    return ColourSpace(primaries, gamma=min(max(100_000 / gamma, 0.2), 5.0))
+
+
+def profile_to_srgb8(
+    image: Image.Image | UInt8[np.ndarray, "h w 3"], profile: bytes, name: str
+) -> tuple[UInt8[np.ndarray, "h w 3"] | None, tuple[Note, ...]]:
+    """Convert pixels by their ICC profile to 8-bit sRGB; None if the profile is sRGB or of no use."""
+    try:
+        space, transform = _transform(profile)
+    except (ImageCms.PyCMSError, OSError, ValueError, TypeError) as error:
+        note = Note(f"{name}: its colour profile", f"it is damaged ({error}); sRGB is assumed", "save it as sRGB")
+        return None, (note,)
+    if transform is None:
+        return None, ()
+    picture = Image.fromarray(image) if isinstance(image, np.ndarray) else image
+    modes = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}
+    if space == "CMYK" and picture.mode != "CMYK":
+        return None, ()
+    converted = ImageCms.applyTransform(picture.convert(modes[space]), transform)
+    return (None, ()) if converted is None else (np.asarray(converted), ())
+
+
+@lru_cache(maxsize=8)
+def _transform(profile: bytes) -> tuple[str, ImageCms.ImageCmsTransform | None]:
+    """Return the profile's space and its transform to sRGB; None where it changes no 8-bit colour by more than 1."""
+    read: Any = ImageCms.ImageCmsProfile(io.BytesIO(profile))
+    space = str(read.profile.xcolor_space).strip()
+    mode = {"RGB": "RGB", "GRAY": "L", "CMYK": "CMYK"}.get(space)
+    if mode is None:
+        raise ValueError(f"it is for {space}")
+    transform = ImageCms.buildTransform(
+        read, ImageCms.createProfile("sRGB"), mode, "RGB", ImageCms.Intent.RELATIVE_COLORIMETRIC
+    )
+    if mode == "RGB":
+        steps = np.linspace(0, 255, 6).astype(np.uint8)
+        probe = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(36, 6, 3)
+        result = ImageCms.applyTransform(Image.fromarray(probe), transform)
+        if result is not None and np.abs(np.asarray(result).astype(int) - probe).max() <= 1:
+            return space, None
+    return space, transform

@@ -1,0 +1,27 @@
+"""Notes on what a file states and RoomLight leaves out, guesses or changes."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Note:
+    """A fact of a file that was not used as it stands.
+
+    Attributes:
+        left_out: What was left out, guessed or changed, with the file's own word for it.
+        effect: What this changes in the result.
+        advice: What to do about it.
+    """
+
+    left_out: str
+    effect: str
+    advice: str
+
+    def __str__(self) -> str:
+        return f"{self.left_out}: {self.effect}; {self.advice}"
+
+
+def distinct(notes: Iterable[Note]) -> tuple[Note, ...]:
+    """Return the notes without repetitions, in order."""
+    return tuple(dict.fromkeys(notes))

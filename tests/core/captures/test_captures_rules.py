@@ -1,0 +1,422 @@
+"""One rule for one fact in every format: lenses, times, units, names, text encodings, masks, colour, and notes."""
+
+import codecs
+import json
+import shutil
+import unicodedata
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+
+import av
+import cv2
+import formats
+import lzfse
+import numpy as np
+import pytest
+from capture_checks import one_skipped
+
+from roomlight.camera import Intrinsics
+from roomlight.captures import CaptureOptions, open_capture
+from roomlight.captures.lenses import Lens, lens_of, undistorted
+from roomlight.captures.times import MAX_GAP_S, timeline
+from roomlight.errors import CaptureError, FrameError, UnknownFormatError
+
+VIEWS = formats.scene()
+CAMERA = Intrinsics(80.0, 80.0, 48.0, 36.0, 96, 72)
+
+
+def lens(*coefficients: float, fisheye: bool = False) -> Lens:
+    return Lens(tuple(map(float, coefficients)), fisheye)
+
+
+def edit(path: Path, change: Callable[[dict], object]) -> None:
+    index = json.loads(path.read_bytes())
+    change(index)
+    path.write_text(json.dumps(index))
+
+
+@pytest.fixture
+def transforms(tmp_path: Path) -> Path:
+    return formats.nerfstudio(tmp_path / "capture", VIEWS)
+
+
+# Lenses
+
+
+@pytest.mark.parametrize(
+    ("bent", "radius"),
+    [
+        (lens(0, 0, 0, 0, fisheye=True), np.arctan),
+        (
+            lens(0.02, 0.01, 0, 0, fisheye=True),
+            lambda r: np.arctan(r) * (1 + 0.02 * np.arctan(r) ** 2 + 0.01 * np.arctan(r) ** 4),
+        ),
+        (lens(-0.1, 0.01, 0, 0, 0, 0, 0, 0), lambda r: r * (1 - 0.1 * r**2 + 0.01 * r**4)),
+        (
+            lens(0.1, 0.01, 0, 0, 0.001, 0, 0.5, 0.2),
+            lambda r: r * (1 + 0.1 * r**2 + 0.01 * r**4 + 0.001 * r**6) / (1 + 0.5 * r**4 + 0.2 * r**6),
+        ),
+    ],
+    ids=["equidistant", "fisheye", "opencv", "rational"],
+)
+def test_pixels_look_where_the_lens_model_says(bent: Lens, radius: Callable[[np.ndarray], np.ndarray]) -> None:
+    """An image that stores each pixel's own coordinates shows, straightened, which pixel each ray came from."""
+    columns, rows = np.meshgrid(np.arange(96) + 0.5, np.arange(72) + 0.5)
+    coordinates = np.stack([columns, rows, rows], axis=-1).astype(np.float32)
+    (image,), straight = undistorted([(coordinates, cv2.INTER_LINEAR)], CAMERA, bent)
+    rays = straight.rays()
+    r = np.hypot(rays[..., 0], rays[..., 1])
+    scale = radius(r) / np.maximum(r, 1e-9)
+    inner = (slice(1, -1), slice(1, -1))
+    np.testing.assert_allclose(image[inner][..., 0], (48 + 80 * rays[..., 0] * scale)[inner], atol=0.06)
+    np.testing.assert_allclose(image[inner][..., 1], (36 - 80 * rays[..., 1] * scale)[inner], atol=0.06)
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"camera_model": "OPENCV_FISHEYE"},
+        {"camera_model": "opencv-fisheye", "k1": 0},
+        {"camera_model": "SIMPLE_RADIAL_FISHEYE", "k1": 0.0},
+        {"is_fisheye": True},
+        {"is_fisheye": "true"},
+        {"lens_mode": "OpenCVFisheye"},
+    ],
+)
+def test_a_fisheye_is_one_by_every_name(transforms: Path, keys: dict) -> None:
+    edit(transforms / "transforms.json", lambda index: (index.pop("camera_model"), index["frames"][1].update(keys)))
+    plain, bent, *_ = open_capture(transforms)
+    assert plain.intrinsics.fx == formats.FX
+    assert bent.intrinsics.fx < 0.98 * formats.FX
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        {"camera_model": "EQUIRECTANGULAR"},
+        {"camera_model": "FISHEYE624", "distortion_params": [0.4] * 12},
+        {"camera_model": "ORTHOPHOTO"},
+        {"camera_model": "THIN_PRISM_FISHEYE"},
+        {"camera_model": "VR180_L"},
+        {"lens_mode": "LatLong"},
+        {"ftheta_p0": 0, "ftheta_p1": 0.01},
+        {"distortion_params": [0.1, 0.2, 0, 0]},
+        {"k4": 0.1},
+        {"is_fisheye": True, "p1": 0.01},
+    ],
+)
+def test_other_lenses_are_refused_by_name(transforms: Path, keys: dict) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(keys))
+    name = (
+        next(str(value) for value in keys.values())
+        if "camera_model" in keys or "lens_mode" in keys
+        else next(iter(keys))
+    )
+    one_skipped(transforms, 1, {"is_fisheye": "fisheye", "ftheta_p0": "ftheta"}.get(name, name), "ndistort")
+
+
+def test_a_lens_that_folds_the_image_is_refused() -> None:
+    for bent in (lens(-3.0, 0, 0, 0, 0, 0, 0, 0), lens(-8.0, 0, 0, 0, fisheye=True)):
+        with pytest.raises(ValueError, match="distortion"):
+            undistorted([(np.zeros((72, 96, 3), np.float32), cv2.INTER_LINEAR)], CAMERA, bent)
+    assert lens_of({}, {"camera_model": "PINHOLE"}).straight
+
+
+# Times
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e3, 1e6, 1e9])
+@pytest.mark.parametrize("rate", [5, 30, 120])
+def test_the_unit_of_time_is_recognised(unit: float, rate: int) -> None:
+    if unit == 1e3 and rate == 120:
+        return  # 8.3 ms: also a photo every 8.3 s, which is what the file says
+    stamps: list[float | None] = [round((65505.28 + index / rate) * unit, 3) for index in range(9)]
+    found = timeline(stamps, "x")
+    assert found.step_s == pytest.approx(1 / rate, rel=0.06)
+    assert bool(found.notes) == (unit != 1)
+
+
+def test_gaps_and_steps_back_are_bounded_and_said() -> None:
+    found = timeline([0.0, 0.1, 4e9, 4e9 + 0.1, 3.0, None, 3.1], "room")
+    times = [time for time in found.times_s if time is not None]
+    assert found.times_s[5] is None
+    assert (np.diff(times) >= 0).all()
+    assert max(np.diff(times)) <= MAX_GAP_S
+    assert "room: 2 steps of time, the first of 4e+09 s before record 2" in str(found.notes[0])
+    slow: list[float | None] = [0.0, 3.0, 5.0, 9.0]
+    assert timeline(slow, "x") == timeline(slow, "y")
+    assert list(timeline(slow, "x").times_s) == slow
+
+
+def test_nanoseconds_in_a_capture(transforms: Path) -> None:
+    def stamp(index: dict) -> None:
+        for number, frame in enumerate(index["frames"]):
+            frame["timestamp"] = 65505281644000 + number * 33_333_000
+
+    edit(transforms / "transforms.json", stamp)
+    capture = open_capture(transforms)
+    times = [frame.timestamp_s for frame in capture]
+    assert times[-1] - times[0] == pytest.approx(0.1, rel=0.01)
+    assert any("nanoseconds" in note.effect for note in capture.notes)
+
+
+# Depth units
+
+
+@pytest.mark.parametrize("suffix", [".exr", ".npy", ".png"])
+def test_a_stated_unit_holds_for_every_kind_of_depth_file(transforms: Path, suffix: str) -> None:
+    def stored(unit_m: float, *, stated: float | None) -> Path:
+        def change(index: dict) -> None:
+            index.pop("depth_unit_scale_factor", None)
+            if stated is not None:
+                index["depth_unit_scale_factor"] = stated
+            for number, (frame, view) in enumerate(zip(index["frames"], VIEWS, strict=True)):
+                name, values = f"depth/{number}{suffix}", view.depth_m / unit_m
+                if suffix == ".exr":
+                    formats.exr(transforms / name, {"Z": values.astype(np.float32)})
+                elif suffix == ".npy":
+                    np.save(transforms / name, values.astype(np.float32))
+                else:
+                    formats.save(transforms / name, formats.image(".png", np.rint(values).astype(np.uint16)))
+                frame["depth_file_path"] = name
+
+        edit(transforms / "transforms.json", change)
+        return transforms
+
+    def depth_of(path: Path, option: float | None = None) -> np.ndarray:
+        return next(iter(open_capture(path, CaptureOptions(depth_unit_m=option)))).depth_m
+
+    default = 0.001 if suffix == ".png" else 1.0
+    for unit_m, stated, option in (
+        (default, None, None),
+        (0.002, 0.002, None),
+        (0.002, None, 0.002),
+        (0.004, 0.1, 0.004),
+    ):
+        found = depth_of(stored(unit_m, stated=stated), option)
+        np.testing.assert_allclose(found, VIEWS[0].depth_m, atol=0.0021)
+
+
+# Names and text
+
+
+@pytest.mark.parametrize(
+    ("stored", "named"),
+    [
+        ("images/0.png", "images\\0.png"),
+        ("images/0.png", "images\\0"),
+        ("images/IMG_0.PNG", "images/IMG_0"),
+        ("images/IMG_0.PNG", "Images/img_0.png"),
+        ("images/my image.png", "images/my%20image.png"),
+        ("images/100%.png", "images/100%.png"),
+        ("images/cam.0001.png", "./images/cam.0001"),
+        (unicodedata.normalize("NFD", "images/Küche 1.png"), unicodedata.normalize("NFC", "images/Küche 1.png")),
+        (unicodedata.normalize("NFC", "images/Küche 1.png"), unicodedata.normalize("NFD", "images/Küche 1.png")),
+    ],
+)
+def test_names_of_other_systems_are_found(transforms: Path, stored: str, named: str) -> None:
+    shutil.move(transforms / "images/frame_00001.png", transforms / stored)
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(file_path=named))
+    capture = open_capture(transforms)
+    assert len(list(capture)) == 4
+    assert capture.skipped == []
+
+
+def test_two_files_of_another_case_are_ambiguous(transforms: Path) -> None:
+    (transforms / "images/A.png").write_bytes((transforms / "images/frame_00001.png").read_bytes())
+    shutil.move(transforms / "images/frame_00001.png", transforms / "images/a.png")
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(file_path="images/a.PNG"))
+    capture = open_capture(transforms)
+    assert len(list(capture)) == 3
+    assert "A.png and a.png" in capture.skipped[0].reason
+
+
+def rewritten(text: str, kind: str) -> bytes:
+    if kind == "bom":
+        return codecs.BOM_UTF8 + text.encode()
+    if kind == "utf-16":
+        return text.encode("utf-16")
+    if kind == "semicolon":
+        return text.replace(",", ";").encode()
+    if kind == "decimal comma":
+        return text.replace(",", ";").replace(".", ",").encode()
+    if kind == "tab":
+        return text.replace(", ", "\t").encode()
+    if kind == "quoted":
+        return "\n".join(",".join(f'"{v.strip()}"' for v in line.split(",")) for line in text.splitlines()).encode()
+    return (text.replace("\n", "\r\n") if kind == "crlf" else text.title()).encode()
+
+
+@pytest.mark.parametrize("kind", ["bom", "utf-16", "semicolon", "decimal comma", "tab", "quoted", "crlf", "title"])
+def test_tables_of_spreadsheet_programs(tmp_path: Path, kind: str) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS[:2])
+    (path / "odometry.csv").write_bytes(rewritten((path / "odometry.csv").read_text(), kind))
+    first, second = open_capture(path)
+    np.testing.assert_allclose(second.camera_to_world, VIEWS[1].pose, atol=1e-6)
+    assert first.timestamp_s == pytest.approx(5.0)
+
+
+def test_text_of_tum_and_json_with_marks(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    for name in ("rgb.txt", "depth.txt", "groundtruth.txt"):
+        text = (path / name).read_text()
+        (path / name).write_bytes(codecs.BOM_UTF8 + b"# caf\xe9\r\n" + text.replace("\n", "\r\n").encode())
+    assert len(list(open_capture(path))) == 4
+    path = formats.nerfstudio(tmp_path / "nerf", VIEWS)
+    (path / "transforms.json").write_bytes(codecs.BOM_UTF8 + (path / "transforms.json").read_bytes())
+    assert len(list(open_capture(path))) == 4
+
+
+# Masks
+
+
+def test_transparent_and_masked_pixels_are_not_seen(transforms: Path) -> None:
+    pixels = np.dstack([VIEWS[0].srgb8, np.full((24, 32), 255, np.uint8)])
+    pixels[:6] = 0
+    formats.save(transforms / "images/frame_00001.png", cv2.imencode(".png", pixels[..., [2, 1, 0, 3]])[1].tobytes())
+    mask = np.full((12, 16), 255, np.uint8)
+    mask[:, :4] = 0
+    formats.save(transforms / "masks/1.png", formats.image(".png", mask))
+    edit(transforms / "transforms.json", lambda index: index["frames"][1].update(mask_path="masks/1.png"))
+    transparent, masked, plain, _ = open_capture(transforms)
+    assert plain.seen is None
+    for frame, hidden in ((transparent, np.s_[:6]), (masked, np.s_[:, :8])):
+        assert frame.seen is not None
+        assert not frame.seen[hidden].any()
+        assert frame.seen.sum() == 576
+        assert not frame.depth_m[hidden].any()
+        assert (frame.depth_m > 0).sum() == 576
+        assert frame.image[hidden].min() > 0.02  # the colour around, not black
+
+
+def test_a_mask_of_everything_skips_the_frame(transforms: Path) -> None:
+    formats.save(transforms / "mask.png", formats.image(".png", np.zeros((24, 32), np.uint8)))
+    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(mask_path="mask.png"))
+    one_skipped(transforms, 2, "no pixel that is seen")
+
+
+# Colour of video, orientation
+
+
+def hlg_video(path: Path, code: int, curve: int = 18) -> None:
+    with av.open(str(path), "w", format="mp4") as container:
+        stream = container.add_stream("libx264", rate=30, options={"crf": "1"})
+        stream.width, stream.height, stream.pix_fmt = 32, 24, "yuv420p"
+        stream.codec_context.color_primaries, stream.codec_context.color_trc = 9, curve
+        stream.codec_context.colorspace = 9
+        for _ in range(4):
+            picture = av.VideoFrame.from_ndarray(np.full((24, 32, 3), code, np.uint8), format="rgb24")
+            container.mux(stream.encode(picture.reformat(format="yuv420p")))
+        container.mux(stream.encode())
+
+
+def test_hlg_video_is_scene_light(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    hlg_video(path / "rgb.mp4", 200)
+    frame = next(iter(open_capture(path)))
+    np.testing.assert_allclose(frame.image, 0.32, atol=0.02)  # BT.2100: (exp((0.784 - c) / a) + b) / 12
+
+
+def test_a_curve_that_no_camera_writes_is_refused(tmp_path: Path) -> None:
+    path = formats.stray_scanner(tmp_path / "capture", VIEWS)
+    hlg_video(path / "rgb.mp4", 100, curve=9)  # logarithmic
+    with pytest.raises(CaptureError, match=r"rgb\.mp4: has a transfer curve of code 9"):
+        list(open_capture(path))
+
+
+def test_exif_orientation_of_a_capture_is_said_and_not_applied(transforms: Path) -> None:
+    from PIL import ExifTags, Image
+
+    exif = Image.Exif()
+    exif[ExifTags.Base.Orientation] = 3
+    Image.fromarray(VIEWS[0].srgb8).save(transforms / "images/frame_00001.png", exif=exif)
+    capture = open_capture(transforms)
+    first = next(iter(capture))
+    assert (
+        first.image.argmax()
+        == next(iter(open_capture(formats.nerfstudio(transforms.parent / "b", VIEWS)))).image.argmax()
+    )
+    assert any("orientation 3" in note.left_out for note in capture.notes)
+
+
+# What is marked, unread, nested, guessed
+
+
+@pytest.mark.parametrize("mark", [True, 1, "true"])
+def test_frames_marked_bad_are_skipped(transforms: Path, mark: object) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][2].update(is_bad=mark))
+    one_skipped(transforms, 2, "is_bad")
+
+
+def test_keys_that_are_not_read_are_listed_once(transforms: Path) -> None:
+    edit(
+        transforms / "transforms.json",
+        lambda index: [frame.update(rolling_shutter_s=0.01) for frame in index["frames"]],
+    )
+    capture = open_capture(transforms)
+    list(capture)
+    (note,) = capture.notes
+    assert "rolling_shutter_s" in note.left_out
+
+
+def test_applied_scale_is_taken_back(transforms: Path) -> None:
+    def scale(index: dict) -> None:
+        index["applied_scale"] = 2.0
+        for frame in index["frames"]:
+            frame["transform_matrix"] = [[*row[:3], 2 * row[3]] for row in frame["transform_matrix"][:3]]
+
+    edit(transforms / "transforms.json", scale)
+    np.testing.assert_allclose(next(iter(open_capture(transforms))).camera_to_world, VIEWS[0].pose, atol=1e-9)
+
+
+def test_a_world_that_is_its_first_camera_is_pointed_out(tmp_path: Path) -> None:
+    path = formats.tum(tmp_path / "tum", VIEWS)
+    lines = (path / "groundtruth.txt").read_text().splitlines()
+    first, *rest = [line for line in lines if not line.startswith("#")]
+    (path / "groundtruth.txt").write_text("\n".join([f"{first.split()[0]} 0 0 0 0 0 0 1", *rest]))
+    capture = open_capture(path)
+    list(capture)
+    (note,) = capture.notes
+    assert "looks straight up" in note.left_out
+    assert "--world-up -y" in note.advice
+    stated = open_capture(path, CaptureOptions(world_up="-y"))
+    list(stated)
+    assert stated.notes == ()
+
+
+def test_archives_and_folders_with_a_folder_above(tmp_path: Path) -> None:
+    members = formats.record3d_members(VIEWS)
+    with zipfile.ZipFile(tmp_path / "a.r3d", "w") as archive:
+        for name, data in members.items():
+            archive.writestr(f"2024-05-01/{name}", data)
+            archive.writestr(f"__MACOSX/2024-05-01/._{name.rpartition('/')[2]}", b"x")
+    assert len(list(open_capture(tmp_path / "a.r3d"))) == 4
+    inner = formats.nerfstudio(tmp_path / "outer/middle/2024-05-01", VIEWS)
+    assert open_capture(tmp_path / "outer").path == inner
+    formats.nerfstudio(tmp_path / "outer/middle/2024-05-02", VIEWS)
+    with pytest.raises(UnknownFormatError, match=r"holds 2 captures \(2024-05-01, 2024-05-02\)"):
+        open_capture(tmp_path / "outer/middle")
+
+
+@pytest.mark.parametrize("size", [(640, 480), (256, 192), (24, 32)])
+def test_record3d_depth_size_follows_from_its_bytes(tmp_path: Path, size: tuple[int, int]) -> None:
+    long, short = max(size), min(size)
+    depth = np.full((short, long), 2.0, np.float32)
+    depth[: short // 2] = 1.0
+    members = formats.record3d_members(VIEWS)
+    metadata = json.loads(members["metadata"])
+    del metadata["dw"], metadata["dh"]
+    members["metadata"] = json.dumps(metadata).encode()
+    for number in range(4):
+        members[f"rgbd/{number}.depth"] = lzfse.compress(depth.tobytes())
+        members[f"rgbd/{number}.conf"] = lzfse.compress(np.full(depth.size, 2, np.uint8).tobytes())
+    for name, data in members.items():
+        formats.save(tmp_path / "capture" / name, data)
+    np.testing.assert_array_equal(next(iter(open_capture(tmp_path / "capture"))).depth_m, depth)
+
+
+def test_frame_errors_are_frame_errors(transforms: Path) -> None:
+    edit(transforms / "transforms.json", lambda index: index["frames"][0].update(camera_model="EQUIRECTANGULAR"))
+    with pytest.raises(FrameError, match="EQUIRECTANGULAR"):
+        open_capture(transforms).frame_at(0)

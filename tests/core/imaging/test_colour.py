@@ -1,0 +1,179 @@
+"""Colour spaces: values of the standards, and the same fact stated in every way in which files state it."""
+
+import io
+import struct
+import zlib
+
+import cv2
+import numpy as np
+import pytest
+from PIL import ExifTags, Image, ImageCms
+
+from roomlight.errors import ImageError
+from roomlight.images import decode_picture
+from roomlight.imaging.colour_spaces import DISPLAY_P3, REC709, ColourSpace, to_rec709
+
+RED = np.full((8, 8, 3), (200, 40, 40), np.uint8)
+# Linear sRGB of the Display P3 colour (200, 40, 40): the curve is sRGB's, the matrix that of SMPTE EG 432-1.
+P3_RED = np.array([[1.2249, -0.2247, 0.0], [-0.0420, 1.0419, 0.0], [-0.0197, -0.0786, 1.0979]]) @ [
+    0.5776,
+    0.0212,
+    0.0212,
+]
+
+
+def chunk(kind: bytes, body: bytes) -> bytes:
+    return struct.pack(">I", len(body)) + kind + body + struct.pack(">I", zlib.crc32(kind + body))
+
+
+def png(pixels: np.ndarray, *chunks: bytes) -> bytes:
+    data = cv2.imencode(".png", pixels[..., ::-1])[1].tobytes()
+    return data[:33] + b"".join(chunks) + data[33:]
+
+
+def s15f16(*values: float) -> bytes:
+    return b"".join(struct.pack(">i", round(value * 65536)) for value in values)
+
+
+def matrix_profile(primaries: tuple[float, ...], gamma: float = 2.2) -> bytes:
+    """An ICC v2 profile of these primaries (D65 white), adapted to D50 as the standard asks."""
+    x, y = np.array(primaries[0::2]), np.array(primaries[1::2])
+    xyz = np.stack([x / y, np.ones(4), (1 - x - y) / y])
+    columns = xyz[:, :3] * np.linalg.solve(xyz[:, :3], xyz[:, 3])
+    bradford = np.array([[0.8951, 0.2664, -0.1614], [-0.7502, 1.7135, 0.0367], [0.0389, -0.0685, 1.0296]])
+    d50 = np.array([0.9642, 1.0, 0.8249])
+    columns = np.linalg.inv(bradford) @ np.diag(bradford @ d50 / (bradford @ xyz[:, 3])) @ bradford @ columns
+    curve = b"curv" + bytes(4) + struct.pack(">IH", 1, round(gamma * 256)) + bytes(2)
+    tags = {
+        b"desc": b"desc" + bytes(4) + struct.pack(">I", 5) + b"test\0" + bytes(79),
+        b"wtpt": b"XYZ " + bytes(4) + s15f16(*d50),
+    }
+    for index, name in enumerate("rgb"):
+        tags[name.encode() + b"XYZ"] = b"XYZ " + bytes(4) + s15f16(*columns[:, index])
+        tags[name.encode() + b"TRC"] = curve
+    table, body = struct.pack(">I", len(tags)), b""
+    for name, value in tags.items():
+        table += name + struct.pack(">II", 128 + 4 + 12 * len(tags) + len(body), len(value))
+        body += value + bytes(-len(value) % 4)
+    head = struct.pack(">I4sI4s4s4s", 128 + len(table) + len(body), b"test", 0x02400000, b"mntr", b"RGB ", b"XYZ ")
+    head += struct.pack(">6H", 2026, 1, 1, 0, 0, 0) + b"acsp" + bytes(28) + s15f16(*d50)
+    return head.ljust(128, b"\0") + table + body
+
+
+def saved(kind: str, pixels: np.ndarray = RED, **extra: object) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, kind, **extra)
+    return stream.getvalue()
+
+
+def linear_of(data: bytes) -> np.ndarray:
+    return decode_picture(data, "x").image[4, 4]
+
+
+def test_matrices_are_those_of_the_standards() -> None:
+    bt2020 = [[1.6605, -0.5876, -0.0728], [-0.1246, 1.1329, -0.0083], [-0.0182, -0.1006, 1.1187]]  # BT.2087
+    np.testing.assert_allclose(to_rec709(ColourSpace.of_codes(9, 1).primaries), bt2020, atol=2e-4)
+    np.testing.assert_allclose(to_rec709(REC709), np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(to_rec709(DISPLAY_P3) @ np.ones(3), np.ones(3), atol=1e-9)
+
+
+def test_curves_of_hlg_and_pq_are_those_of_bt2100() -> None:
+    codes = np.array([[[0, 0, 0], [128, 128, 128], [191, 191, 191], [255, 255, 255]]], np.uint8)
+    hlg = ColourSpace.of_codes(1, 18).to_linear(codes)[0, :, 0]
+    np.testing.assert_allclose(hlg, [0, (128 / 255 - 0.55991073) * 0 + 0.0842, 0.2625, 1.0], atol=2e-3)
+    pq = ColourSpace.of_codes(1, 16).to_linear(codes)[0, :, 0]
+    np.testing.assert_allclose(pq[[1, 3]], [0.0941, 10.0], rtol=0.02)  # 94 and 10,000 cd/m^2
+
+
+def test_unknown_codes_are_refused_by_number() -> None:
+    for primaries, transfer, says in ((99, 1, "primaries of code 99"), (1, 9, "curve of code 9")):
+        with pytest.raises(ValueError, match=says):
+            ColourSpace.of_codes(primaries, transfer)
+    data = png(RED, chunk(b"cICP", bytes([99, 1, 0, 1])))
+    with pytest.raises(ImageError, match="x: has colour primaries of code 99"):
+        decode_picture(data, "x")
+
+
+@pytest.mark.parametrize("kind", ["JPEG", "PNG"])
+def test_icc_profiles_are_applied(kind: str) -> None:
+    plain = linear_of(saved(kind))
+    wide = linear_of(saved(kind, icc_profile=matrix_profile(DISPLAY_P3)))
+    assert wide[0] == pytest.approx(P3_RED[0], abs=0.02)
+    assert wide[0] > 1.15 * plain[0]
+    assert wide[1] < plain[1] / 2
+    own = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    np.testing.assert_array_equal(linear_of(saved(kind, icc_profile=own)), plain)
+
+
+def test_a_damaged_profile_is_said_and_read_as_srgb() -> None:
+    picture = decode_picture(saved("PNG", icc_profile=b"nothing of the kind" * 20), "x.png")
+    np.testing.assert_allclose(picture.image[0, 0], [0.5776, 0.0212, 0.0212], atol=1e-3)
+    (note,) = picture.notes
+    assert "x.png: its colour profile" in str(note)
+
+
+def test_png_states_display_p3_by_codes_and_by_chromaticities() -> None:
+    by_codes = linear_of(png(RED, chunk(b"cICP", bytes([12, 13, 0, 1]))))
+    np.testing.assert_allclose(by_codes, np.maximum(P3_RED, 0), atol=2e-3)
+    stated = (DISPLAY_P3[6], DISPLAY_P3[7], *DISPLAY_P3[:6])
+    chromaticities = chunk(b"cHRM", struct.pack(">8I", *(round(value * 100_000) for value in stated)))
+    gamma = chunk(b"gAMA", struct.pack(">I", 45455))
+    np.testing.assert_allclose(linear_of(png(RED, gamma, chromaticities)), by_codes, atol=1e-3)
+
+
+def test_a_linear_png_of_16_bits_keeps_its_values() -> None:
+    pixels = np.full((8, 8, 3), (30_000, 600, 100), np.uint16)
+    found = linear_of(png(pixels, chunk(b"gAMA", struct.pack(">I", 100_000))))
+    np.testing.assert_allclose(found, pixels[0, 0] / 65535, atol=1e-5)
+
+
+def test_adobe_rgb_by_exif() -> None:
+    exif = Image.Exif()
+    exif.get_ifd(ExifTags.IFD.Exif)[ExifTags.Base.ColorSpace] = 2
+    red = linear_of(saved("JPEG", exif=exif, quality=100))
+    expected = to_rec709((0.64, 0.33, 0.21, 0.71, 0.15, 0.06, 0.3127, 0.329)) @ (RED[0, 0] / 255.0) ** (563 / 256)
+    np.testing.assert_allclose(red, np.maximum(expected, 0), atol=0.01)
+
+
+def test_cmyk_jpegs_are_read() -> None:
+    stream = io.BytesIO()
+    Image.fromarray(RED).convert("CMYK").save(stream, "JPEG", quality=98)
+    assert linear_of(stream.getvalue())[0] > 0.4
+
+
+def test_a_gain_map_is_said() -> None:
+    data = saved("JPEG")
+    xmp = b"http://ns.adobe.com/xap/1.0/\0<x hdrgm:Version='1.0'/>"
+    data = data[:2] + b"\xff\xe1" + struct.pack(">H", len(xmp) + 2) + xmp + data[2:]
+    (note,) = decode_picture(data, "x").notes
+    assert "gain map" in note.left_out
+
+
+def test_alpha_in_every_way_of_png() -> None:
+    pixels = np.dstack([RED, np.full((8, 8), 255, np.uint8)])
+    pixels[:4, :, 3] = 0
+    grey = np.dstack([RED[..., 0], pixels[..., 3]])
+    palette = Image.fromarray(pixels).quantize(8)
+    stream = io.BytesIO()
+    palette.save(stream, "PNG")
+    keyed = cv2.imencode(".png", np.where(pixels[..., 3:] > 0, RED, 0)[..., ::-1])[1].tobytes()
+    keyed = keyed[:33] + chunk(b"tRNS", bytes(6)) + keyed[33:]
+    for data in (saved("PNG", pixels), saved("PNG", grey), stream.getvalue(), keyed):
+        seen = decode_picture(data, "x").seen
+        assert seen is not None
+        assert not seen[:4].any()
+        assert seen[4:].all()
+    assert decode_picture(saved("PNG", np.dstack([RED, pixels[4:, :, 3].repeat(2, 0)])), "x").seen is None
+
+
+def test_what_follows_the_end_mark_is_ignored() -> None:
+    smooth = cv2.resize(np.random.default_rng(1).integers(0, 255, (3, 4, 3), np.uint8), (64, 48))
+    for kind in ("JPEG", "PNG"):
+        whole = saved(kind, smooth)
+        plain = decode_picture(whole, "x").image
+        video = b"\0\0\0\x18ftypmp42" + bytes(range(256)) * 8
+        for trailer in (b"\n", video, b"SEFHk" + bytes(100) + b"SEFT", saved(kind, smooth[:16])):
+            np.testing.assert_array_equal(decode_picture(whole + trailer, "x").image, plain)
+    np.testing.assert_array_equal(
+        decode_picture(saved("JPEG", smooth)[:-2], "x").image, decode_picture(saved("JPEG", smooth), "x").image
+    )

@@ -1,0 +1,96 @@
+"""EXR: the depth and the colour are found among the layers of renderers, or refused with the layers' names."""
+
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+
+from roomlight.errors import ImageError
+from roomlight.images import decode_depth, decode_picture
+from roomlight.imaging.colour_spaces import DISPLAY_P3, to_rec709
+
+PLANE = {key: np.full((6, 8), value, np.float32) for key, value in {"R": 0.5, "G": 0.25, "B": 0.125, "A": 1.0}.items()}
+DEPTH = np.linspace(1, 3, 48, dtype=np.float32).reshape(6, 8)
+HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+
+
+def written(path: Path, channels: dict[str, np.ndarray], **header: object) -> bytes:
+    OpenEXR.File({**HEADER, **header}, {key: np.ascontiguousarray(v) for key, v in channels.items()}).write(str(path))
+    return path.read_bytes()
+
+
+def layer(name: str, **channels: np.ndarray) -> dict[str, np.ndarray]:
+    return {f"{name}.{key}": value for key, value in channels.items()}
+
+
+@pytest.mark.parametrize(
+    "channels",
+    [
+        {**PLANE, "Z": DEPTH},
+        {**layer("ViewLayer.Combined", **PLANE), **layer("ViewLayer.Depth", Z=DEPTH)},
+        {**layer("Image", **PLANE), **layer("Depth", V=DEPTH)},
+        {**layer("ViewLayer.Normal", X=DEPTH * 0, Y=DEPTH * 0, Z=DEPTH * 0), **layer("ViewLayer.Depth", Z=DEPTH)},
+        {**layer("ViewLayer.Mist", Z=DEPTH * 0), **layer("ViewLayer.Depth", Z=DEPTH)},
+        {"V": DEPTH},
+        {"Y": DEPTH},
+        {"R": DEPTH, "G": DEPTH, "B": DEPTH},
+    ],
+    ids=["rgbz", "blender", "compositor", "normals", "mist", "V", "Y", "grey"],
+)
+def test_depth_is_found_by_its_name(tmp_path: Path, channels: dict[str, np.ndarray]) -> None:
+    np.testing.assert_array_equal(decode_depth(written(tmp_path / "d.exr", channels), "d.exr"), DEPTH)
+
+
+@pytest.mark.parametrize(
+    ("channels", "says"),
+    [
+        (PLANE, "no depth channel .*: A, B, G, R"),
+        ({**layer("A.Depth", Z=DEPTH), **layer("B.Depth", Z=DEPTH)}, "several channels .*A.Depth.Z, B.Depth.Z"),
+        (layer("Normal", X=DEPTH, Y=DEPTH, Z=DEPTH), "no depth channel"),
+    ],
+)
+def test_what_cannot_be_told_is_refused(tmp_path: Path, channels: dict[str, np.ndarray], says: str) -> None:
+    with pytest.raises(ImageError, match=rf"^d\.exr: .*{says}"):
+        decode_depth(written(tmp_path / "d.exr", channels), "d.exr")
+
+
+def test_colour_is_the_combined_layer(tmp_path: Path) -> None:
+    passes = {
+        **layer("V.Combined", **PLANE),
+        **layer("V.DiffDir", R=DEPTH, G=DEPTH, B=DEPTH),
+        **layer("V.Depth", Z=DEPTH),
+    }
+    picture = decode_picture(written(tmp_path / "c.exr", passes), "c.exr")
+    np.testing.assert_allclose(picture.image[0, 0], [0.5, 0.25, 0.125])
+    two = {**layer("V.DiffDir", **PLANE), **layer("V.GlossDir", **PLANE)}
+    with pytest.raises(ImageError, match=r"layers V\.DiffDir, V\.GlossDir"):
+        decode_picture(written(tmp_path / "c.exr", two), "c.exr")
+    with pytest.raises(ImageError, match="has no colour"):
+        decode_picture(written(tmp_path / "c.exr", layer("V.Normal", X=DEPTH, Y=DEPTH, Z=DEPTH)), "c.exr")
+
+
+def test_parts_are_layers(tmp_path: Path) -> None:
+    parts = [
+        OpenEXR.Part({**HEADER, "name": "Combined"}, dict(PLANE)),
+        OpenEXR.Part({**HEADER, "name": "Depth"}, {"Z": DEPTH}),
+    ]
+    OpenEXR.File(parts).write(str(tmp_path / "p.exr"))
+    data = (tmp_path / "p.exr").read_bytes()
+    np.testing.assert_allclose(decode_picture(data, "p.exr").image[0, 0], [0.5, 0.25, 0.125])
+    np.testing.assert_array_equal(decode_depth(data, "p.exr"), DEPTH)
+
+
+def test_chromaticities_alpha_and_windows_are_read(tmp_path: Path) -> None:
+    wide = decode_picture(written(tmp_path / "w.exr", PLANE, chromaticities=DISPLAY_P3), "w.exr")
+    np.testing.assert_allclose(wide.image[0, 0], np.maximum(to_rec709(DISPLAY_P3) @ [0.5, 0.25, 0.125], 0), atol=1e-3)
+    half = {**PLANE, "A": np.where(DEPTH < 2, 0, 1).astype(np.float32)}
+    seen = decode_picture(written(tmp_path / "a.exr", half), "a.exr").seen
+    assert seen is not None
+    np.testing.assert_array_equal(seen, DEPTH >= 2)
+    corner = (np.array([0, 0], np.int32), np.array([9, 5], np.int32))
+    picture = decode_picture(written(tmp_path / "x.exr", PLANE, displayWindow=corner), "x.exr")
+    assert picture.image.shape == (6, 10, 3)
+    assert picture.seen is not None
+    assert picture.seen[:, :8].all()
+    assert not picture.seen[:, 8:].any()
