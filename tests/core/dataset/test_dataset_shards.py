@@ -15,7 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import stub_rooms
-from roomlight.captures import native, open_capture
+from roomlight.captures import open_capture
+from roomlight.captures.formats import native
 from roomlight.dataset import sequence_files, shards
 from roomlight.dataset.archive import BLOCK, RECORD, end_of_archive, filler, pack, unpack
 from roomlight.dataset.folder import LOCK, locked
