@@ -24,10 +24,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 os.environ["ORT_DISABLE_TELEMETRY"] = "1"
 
 _ROOT = Path(__file__).parent.parent
-_SOURCES = [
-    _ROOT / folder
-    for folder in ("core", "model", "generator", "export", "server", "client", "evaluation", "bench", "cli")
-]
+_SOURCES = [_ROOT / folder for folder in ("core", "model", "export", "server", "client", "lab", "cli")]
 
 
 def _modules() -> list[str]:

@@ -8,8 +8,8 @@ Each benchmark is a command, a function that runs it and a report with a table a
     roomlight bench rendering  `rendering.compare_sampling`     how the rendering layer samples light (needs PyTorch)
 
 Start with `stages`. A `BenchStage` is one row of its table: our implementation, a readable NumPy reference and a plain
-PyTorch one (`plain_torch`), its cost by formula (`stage_costs`) against the machine's ceilings (`roofline`). `timing`
-interleaves the runs, so that other work on the machine slows all of them alike.
+PyTorch one (`plain_torch`); networks also as a share of the machine's peak (`peak`). `timing` interleaves the runs, so
+that other work on the machine slows all of them alike.
 
 All benchmarks run from an installed package; none needs a checkout. PyTorch (`pip install 'roomlight[train]'`) is
 optional for `stages`: without it, the comparisons with PyTorch are left out, and the networks if no weights are given.

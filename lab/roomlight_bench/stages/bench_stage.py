@@ -1,11 +1,10 @@
-"""A stage before it is timed: its implementations, its cost by formula, and how far their results agree."""
+"""A stage before it is timed: its implementations, and how far their results agree."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from roomlight_bench.stages.roofline import Cost
 from roomlight_bench.timing import Implementation
 
 
@@ -16,20 +15,20 @@ class BenchStage:
     Attributes:
         name: The stage's name.
         ours: The implementation that the engine uses.
-        cost: Its work by formula.
         reference: The readable NumPy implementation.
         torch: The plain PyTorch implementation.
         paper_ms: The paper's time for the same stage, on its GPU.
+        flops: Floating-point operations of a network, as PyTorch counts them; None for other stages.
         note: What is timed, e.g. the number of rays.
         differences: Largest absolute difference of our result from that of each other implementation, by its name.
     """
 
     name: str
     ours: Implementation
-    cost: Cost
     reference: Implementation | None = None
     torch: Implementation | None = None
     paper_ms: float | None = None
+    flops: float | None = None
     note: str = ""
     differences: dict[str, float] = field(default_factory=dict[str, float])
 

@@ -20,8 +20,6 @@ from roomlight.engine.networks.graphs import Graph, LightingGraphs, NetworkForm,
 from roomlight.engine.networks.providers import open_graph, openvino_device
 from roomlight_bench.stages.bench_stage import BenchStage
 from roomlight_bench.stages.plain_torch import torch_installed
-from roomlight_bench.stages.roofline import Cost
-from roomlight_bench.stages.stage_costs import blend_gru_layers, blend_layers, network_cost, sg_gru_layers, sg_layers
 from roomlight_bench.timing import Implementation, ProgressCallback
 from roomlight_model.config import ModelConfig
 
@@ -89,40 +87,44 @@ def network_stages(networks: Networks, volume: Float[np.ndarray, "5 z y x"]) -> 
 
     Stages: 3D network, 3D GRU, blending network and 2D GRU. `volume` is the networks' input.
     """
-    form, sg, blend = networks.form, networks.config.sg, networks.config.blend
-    video = form == "video"
-    plan: list[tuple[str, tuple[str, ...], Cost, float, str]] = [
+    form = networks.form
+    plan: list[tuple[str, tuple[str, ...], float, str]] = [
         (
             "SGLV network",
             (f"{form}_sg_encoder", f"{form}_sg_decoder"),
-            network_cost(sg_layers(sg, recurrent=video)),
             25.0,
             "3D encoder and decoder",
         ),
-        ("3D GRU", ("video_sg_gru",), network_cost(sg_gru_layers(sg)), 19.0, "both levels"),
+        ("3D GRU", ("video_sg_gru",), 19.0, "both levels"),
         (
             "blending network",
             (f"{form}_blend_encoder", f"{form}_blend_decoder"),
-            network_cost(blend_layers(blend, panels=13 if video else 8)),
             5.2,
             "2D encoder and decoder",
         ),
-        ("2D GRU", ("video_blend_gru",), network_cost(blend_gru_layers(blend)), 2.1, "both levels"),
+        ("2D GRU", ("video_blend_gru",), 2.1, "both levels"),
     ]
     modules = _eager_modules(networks) if torch_installed() else None
     stages: list[BenchStage] = []
-    for name, graphs, cost, paper_ms, note in plan:
+    for name, graphs, paper_ms, note in plan:
+        if not all(graph in networks.loaded["cpu"].graphs for graph in graphs):
+            continue  # a single-view model has no GRUs
+        eager = _run_eager(modules, graphs, volume) if modules is not None else None
+        flops = _counted_flops(eager) if eager is not None else None  # the first run, which also warms it up
         for runtime, loaded in networks.loaded.items():
-            if not all(graph in loaded.graphs for graph in graphs):
-                continue  # a single-view model has no GRUs
             first = runtime == "cpu"
             ours = Implementation(_run_bound(loaded, graphs, volume))
-            eager = Implementation(_run_eager(modules, graphs, volume)) if modules is not None and first else None
-            for implementation in (ours, eager):
-                if implementation is not None:
-                    implementation.run()
-            title = f"{name}, {_RUNTIME_TITLES[runtime]}"
-            stages.append(BenchStage(title, ours, cost, torch=eager, paper_ms=paper_ms if first else None, note=note))
+            ours.run()
+            stages.append(
+                BenchStage(
+                    f"{name}, {_RUNTIME_TITLES[runtime]}",
+                    ours,
+                    torch=Implementation(eager) if eager is not None and first else None,
+                    paper_ms=paper_ms if first else None,
+                    flops=flops,
+                    note=note,
+                )
+            )
     return stages
 
 
@@ -182,3 +184,12 @@ def _run_eager(
             module(*tensors)
 
     return run
+
+
+def _counted_flops(run: Callable[[], object]) -> float:
+    """Return the floating-point operations of a run, a multiply-add counted as two."""
+    from torch.utils.flop_counter import FlopCounterMode
+
+    with FlopCounterMode(display=False) as counter:
+        run()
+    return float(counter.get_total_flops())

@@ -1,4 +1,4 @@
-"""Report of `roomlight bench stages`: timed rows, the machine's ceilings and the speed criteria, as table and JSON."""
+"""Report of `roomlight bench stages`: timed rows, the machine's peak and the speed criteria, as table and JSON."""
 
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -10,7 +10,6 @@ from rich.table import Table
 
 from roomlight.threads import thread_count
 from roomlight_bench.reporting import Criterion, criteria_table, describe_machine, short_number
-from roomlight_bench.stages.roofline import Ceilings
 from roomlight_bench.timing import Timing
 
 MARCH_FASTER: Final = 30.0
@@ -24,16 +23,14 @@ _PAPER: Final = "the paper's times are on its GPU, an RTX 2080 Ti: 77 ms togethe
 
 @dataclass(frozen=True)
 class StageRow:
-    """One timed `BenchStage`; `roof_ms` is the least time in milliseconds that the machine's ceilings allow."""
+    """One timed `BenchStage`; `flops` of a network are None where PyTorch, which counts them, is not installed."""
 
     name: str
     ours: Timing
     reference: Timing | None
     torch: Timing | None
     paper_ms: float | None
-    flops: float
-    bytes: float
-    roof_ms: float
+    flops: float | None
     note: str
     differences: dict[str, float]
 
@@ -48,7 +45,7 @@ class StagesReport:
 
     Attributes:
         rows: The timed stages.
-        ceilings: What the machine can do at most, measured in the same run.
+        peak_flops_per_s: Speed of a float32 matrix product, measured in the same run.
         criteria: The project's demands that these rows can answer.
         machine: Processor, system and versions; see `describe_machine`.
         threads: Threads of our kernels, ONNX Runtime and PyTorch.
@@ -58,7 +55,7 @@ class StagesReport:
     """
 
     rows: tuple[StageRow, ...]
-    ceilings: Ceilings
+    peak_flops_per_s: float
     criteria: tuple[Criterion, ...]
     machine: dict[str, str]
     threads: int
@@ -68,10 +65,12 @@ class StagesReport:
 
     @classmethod
     def of(
-        cls, rows: Sequence[StageRow], ceilings: Ceilings, *, repeats: int, networks: str, torch: bool
+        cls, rows: Sequence[StageRow], peak_flops_per_s: float, *, repeats: int, networks: str, torch: bool
     ) -> "StagesReport":
         """Make the report of these rows: judge the criteria and describe the machine."""
-        return cls(tuple(rows), ceilings, judge(rows), describe_machine(), thread_count(), repeats, networks, torch)
+        return cls(
+            tuple(rows), peak_flops_per_s, judge(rows), describe_machine(), thread_count(), repeats, networks, torch
+        )
 
     def to_json(self) -> dict[str, Any]:
         """Return plain JSON values; `from_json` restores an equal report."""
@@ -92,11 +91,11 @@ class StagesReport:
             for row in values["rows"]
         ]
         criteria = tuple(Criterion(**entry) for entry in values["criteria"])
-        parts: dict[str, Any] = {"rows": tuple(rows), "criteria": criteria, "ceilings": Ceilings(**values["ceilings"])}
+        parts: dict[str, Any] = {"rows": tuple(rows), "criteria": criteria}
         return cls(**{**values, **parts})
 
     def table(self, *, width: int = 120) -> RenderableType:
-        """Return the stages and the criteria; below 120 columns of width without the figures behind the roofline."""
+        """Return the stages and the criteria; below 120 columns of width without differences and operations."""
         return Group(self._stages_table(brief=width < 120), criteria_table(self.criteria))
 
     def _stages_table(self, *, brief: bool) -> Table:
@@ -106,9 +105,8 @@ class StagesReport:
             caption=(
                 f"{self.threads} threads (ours, ONNX Runtime, PyTorch), {self.machine['processor']}; networks: "
                 f"{self.networks}; {'' if self.torch else 'no comparison with PyTorch, which is not installed; '}"
-                f"ceilings: {self.ceilings.flops_per_s / 1e9:.0f} GFLOP/s (fp32 matrix product), "
-                f"{self.ceilings.bytes_per_s / 1e9:.1f} GB/s (copy); x: times as long as ours, by least times; "
-                f"roof: the least time that these ceilings allow; {_PAPER}"
+                f"x: times as long as ours, by least times; of peak: a network's operations per second relative to "
+                f"{self.peak_flops_per_s / 1e9:.0f} GFLOP/s, a fp32 matrix product; {_PAPER}"
             ),
             caption_justify="left",
             box=box.SIMPLE_HEAD,
@@ -119,7 +117,7 @@ class StagesReport:
         table.add_column("ours", justify="right", no_wrap=True)
         table.add_column("NumPy", justify="right", no_wrap=True)
         table.add_column("PyTorch", justify="right", no_wrap=True)
-        for heading in (*(() if brief else ("max diff", "MFLOP", "MB")), "roof", "ours/roof", "paper"):
+        for heading in (*(() if brief else ("max diff", "GFLOP")), "of peak", "paper"):
             table.add_column(heading, justify="right", no_wrap=True)
         for row in self.rows:
             largest = max(row.differences.values(), default=None)
@@ -128,9 +126,8 @@ class StagesReport:
                 f"{short_number(row.ours.least_ms)} / {short_number(row.ours.median_ms)}",
                 _time_and_ratio(row, row.reference),
                 _time_and_ratio(row, row.torch),
-                *(() if brief else ("-" if largest is None else f"{largest:.1e}", *_millions(row.flops, row.bytes))),
-                short_number(row.roof_ms),
-                short_number(row.ours.least_ms / row.roof_ms),
+                *(() if brief else ("-" if largest is None else f"{largest:.1e}", _giga(row.flops))),
+                "-" if row.flops is None else f"{1e3 * row.flops / row.ours.least_ms / self.peak_flops_per_s:.0%}",
                 "-" if row.paper_ms is None else f"{row.paper_ms:g}",
             )
         return table
@@ -175,5 +172,5 @@ def _time_and_ratio(row: StageRow, timing: Timing | None) -> str:
     return f"{short_number(timing.least_ms)}\n[bold]{short_number(ratio)} x[/bold]"
 
 
-def _millions(*values: float) -> tuple[str, ...]:
-    return tuple(short_number(value / 1e6) for value in values)
+def _giga(value: float | None) -> str:
+    return "-" if value is None else short_number(value / 1e9)

@@ -1,4 +1,4 @@
-"""`roomlight bench stages`: every stage of a session beside its NumPy reference, plain PyTorch and the roofline."""
+"""`roomlight bench stages`: every stage of a session beside its NumPy reference and plain PyTorch."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.camera import rigid_inverse, transform_points
 from roomlight.conventions import panorama_directions
 from roomlight.engine.classical_backend import ClassicalBackend
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, accumulate_reference, filled_detail
@@ -18,7 +17,7 @@ from roomlight.engine.volume.grid import VolumeGrid, initial_volume, initial_vol
 from roomlight.engine.volume.sglv import Far, Sglv, render_rays, render_rays_reference
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
-from roomlight_bench.stages import plain_torch, stage_costs
+from roomlight_bench.stages import plain_torch
 from roomlight_bench.stages.bench_stage import BenchStage, differences, largest_difference
 from roomlight_bench.stages.network_stages import (
     Networks,
@@ -27,8 +26,8 @@ from roomlight_bench.stages.network_stages import (
     network_stages,
     untrained_networks,
 )
+from roomlight_bench.stages.peak import MatrixProduct
 from roomlight_bench.stages.report import StageRow, StagesReport
-from roomlight_bench.stages.roofline import CeilingRuns, Cost
 from roomlight_bench.stages.room import PROBE, RoomSize, network_like, views
 from roomlight_bench.timing import Implementation, ProgressCallback, Timing, time_interleaved
 from roomlight_model.config import ModelConfig
@@ -38,7 +37,6 @@ SLOW_RUNS: Final = 3
 FINE_SAMPLES: Final = 110.0
 """Mean number of samples per ray inside the volume, in the row with fine steps. At the engine's own step of one voxel,
 a ray from inside takes about 40 before it leaves the volume, while `grid_sample` computes all 128."""
-_FILL: Final = "fill beyond the mesh"
 _BRUTE_FORCE_RAYS: Final = 32
 """Rays of the brute-force reference; all 28,800 would take minutes."""
 
@@ -87,20 +85,18 @@ def run_stages(
     stages += _mesh_stages(frames[0], size)
     stages.append(_fill_stage(frames[0], grid, size))
     stages.append(_accumulate_stage(frames[0], grid, size))
-    stages += _catch_up_stages(frames, size, networks, stages)
-    ceiling = CeilingRuns.of()
+    stages += _catch_up_stages(frames, size, networks)
+    product = MatrixProduct()
     implementations = [
         (index, kind, implementation)
         for index, stage in enumerate(stages)
         for kind, implementation in _implementations(stage)
     ]
     everything = [
-        Implementation(ceiling.matmul),
-        Implementation(ceiling.copy),
+        Implementation(product.run),
         *(implementation for _, _, implementation in implementations),
     ]
-    matmul, copy, *timings = time_interleaved(everything, repeats, progress=report)
-    ceilings = ceiling.ceilings(matmul.least_ms, copy.least_ms)
+    multiplied, *timings = time_interleaved(everything, repeats, progress=report)
     timed: dict[tuple[int, str], Timing] = {
         (index, kind): timing for (index, kind, _), timing in zip(implementations, timings, strict=True)
     }
@@ -111,9 +107,7 @@ def run_stages(
             reference=timed.get((index, "reference")),
             torch=timed.get((index, "torch")),
             paper_ms=stage.paper_ms,
-            flops=stage.cost.flops,
-            bytes=stage.cost.bytes,
-            roof_ms=stage.cost.roof_ms(ceilings),
+            flops=stage.flops,
             note=stage.note,
             differences=stage.differences,
         )
@@ -122,7 +116,13 @@ def run_stages(
     described = "none (no weights are given, and the packages that export untrained networks are not installed)"
     if networks:
         described = f"{networks.form}, {'trained' if networks.trained else 'untrained'}"
-    return StagesReport.of(rows, ceilings, repeats=repeats, networks=described, torch=plain_torch.torch_installed())
+    return StagesReport.of(
+        rows,
+        product.flops_per_s(multiplied.least_ms),
+        repeats=repeats,
+        networks=described,
+        torch=plain_torch.torch_installed(),
+    )
 
 
 def _networks(model: Path | None, config: ModelConfig, progress: ProgressCallback) -> Networks | None:
@@ -143,19 +143,7 @@ def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
     reference = Implementation(lambda: initial_volume_reference(grid, frame))
     torch = Implementation(plain_torch.volume_by_grid_sample(grid, frame)) if plain_torch.torch_installed() else None
     found = differences(ours.run, {"reference": reference.run, "torch": torch.run if torch else None})
-    cost = stage_costs.volume_cost(
-        out, in_view=_in_view(grid, frame), pixels=frame.clipped.size, depth_pixels=frame.depth_m.size
-    )
-    return BenchStage("volume initialisation", ours, cost, reference, torch, paper_ms=4.1, differences=found)
-
-
-def _in_view(grid: VolumeGrid, frame: Frame) -> int:
-    """Count the voxels whose centres the camera sees."""
-    in_camera = transform_points(rigid_inverse(frame.camera_to_world) @ grid.volume_to_world, grid.centres_m())
-    xy, depth = frame.intrinsics.project(in_camera)
-    with np.errstate(invalid="ignore"):
-        inside = (xy >= 0).all(axis=-1) & (xy < [frame.intrinsics.width, frame.intrinsics.height]).all(axis=-1)
-    return int((inside & (depth > 0)).sum())
+    return BenchStage("volume initialisation", ours, reference, torch, paper_ms=4.1, differences=found)
 
 
 def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[BenchStage]:
@@ -181,12 +169,9 @@ def _march_stage(
     step_m = sglv.grid.edge_m
     if mean_inside is not None:
         step_m *= float(_samples_inside(sglv.grid, directions, size.samples, step_m).mean()) / mean_inside
-    result: list[Float[np.ndarray, " n"]] = []
 
     def ours() -> Float[np.ndarray, "n 3"]:
-        radiance, left = render_rays(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)
-        result[:] = [left]
-        return radiance
+        return render_rays(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)[0]
 
     def reference() -> Float[np.ndarray, "n 3"]:
         return render_rays_reference(sglv, PROBE, directions, samples=size.samples, step_m=step_m, far=far)[0]
@@ -199,10 +184,15 @@ def _march_stage(
         torch = Implementation(by_grid_sample)
     found = differences(ours, {"reference": reference, "torch": torch.run if torch else None})
     inside = _samples_inside(sglv.grid, directions, size.samples, step_m)
-    cost = stage_costs.march_cost(sglv, result[0], inside, boundary=far == "boundary")
     note = f"{len(directions)} rays, {size.samples} samples, {inside.mean():.0f} inside"
     return BenchStage(
-        name, Implementation(ours), cost, Implementation(reference, max_runs=SLOW_RUNS), torch, paper_ms, note, found
+        name,
+        Implementation(ours),
+        Implementation(reference, max_runs=SLOW_RUNS),
+        torch,
+        paper_ms,
+        note=note,
+        differences=found,
     )
 
 
@@ -236,15 +226,11 @@ def _mesh_stages(frame: Frame, size: RoomSize) -> list[BenchStage]:
     panorama = BenchStage(
         "partial-mesh panorama",
         Implementation(lambda: mesh.render_panorama(position, height=height)),
-        stage_costs.panorama_cost(rays, faces, int(seen.mask.sum()), frame.clipped.size),
         reference=Implementation(trace, scale=rays / len(chosen), max_runs=SLOW_RUNS),
         note=f"{rays} rays, {faces} triangles",
         differences=agreement,
     )
-    building = BenchStage(
-        "mesh building", Implementation(build), stage_costs.mesh_cost(len(mesh.vertices), faces), note="once per frame"
-    )
-    return [building, panorama]
+    return [BenchStage("mesh building", Implementation(build), note="once per frame"), panorama]
 
 
 def _brute_force_depth(
@@ -278,7 +264,7 @@ def _fill_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchStage:
     def fill() -> Float[np.ndarray, "h w 3"]:
         return filled_detail(state, seen.radiance, seen.depth_m, mask=seen.mask, hdr=state.radiance)
 
-    return BenchStage(_FILL, Implementation(fill), stage_costs.fill_cost(state.seen.size), note="with networks")
+    return BenchStage("fill beyond the mesh", Implementation(fill), note="with networks")
 
 
 def _first_panorama(frame: Frame, grid: VolumeGrid, size: RoomSize) -> tuple[PartialPanorama, PanoramaState]:
@@ -317,44 +303,30 @@ def _accumulate_stage(frame: Frame, grid: VolumeGrid, size: RoomSize) -> BenchSt
     return BenchStage(
         "accumulation",
         Implementation(lambda: apply(ours_state, accumulate)),
-        stage_costs.accumulate_cost(state.seen.size),
         Implementation(lambda: apply(reference_state, accumulate_reference)),
         torch,
         differences=found,
     )
 
 
-def _catch_up_stages(
-    frames: list[Frame], size: RoomSize, networks: Networks | None, stages: list[BenchStage]
-) -> list[BenchStage]:
+def _catch_up_stages(frames: list[Frame], size: RoomSize, networks: Networks | None) -> list[BenchStage]:
     """Time a late probe: the volume is rendered once, then every keyframe is rendered, blended and accumulated."""
     options = SessionOptions(model="classical", height=size.panorama_height, keyframes=size.keyframes)
-    sessions = [("classical", Session(options), Cost(0.0, 0.0))]
-    cost = {stage.name: stage.cost for stage in stages}
+    sessions = [("classical", Session(options))]
     if networks:
         runtime = "openvino" if "openvino" in networks.loaded else "cpu"
-        per_keyframe_network = sum(
-            (stage.cost for stage in stages if stage.name.startswith(("blending", "2D"))), Cost(0.0, 0.0)
-        )
-        session = Session(options, graphs=networks.loaded[runtime])
-        blended = per_keyframe_network * (1 / len(networks.loaded)) + cost[_FILL]
-        sessions.append((f"{networks.form} networks", session, blended))
-    found: list[BenchStage] = []
-    for name, session, blending in sessions:
+        sessions.append((f"{networks.form} networks", Session(options, graphs=networks.loaded[runtime])))
+    stages: list[BenchStage] = []
+    for name, session in sessions:
         for frame in frames:
             session.push(frame)
-        volume = "classical" if name == "classical" else "network-like"
-        per_keyframe = cost["partial-mesh panorama"] + cost["accumulation"] + blending
-        total = cost[f"ray tracing, {volume} volume"] + per_keyframe * float(session.keyframes)
 
         def run(session: Session = session) -> object:
             return session.light_at(PROBE)
 
         run()
-        found.append(
-            BenchStage(f"late probe, {name}", Implementation(run), total, note=f"{session.keyframes} keyframes")
-        )
-    return found
+        stages.append(BenchStage(f"late probe, {name}", Implementation(run), note=f"{session.keyframes} keyframes"))
+    return stages
 
 
 def _ignore(_: str) -> None:

@@ -8,7 +8,7 @@ BENCHMARKS: Final = (
     CommandEntry(
         "stages",
         "roomlight_cli.commands.bench.stages",
-        "Time each stage beside its reference, plain PyTorch, and this machine's roofline.",
+        "Time each stage beside its reference and plain PyTorch; networks also against this machine's peak.",
     ),
     CommandEntry(
         "server",

@@ -18,7 +18,7 @@ def bench_stages(
     weights: arguments.Weights = None,
     json_out: arguments.FiguresJson = None,
 ) -> None:
-    """Time each stage beside its reference, plain PyTorch, and this machine's roofline."""
+    """Time each stage beside its reference and plain PyTorch; networks also against this machine's peak."""
     with console.err.status("measuring") as status:
         report = run_stages(repeats=repeats, model=weights, progress=status.update)
     console.print_table(console.out, report.table(width=console.out.width))
