@@ -20,7 +20,7 @@ from roomlight.images import read_panorama
 
 @runtime_checkable
 class Estimator(Protocol):
-    """A method that takes frames one by one and estimates the light at a point. `roomlight.baselines` has two."""
+    """A method that takes frames one by one and estimates the light at a point, as the two of `baselines` do."""
 
     @property
     def name(self) -> str:

@@ -12,7 +12,6 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.engine.session import SessionOptions, choose_graphs
@@ -20,6 +19,7 @@ from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness
 from roomlight.spheres import SphereRenderer, resize_panorama, view_toward
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator, PredictionFolder
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track
 

@@ -24,7 +24,6 @@ import cv2
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.baselines import WarpAndFill
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import LUMINANCE, Position, panorama_rays, panorama_solid_angles
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
@@ -33,6 +32,7 @@ from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight.placement import point_in_view
+from roomlight_evaluation.baselines import WarpAndFill
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval
 
 METHODS: Final = ("tracked", "one panorama", "cube, SH", "cube, peak")

@@ -15,10 +15,10 @@ from typing import Any, Final
 import numpy as np
 from rich.table import Table
 
-from roomlight.baselines import WarpAndFill
 from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.files import write_json
+from roomlight_evaluation.baselines import WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.captures.evaluation import ProgressCallback, evaluate_captures
 from roomlight_evaluation.captures.scores import CaptureScores

@@ -17,7 +17,6 @@ from typing import Final, Literal
 import numpy as np
 from jaxtyping import Bool, Float
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position, direction_to_uv, panorama_solid_angles
 from roomlight.engine.networks.graphs import LightingGraphs
@@ -26,6 +25,7 @@ from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import CaptureError, OptionError
 from roomlight.files import write_json
 from roomlight.frame import Frame
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 

@@ -8,13 +8,13 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, Float32
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.compositing.compositor import Compositor
 from roomlight.compositing.light.probes import LightAt
 from roomlight.conventions import Position, panorama_rays, panorama_solid_angles
 from roomlight.engine.session import Session
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.composites.scenes import CompositeScene
 
 OURS: Final = "ours"

@@ -10,12 +10,12 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import Position
 from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.volume.sglv import render_panorama
 from roomlight.frame import Frame
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 
 HEIGHT: Final = 120
 """Rows of every panorama; columns are twice as many."""

@@ -12,7 +12,6 @@ from typing import Final, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import Recording
@@ -20,6 +19,7 @@ from roomlight.engine.networks.graphs import LightingGraphs
 from roomlight.engine.session import Session, SessionOptions, choose_graphs
 from roomlight.errors import DatasetError, FrameError
 from roomlight.frame import Frame
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator
 from roomlight_evaluation.captures.evaluation import score_frames
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track

@@ -13,7 +13,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.captures import open_capture
 from roomlight.compositing.light.object_light import object_light
 from roomlight.conventions import Position
@@ -26,6 +25,7 @@ from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame
 from roomlight.spheres import view_toward
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED, harmonics_and_directional
 from roomlight_evaluation.confidence import MeanWithInterval, mean_with_interval, ratio_of_means
 from roomlight_evaluation.datasets.evaluation import evenly_spread

@@ -18,9 +18,9 @@ from torch.nn import functional
 
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.networks.graphs import PartForm
-from roomlight.sphere_shadow import ROWS, SHADED, shadow_tables
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.completion_network import ObjectLightNetwork
+from roomlight_model.sphere_shadow import ROWS, SHADED, shadow_tables
 from roomlight_model.training.completion_examples import CompletionExamples, completion_batch
 from roomlight_model.training.completion_stage import changed_light, reflection_lobe, solid_angles
 
@@ -119,7 +119,7 @@ def _beside_white(found: Float[Tensor, "*n"], wanted: Float[Tensor, "*n"]) -> Fl
 
 
 def _shadow(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b n"]:
-    """Return `roomlight.sphere_shadow.shadow_of_sphere`."""
+    """Return `roomlight_model.sphere_shadow.shadow_of_sphere`."""
     cosine, blocked = _shadow_tables()
     small = functional.interpolate(_luminance(light), size=(ROWS, 2 * ROWS), mode="area")
     power = small.flatten(1)[:, : len(cosine)] * cosine

@@ -1,8 +1,8 @@
-"""Validation on held-out rooms during training: the paper's two losses beside two baselines', and pictures.
+"""Validation on held-out rooms during training: the paper's two losses, and pictures.
 
-It gives a run's curve and selects its best weights; published results come from `roomlight eval`, which runs the
-serving engine. Both use 120 rows, the same means and units, the first frame and exact depth, so that their numbers can
-be compared.
+It gives a run's curve and selects its best weights; published results, beside baselines, come from `roomlight eval`,
+which runs the serving engine. Both use 120 rows, the same means and units, the first frame and exact depth, so that
+their numbers can be compared.
 """
 
 from collections.abc import Sequence
@@ -15,13 +15,12 @@ import torch
 from jaxtyping import Float, UInt8
 from torch import Tensor
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.sphere_rendering import disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.examples import Example, Recordings, example_of, read_example
+from roomlight_model.training.examples import Recordings, example_of, read_example
 from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.stages import predicted_panoramas, rendered_panoramas
 
@@ -41,13 +40,12 @@ class Validation:
     """
 
     def __init__(self, recordings: Recordings, numbers: Sequence[int], options: TrainOptions) -> None:
-        """Collate the sequences of these numbers and score the baselines."""
+        """Collate the sequences of these numbers."""
         rng = np.random.default_rng(0)
         self._options = options
         self.images: list[UInt8[np.ndarray, "h w 3"]] = []
         self._batches: list[Batch] = []
         self._walks: list[Batch] = []
-        self._baselines: dict[str, list[tuple[float, float]]] = {"mean_colour": [], "warp": []}
         for number in numbers:
             example = example_of(recordings.read(number, frames=[0]), rng, depth="exact")
             self.images.append(linear_to_srgb8(example.frame.image))
@@ -56,14 +54,12 @@ class Validation:
             if options.frames > 1:
                 walk = read_example(recordings, number, rng, depth="exact", augment=False, frames=options.frames)
                 self._walks.append(collate([walk], volume_shape=options.volume_shape, panorama_height=HEIGHT))
-            for name, method in (("mean_colour", MeanColour(HEIGHT)), ("warp", WarpAndFill(HEIGHT))):
-                self._baselines[name].append(_errors(_baseline(method, example), batch))
 
     def scores(self, model: SingleModel | VideoModel, *, device: torch.device) -> dict[str, float]:
         """Return the mean log-L2 and rendering loss of each method.
 
-        Methods: the volume (`sglv`), the blended panoramas if the stage trains them (`blended`), the frame's mean
-        colour (`mean_colour`), and the frame warped to the probe (`warp`). `_walk`: after all frames of a walk.
+        Methods: the volume (`sglv`), and the blended panoramas if the stage trains them (`blended`). `_walk`: after all
+        frames of a walk.
         """
         errors: dict[str, list[tuple[float, float]]] = {}
         for batches, after in ((self._batches, ""), (self._walks, "_walk")):
@@ -71,7 +67,7 @@ class Validation:
                 for name, panoramas in self._predict(model, batch, device).items():
                     errors.setdefault(name + after, []).append(_errors(panoramas, batch))
         scores: dict[str, float] = {}
-        for name, values in (errors | self._baselines).items():
+        for name, values in errors.items():
             scores[f"log_l2_{name}"], scores[f"rendering_{name}"] = np.mean(values, axis=0).tolist()
         return scores
 
@@ -117,12 +113,6 @@ class Validation:
                 model, sglv, here, weight_height=self._options.panorama_height, bf16=False, device=device
             )
         return {"sglv": hdr[0].cpu(), "blended": blended[0].cpu()}
-
-
-def _baseline(method: MeanColour | WarpAndFill, example: Example) -> Panoramas:
-    method.push(example.completed)
-    panoramas = [method.light_at((float(x), float(y), float(z))) for x, y, z in example.positions]
-    return torch.from_numpy(np.stack(panoramas)).permute(0, 3, 1, 2).contiguous()
 
 
 def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.camera import Intrinsics
 from roomlight.captures import CaptureOptions, CaptureWriter
 from roomlight.conventions import linear_to_srgb8
@@ -19,6 +18,7 @@ from roomlight.frame import Frame
 from roomlight.images import write_exr
 from roomlight.metrics import METRICS, PAPER_INTERVALS
 from roomlight_cli.console import print_table
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.captures.estimators import Estimator, PredictionFolder
 from roomlight_evaluation.captures.evaluation import evaluate_captures, evaluate_predictions
 from roomlight_evaluation.captures.scores import CaptureScores, CaptureSummary, Track

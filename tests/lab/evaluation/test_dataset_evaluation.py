@@ -9,12 +9,12 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from recordings import BoxRecordings
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.engine.session import SessionOptions, choose_graphs
 from roomlight.errors import DatasetError, ModelError, OptionError
 from roomlight.metrics import log_l2
 from roomlight_cli.console import print_table
 from roomlight_cli.main import app
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.datasets.evaluation import evaluate_dataset, first_frame
 from roomlight_evaluation.datasets.methods import BLENDED, UNBLENDED, BaselineMethod, EngineMethod
 from roomlight_evaluation.datasets.picture import compose_picture, write_picture

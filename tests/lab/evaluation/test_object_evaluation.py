@@ -11,11 +11,11 @@ from roomlight.captures import CaptureWriter
 from roomlight.conventions import linear_to_srgb8, panorama_directions
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError
-from roomlight.sphere_shadow import shadow_of_sphere
 from roomlight_evaluation.composites.methods import HARMONICS, MEAN_COLOUR, WARPED
 from roomlight_evaluation.objects.evaluation import COMPOSITED, evaluate_objects
 from roomlight_evaluation.objects.lit_objects import LOOKS, SHADOW, LitObjects
 from roomlight_evaluation.objects.tables import object_markdown, object_table
+from roomlight_model.sphere_shadow import shadow_of_sphere
 from rooms import BoxRoom, camera_at
 
 ROWS = 40

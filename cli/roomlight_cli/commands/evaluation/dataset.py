@@ -6,13 +6,13 @@ from typing import Annotated, Final, Literal
 
 import typer
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
 from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
 from roomlight.files import write_atomic, write_json
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 from roomlight_evaluation.datasets.evaluation import DEPTHS, evaluate_dataset
 from roomlight_evaluation.datasets.methods import BLENDED, UNBLENDED, BaselineMethod, EngineMethod, Method
 from roomlight_evaluation.datasets.picture import write_picture

@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from roomlight.baselines import MeanColour, WarpAndFill
 from roomlight.camera import Intrinsics
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ProbeError
 from roomlight.frame import Frame
+from roomlight_evaluation.baselines import MeanColour, WarpAndFill
 
 # The six walls of a box room of 6 x 3 x 4 m about the origin, each in its own colour.
 HALF = np.array([3.0, 1.5, 2.0])
