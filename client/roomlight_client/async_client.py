@@ -1,8 +1,7 @@
 """The asyncio client: `AsyncClient` and `AsyncSession`, with the names of `client` and `await`."""
 
 import asyncio
-import random
-from collections.abc import Awaitable, Callable, Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -23,7 +22,7 @@ from roomlight.wire.compositing import (
 )
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
-from roomlight_client import calls
+from roomlight_client import _waiting, calls
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
 from roomlight_client.errors import RemoteError
@@ -49,14 +48,12 @@ class AsyncClient:
         buffer: BufferLimits | None = None,
         on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.AsyncBaseTransport | None = None,
-        sleep: Callable[[float], Awaitable[object]] = asyncio.sleep,
-        jitter: Callable[[], float] = random.random,
     ) -> None:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.AsyncClient(transport=transport, **arguments)
-        self._retry, self._url, self.sleep = retry or Retry(), url, sleep
+        self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
-        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
+        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
 
     async def __aenter__(self) -> "AsyncClient":
         return self
@@ -128,7 +125,7 @@ class AsyncClient:
                 outcome = attempt.answered(response)
             if isinstance(outcome, Result):
                 return outcome.value
-            await self.sleep(outcome)
+            await _waiting.wait_async(outcome)
 
     async def follow(self, steps: Steps[T]) -> T:
         """Run the steps of a call that survives a restart of the server.
@@ -150,12 +147,11 @@ class AsyncClient:
 
     async def _take(self, step: Send | Pause) -> Any:
         if isinstance(step, Pause):
-            return await self.sleep(step.seconds)
+            return await _waiting.wait_async(step.seconds)
         return await self.run(step.call, retry=step.retry)
 
     def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        options = self.options
-        policy = RecoveryPolicy(self._retry, options.reconnect, options.jitter, self._on_recovery)
+        policy = RecoveryPolicy(self._retry, self.options.reconnect, self._on_recovery)
         return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
 
 
@@ -256,7 +252,7 @@ class AsyncSession:
         async def resume(reopen: bool) -> Resumed:
             return await client.follow(self._recovery.resume(reopen=reopen))
 
-        link = StreamLink(client.options, self._calls, self._recovery, resume, client.sleep)
+        link = StreamLink(client.options, self._calls, self._recovery, resume)
         return await AsyncStream.open(link, handlers)
 
     async def state(self) -> SessionState:

@@ -4,7 +4,6 @@ A `Call` is a request and the parser of its response; `Attempt` counts the attem
 `async_client` only send, wait and return.
 """
 
-import random
 import re
 import secrets
 from collections.abc import Callable, Mapping, Sequence
@@ -34,6 +33,7 @@ from roomlight.wire.messages import (
     SessionRequest,
     SessionState,
 )
+from roomlight_client import _waiting
 from roomlight_client.compositing import CompositeFile, parse_composite
 from roomlight_client.errors import RETRIED, BadReplyError, UnreachableError, refusal
 from roomlight_client.light import Light, LightFile, parse_lights
@@ -103,7 +103,7 @@ class Attempt(Generic[T]):
             return Result(self._call.read(reply))
         retry_after_s = parse_retry_after(headers.get("retry-after"))
         if reply.status in RETRIED:
-            delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=random.random())
+            delay_s = self._retry.delay_s(self._made, retry_after_s=retry_after_s, jitter=_waiting.jitter())
             if delay_s is not None:
                 return delay_s
         raise refusal(reply.status, reply.body, retry_after_s=retry_after_s)
@@ -116,7 +116,7 @@ class Attempt(Generic[T]):
         """
         self._made += 1
         permanent = isinstance(error, httpx.UnsupportedProtocol | httpx.LocalProtocolError | httpx.DecodingError)
-        delay_s = None if permanent else self._retry.delay_s(self._made, jitter=random.random())
+        delay_s = None if permanent else self._retry.delay_s(self._made, jitter=_waiting.jitter())
         if delay_s is not None:
             return delay_s
         attempts = f"{self._made} attempts" if self._made > 1 else "one attempt"

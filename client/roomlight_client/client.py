@@ -1,8 +1,6 @@
 """The blocking client: `Client` and `Session`. A session belongs to one thread at a time; a client may be shared."""
 
 import asyncio
-import random
-import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -24,7 +22,7 @@ from roomlight.wire.compositing import (
 )
 from roomlight.wire.frame_encoding import CameraFrame, FrameEncoding
 from roomlight.wire.messages import FrameResult, LightForm, LightFormat, ModelName, SessionRequest, SessionState
-from roomlight_client import calls
+from roomlight_client import _waiting, calls
 from roomlight_client.blocking_stream import Stream
 from roomlight_client.calls import DEFAULT_FORMS, Attempt, Call, PositionOrName, Result, SessionCalls, T
 from roomlight_client.compositing import CompositeFile, composite_request, object_file
@@ -49,8 +47,6 @@ class Client:
         buffer: Bounds of the frames that are kept to be sent again.
         on_recovery: Is told when pushes wait for a server, and when a session was brought up to date.
         transport: Replaces the network.
-        sleep: Replaces `time.sleep`, which waits between attempts.
-        jitter: Replaces `random.random`.
 
     Raises:
         OptionError: If `url` or `token` is invalid.
@@ -67,14 +63,12 @@ class Client:
         buffer: BufferLimits | None = None,
         on_recovery: Callable[[RecoveryEvent], object] | None = None,
         transport: httpx.BaseTransport | None = None,
-        sleep: Callable[[float], object] = time.sleep,
-        jitter: Callable[[], float] = random.random,
     ) -> None:
         arguments = calls.client_arguments(url, token=token, timeouts=timeouts or Timeouts())
         self._http = httpx.Client(transport=transport, **arguments)
-        self._retry, self._url, self.sleep = retry or Retry(), url, sleep
+        self._retry, self._url = retry or Retry(), url
         self._buffer, self._on_recovery = buffer or BufferLimits(), on_recovery
-        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT, jitter)
+        self.options = StreamOptions(url, token, timeouts or Timeouts(), reconnect or retry or RECONNECT)
 
     def __enter__(self) -> "Client":
         return self
@@ -187,7 +181,7 @@ class Client:
                 outcome = attempt.answered(response)
             if isinstance(outcome, Result):
                 return outcome.value
-            self.sleep(outcome)
+            _waiting.wait(outcome)
 
     def follow(self, steps: Steps[T]) -> T:
         """Run the steps of a call that survives a restart of the server.
@@ -209,12 +203,11 @@ class Client:
 
     def _take(self, step: Send | Pause) -> Any:
         if isinstance(step, Pause):
-            return self.sleep(step.seconds)
+            return _waiting.wait(step.seconds)
         return self.run(step.call, retry=step.retry)
 
     def _recovery(self, session_calls: SessionCalls, request: SessionRequest | None) -> Recovery:
-        options = self.options
-        policy = RecoveryPolicy(self._retry, options.reconnect, options.jitter, self._on_recovery)
+        policy = RecoveryPolicy(self._retry, self.options.reconnect, self._on_recovery)
         return Recovery(session_calls, SessionMemory(request, self._buffer), policy)
 
 
@@ -389,10 +382,7 @@ class Session:
         async def resume(reopen: bool) -> Resumed:
             return await asyncio.to_thread(client.follow, self._recovery.resume(reopen=reopen))
 
-        async def sleep(seconds: float) -> None:
-            await (asyncio.sleep(seconds) if client.sleep is time.sleep else asyncio.to_thread(client.sleep, seconds))
-
-        return Stream(StreamLink(client.options, self._calls, self._recovery, resume, sleep), handlers)
+        return Stream(StreamLink(client.options, self._calls, self._recovery, resume), handlers)
 
     def state(self) -> SessionState:
         """Return counts of frames, tracked probes with their coverage, memory and the lighting volume."""

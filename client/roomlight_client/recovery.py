@@ -12,6 +12,7 @@ from typing import Any, Final, Literal, TypeVar
 import httpx
 
 from roomlight.wire.messages import FrameResult, SessionState
+from roomlight_client import _waiting
 from roomlight_client.calls import Call, SessionCalls
 from roomlight_client.errors import BusyError, GoneError, RefusedError, RemoteError, UnreachableError
 from roomlight_client.memory import SessionMemory
@@ -74,13 +75,11 @@ class RecoveryPolicy:
     Attributes:
         retry: Attempts after the server has refused a frame for now.
         reconnect: Attempts after a frame without an answer.
-        jitter: Returns random numbers from 0 to 1.
         notify: Receives the events.
     """
 
     retry: Retry
     reconnect: Retry
-    jitter: Callable[[], float]
     notify: Callable[[RecoveryEvent], object] | None = None
 
 
@@ -182,9 +181,9 @@ class Recovery:
 
     def _delay_s(self, error: RemoteError, failures: int) -> float | None:
         if is_server_lost(error):
-            return self._policy.reconnect.delay_s(failures, jitter=self._policy.jitter())
+            return self._policy.reconnect.delay_s(failures, jitter=_waiting.jitter())
         if isinstance(error, BusyError):
-            return self._policy.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=self._policy.jitter())
+            return self._policy.retry.delay_s(failures, retry_after_s=error.retry_after_s, jitter=_waiting.jitter())
         return None
 
     def _restore(self) -> Steps[None]:

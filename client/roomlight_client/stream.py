@@ -34,6 +34,7 @@ from roomlight.wire.messages import (
     Untrack,
     WireModel,
 )
+from roomlight_client import _waiting
 from roomlight_client.calls import (
     DEFAULT_FORMS,
     PositionOrName,
@@ -267,11 +268,11 @@ class AsyncStream:
                 raise error
             # a policy's first attempt is the first connection
             bounded = min(self._failures, options.reconnect.attempts - 1)
-            delay_s = options.reconnect.delay_s(bounded, jitter=options.jitter())
+            delay_s = options.reconnect.delay_s(bounded, jitter=_waiting.jitter())
             if delay_s is None:
                 raise error
             self._show(StreamStatus("reconnecting", attempt=self._failures, delay_s=delay_s, error=error))
-            await self._link.sleep(delay_s)
+            await _waiting.wait_async(delay_s)
             try:
                 return await self._connect(again=True)
             except RemoteError as failed:

@@ -60,7 +60,6 @@ class StreamOptions:
     token: str | None
     timeouts: Timeouts
     reconnect: Retry
-    jitter: Callable[[], float]
 
 
 @dataclass(frozen=True)
@@ -71,7 +70,6 @@ class StreamLink:
     calls: SessionCalls
     recovery: Recovery
     resume: Callable[[bool], Awaitable[Resumed]]
-    sleep: Callable[[float], Awaitable[object]]
 
 
 async def open_socket(link: StreamLink) -> ClientConnection:

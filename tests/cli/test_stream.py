@@ -4,6 +4,7 @@ import asyncio
 import json
 from dataclasses import replace
 from pathlib import Path
+from unittest import mock
 
 import httpx
 import pytest
@@ -21,7 +22,7 @@ from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
 from roomlight_cli.server_options import recovery_line, refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
-from roomlight_client import AsyncClient, RecoveryEvent
+from roomlight_client import AsyncClient, RecoveryEvent, _waiting
 from rooms import BoxRoom, pan
 
 PATIENT = sdk.Retry(attempts=400, first_delay_s=0.05, max_delay_s=0.25)
@@ -127,8 +128,9 @@ class FakeServer:
         transport = httpx.MockTransport(self._answer)
         clock = Clock(now=lambda: self.now_s, sleep=self.sleep)
         once = sdk.Retry(attempts=1)
-        async with AsyncClient("http://room.test", transport=transport, sleep=self.sleep, reconnect=once) as client:
-            return await stream(path, client, options, tally=self.tally, show=shown, clock=clock)
+        with mock.patch.object(_waiting, "wait_async", self.sleep):
+            async with AsyncClient("http://room.test", transport=transport, reconnect=once) as client:
+                return await stream(path, client, options, tally=self.tally, show=shown, clock=clock)
 
 
 def played(path, options=None, show=None, **room):

@@ -1,9 +1,14 @@
 """Scripted servers for tests of the client: prepared responses without a socket."""
 
+from collections.abc import AsyncGenerator
+from contextlib import asynccontextmanager
 from typing import Any
+from unittest import mock
 
 import httpx
 from either_client import client_of
+
+from roomlight_client import _waiting
 
 STATE: dict[str, Any] = {
     "id": "room", "status": "open", "model": "classical",
@@ -43,11 +48,14 @@ class Script:
             raise answer
         return httpx.Response(answer.status_code, headers=answer.headers, content=answer.content)
 
-    def client(self, kind: str, **options: Any) -> Any:
-        """Return a client of either kind that is connected to this script."""
+    @asynccontextmanager
+    async def client(self, kind: str, **options: Any) -> AsyncGenerator[Any, None]:
+        """Connect a client of either kind to this script; its waits are noted and take no time."""
 
-        async def wait(seconds: float) -> None:
+        async def wait_async(seconds: float) -> None:
             self.waits_s.append(seconds)
 
-        sleep = self.waits_s.append if kind == "sync" else wait
-        return client_of(kind, "http://room.test", transport=httpx.MockTransport(self._answer), sleep=sleep, **options)
+        transport = httpx.MockTransport(self._answer)
+        with mock.patch.multiple(_waiting, wait=self.waits_s.append, wait_async=wait_async):
+            async with client_of(kind, "http://room.test", transport=transport, **options) as client:
+                yield client

@@ -20,7 +20,7 @@ from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light
 from roomlight.light.spherical_harmonics import project
 from roomlight.wire.messages import LightForm
-from roomlight_client import CameraFrame, Client, Retry
+from roomlight_client import CameraFrame, Client, Retry, _waiting
 from rooms import BoxRoom, camera_at, pan
 
 ROOM = BoxRoom(lamp=((0.5, 3.0, 0.3), 0.3))
@@ -201,7 +201,7 @@ def test_sessions_belong_to_their_token():
             assert none.ready() in (True, False)  # needs no token
 
 
-def test_a_full_server_is_retried_after_its_delay():
+def test_a_full_server_is_retried_after_its_delay(monkeypatch):
     waits_s = []
 
     def make_room(seconds):
@@ -210,7 +210,8 @@ def test_a_full_server_is_retried_after_its_delay():
 
     # the server's clock stands still: the oldest session expires in 20 s, however long the calls take
     with RunningServer(clock=lambda: 100.0, model="classical", max_sessions=1, idle_expiry_s=20.0) as running:
-        client = Client(url_of(running), sleep=make_room)
+        monkeypatch.setattr(_waiting, "wait", make_room)
+        client = Client(url_of(running))
         client.open("first", **SMALL)
         assert client.open("second", **SMALL).id == "second"
         client.close()
@@ -233,7 +234,8 @@ def test_a_frame_with_a_lost_answer_is_processed_once(monkeypatch):
     with RunningServer(model="classical") as running, Client(url_of(running)) as patient:
         patient.open("room", **SMALL)
         # many attempts: on a busy machine an answer may take longer than the timeout
-        impatient = Client(url_of(running), timeouts=sdk.Timeouts(read_s=0.3), sleep=wait, retry=Retry(attempts=100))
+        impatient = Client(url_of(running), timeouts=sdk.Timeouts(read_s=0.3), retry=Retry(attempts=100))
+        monkeypatch.setattr(_waiting, "wait", wait)
         with impatient as client:
             session = client.join("room")
             pushing.append(True)

@@ -3,6 +3,7 @@
 import asyncio
 import json
 from typing import Any
+from unittest import mock
 
 import httpx
 import pytest
@@ -14,7 +15,7 @@ from roomlight.errors import OptionError
 from roomlight.wire.frame_message import parse
 from roomlight.wire.light_message import pack_light
 from roomlight.wire.messages import FrameResult, LightingUpdate
-from roomlight_client import AsyncClient, BufferLimits, Retry
+from roomlight_client import AsyncClient, BufferLimits, Retry, _waiting
 from roomlight_client.memory import FrameBuffer
 from roomlight_client.recovery import is_server_lost
 from rooms import BoxRoom, pan
@@ -117,7 +118,7 @@ class Room:
         async with self._changed:
             self._changed.notify_all()
 
-    async def sleep(self, seconds: float) -> None:
+    async def wait(self, seconds: float) -> None:
         self.waits_s.append(seconds)
         await asyncio.sleep(0)
 
@@ -130,14 +131,13 @@ def play(work, **options: Any) -> Room:
         options.setdefault("reconnect", Retry(attempts=5, first_delay_s=1.0, max_delay_s=3.0))
         async with serve(room._serve, "127.0.0.1", 0) as server:
             port = server.sockets[0].getsockname()[1]
-            transport = httpx.MockTransport(room._respond)
-            url = f"http://127.0.0.1:{port}"
-            async with AsyncClient(url, transport=transport, sleep=room.sleep, jitter=lambda: 1.0, **options) as client:
-                session = await client.open("room")
-                handlers = {"on_status": room.status, "on_problem": room.problems.append}
-                stream = await session.stream(**handlers, on_lighting=room.lights.append)
-                async with stream:
-                    await asyncio.wait_for(work(room, session, stream), 60)
+            client = AsyncClient(f"http://127.0.0.1:{port}", transport=httpx.MockTransport(room._respond), **options)
+            with mock.patch.multiple(_waiting, wait_async=room.wait, jitter=lambda: 1.0):
+                async with client:
+                    session = await client.open("room")
+                    handlers = {"on_status": room.status, "on_problem": room.problems.append}
+                    async with await session.stream(**handlers, on_lighting=room.lights.append) as stream:
+                        await asyncio.wait_for(work(room, session, stream), 60)
         return room
 
     return asyncio.run(main())

@@ -2,7 +2,8 @@
 
 import { RoomLightError } from "./errors.js";
 import type { BufferOptions } from "./memory.js";
-import { delay, type ReconnectOptions } from "./reconnect.js";
+import type { ReconnectOptions } from "./reconnect.js";
+import { waiting } from "./waiting.js";
 import type { Problem } from "./wire.js";
 
 /** How a client connects to its server. */
@@ -74,11 +75,11 @@ export class Http {
       if (request.method === "DELETE" && error.status === 404 && attempt > 0) {
         return new Response(null, { status: 204 }); // an earlier attempt deleted it, and its response was lost
       }
-      const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + Math.random());
+      const delay_s = retryAfter_s ?? FIRST_DELAY_S * 2 ** attempt * (0.5 + waiting.random());
       if (attempt >= retries || !(error.status === 0 || RETRIED.has(error.status)) || delay_s > maxRetryAfter_s) {
         throw error;
       }
-      await delay(delay_s, request.signal);
+      await waiting.delay(delay_s, request.signal);
       await request.beforeRetry?.(error);
     }
   }

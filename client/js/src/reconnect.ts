@@ -1,6 +1,7 @@
 // How long a client waits before it connects again, and which failures are worth another attempt.
 
 import type { RoomLightError } from "./errors.js";
+import { waiting } from "./waiting.js";
 
 /** When a client connects again. Half of each delay is random, so that phones do not return all at once. */
 export interface ReconnectOptions {
@@ -10,10 +11,6 @@ export interface ReconnectOptions {
   firstDelay_s?: number;
   /** Longest delay; default 10 s. */
   maxDelay_s?: number;
-  /** Replaces `Math.random`. */
-  random?: () => number;
-  /** Replaces the timer. Rejects with the signal's reason once the signal is aborted. */
-  wait?: (seconds: number, signal?: AbortSignal) => Promise<void>;
 }
 
 /** The delays of one series of attempts. */
@@ -29,16 +26,12 @@ export class Backoff {
 
   /** Count a failure. The delay until the next attempt, or null if no attempt is left. */
   next(): number | null {
-    const { attempts = 60, firstDelay_s = 0.25, maxDelay_s = 10, random = Math.random } = this.options || { attempts: 0 };
+    const { attempts = 60, firstDelay_s = 0.25, maxDelay_s = 10 } = this.options || { attempts: 0 };
     this.failed++;
     if (this.failed > attempts) {
       return null;
     }
-    return Math.min(maxDelay_s, firstDelay_s * 2 ** Math.min(this.failed - 1, 60)) * (0.5 + 0.5 * random());
-  }
-
-  wait(seconds: number, signal?: AbortSignal): Promise<void> {
-    return ((this.options && this.options.wait) || delay)(seconds, signal);
+    return Math.min(maxDelay_s, firstDelay_s * 2 ** Math.min(this.failed - 1, 60)) * (0.5 + 0.5 * waiting.random());
   }
 
   /** Start again with the first delay. */
@@ -55,20 +48,4 @@ export function isTemporary({ status }: RoomLightError): boolean {
 /** Whether the server no longer has the session: it expired, was deleted, or the server was started again. */
 export function isSessionGone({ kind }: RoomLightError): boolean {
   return kind === "session-not-found" || kind === "session-closed";
-}
-
-/** Resolve after some seconds; reject with the signal's reason once it is aborted. */
-export function delay(seconds: number, signal: AbortSignal | undefined): Promise<void> {
-  return new Promise((resolve, reject) => {
-    signal?.throwIfAborted();
-    const stop = () => {
-      clearTimeout(timer);
-      reject(signal?.reason);
-    };
-    const timer = setTimeout(() => {
-      signal?.removeEventListener("abort", stop);
-      resolve();
-    }, seconds * 1000);
-    signal?.addEventListener("abort", stop, { once: true });
-  });
 }

@@ -5,6 +5,7 @@ import { RoomLightError } from "./errors.js";
 import type { Http, HttpRequest } from "./http.js";
 import type { SessionMemory } from "./memory.js";
 import { Backoff, isSessionGone } from "./reconnect.js";
+import { waiting } from "./waiting.js";
 import { FRAME_MEDIA_TYPE, type FrameResult, type Position, type SessionState } from "./wire.js";
 
 export class SessionRequests {
@@ -94,7 +95,7 @@ export class SessionRequests {
         if (delay_s === null) {
           throw error;
         }
-        await backoff.wait(delay_s, request.signal);
+        await waiting.delay(delay_s, request.signal);
       }
     }
   }

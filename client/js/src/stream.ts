@@ -7,6 +7,7 @@ import type { ClientOptions } from "./http.js";
 import { decodeLights, parseLights, type Lights } from "./light.js";
 import type { KeptFrame, SessionMemory } from "./memory.js";
 import { Backoff, isSessionGone, isTemporary } from "./reconnect.js";
+import { waiting } from "./waiting.js";
 import type {
   ClientMessage,
   FrameResult,
@@ -393,7 +394,7 @@ export class Stream {
       }
       this.show({ ...QUIET, state: "reconnecting", attempt: this.backoff.attempt, delay_s, error });
       try {
-        await this.backoff.wait(delay_s, this.ended.signal);
+        await waiting.delay(delay_s, this.ended.signal);
         return await this.connect(true);
       } catch (cause) {
         error = asError(cause);

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test, type TestContext } from "node:test";
 import { RoomLight, RoomLightError, type ClientOptions, type StreamStatus } from "roomlight";
+import { waiting } from "#waiting";
 import { problem, serve, STATE, type ReceivedRequest, type ScriptedResponse } from "./server.js";
 import { plainFrame } from "./vectors.js";
 
@@ -96,8 +97,9 @@ class Room {
 
   async session(context: TestContext, client: ClientOptions = {}) {
     const server = await serve(context, this.respond, this.connected);
-    const wait = async (seconds: number) => void this.waits_s.push(seconds);
-    const options = { retries: 0, reconnect: { random: () => 1, wait, attempts: 5 }, ...client };
+    context.mock.method(waiting, "random", () => 1);
+    context.mock.method(waiting, "delay", async (seconds: number) => void this.waits_s.push(seconds));
+    const options = { retries: 0, reconnect: { attempts: 5 }, ...client };
     return new RoomLight(server.url, options).open({ id: "room", height: 64 });
   }
 
@@ -191,8 +193,8 @@ test("frames that the server lost are sent one by one", async (context) => {
 test("frames pushed without a connection wait in a bounded buffer", async (context) => {
   const room = new Room();
   let release: () => void = () => undefined;
-  const wait = () => new Promise<void>((resolve) => (release = resolve));
-  const { stream, settled } = await room.stream(context, { buffer: { frames: 2 }, reconnect: { wait } });
+  const { stream, settled } = await room.stream(context, { buffer: { frames: 2 }, reconnect: {} });
+  context.mock.method(waiting, "delay", () => new Promise<void>((resolve) => (release = resolve)));
   const reconnecting = settled();
   room.sockets.at(-1)!.terminate();
   while (stream.status.state === "open") {
@@ -213,7 +215,7 @@ test("frames pushed without a connection wait in a bounded buffer", async (conte
 
 test("delays double up to their bound, and attempts end", async (context) => {
   const room = new Room();
-  const reconnect = { random: () => 1, wait: async (s: number) => void room.waits_s.push(s), attempts: 4, firstDelay_s: 1, maxDelay_s: 3 };
+  const reconnect = { attempts: 4, firstDelay_s: 1, maxDelay_s: 3 };
   const { stream, settled } = await room.stream(context, { reconnect });
   room.http = () => ({ fails: "closes" });
   const closed = settled();

@@ -3,6 +3,7 @@
 import assert from "node:assert/strict";
 import { test, type TestContext } from "node:test";
 import { RoomLight, RoomLightError, type ClientOptions, type Lights, type StreamOptions } from "roomlight";
+import { waiting } from "#waiting";
 import { lightMessage, serve, STATE } from "./server.js";
 import { plainFrame, vectors } from "./vectors.js";
 
@@ -151,8 +152,8 @@ test("malformed messages are reported, invalid frames are not sent", async (cont
 });
 
 test("a call without an answer times out", async (context) => {
-  const client = { timeout_s: 0.5, reconnect: { wait: async () => undefined } };
-  const { stream } = await streamTo(context, () => [], {}, client);
+  context.mock.method(waiting, "delay", async () => undefined);
+  const { stream } = await streamTo(context, () => [], {}, { timeout_s: 0.5, reconnect: {} });
   await assert.rejects(stream.push(plainFrame()), /frame 0: no answer in 0\.5 s/);
   const twice = stream.push({ ...plainFrame(), index: 4 });
   await Promise.all([
