@@ -19,7 +19,7 @@ from roomlight_server.base.settings import ServerSettings
 from roomlight_server.serving import make_server
 from rooms import BoxRoom, camera_at
 
-SMALL = {"mode": "classical", "height": 16, "reference_exposure": 1.0}
+SMALL = {"model": "classical", "height": 16, "reference_exposure": 1.0}
 """Options of a fast session."""
 
 

@@ -356,18 +356,16 @@ def as_form(form: LightFormat | LightForm) -> LightForm:
         raise to_wire_error(error, kind="invalid") from error
 
 
-def session_request(*, model: str, **options: Any) -> SessionRequest:
-    """Return the request that opens a session. The wire's name of the option `model` is `mode`.
+def session_request(**options: Any) -> SessionRequest:
+    """Return the request that opens a session.
 
     Raises:
         WireError: If an option is invalid; with field, value and rule.
     """
     try:
-        return SessionRequest.model_validate({"mode": model, **options})
+        return SessionRequest.model_validate(options)
     except ValidationError as error:
-        explained = to_wire_error(error, kind="invalid")
-        field = "model" if explained.field == "mode" else explained.field
-        raise WireError(explained.kind, field=field, value=explained.value, rule=explained.rule) from error
+        raise to_wire_error(error, kind="invalid") from error
 
 
 def _parser(model: type[_Model]) -> Callable[[Reply], _Model]:

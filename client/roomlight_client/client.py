@@ -113,8 +113,8 @@ class Client:
             unknown_depth: Where the engine puts pixels of unknown depth.
 
         Raises:
-            ConflictError: If the session exists with other options; `field` names the first that differs (`mode` for
-                `model`), `value` is the requested value.
+            ConflictError: If the session exists with other options; `field` names the first that differs, `value` is
+                the requested value.
             RemoteError: If the server refuses or does not respond.
             WireError: If an option is out of range.
             OptionError: If the id is invalid.

@@ -252,7 +252,7 @@ def test_requests_carry_token_session_and_options(kind):
     assert opened.headers["x-session-id"] == joined.headers["x-session-id"] == "room"
     assert (opened.method, joined.method) == ("PUT", "GET")
     sent = json.loads(opened.content)
-    assert (sent["height"], sent["unknown_depth"], sent["mode"]) == (64, "far", "auto")
+    assert (sent["height"], sent["unknown_depth"], sent["model"]) == (64, "far", "auto")
     made = fresh.url.path.removeprefix("/v1/sessions/")
     assert len(made) == 32
     assert int(made, 16) >= 0

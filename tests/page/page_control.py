@@ -7,7 +7,7 @@ from urllib.parse import parse_qsl, urlsplit
 
 from http_servers import RunningServer, frame
 
-OPTIONS = {"mode": "classical", "height": 48, "reference_exposure": 1.0}
+OPTIONS = {"model": "classical", "height": 48, "reference_exposure": 1.0}
 
 
 class PageServer:

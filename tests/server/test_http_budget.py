@@ -15,7 +15,7 @@ from roomlight.wire.messages import CUBE_FORMATS, FACE_SIZES, LightForm
 from roomlight_server.answers.light_forms import MEDIA_TYPES, encode, max_bytes
 from roomlight_server.base.byte_budget import ByteBudget
 
-TALL = {"mode": "classical", "height": 512, "reference_exposure": 1.0}
+TALL = {"model": "classical", "height": 512, "reference_exposure": 1.0}
 BINARY = {"Accept": MEDIA_TYPE}
 
 

@@ -219,7 +219,7 @@ def test_the_rest_of_a_small_refused_body_is_discarded():
 def test_a_client_that_does_not_read_is_closed(caplog):
     """An unread answer was held in memory for as long as its client liked."""
     with RunningServer(send_timeout_s=0.1) as server:
-        server.open(options={"mode": "classical", "height": 512})
+        server.open(options={"model": "classical", "height": 512})
         with socket.socket() as connection:
             connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
             connection.connect(("127.0.0.1", server.port))

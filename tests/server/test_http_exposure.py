@@ -30,7 +30,7 @@ def test_a_short_exposure_shows_the_lamp(exposures):
     to_lamp = np.array(LAMP[0]) - PROBE
     lamp = panorama_directions(48) @ (to_lamp / np.linalg.norm(to_lamp)) > np.cos(np.radians(5))
     with RunningServer() as server:
-        server.open("room", {"mode": "classical", "height": 48, "reference_exposure": 1.0})
+        server.open("room", {"model": "classical", "height": 48, "reference_exposure": 1.0})
         assert server.call("PUT", "/v1/sessions/room/probes/table", {"position": PROBE}).status in (200, 201)
         for index, exposure in enumerate(exposures):
             assert server.push(index, message(exposure, 5.0 * index)).json["status"] == "processed"

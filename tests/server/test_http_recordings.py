@@ -266,7 +266,7 @@ def test_an_incomplete_recording_is_not_played(server):
 def test_a_folder_is_uploaded_and_played(tmp_path, short_sample):
     with RunningServer(recordings_folder=tmp_path) as server:
         url = upload(server, short_sample)
-        answer = server.call("PUT", f"{url}/replay", {"session": "room", "mode": "classical", "height": 16, "fps": 60})
+        answer = server.call("PUT", f"{url}/replay", {"session": "room", "model": "classical", "height": 16, "fps": 60})
         assert (answer.status, answer.json["status"], answer.json["session"]) == (202, "playing", "room")
         described = finished(server, url)
         assert (described["frame"], described["frames"], described["unreadable"]) == (6, 6, 0)
@@ -275,7 +275,7 @@ def test_a_folder_is_uploaded_and_played(tmp_path, short_sample):
         assert state["frames"]["gaps"] == 0
         assert set(state["probes"]) == {"view", "probe-1", "probe-2", "probe-3"}
         # a second replay goes into another session
-        again = server.call("PUT", f"{url}/replay", {"session": "room", "mode": "classical", "height": 16})
+        again = server.call("PUT", f"{url}/replay", {"session": "room", "model": "classical", "height": 16})
         assert again.kind == "session-conflict"
         probes = {"here": [0.0, 1.0, 0.0]}
         server.call("PUT", f"{url}/replay", {"session": "two", "height": 16, "fps": 60, "probes": probes})
@@ -291,7 +291,7 @@ def test_a_replay_is_stopped(tmp_path, short_sample):
     (short_sample / "capture.json").write_text(json.dumps(index))
     with RunningServer(recordings_folder=tmp_path) as server:
         url = upload(server, short_sample)
-        body = {"session": "room", "mode": "classical", "height": 16}
+        body = {"session": "room", "model": "classical", "height": 16}
         assert server.call("PUT", f"{url}/replay", body).status == 202
         assert server.call("PUT", f"{url}/replay", body | {"session": "two"}).kind == "recording-playing"
         while server.call("GET", url).json["frame"] == 0:

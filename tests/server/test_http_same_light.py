@@ -71,10 +71,10 @@ def direct(options):
     return tracked, session.light_at(PROBES[1])
 
 
-def compare(server, mode, bodies, expected, tmp_path):
+def compare(server, model, bodies, expected, tmp_path):
     tracked, late = expected
     height = tracked[0].panorama.shape[0]
-    server.open("room", {"mode": mode, "height": height, "reference_exposure": 1.0})
+    server.open("room", {"model": model, "height": height, "reference_exposure": 1.0})
     server.call("PUT", "/v1/sessions/room/probes/table", {"position": PROBES[0]})
     for (index, body), light in zip(bodies, tracked, strict=True):
         assert server.push(index, body).json["status"] == "processed"

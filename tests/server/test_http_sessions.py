@@ -28,14 +28,14 @@ def test_opening_with_the_same_options_changes_nothing(server):
     again = server.open("twice")
     assert (first.status, again.status) == (201, 200)
     assert first.json == again.json
-    assert server.call("PUT", "/v1/sessions/default").json["options"]["mode"] == "auto"
+    assert server.call("PUT", "/v1/sessions/default").json["options"]["model"] == "auto"
 
 
 @pytest.mark.parametrize(
     ("changes", "field", "value", "rule"),
     [
         ({"height": 32}, "height", "32", "must be 16, as when the session was opened"),
-        ({"mode": "auto"}, "mode", '"auto"', 'must be "classical", as when the session was opened'),
+        ({"model": "auto"}, "model", '"auto"', 'must be "classical", as when the session was opened'),
         ({"reference_exposure": None}, "reference_exposure", "null", "must be 1.0, as when the session was opened"),
         ({"use_limited_tracking": True}, "use_limited_tracking", "true", "must be false, as when"),
     ],
@@ -106,7 +106,7 @@ def test_an_unknown_path_is_not_found(server, path):
 @pytest.mark.parametrize(
     ("options", "field"),
     [
-        ({"mode": "magic"}, "mode"),
+        ({"model": "magic"}, "model"),
         ({"height": 8}, "height"),
         ({"height": 120.5}, "height"),
         ({"height": "120"}, "height"),
@@ -119,6 +119,14 @@ def test_an_invalid_option_is_rejected_by_name(server, options, field):
     assert (answer.status, answer.kind, answer.json["field"]) == (422, "invalid", field)
     assert answer.json["rule"]
     assert server.call("GET", "/v1/sessions/picky").status == 404
+
+
+def test_the_old_name_of_the_model_is_refused_with_a_hint(server):
+    opened = server.call("PUT", "/v1/sessions/old", {"mode": "single"})
+    replayed = server.call("PUT", "/v1/recordings/r-0123456789abcdef/replay", {"session": "old", "mode": "single"})
+    for answer in (opened, replayed):
+        assert (answer.status, answer.json["field"]) == (422, "mode")
+        assert answer.json["rule"] == "`mode` is called `model`"
 
 
 def test_a_body_that_is_not_json_is_rejected(server):
@@ -232,14 +240,14 @@ def test_the_document_describes_every_route(server):
 
 def test_a_model_without_weights_is_answered_with_409():
     with RunningServer(weights=SHIPPED / "single") as server:
-        answer = server.call("PUT", "/v1/sessions/untrained", {"mode": "video"})
-        assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "mode")
+        answer = server.call("PUT", "/v1/sessions/untrained", {"model": "video"})
+        assert (answer.status, answer.kind, answer.json["field"]) == (409, "model-not-here", "model")
         assert "auto" in answer.json["rule"]
         assert server.call("GET", "/v1/sessions/untrained").status == 404
 
 
 def test_a_session_has_the_model_that_it_asks_for():
     with RunningServer() as server:
-        for mode in ("classical", "single", "video"):
-            opened = server.call("PUT", f"/v1/sessions/{mode}", SMALL | {"mode": mode})
-            assert (opened.status, opened.json.get("model")) == (201, mode), opened
+        for model in ("classical", "single", "video"):
+            opened = server.call("PUT", f"/v1/sessions/{model}", SMALL | {"model": model})
+            assert (opened.status, opened.json.get("model")) == (201, model), opened

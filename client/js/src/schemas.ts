@@ -602,20 +602,20 @@ export interface components {
          *
          *     Attributes:
          *         session: id of the session, which has no frame yet.
-         *         mode: the session's model.
+         *         model: the session's model.
          *         height: rows of the session's panoramas.
          *         fps: frames per second at most: every n-th frame is played. Null: 10 of a recording with timestamps, 3 of one
          *             without.
          *         probes: named probes; null: the probes of the recording, and `view` in front of the first camera.
          */
         readonly ReplayRequest: {
-            /** @description ^[A-Za-z0-9_-]{1,64}$ */
-            readonly session: string;
             /**
              * @default auto
              * @enum {string}
              */
-            readonly mode?: "auto" | "classical" | "single" | "video";
+            readonly model?: "auto" | "classical" | "single" | "video";
+            /** @description ^[A-Za-z0-9_-]{1,64}$ */
+            readonly session: string;
             /**
              * @description 16 to 512
              * @default 120
@@ -638,7 +638,7 @@ export interface components {
          * @description Options of a session.
          *
          *     Attributes:
-         *         mode: which model estimates the light; `auto` is the server's default.
+         *         model: which model estimates the light; `auto` is the server's default.
          *         height: height of the panoramas in pixels; the width is twice the height.
          *         reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
          *             exposure of the first frame.
@@ -653,7 +653,7 @@ export interface components {
              * @default auto
              * @enum {string}
              */
-            readonly mode?: "auto" | "classical" | "single" | "video";
+            readonly model?: "auto" | "classical" | "single" | "video";
             /**
              * @description 16 to 512
              * @default 120

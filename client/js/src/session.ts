@@ -13,7 +13,6 @@ import {
   type LightForm,
   type LightRequest,
   type LightResponse,
-  type ModelName,
   type ObjectInfo,
   type ObjectList,
   type Position,
@@ -21,11 +20,8 @@ import {
   type SessionState,
 } from "./wire.js";
 
-/** Options of a session. The wire's name of `model` is `mode`. */
-export interface SessionOptions extends Omit<SessionRequest, "mode"> {
-  /** Which model estimates the light; "auto" (the default) is the server's default model. */
-  readonly model?: ModelName;
-}
+/** Options of a session. */
+export type SessionOptions = SessionRequest;
 
 /** One form of the light at a point, as a file or as values. */
 export interface LightFile {
@@ -66,8 +62,7 @@ export class RoomLight {
    * Throws RoomLightError: with status 409 if the session exists with other options (`error.field` names the option).
    */
   async open(options: SessionOptions & { id?: string } & CallOptions = {}): Promise<Session> {
-    const { id = randomId(), signal, model, ...others } = options;
-    const request: SessionRequest = model === undefined ? others : { mode: model, ...others };
+    const { id = randomId(), signal, ...request } = options;
     const response = await sendJson(this.http, { method: "PUT", path: pathOf(id), signal }, request);
     return new Session(this.http, id, (await response.json()) as SessionState, request);
   }

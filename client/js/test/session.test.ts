@@ -38,7 +38,7 @@ test("the requests of a session from open to delete", async (context) => {
     ReceivedRequest,
     ReceivedRequest,
   ];
-  assert.deepEqual(JSON.parse(opened.body.toString()), { mode: "classical", height: 64 });
+  assert.deepEqual(JSON.parse(opened.body.toString()), { model: "classical", height: 64 });
   assert.deepEqual(first.body, bytes);
   assert.equal(first.headers["content-type"], "application/vnd.roomlight.frame");
   assert.equal(first.headers.prefer, undefined);

@@ -39,11 +39,26 @@ def is_id(text: str) -> bool:
     return re.match(ID_PATTERN, text) is not None
 
 
-class SessionRequest(WireModel):
+class ModelChoice(WireModel):
+    """Base of the messages that open a session with a model."""
+
+    model: ModelName = "auto"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _refuse_mode(cls, values: Any) -> Any:
+        if isinstance(values, dict) and "mode" in values:
+            rule = PydanticCustomError("renamed", "`mode` is called `model`")
+            details = InitErrorDetails(type=rule, loc=("mode",), input=values["mode"])
+            raise ValidationError.from_exception_data(cls.__name__, [details])
+        return values
+
+
+class SessionRequest(ModelChoice):
     """Options of a session.
 
     Attributes:
-        mode: which model estimates the light; `auto` is the server's default.
+        model: which model estimates the light; `auto` is the server's default.
         height: height of the panoramas in pixels; the width is twice the height.
         reference_exposure: the exposure at which radiance 1.0 is white, in the unit of the frames' exposure; null: the
             exposure of the first frame.
@@ -54,7 +69,6 @@ class SessionRequest(WireModel):
             far boundary of the volume (`far`), or are not used (`drop`).
     """
 
-    mode: ModelName = "auto"
     height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
     reference_exposure: Annotated[float, Field(ge=1e-6, le=1e6, allow_inf_nan=False)] | None = None
     use_limited_tracking: bool = False

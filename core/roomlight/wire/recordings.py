@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, StringConstraints
 
 from roomlight.wire.frame_header import WHOLE_NUMBER, FiniteNumber, WireModel
-from roomlight.wire.messages import Id, ModelName, Problem, WirePosition
+from roomlight.wire.messages import Id, ModelChoice, Problem, WirePosition
 
 RecordingStatus = Literal["uploading", "ready", "playing", "finished", "failed"]
 RecordingId = Annotated[str, StringConstraints(pattern=r"^r-[0-9a-f]{16}$")]
@@ -64,12 +64,12 @@ class RecordingList(WireModel):
     limit_bytes: int
 
 
-class ReplayRequest(WireModel):
+class ReplayRequest(ModelChoice):
     """Start of a replay into a new session, at the pace of the recording.
 
     Attributes:
         session: id of the session, which has no frame yet.
-        mode: the session's model.
+        model: the session's model.
         height: rows of the session's panoramas.
         fps: frames per second at most: every n-th frame is played. Null: 10 of a recording with timestamps, 3 of one
             without.
@@ -77,7 +77,6 @@ class ReplayRequest(WireModel):
     """
 
     session: Id
-    mode: ModelName = "auto"
     height: Annotated[int, Field(ge=16, le=512), WHOLE_NUMBER] = 120
     fps: Annotated[float, Field(ge=0.01, le=60, allow_inf_nan=False)] | None = None
     probes: Annotated[dict[Id, WirePosition], Field(max_length=64)] | None = None

@@ -225,7 +225,7 @@ class _Run:
     def _begin(self, port: int) -> None:
         """Open the session, or check what was restored of it; send the frames after that again, and compare."""
         if not self._opened:
-            options = {"mode": self._options.model, "height": self._options.height, "reference_exposure": 1.0}
+            options = {"model": self._options.model, "height": self._options.height, "reference_exposure": 1.0}
             state = _json(port, "PUT", _SESSION, options)
             for name, position in self._probes.items():
                 _json(port, "PUT", f"{_SESSION}/probes/{name}", {"position": position})

@@ -206,7 +206,7 @@ class Hostile:
             await self._call("DELETE", f"/v1/sessions/{session}", b"", {})
 
     async def _open(self, session: str, height: int = 120) -> None:
-        body = json.dumps({"mode": "classical", "height": height, "reference_exposure": 1.0}).encode()
+        body = json.dumps({"model": "classical", "height": height, "reference_exposure": 1.0}).encode()
         if await self._call("PUT", f"/v1/sessions/{session}", body, _JSON) == "201":
             self._opened.add(session)
 

@@ -40,7 +40,7 @@ class ServerSettings(BaseSettings):
         tls_key: Private key of the certificate in PEM.
         public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
         on_lan: The host is the address by which phones reach the server; listen on loopback besides.
-        model: Meaning of `mode: auto`.
+        model: Meaning of `model: auto`.
         weights: Folder or file of trained weights; see `roomlight.engine`.
         provider: Where networks run.
         keyframes: Frames kept per session for probes that are requested later.

@@ -155,7 +155,7 @@ class RecordingStore:
             files = held.files
             state = f"{files.received} of {files.announced.bytes} bytes, {files.files} of {files.announced.files} files"
             raise ProblemError("recording-not-ready", f"the upload is not complete: {state}")
-        options = SessionRequest(mode=request.mode, height=request.height)
+        options = SessionRequest(model=request.model, height=request.height)
         live, _ = await self._registry.open(held.owner, request.session, options)
         if live.state().frames.accepted:
             rule = "must have no frame yet; the worlds of two recordings do not fit together"

@@ -44,7 +44,7 @@ _OPTIONS: Final[dict[str, Any]] = {
     "defaults": {"summary": "The server's default model, the exposure of the first frame", "value": {}},
     "replay": {
         "summary": "The options of `roomlight replay`",
-        "value": {"mode": "classical", "height": 120, "reference_exposure": 1.0},
+        "value": {"model": "classical", "height": 120, "reference_exposure": 1.0},
     },
 }
 _PROCESSED: Final[dict[str, Any]] = {

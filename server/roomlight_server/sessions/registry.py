@@ -85,7 +85,7 @@ class Registry:
         self._check_capacity()
         self._quotas.check_session(owner, 0, retry_after_s=self._expected_wait_s(owner))
         base = self._workers.base_options
-        model = base.model if request.mode == "auto" else request.mode
+        model = base.model if request.model == "auto" else request.model
         options = replace(
             base,
             model="classical" if model == "auto" and graphs is None else model,
@@ -135,9 +135,9 @@ class Registry:
 
     async def _graphs_of(self, request: SessionRequest) -> LightingGraphs | None:
         try:
-            return await self._workers.graphs_of(request.mode)
+            return await self._workers.graphs_of(request.model)
         except (ModelError, OptionError) as error:
-            raise _no_model(request.mode, error) from error
+            raise _no_model(request.model, error) from error
 
     def _live(self, name: str, request: SessionRequest, engine: Session, graphs: LightingGraphs | None) -> LiveSession:
         return LiveSession(
@@ -317,7 +317,7 @@ def _engine(options: SessionOptions, graphs: LightingGraphs | None) -> Session:
 def _no_model(model: str, error: Exception) -> ProblemError:
     rule = "must be a model of the server; `auto` is its default model"
     detail = f"the server has no weights of the model: {error}"
-    return ProblemError("model-not-here", detail, field="mode", value=model, rule=rule)
+    return ProblemError("model-not-here", detail, field="model", value=model, rule=rule)
 
 
 def _conflict(existing: SessionRequest, request: SessionRequest) -> ProblemError:

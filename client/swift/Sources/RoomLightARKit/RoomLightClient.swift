@@ -79,7 +79,7 @@
             return next - 1
         }
 
-        /// Opens the session. Options are the fields of `SessionRequest`: mode, height, reference_exposure,
+        /// Opens the session. Options are the fields of `SessionRequest`: model, height, reference_exposure,
         /// use_limited_tracking, min_confidence, unknown_depth.
         public func open(options: [String: Any] = [:]) async throws {
             let body = try JSONSerialization.data(withJSONObject: options)
