@@ -16,17 +16,6 @@ CAPTURE_PANEL: Final = "How to read the capture"
 MODEL_PANEL: Final = "How to estimate the light"
 POINTS_PANEL: Final = "Where to light"
 
-TrainingStage = Literal[
-    "clipping",
-    "completion",
-    "objects",
-    "single-sglv",
-    "single-blend",
-    "single-joint",
-    "video-sglv",
-    "video-blend",
-    "video-joint",
-]
 Resolution = Literal["half", "full"]
 
 Format = Annotated[

@@ -92,7 +92,7 @@ COMMANDS: Final = (
     CommandEntry(
         "train",
         "roomlight_cli.commands.train",
-        "Train one stage of the networks on a dataset (needs the `train` extra).",
+        "Train networks by a recipe: its data, its stages, the export (needs the `train` extra).",
         _TRAIN,
     ),
     CommandEntry(

@@ -1,136 +1,181 @@
-"""A training stage on a terminal: progress, TensorBoard curves, pictures of held-out rooms, a clean stop."""
+"""A recipe on a terminal: missing datasets, the stages one after the other, the export of the weights."""
 
 import ctypes
-import signal
+import json
 import sys
 import time
-from collections.abc import Callable, Generator
-from contextlib import contextmanager
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Any
 
 import cv2
 import torch
+from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from torch.utils.tensorboard import SummaryWriter
 
-from roomlight.errors import OptionError
+from roomlight.dataset.folder import MANIFEST
+from roomlight.dataset.loader import Dataset
+from roomlight.engine.networks.graphs import SHIPPED
+from roomlight.errors import DatasetError, OptionError
+from roomlight_cli.datasets.progress import ProgressDisplay
+from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
-from roomlight_model.training.examples import Recordings
-from roomlight_model.training.options import TrainOptions, is_video
-from roomlight_model.training.trainer import Trainer
-from roomlight_model.training.unroll import window_mb
-from roomlight_model.training.validation import Validation
-from roomlight_model.training.walk_validation import WalkValidation
+from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_model.training.loop import Run, TrainingProgress
+from roomlight_model.training.recipe import Recipe, StageRecipe, build_stage
+from roomlight_model.training.run_folder import RunFolder
 
 _M_TRIM_THRESHOLD, _M_MMAP_THRESHOLD = -1, -3
 """glibc's numbers of two options (malloc.h)."""
 
 
-def train(
-    options: TrainOptions,
-    training: Recordings,
-    out: Path,
-    *,
-    held_out: Recordings,
-    device: str,
-    start_from: Path | None,
-    minutes: float | None,
-    every_steps: int,
-    console: Console,
-    grow: Callable[[], int] = lambda: 0,
-    data: Callable[[], list[dict[str, Any]]] = list,
-) -> dict[str, Any]:
-    """Run a stage until its last step, for `minutes`, or until Ctrl-C; return the model card.
+def train_recipe(
+    recipe: Recipe, out: Path, *, data: Path, device: str, minutes: float | None, console: Console
+) -> Path | None:
+    """Generate missing datasets, train the stages, export the weights; continue what is there.
 
     Args:
-        options: The stage and its hyperparameters.
-        training: Sequences to train on.
-        out: The run's folder; a run that is there already is continued.
-        held_out: Sequences that are scored every `every_steps` steps and not trained on.
+        recipe: What to train.
+        out: A folder with the run of each stage, and the exported model in `onnx`.
+        data: A folder with the datasets by name; a dataset's `panoramas` are a folder in it.
         device: auto, cpu or cuda.
-        start_from: A checkpoint or a model folder whose weights the stage starts from.
-        minutes: When to stop; None runs to the last step.
-        every_steps: Steps between two scores of the held-out sequences.
+        minutes: When to stop training; None runs to the last step.
         console: Where progress is printed.
-        grow: Called before each scoring; adds sequences that were finished meanwhile, returns how many.
-        data: Called for the model card's list of datasets.
+
+    Returns:
+        The exported model folder; None if training stopped before its end.
 
     Raises:
-        OptionError: The device is not there.
-        ModelError: The weights or the run's folder do not fit the options.
+        OptionError: The device is not there, or the recipe's options of a dataset are wrong.
+        DatasetError: A dataset is missing and cannot be generated.
+        ModelError: The weights or a run's folder do not fit the options.
     """
-    chosen = choose_device(device)
+    chosen = torch.device(choose_device(device))
     _keep_freed_memory()
-    cv2.setNumThreads(1)  # examples are made on the trainer's own threads already
-    trainer = Trainer(
-        options,
-        training,
-        out,
-        device=torch.device(chosen),
-        start_from=None if start_from is None else load_weights(start_from),
-        data=data,
-    )
-    video = is_video(options.stage)
-    checked = WalkValidation if video else Validation
-    validation = checked(held_out, range(len(held_out)), trainer.options)
-    curves = SummaryWriter(str(out / "tensorboard"), purge_step=trainer.step)
-    console.print(f"{len(training)} sequences to train on, {len(held_out)} held out", highlight=False)
-    if video:
-        window = min(options.window, options.frames - 1)
-        console.print(f"gradients go back {window} frames: {window_mb(trainer.options):,.0f} MB of states a step")
-    if trainer.step:
-        console.print(f"continuing from step {trainer.step} of {options.steps}", highlight=False)
+    cv2.setNumThreads(1)  # examples are made on the loop's own threads already
+    wanted = {name: _generation(recipe, name, data) for name in recipe.data}
+    for stage in recipe.stages:
+        _start_path(recipe, stage, out)
+    ends = None if minutes is None else time.monotonic() + 60 * minutes
+    for stage in recipe.stages:
+        if RunFolder(out / stage.name).is_finished(stage.options):
+            console.print(f"{stage.name}: finished")
+            continue
+        for name in dict.fromkeys(stage.data):
+            _complete_dataset(data / name, wanted[name], console)
+        left = None if ends is None else (ends - time.monotonic()) / 60
+        run = _train_stage(recipe, stage, out, data=data, device=chosen, minutes=left, console=console)
+        if run.step < stage.options.steps:
+            console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
+            return None
+    with console.status("exporting and verifying the graphs"):
+        report = export_checkpoint(out / recipe.ships, out / "onnx")
+    return report.out
 
-    def validate(now: Trainer) -> None:
-        added = grow()
-        if added:
-            console.print(f"step {now.step}: {added} more sequences, {len(training)} in all", soft_wrap=True)
-        if not len(held_out):
-            return
-        model = now.averaged()
-        scores = validation.scores(model, device=now.device)
-        for name, value in scores.items():
-            curves.add_scalar(f"held out/{name}", value, now.step)
-        validation.draw(model, out / "pictures" / f"{now.step:07d}.png", device=now.device)
-        best = now.keep_scored(validation.loss(scores), scores)
-        listed = ", ".join(
-            f"{name.removeprefix('log_l2_')} {value:.4f} ({scores[name.replace('log_l2', 'rendering')]:.4f})"
-            for name, value in scores.items()
-            if name.startswith("log_l2")
+
+def _train_stage(
+    recipe: Recipe,
+    stage: StageRecipe,
+    out: Path,
+    *,
+    data: Path,
+    device: torch.device,
+    minutes: float | None,
+    console: Console,
+) -> Run:
+    start = _start_path(recipe, stage, out)
+    with _bar(console) as progress:
+        task = progress.add_task(f"{stage.name}: reading data", total=None)
+        run = Run(
+            build_stage(
+                stage,
+                [data / name for name in stage.data],
+                out / stage.name,
+                start_from=None if start is None else load_weights(start),
+                device=device,
+                progress=lambda done, total: progress.update(task, completed=done, total=total),
+            ),
+            out / stage.name,
         )
-        console.print(
-            f"step {now.step}: held-out log-L2 (rendering loss): {listed}" + (", best so far" if best else ""),
-            soft_wrap=True,
+    console.print(f"{stage.name}: {len(run.stage)} examples, step {run.step} of {stage.options.steps}")
+    with _bar(console) as progress:
+        task = progress.add_task(stage.name, total=stage.options.steps, completed=run.step)
+
+        def report(now: TrainingProgress) -> None:
+            if now.losses:
+                rate = f"{now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
+                description = f"{stage.name}, loss {now.losses['loss']:.4f}, {rate}"
+                progress.update(task, completed=now.step, description=description)
+            if now.scores:
+                figures = ", ".join(f"{name} {value:.4f}" for name, value in now.scores.items())
+                best = ", best so far" if now.best else ""
+                console.print(f"step {now.step}: held out: {figures}{best}", soft_wrap=True)
+
+        run.train(report=report, minutes=minutes)
+    return run
+
+
+def _start_path(recipe: Recipe, stage: StageRecipe, out: Path) -> Path | None:
+    """Return where a stage's weights start, checked before any work.
+
+    Raises:
+        OptionError: There is no such stage, shipped network or file.
+    """
+    if stage.start_from is None:
+        return None
+    name, _, rest = stage.start_from.partition("/")
+    if name in [other.name for other in recipe.stages[: recipe.stages.index(stage)]]:
+        return out / stage.start_from
+    path = SHIPPED / rest if name == "shipped" else recipe.path.parent / stage.start_from
+    if not path.exists():
+        raise OptionError(
+            f"{recipe.path}: stage {stage.name}: start_from is {stage.start_from!r}, but there is no {path}; give a "
+            "stage before it (NAME/model.pt), shipped/NAME, or the path of a checkpoint or model folder"
         )
+    return path
 
-    bar = Progress(
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-        TimeRemainingColumn(), TextColumn("{task.fields[detail]}"), console=console,
-    )  # fmt: skip
-    with bar, _stopping(minutes) as stop:
-        task = bar.add_task(options.stage, total=options.steps, completed=trainer.step, detail="")
 
-        def report(now: Any) -> None:
-            for name in (
-                "loss",
-                "log_l2",
-                "rendering",
-                "smoothness",
-                "learning_rate",
-                "seconds_a_step",
-                "waited_for_data",
-            ):
-                curves.add_scalar(f"train/{name}", getattr(now, name), now.step)
-            detail = f"loss {now.loss:.4f}  {now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
-            bar.update(task, completed=now.step, detail=detail)
+def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None:
+    """Return the options that generate a dataset of the recipe; None if it states none.
 
-        pause_s = 600.0 if video else 240.0  # a step of a video stage takes seconds
-        trainer.train(report=report, every=validate, every_steps=every_steps, checkpoint_s=pause_s, stop=stop)
-    validate(trainer)
-    curves.close()
-    return trainer.card()
+    Raises:
+        OptionError: An option is unknown, of the wrong type or out of range.
+    """
+    values, where = recipe.data[name], f"{recipe.path}: data {name}"
+    if not values:
+        return None
+    unknown = sorted(set(values) - {option.name for option in fields(GenerateOptions)})
+    if unknown:
+        raise OptionError(f"{where}: there is no option {unknown[0]}")
+    try:
+        options = TypeAdapter(GenerateOptions).validate_json(json.dumps(dict(values)), strict=True)
+    except (ValidationError, DatasetError) as error:
+        raise OptionError(f"{where}: {error}") from error
+    return options if options.panoramas is None else replace(options, panoramas=data / options.panoramas)
+
+
+def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Console) -> None:
+    """Generate a dataset, or the rest of it; a dataset with enough sequences is used as it is.
+
+    Raises:
+        DatasetError: It is missing and the recipe states no options, or the generator fails.
+    """
+    if (folder / MANIFEST).exists() and (options is None or len(Dataset(folder, "train")) >= options.sequences):
+        return
+    if options is None:
+        raise DatasetError(f"{folder}: is no dataset, and the recipe does not say how to generate it")
+    console.print(f"{folder}: generating {options.sequences} sequences", soft_wrap=True)
+    with ProgressDisplay(console) as display:
+        generate(folder, options, progress=display)
+
+
+def choose_device(device: str) -> str:
+    """Resolve `auto` to cuda or cpu. Raises OptionError for cuda on a machine without a GPU."""
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    if device == "cuda" and not torch.cuda.is_available():
+        raise OptionError("device is 'cuda', but PyTorch finds no GPU; use 'cpu'")
+    return device
 
 
 def _keep_freed_memory() -> None:
@@ -144,30 +189,6 @@ def _keep_freed_memory() -> None:
         mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
 
 
-def choose_device(device: str) -> str:
-    """Resolve `auto` to cuda or cpu. Raises OptionError for cuda on a machine without a GPU."""
-    if device == "auto":
-        return "cuda" if torch.cuda.is_available() else "cpu"
-    if device == "cuda" and not torch.cuda.is_available():
-        raise OptionError("device is 'cuda', but PyTorch finds no GPU; use 'cpu'")
-    return device
-
-
-@contextmanager
-def _stopping(minutes: float | None) -> Generator[Any]:
-    """Yield a function that returns whether to stop: after `minutes`, or at the first Ctrl-C or SIGTERM."""
-    signals: list[int] = []
-    began = time.monotonic()
-
-    def stop() -> bool:
-        return bool(signals) or (minutes is not None and time.monotonic() - began > 60 * minutes)
-
-    def note(number: int, _: Any) -> None:
-        signals.append(number)
-
-    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield stop
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+def _bar(console: Console) -> Progress:
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
+    return Progress(*columns, TimeRemainingColumn(), console=console, transient=True)

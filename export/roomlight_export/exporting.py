@@ -25,6 +25,7 @@ from roomlight_export.parity import (
     TOLERANCE,
     Parity,
     compare_blending,
+    compare_small,
     compare_volumes,
     session_runner,
     torch_runner,
@@ -49,11 +50,11 @@ class ExportReport:
     ort_bytes: int
     tolerance: float
     parity: dict[str, Parity]
-    """By network: "sg" and "blend"."""
+    """By network: "sg" and "blend", or the small network's form."""
 
     @property
     def largest_error(self) -> float:
-        """The largest difference to PyTorch over both networks, all outputs and all steps."""
+        """The largest difference to PyTorch over all networks, outputs and steps."""
         return max(parity.largest for parity in self.parity.values())
 
 
@@ -88,7 +89,7 @@ def export_checkpoint(
         for name, graph in graphs.items():
             report_step(f"exporting {name}")
             _write(folder / f"{name}.onnx", to_onnx(graph, metadata=_metadata(loaded, name)))
-        report_step(f"comparing with PyTorch over {RECURRENT_STEPS} recurrent steps")
+        report_step("comparing with PyTorch")
         parity = _verify(loaded, folder, graphs, originals)
         _check_parity(parity, tolerance, checkpoint)
         if ort:
@@ -119,9 +120,14 @@ def _metadata(loaded: Checkpoint, name: str) -> dict[str, str]:
         "roomlight.format": str(FORMAT),
         "roomlight.form": loaded.form,
         "roomlight.graph": name,
-        "roomlight.config": json.dumps(loaded.config.to_dict()),
+        "roomlight.config": json.dumps(_config(loaded)),
         "roomlight.card": json.dumps(loaded.card),
     }
+
+
+def _config(loaded: Checkpoint) -> dict[str, object]:
+    """Return the configuration of the networks; the small ones have none."""
+    return dict(loaded.config.to_dict()) if loaded.form in ("single", "video") else {}
 
 
 def _write(path: Path, model: ModelProto) -> None:
@@ -136,6 +142,8 @@ def _verify(
         torch_runner(graphs),
         torch_runner(originals),
     )
+    if loaded.form not in ("single", "video"):
+        return {loaded.form: compare_small(*runs, graph=graphs[loaded.form])}
     recurrent = loaded.form == "video"
     shape, frames = loaded.config.sg.volume_shape, RECURRENT_STEPS + 1
     volumes = [room_volume(shape, frame=frame) for frame in range(frames)]
@@ -171,7 +179,7 @@ def _describe(folder: Path, loaded: Checkpoint, graphs: Mapping[str, Graph], rep
     card = {
         "format": FORMAT,
         "form": loaded.form,
-        "config": loaded.config.to_dict(),
+        "config": _config(loaded),
         "card": loaded.card,
         "opset": OPSET,
         "graphs": {name: entry(name, graph) for name, graph in graphs.items()},

@@ -13,6 +13,11 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from roomlight.compositing.light.object_light import OBJECT_PANELS
+from roomlight.engine.networks.clipping import CHANNELS, SIDE
+from roomlight.engine.panorama.panels import HEIGHT
+from roomlight_model.checkpoint import Network
+from roomlight_model.clipping_network import ClippingNetwork
 from roomlight_model.layers import ConvGRU
 from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.panorama_networks import SINGLE_PANELS, VIDEO_PANELS
@@ -75,11 +80,21 @@ class _TwoGRUs(nn.Module):
         return self.gru0(h0, f0), self.gru1(h1, f1)
 
 
-def graphs_of(model: SingleModel | VideoModel) -> list[Graph]:
-    """Return all graphs of a model: four of the single-view form; ten of the video form, including those four."""
+def graphs_of(model: Network) -> list[Graph]:
+    """Return all graphs of a model: four of the single-view form; ten of the video form, including those four.
+
+    A small network has one graph, with the name of its form.
+    """
     if isinstance(model, VideoModel):
         return _single_graphs(model.single) + _video_graphs(model)
-    return _single_graphs(model)
+    if isinstance(model, SingleModel):
+        return _single_graphs(model)
+    panorama = (HEIGHT, 2 * HEIGHT)
+    if isinstance(model, ClippingNetwork):
+        shapes = {"planes": (1, CHANNELS, SIDE, SIDE)}, {"log_radiance": (1, 3, SIDE // 2, SIDE // 2)}
+    else:
+        shapes = {"panels": (1, OBJECT_PANELS, *panorama)}, {"changes": (1, 6, *panorama)}
+    return [Graph(model.form, model, *shapes)]
 
 
 def sample_inputs(graph: Graph) -> tuple[Tensor, ...]:

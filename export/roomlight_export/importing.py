@@ -17,9 +17,8 @@ from onnx import GraphProto, numpy_helper
 from roomlight.engine.networks.graphs import DESCRIPTION, read_description
 from roomlight.errors import ModelError
 from roomlight_export.graphs import Graph, graphs_of
-from roomlight_model.checkpoint import Checkpoint, load_checkpoint
+from roomlight_model.checkpoint import Checkpoint, build_network, load_checkpoint
 from roomlight_model.config import ModelConfig
-from roomlight_model.networks import build
 
 
 def load_weights(path: Path) -> Checkpoint:
@@ -37,9 +36,9 @@ def load_exported(folder: Path) -> Checkpoint:
     described = read_description(folder)
     try:
         config = ModelConfig.from_dict(described["config"])
+        model = build_network(described["form"], config)
     except ModelError as error:
         raise ModelError(f"{folder / DESCRIPTION}: {error}") from error
-    model = build(described["form"], config)
     for graph in graphs_of(model):
         _fill(graph, folder / f"{graph.name}.onnx", described["graphs"].get(graph.name))
     return Checkpoint(described["form"], config, model.eval(), described["card"])

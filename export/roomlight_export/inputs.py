@@ -1,4 +1,4 @@
-"""Realistic inputs for verifying graphs: the initial volume of a box room and a probe's panoramas over time.
+"""Realistic inputs for verifying graphs: the volume of a box room, a probe's panoramas over time, planes of light.
 
 Random noise would not test e, the clearing and most of the tensors' range. Volumes are [channel, z, y, x] in the
 paper's volume range; panoramas are [channel, H, 2H]. The same seed gives the same inputs.
@@ -13,6 +13,7 @@ from jaxtyping import Float
 
 from roomlight.engine.panorama.blend import UNSEEN_DEPTH
 from roomlight.engine.volume.grid import VOLUME_RANGE
+from roomlight_export.graphs import Graph
 
 _RANGE: Final = VOLUME_RANGE[::-1]
 """Along z, y, x."""
@@ -80,9 +81,22 @@ def probe_frames(height: int, *, frames: int, seed: int = 0) -> list[ProbeFrame]
     return result
 
 
+def random_planes(graph: Graph, *, seed: int) -> dict[str, Float[np.ndarray, "1 c h w"]]:
+    """Draw an input of a small network: shares within [0, 1]; panels of a panorama with radiance up to 30 x white."""
+    rng = np.random.default_rng(seed)
+    ((name, shape),) = graph.inputs.items()
+    values = rng.random(shape).astype(np.float32)
+    if name == "panels":
+        radiance = [0, 1, 2, *range(6, shape[1])]
+        values[:, radiance] = np.exp(rng.normal(-1, 1.5, (1, len(radiance), *shape[2:]))).clip(0, 30)
+    return {name: values}
+
+
 def _smooth(
     random: np.random.Generator, height: int, channels: int, *, grid: int = 6
 ) -> Float[np.ndarray, "{channels} {height} 2*{height}"]:
     coarse = random.standard_normal((channels, grid, 2 * grid)).astype(np.float32)
     size = (2 * height, height)
-    return np.stack([cv2.resize(one, size, interpolation=cv2.INTER_LINEAR) for one in coarse]).astype(np.float64)
+    return np.stack([cv2.resize(channel, size, interpolation=cv2.INTER_LINEAR) for channel in coarse]).astype(
+        np.float64
+    )

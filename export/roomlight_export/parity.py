@@ -6,6 +6,7 @@ Runtime and PyTorch, through a function that runs a graph by name.
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 import torch
@@ -13,8 +14,10 @@ import torch
 from roomlight.engine.networks.runtime import ort
 from roomlight.engine.networks.units import mean_colour
 from roomlight_export.graphs import Graph
-from roomlight_export.inputs import ProbeFrame
+from roomlight_export.inputs import ProbeFrame, random_planes
 
+_TRIALS: Final = 4
+"""Random inputs of a small network."""
 Tensors = dict[str, np.ndarray]
 Run = Callable[[str, Tensors], Tensors]
 """Runs the graph of a name."""
@@ -86,6 +89,12 @@ def compare_blending(tested: Run, rounded: Run, original: Run, *, frames: list[P
     return _compare(
         [_run_blending(run, frames, recurrent=recurrent) for run in (tested, rounded, original)], len(frames)
     )
+
+
+def compare_small(tested: Run, rounded: Run, original: Run, *, graph: Graph) -> Parity:
+    """Compare the graph of a small network on several random inputs like the engine's."""
+    inputs = [random_planes(graph, seed=seed) for seed in range(_TRIALS)]
+    return _compare([[run(graph.name, planes) for planes in inputs] for run in (tested, rounded, original)], _TRIALS)
 
 
 def _run_volumes(run: Run, volumes: list[np.ndarray], *, recurrent: bool) -> list[Tensors]:

@@ -11,8 +11,10 @@ The paper's parts and where they are:
 | SGLV ray tracing, equations 1 and 2               | `ray_marching`; readable twin `ray_marching_reference`|
 | blending and accumulation over frames             | `accumulate`                                          |
 | rendering loss: a glossy sphere, equation R_p     | `sphere_rendering`                                    |
-| losses and stages of training                     | `training.stages`, `training.trainer`                 |
+| losses and stages of training                     | `training.single_view`, `training.video`              |
 
-`config` holds the widths, `checkpoint` reads and writes weights. Each differentiable module is compared with the
-serving code in `roomlight.engine` by a test. Importing this package and `config` needs no PyTorch; all else does.
+Beside them, `clipping_network` estimates the radiance of clipped pixels and `object_light_network` the light of virtual
+objects. `config` holds the widths, `checkpoint` reads and writes the weights of all, `training` trains them. Each
+differentiable module is compared with the serving code in `roomlight.engine` by a test. Importing this package and
+`config` needs no PyTorch; all else does.
 """

@@ -1,6 +1,6 @@
-"""Checkpoint files: weights, their configuration and the record of their training.
+"""Checkpoint files of all networks: weights, their configuration and the record of their training.
 
-One `torch.save` of {"format": 1, "form", "config", "state", "card"}. The card is the training's record in
+A file is one `torch.save` of {"format": 2, "form", "config", "state", "card"}. The card is the training's record in
 plain JSON values (steps, seed, data, scores); a card with steps = 0 says that the weights are untrained.
 """
 
@@ -10,29 +10,59 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
+from typing import Any, Final
 
 import torch
 from torch import Tensor
 
 from roomlight.errors import ModelError, OutputError
 from roomlight.files import write_atomic
-from roomlight_model.config import FORMS, ModelConfig, NetworkForm
-from roomlight_model.networks import SingleModel, VideoModel, build
+from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.config import ModelConfig
+from roomlight_model.networks import SingleModel, VideoModel
+from roomlight_model.object_light_network import ObjectLightNetwork
 
-FORMAT = 1
+Network = SingleModel | VideoModel | ClippingNetwork | ObjectLightNetwork
+FORMAT: Final = 2
+FORMS: Final = ("single", "video", "clipping", "objects")
+"""Forms of a network: the whole models for one view and for video, and the two small networks that serve both."""
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A loaded checkpoint; the model is on the CPU, in evaluation mode."""
+    """A loaded checkpoint.
 
-    form: NetworkForm
+    Attributes:
+        form: One of `FORMS`.
+        config: The widths of a `single` or `video` model; the small networks have fixed widths and ignore it.
+        model: The network, on the CPU, in evaluation mode.
+        card: The record of its training.
+    """
+
+    form: str
     config: ModelConfig
-    model: SingleModel | VideoModel
-    card: dict[str, object]
+    model: Network
+    card: dict[str, Any]
 
 
-def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mapping[str, object]) -> None:
+def build_network(form: str, config: ModelConfig) -> Network:
+    """Build the network of a form, freshly initialised.
+
+    Raises:
+        ModelError: The form is unknown.
+    """
+    if form == "single":
+        return SingleModel(config)
+    if form == "video":
+        return VideoModel(config)
+    if form == "clipping":
+        return ClippingNetwork()
+    if form == "objects":
+        return ObjectLightNetwork()
+    raise ModelError(f"the form is {form!r}; it must be one of {', '.join(FORMS)}")
+
+
+def save_checkpoint(path: Path, model: Network, *, card: Mapping[str, Any]) -> None:
     """Write a checkpoint, atomically.
 
     Raises:
@@ -48,7 +78,7 @@ def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mappin
         {
             "format": FORMAT,
             "form": model.form,
-            "config": model.config.to_dict(),
+            "config": model.config.to_dict() if isinstance(model, SingleModel | VideoModel) else {},
             "state": {name: value.detach().cpu().contiguous() for name, value in model.state_dict().items()},
             "card": dict(card),
         },
@@ -59,11 +89,11 @@ def save_checkpoint(path: Path, model: SingleModel | VideoModel, *, card: Mappin
     write_atomic(path, buffer.getvalue())
 
 
-def save_untrained(path: Path, form: NetworkForm, config: ModelConfig, *, seed: int = 0) -> None:
+def save_untrained(path: Path, form: str, config: ModelConfig, *, seed: int = 0) -> None:
     """Write a checkpoint of freshly initialised weights (card: steps 0); the same seed gives the same weights."""
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        model = build(form, config)
+        model = build_network(form, config)
     save_checkpoint(path, model, card={"steps": 0, "seed": seed})
 
 
@@ -77,20 +107,21 @@ def load_checkpoint(path: Path) -> Checkpoint:
     if not isinstance(raw, dict) or raw.get("format") is None:
         raise ModelError(f"{path}: not a RoomLight checkpoint (it has no 'format')")
     if raw["format"] != FORMAT:
-        raise ModelError(f"{path}: checkpoint format {raw['format']!r}; this version reads format {FORMAT}")
+        raise ModelError(
+            f"{path}: checkpoint format {raw['format']!r}; this version reads format {FORMAT}. Train again, or start "
+            "from a model folder that was exported from it"
+        )
     missing = [key for key in ("form", "config", "state", "card") if key not in raw]
     if missing:
         raise ModelError(f"{path}: the checkpoint lacks {', '.join(missing)}; it is incomplete")
     form, card, state = raw["form"], raw["card"], raw["state"]
-    if form not in FORMS:
-        raise ModelError(f"{path}: the checkpoint's form is {form!r}, not one of {', '.join(FORMS)}")
     if not isinstance(card, dict) or not isinstance(state, dict):
         raise ModelError(f"{path}: the checkpoint's card and state must be mappings")
     try:
         config = ModelConfig.from_dict(raw["config"])
+        model = build_network(form, config)
     except ModelError as error:
         raise ModelError(f"{path}: {error}") from error
-    model = build(form, config)
     _check_state(path, state, model.state_dict())
     model.load_state_dict(state)
     return Checkpoint(form, config, model.eval(), card)

@@ -31,6 +31,8 @@ def _block(inputs: int, outputs: int, *, stride: int = 1) -> nn.Sequential:
 class ClippingNetwork(nn.Module):
     """A small encoder-decoder with a global mean at its bottom: how bright a lamp is shows in the whole frame."""
 
+    form = "clipping"
+
     def __init__(self, width: int = 24) -> None:
         """Build the layers: `width` channels at half resolution, up to six times that at a sixteenth."""
         super().__init__()

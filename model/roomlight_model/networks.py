@@ -211,11 +211,6 @@ class VideoModel(nn.Module):
         return BlendState(h0, h1, panorama)
 
 
-def build(form: str, config: ModelConfig) -> SingleModel | VideoModel:
-    """Build the model of a form, freshly initialised."""
-    return SingleModel(config) if form == "single" else VideoModel(config)
-
-
 def _accepted(
     weight: Float[Tensor, "b 1 h w"], seen: Observation, kept: Panorama, *, margin: float | Float[Tensor, "b 1 1 1"]
 ) -> Float[Tensor, "b 1 h w"]:

@@ -1,146 +1,231 @@
-"""`roomlight train`: held-out rooms, curves, pictures, stopping and continuing."""
+"""`roomlight train`: data, stages and export of a recipe; stopping, continuing, refusals."""
 
 import json
-from dataclasses import replace
-from typing import Any
+import signal
+from pathlib import Path
 
 import pytest
-from rich.console import Console
+from command_runner import RunCommand
 
-import stub_rooms
-from recordings import BoxRecordings
-from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.errors import OptionError
-from roomlight_cli.train import train
+import lamp_rooms
+from roomlight.engine.networks.graphs import SHIPPED, load_graphs, load_part
 from roomlight_export.importing import load_exported
-from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_model.checkpoint import load_checkpoint
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.training.options import OPTIONS as OPTIONS_FILE
-from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.subsets import train_val_split
+from roomlight_model.training import loop
 
-OPTIONS = TrainOptions(
-    steps=4, batch=2, warm_up=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21),
-    panorama_height=16, bf16=False,
-    model=ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4, full_channels=4)),
-)  # fmt: skip
+CLIPPING = f"""
+ships = "run/best.pt"
+[data.lamps]
+sequences = 6
+seed = 3
+shard_size = 6
+sequences_per_room = 2
+frames = 3
+renderer = "{lamp_rooms.NAME}"
+[[stages]]
+name = "run"
+stage = "clipping"
+data = ["lamps"]
+steps = 3
+batch = 2
+validate_steps = 1
+"""
+TINY = """batch = 2
+rays = 32
+sphere_pixels = 2
+sphere_samples = 4
+volume_shape = [16, 15, 21]
+panorama_height = 16
+held_out = 1
+"""
+MODELS = f"""
+ships = "recurrent/model.pt"
+[data.lamps]
+sequences = 8
+shard_size = 8
+sequences_per_room = 2
+frames = 3
+renderer = "{lamp_rooms.NAME}"
+[[stages]]
+name = "views"
+stage = "single-sglv"
+data = ["lamps"]
+steps = 2
+model = {{sg = {{channels = 4, full_channels = 4}}, blend = {{channels = 4, full_channels = 4}}}}
+{TINY}
+[[stages]]
+name = "blending"
+stage = "single-blend"
+start_from = "views/best.pt"
+data = ["lamps", "lamps"]
+steps = 2
+surround_max = 100.0
+{TINY}
+[[stages]]
+name = "recurrent"
+stage = "video-joint"
+start_from = "blending/model.pt"
+data = ["lamps"]
+steps = 2
+frames = 3
+{TINY}
+[[stages]]
+name = "objects"
+stage = "objects"
+data = ["lamps"]
+steps = 2
+batch = 2
+"""
 
 
-def run(tmp_path, options=OPTIONS, **changes):
-    arguments = {"device": "cpu", "start_from": None, "minutes": None, "every_steps": 2} | changes
-    training, held_out = train_val_split([BoxRecordings(6)])
-    return train(options, training, tmp_path / "run", held_out=held_out, console=Console(quiet=True), **arguments)
+def write(folder: Path, text: str) -> Path:
+    path = folder / "recipe.toml"
+    path.write_text(text)
+    return path
 
 
-def test_a_run_leaves_weights_curves_and_pictures(tmp_path):
-    card = run(tmp_path)
-    assert card["steps"] == 4
-    assert card["sequences"] == 5  # one of six is held out
-    folder = tmp_path / "run"
-    card = load_checkpoint(folder / "model.pt").card
-    assert card["steps"] == 4
-    assert sorted(path.name for path in (folder / "pictures").iterdir()) == ["0000002.png", "0000004.png"]
-    assert any((folder / "tensorboard").iterdir())
-    assert [json.loads(line)["step"] for line in (folder / "log.jsonl").read_text().splitlines()] == [4]
+def test_one_command_makes_data_weights_and_a_model(tmp_path: Path, roomlight: RunCommand) -> None:
+    write(tmp_path, CLIPPING)
+    done = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
+    assert done.code == 0, done.err
+    assert "generating 6 sequences" in done.err
+    assert "step 3: held out: loss" in done.err
+    assert "out/onnx: the weights of out/run/best.pt" in done.out
+    card = load_checkpoint(tmp_path / "out" / "run" / "model.pt").card
+    assert (card["steps"], card["stage"]) == (3, "clipping")
+    assert card["data"] == [{"seed": 3, "frames": 3, "sequences": 6}]
+    best = load_checkpoint(tmp_path / "out" / "run" / "best.pt")
+    graph = load_part(tmp_path / "out" / "onnx", "clipping", provider="cpu")
+    assert set(graph.inputs) == {"planes"}
+    again = load_exported(tmp_path / "out" / "onnx")
+    assert again.card == best.card
+    for name, value in again.model.state_dict().items():
+        assert value.allclose(best.model.state_dict()[name], rtol=1e-3, atol=1e-6)
+
+
+def test_a_stopped_run_continues_and_a_finished_one_is_kept(
+    tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, CLIPPING)
+    advance = loop.Run.advance
+
+    def interrupt(run, batch):
+        losses = advance(run, batch)
+        if run.step == 2:
+            signal.raise_signal(signal.SIGTERM)
+        return losses
+
+    with monkeypatch.context() as patched:
+        patched.setattr(loop.Run, "advance", interrupt)
+        stopped = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
+    assert stopped.code == 0, stopped.err
+    assert "run: stopped at step 2; the same command continues" in stopped.err
+    assert not (tmp_path / "out" / "onnx").exists()
+    continued = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=4", cwd=tmp_path)
+    assert "run: 6 examples, step 2 of 4" not in continued.err  # a twelfth of the examples is held out
+    assert "run: 5 examples, step 2 of 4" in continued.err
+    assert load_checkpoint(tmp_path / "out" / "run" / "model.pt").card["steps"] == 4
+    finished = roomlight("train", "recipe.toml", "--out", "out", "--set", "steps=4", cwd=tmp_path)
+    assert "run: finished" in finished.err
+    refused = roomlight("train", "recipe.toml", "--out", "out", "--set", "seed=9", cwd=tmp_path)
+    assert refused.code == 1
+    assert "other options (seed)" in refused.err
+    logged = [json.loads(line) for line in (tmp_path / "out" / "run" / "log.jsonl").read_text().splitlines()]
+    assert [entry["step"] for entry in logged if "scores" in entry] == [1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code", "message"),
+    [
+        (("cats",), 1, "one of clipping, objects, single, video"),
+        (("recipe.toml", "--set", "colour=3"), 1, "no stage has an option colour"),
+        (("recipe.toml", "--set", "steps"), 2, "--set takes NAME=VALUE"),
+        (("recipe.toml", "--set", "steps=0"), 1, "steps is 0; it must be 1 or more"),
+        (("recipe.toml", "--set", "steps=soon"), 1, "steps: Input should be a valid integer"),
+        (("recipe.toml", "--device", "cuda"), 1, "use 'cpu'"),
+    ],
+)
+def test_wrong_commands_are_refused_before_any_work(
+    arguments: tuple[str, ...],
+    code: int,
+    message: str,
+    tmp_path: Path,
+    roomlight: RunCommand,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
+    write(tmp_path, CLIPPING)
+    refused = roomlight("train", *arguments, "--out", "out", cwd=tmp_path)
+    assert refused.code == code
+    assert message in " ".join(refused.err.split())
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("sequences = 6", "sequences = 0", "data lamps: 0 sequences"),
+        ("sequences = 6", "rooms = 6", "data lamps: there is no option rooms"),
+        ("sequences = 6", 'sequences = "6"', "data lamps: .*sequences"),
+        ("steps = 3", 'start_from = "shipped/cats"', "stage run: start_from is 'shipped/cats', but there is no"),
+        ("steps = 3", 'start_from = "run/best.pt"', "stage run: start_from is 'run/best.pt', but there is no"),
+    ],
+)
+def test_wrong_recipes_are_refused_before_any_work(
+    old: str, new: str, message: str, tmp_path: Path, roomlight: RunCommand
+) -> None:
+    write(tmp_path, CLIPPING.replace(old, new))
+    refused = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
+    assert refused.code == 1
+    assert message.partition(".*")[0] in " ".join(refused.err.split())
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_dataset_that_is_not_described_must_be_there(tmp_path: Path, roomlight: RunCommand) -> None:
+    text = CLIPPING[: CLIPPING.index("sequences = 6")] + CLIPPING[CLIPPING.index("[[stages]]") :]
+    write(tmp_path, text)
+    refused = roomlight("train", "recipe.toml", "--out", "out", "--data", "mine", cwd=tmp_path)
+    assert refused.code == 1
+    assert "mine/lamps: is no dataset, and the recipe does not say how to generate it" in refused.err
 
 
 @pytest.mark.slow
-def test_the_next_stage_starts_from_the_one_before(tmp_path):
-    run(tmp_path)
-    weights = load_checkpoint(tmp_path / "run" / "model.pt")
-    card = train(
-        replace(OPTIONS, stage="single-blend", model=ModelConfig()), BoxRecordings(5), tmp_path / "blend",
-        held_out=BoxRecordings(1), device="cpu", start_from=tmp_path / "run" / "model.pt", minutes=None,
-        every_steps=100, console=Console(quiet=True),
-    )  # fmt: skip
-    assert card["options"]["model"]["sg"]["channels"] == 4  # the network is that of the first stage
-    assert (card["before"]["stage"], card["before"]["steps"]) == ("single-sglv", 4)
-    after = load_checkpoint(tmp_path / "blend" / "model.pt")
-    before = weights.model.state_dict()
-    assert all(value.equal(before[name]) for name, value in after.model.state_dict().items() if name.startswith("sg_"))
+def test_all_kinds_of_stages_follow_each_other(tmp_path: Path, roomlight: RunCommand) -> None:
+    write(tmp_path, MODELS)
+    done = roomlight("train", "recipe.toml", "--out", "out", "--data", "data", cwd=tmp_path)
+    assert done.code == 0, done.err
+    cards = {
+        name: load_checkpoint(tmp_path / "out" / name / "model.pt").card for name in ("views", "blending", "recurrent")
+    }
+    assert cards["blending"]["before"]["stage"] == "single-sglv"
+    assert cards["blending"]["examples"] == 14  # seven of eight, twice
+    assert cards["recurrent"]["before"] == cards["blending"]
+    assert {"loss", "log_l2_video", "log_l2_no_rnn"} <= set(cards["recurrent"]["scores"])
+    assert len(list((tmp_path / "out" / "recurrent" / "pictures").iterdir())) == 1
+    graphs = load_graphs(tmp_path / "out" / "onnx", provider="cpu")
+    assert (graphs.form, graphs.volume_shape, graphs.panorama_height) == ("video", (16, 15, 21), 16)
+    assert load_checkpoint(tmp_path / "out" / "objects" / "best.pt").form == "objects"
 
 
 @pytest.mark.slow
-def test_the_recurrent_form_starts_from_single_view_weights(tmp_path):
-    run(tmp_path)
-    options = replace(OPTIONS, stage="video-joint", steps=2, frames=3, model=ModelConfig())
-    card = train(
-        options, BoxRecordings(5), tmp_path / "video", held_out=BoxRecordings(1), device="cpu",
-        start_from=tmp_path / "run" / "model.pt", minutes=None, every_steps=1, console=Console(quiet=True),
-    )  # fmt: skip
-    assert (card["stage"], card["steps"], card["before"]["stage"]) == ("video-joint", 2, "single-sglv")
-    best = load_checkpoint(tmp_path / "video" / "best.pt")
-    assert best.form == "video"
-    card = best.card
-    assert isinstance(card["scores"], dict)
-    scores = card["scores"]
-    assert {"log_l2_video", "log_l2_no_rnn", "smoothness_video", "log_l2_video_01_07"} <= set(scores)
-    assert len(list((tmp_path / "video" / "pictures").iterdir())) == 2
-
-
-@pytest.mark.slow
-def test_the_shipped_weights_can_be_trained_further(tmp_path):
-    options = replace(OPTIONS, stage="single-blend", steps=1)
-    card = run(tmp_path, options, start_from=SHIPPED / "single", every_steps=10)
+def test_the_shipped_weights_can_be_trained_further(tmp_path: Path, roomlight: RunCommand) -> None:
+    stage = (
+        MODELS[MODELS.index("[data.lamps]") : MODELS.index("[[stages]]")]
+        + f"""
+[[stages]]
+name = "more"
+stage = "single-blend"
+start_from = "shipped/single"
+data = ["lamps"]
+steps = 1
+{TINY}"""
+    )
+    write(tmp_path, 'ships = "more/model.pt"\n' + stage)
+    done = roomlight("train", "recipe.toml", "--out", "out", cwd=tmp_path)
+    assert done.code == 0, done.err
     shipped = load_exported(SHIPPED / "single")
-    assert card["before"] == shipped.card
-    before, after = shipped.model.state_dict(), load_checkpoint(tmp_path / "run" / "model.pt").model.state_dict()
-    assert before.keys() == after.keys()
+    more = load_checkpoint(tmp_path / "out" / "more" / "model.pt")
+    assert more.card["before"] == shipped.card
+    before, after = shipped.model.state_dict(), more.model.state_dict()
     assert all(value.equal(before[name]) for name, value in after.items() if name.startswith("sg_"))
     assert any(not value.equal(before[name]) for name, value in after.items() if name.startswith("blend_"))
-
-
-@pytest.mark.slow
-def test_sequences_finished_meanwhile_are_used(tmp_path):
-    training, held_out = train_val_split([BoxRecordings(4)])
-    grown, _ = train_val_split([BoxRecordings(9)], 1)
-    card = train(
-        OPTIONS, training, tmp_path / "run", held_out=held_out, device="cpu", start_from=None, minutes=None,
-        every_steps=2, console=Console(quiet=True), grow=lambda: training.replace_by(grown),
-    )  # fmt: skip
-    assert card["sequences"] == 8
-
-
-@pytest.mark.slow
-def test_the_best_weights_on_held_out_rooms_are_kept(tmp_path):
-    run(tmp_path)
-    best: dict[str, Any] = load_checkpoint(tmp_path / "run" / "best.pt").card
-    assert best["steps"] in (2, 4)
-    assert best["held_out"] > 0
-    assert best["scores"]["log_l2_sglv"] + 0.3 * best["scores"]["rendering_sglv"] == pytest.approx(best["held_out"])
-    assert {"mean_colour", "warp"} <= {name.removeprefix("log_l2_") for name in best["scores"]}
-
-
-@pytest.mark.slow
-def test_a_run_out_of_time_stops_and_continues(tmp_path):
-    assert run(tmp_path, minutes=0.0)["steps"] == 0
-    assert run(tmp_path)["steps"] == 4
-
-
-def test_held_out_rooms_are_not_trained_on():
-    training, held_out = train_val_split([BoxRecordings(200), BoxRecordings(40)])
-    assert (len(training), len(held_out)) == (192, 48)
-    assert held_out.read(0, frames=[0]).name == "box-0"
-    assert training.read(0, frames=[0]).name == "box-48"
-    assert training.read(152, frames=[0]).name == "box-0"  # of the second folder
-    assert [len(part) for part in train_val_split([BoxRecordings(3)])] == [3, 0]
-
-
-@pytest.mark.slow
-def test_a_continued_run_keeps_its_held_out_rooms(tmp_path, roomlight):
-    data, out = tmp_path / "data", tmp_path / "run"
-    for steps, sequences in ((1, 8), (2, 16)):
-        generate(data, GenerateOptions(sequences, shard_size=8, frames=1, renderer=stub_rooms.NAME), workers=1)
-        options = ["--stage", "single-sglv", "--steps", str(steps), "--batch", "1"]
-        result = roomlight("train", data, "--out", out, *options)
-        assert result.code == 0, result.err
-        card = load_checkpoint(out / "model.pt").card
-        assert (card["steps"], card["sequences"]) == (steps, sequences - 2)
-    assert TrainOptions.read(out / OPTIONS_FILE).held_out == 2
-
-
-def test_a_missing_gpu_is_an_option_error(tmp_path, monkeypatch):
-    monkeypatch.setattr("torch.cuda.is_available", lambda: False)
-    with pytest.raises(OptionError, match="use 'cpu'"):
-        run(tmp_path, device="cuda")

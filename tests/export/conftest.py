@@ -8,8 +8,7 @@ import torch
 from export_models import CARD, CONFIG
 
 from roomlight_export.exporting import ExportReport, export_checkpoint
-from roomlight_model.checkpoint import save_checkpoint
-from roomlight_model.networks import build
+from roomlight_model.checkpoint import build_network, save_checkpoint
 
 
 @dataclass(frozen=True)
@@ -25,7 +24,7 @@ class Exported:
 def _export(form, folder):
     """Export networks in which every weight differs from every other, as trained ones do."""
     torch.manual_seed(4)
-    model = build(form, CONFIG)
+    model = build_network(form, CONFIG)
     with torch.no_grad():
         for weight in model.parameters():
             weight += 0.1 * torch.randn_like(weight)

@@ -17,10 +17,10 @@ from roomlight_model import volume_networks
 from roomlight_model.checkpoint import load_checkpoint
 from roomlight_model.networks import VideoModel
 from roomlight_model.training.examples import Example, example_of
+from roomlight_model.training.loop import Run
 from roomlight_model.training.sequences import PreparedWalk, WalkExample, collate_walks, with_views
-from roomlight_model.training.trainer import Trainer
-from roomlight_model.training.unroll import Unroll
-from video_training import CPU, HEIGHT, OPTIONS, SHAPE, single_view_weights
+from roomlight_model.training.video import Unroll
+from tiny_stages import HEIGHT, SHAPE, WALKS, video_stage
 
 FRAMES = 5
 
@@ -29,9 +29,8 @@ FRAMES = 5
 def trained(tmp_path_factory):
     """(checkpoint, model folder) after two steps."""
     folder = tmp_path_factory.mktemp("video")
-    options = replace(OPTIONS, steps=2, frames=3, learning_rate=2e-2, ema=0.0)
-    trainer = Trainer(options, BoxRecordings(2), folder / "run", device=CPU, start_from=single_view_weights())
-    trainer.train(report=lambda _: None)
+    options = replace(WALKS, steps=2, frames=3, learning_rate=2e-2, ema=0.0)
+    Run(video_stage(options, rooms=2), folder / "run").train()
     checkpoint = folder / "run" / "model.pt"
     report = export_checkpoint(checkpoint, folder / "onnx", ort=False)
     assert report.form == "video"
@@ -61,11 +60,11 @@ def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
     sequence = walk()
     prepared = [PreparedWalk.of(sequence, SHAPE)]
     batch = with_views(collate_walks(prepared, panorama_height=HEIGHT), prepared, panorama_height=HEIGHT)
-    options = replace(OPTIONS, model=model.config)
+    options = replace(WALKS, model=model.config)
     session = Session(SessionOptions(model="video", weights=folder, provider="cpu", height=HEIGHT, hedge=0.0))
     handles = [session.track(tuple(position)) for position in sequence.example.positions.tolist()]
     with torch.no_grad():
-        unroll = Unroll(model, batch, options, generator=torch.Generator().manual_seed(0), device=CPU)
+        unroll = Unroll(model, batch, options, generator=torch.Generator().manual_seed(0))
         for number, frame in enumerate(sequence.frames):
             if number:
                 unroll.advance(number)
@@ -89,7 +88,7 @@ def test_training_reaches_the_exported_graphs(trained):
     assert graphs.form == "video"
     assert graphs.card["stage"] == "video-joint"
     assert graphs.card["steps"] == 2
-    assert graphs.card["options"]["window"] == OPTIONS.window
+    assert graphs.card["options"]["window"] == WALKS.window
     assert graphs.card["before"]["steps"] == 5
     again = load_exported(folder)
     kept = load_checkpoint(checkpoint).model.state_dict()

@@ -7,11 +7,9 @@ import pytest
 
 from recordings import BoxRecordings
 from roomlight.conventions import panorama_directions
-from roomlight.errors import OptionError
 from roomlight_model.training import light_changes
 from roomlight_model.training.light_changes import LightChanges, SphereLamp
-from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.sequences import WalkExample, look_again, read_walk
+from roomlight_model.training.sequences import WalkExample, read_walk, revisit
 from rooms import BoxRoom, camera_at
 
 LAMP = SphereLamp(np.array([0.2, 1.5, -1.2]), 0.2, np.array([8.0, 7.0, 6.0], np.float32))
@@ -107,11 +105,11 @@ def test_the_same_generator_repeats_a_change():
         np.testing.assert_array_equal(a.image, b.image)
 
 
-def test_second_looks_stay_or_return_the_same_way():
+def test_revisits_stay_or_return_the_same_way():
     rng = np.random.default_rng(0)
     stayed = returned = 0
     for _ in range(200):
-        numbers = look_again([4, 6, 8, 10, 12, 14], rng)
+        numbers = revisit([4, 6, 8, 10, 12, 14], rng)
         assert len(numbers) == 6
         assert numbers[0] == 4
         steps = np.abs(np.diff(numbers))
@@ -121,10 +119,3 @@ def test_second_looks_stay_or_return_the_same_way():
         returned += bool((np.diff(numbers) < 0).any())
     assert stayed > 50
     assert returned > 50
-
-
-def test_changes_need_a_video_stage():
-    with pytest.raises(OptionError, match="need a video stage, not single-joint"):
-        TrainOptions(stage="single-joint", light_changes=0.5)
-    with pytest.raises(OptionError, match=r"second_looks is 1\.5"):
-        TrainOptions(stage="video-sglv", frames=4, second_looks=1.5)

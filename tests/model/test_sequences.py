@@ -15,7 +15,7 @@ from roomlight_model.training.sequences import (
     read_walk,
     with_views,
 )
-from video_training import SHAPE, dimmed, unclipped
+from tiny_stages import SHAPE, dimmed, unclipped
 
 
 def walk_of(rng, *, length=4, augment=True, change_light=None):

@@ -8,8 +8,6 @@ import typer
 from roomlight_cli.console import err, say
 from roomlight_cli.lazy import single_command_app
 from roomlight_export.exporting import export_checkpoint
-from roomlight_export.parts import export_part
-from roomlight_model.part_checkpoint import is_part_checkpoint
 
 app = single_command_app()
 
@@ -27,12 +25,7 @@ def export(
     Each graph's output is compared with the PyTorch network's.
     """
     with err.status("exporting and verifying the graphs") as status:
-        part = is_part_checkpoint(checkpoint)
-        report = (
-            export_part(checkpoint, out)
-            if part
-            else export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
-        )
+        report = export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
     say(
         f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
         f"{report.onnx_bytes / 1e6:.1f} MB of ONNX"
@@ -40,6 +33,6 @@ def export(
     )
     for network, parity in report.parity.items():
         say(
-            f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} recurrent steps "
+            f"  {network}: largest difference to PyTorch {parity.largest:.2e} over {parity.steps} steps "
             f"(tolerance {report.tolerance:.0e})"
         )

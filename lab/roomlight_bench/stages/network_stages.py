@@ -159,9 +159,9 @@ def _run_bound(
 def _eager_modules(networks: Networks) -> dict[str, tuple[Callable[..., object], dict[str, tuple[int, ...]]]]:
     """Return the same networks as PyTorch modules, with the names and shapes of their inputs."""
     from roomlight_export.graphs import graphs_of
-    from roomlight_model.networks import build
+    from roomlight_model.checkpoint import build_network
 
-    model = build(networks.form, networks.config).eval()
+    model = build_network(networks.form, networks.config).eval()
     return {graph.name: (graph.module, graph.inputs) for graph in graphs_of(model)}
 
 

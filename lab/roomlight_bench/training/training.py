@@ -21,9 +21,11 @@ from roomlight_bench.timing import ProgressCallback
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.networks import SingleModel
 from roomlight_model.training.examples import Recordings
-from roomlight_model.training.options import TrainOptions, is_video
-from roomlight_model.training.step_clock import BACKGROUND, PARTS, VIDEO_PARTS, StepClock
-from roomlight_model.training.trainer import Trainer
+from roomlight_model.training.gradients import BACKGROUND, PARTS, StepClock
+from roomlight_model.training.loop import Run, Stage, batches_ahead
+from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
+from roomlight_model.training.subsets import Subset
+from roomlight_model.training.video import VideoOptions, VideoStage
 
 _WARM_UP = 3
 """Steps before measuring starts: kernels are loaded, memory is allocated."""
@@ -54,7 +56,7 @@ class TrainCosts:
         stage: The stage of training.
         batch: Examples per step: views, or sequences.
         frames: Largest number of frames of an example; in video stages of every example.
-        window: Video stages: frames over which gradients go back in time.
+        window: Video stages: frames over which gradients go back in time; 0 in single-view stages.
         peak_mb: Largest resident memory of the whole process so far, in MB.
         volume_shape: Voxels (z, y, x).
         bf16: Whether the networks compute in bf16; else fp32.
@@ -82,7 +84,7 @@ class TrainCosts:
 
     def table(self) -> Table:
         """Return a table with a row per part, then the whole step."""
-        length = f" of {self.frames} frames, window {self.window}" if is_video(self.stage) else ""
+        length = f" of {self.frames} frames, window {self.window}" if self.window else ""
         table = Table(
             title=f"A step of {self.stage}, batch {self.batch}{length}, "
             f"volume {' x '.join(map(str, self.volume_shape))}, {'bf16' if self.bf16 else 'fp32'}",
@@ -110,56 +112,61 @@ class TrainCosts:
 
 
 def measure_training(
-    options: TrainOptions, recordings: Recordings, *, steps: int, device: str, progress: ProgressCallback
+    options: SingleViewOptions, recordings: Recordings, *, steps: int, device: str, progress: ProgressCallback
 ) -> TrainCosts:
     """Train for `steps` steps, after a few unmeasured ones, in a temporary folder.
 
-    Video stages start from fresh single-view weights, and all their sequences have `options.frames` frames.
+    Video stages (`VideoOptions`) start from fresh single-view weights, and all their sequences have `options.frames`
+    frames.
 
     Raises:
         ModelError: The options or the data do not allow a run.
     """
-    start_from = None
-    if is_video(options.stage):
-        options = replace(options, augment=False)
-        start_from = Checkpoint("single", options.model, SingleModel(options.model), {"steps": 0})
     with tempfile.TemporaryDirectory(prefix="roomlight-bench-") as folder:
-        trainer = Trainer(options, recordings, Path(folder) / "run", device=torch.device(device), start_from=start_from)
-        wall_s: list[float] = []  # at the first and at the last measured step
-        cpu_s: list[float] = []
-
-        def after_step(trainer: Trainer) -> None:
-            progress(f"step {trainer.step} of {steps + _WARM_UP}")
-            if trainer.step == _WARM_UP:
-                trainer.clock = StepClock()
-            if trainer.step in (_WARM_UP, steps + _WARM_UP):
-                wall_s.append(time.perf_counter())
-                cpu_s.append(time.process_time())
-
-        trainer.train(
-            report=lambda _: None, every=after_step, every_steps=1, stop=lambda: trainer.step >= steps + _WARM_UP
-        )
-        clock = trainer.clock
-    assert clock is not None
-    parts: list[PartCost] = []
-    for name in VIDEO_PARTS if is_video(options.stage) else PARTS:
-        beside = name in BACKGROUND
-        values = (clock.thread_ms if beside else clock.wall_ms).get(name)
-        if values is None:  # the first stage has no panoramas
-            continue
-        parts.append(PartCost(name, median(values), min(values), beside))
+        stage = _stage(options, recordings, device=torch.device(device), cache=Path(folder) / "cache")
+        run = Run(stage, Path(folder) / "run")
+        run.network.train()
+        wall_s = cpu_s = 0.0
+        with batches_ahead(stage, 0, run.clock) as batches:
+            for step in range(_WARM_UP + steps):
+                if step == _WARM_UP:
+                    run.clock.enabled = True
+                    wall_s, cpu_s = time.perf_counter(), time.process_time()
+                run.advance(next(batches))
+                progress(f"step {run.step} of {steps + _WARM_UP}")
+            wall_s, cpu_s = time.perf_counter() - wall_s, time.process_time() - cpu_s
     return TrainCosts(
-        parts=tuple(parts),
-        step_ms=(wall_s[1] - wall_s[0]) * 1e3 / steps,
-        cpu_ms=(cpu_s[1] - cpu_s[0]) * 1e3 / steps,
+        parts=_part_costs(run.clock),
+        step_ms=wall_s * 1e3 / steps,
+        cpu_ms=cpu_s * 1e3 / steps,
         steps=steps,
         stage=options.stage,
         batch=options.batch,
         frames=options.frames,
-        window=options.window,
+        window=options.window if isinstance(options, VideoOptions) else 0,
         peak_mb=resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / (1e6 if sys.platform == "darwin" else 1e3),
         volume_shape=options.volume_shape,
         bf16=options.bf16,
         threads=torch.get_num_threads(),
         machine=describe_machine() | {"torch": torch.__version__},
     )
+
+
+def _stage(options: SingleViewOptions, recordings: Recordings, *, device: torch.device, cache: Path) -> Stage:
+    """Build the stage without held-out sequences."""
+    if not isinstance(options, VideoOptions):
+        return SingleViewStage(options, recordings, Subset([]), device=device)
+    config = options.trained_model
+    start_from = Checkpoint("single", config, SingleModel(config), {"steps": 0})
+    options = replace(options, augment=False)
+    return VideoStage(options, recordings, Subset([]), device=device, start_from=start_from, cache=cache)
+
+
+def _part_costs(clock: StepClock) -> tuple[PartCost, ...]:
+    costs: list[PartCost] = []
+    for name in PARTS:
+        beside = name in BACKGROUND
+        values = (clock.thread_ms if beside else clock.wall_ms).get(name)
+        if values:  # a stage has only some of the parts
+            costs.append(PartCost(name, median(values), min(values), beside))
+    return tuple(costs)

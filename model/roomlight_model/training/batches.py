@@ -21,24 +21,20 @@ from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
 from roomlight.frame import Frame
 from roomlight.spheres import resize_panorama
+from roomlight_model.accumulate import Panorama
 from roomlight_model.training.examples import Example
 
-Self = TypeVar("Self", bound="Probes")
+Self = TypeVar("Self", bound="Tensors")
 """`typing.Self`, which the tests' type checker accepts only in decorated classes."""
 
 
 @dataclass(frozen=True, eq=False)
-class Probes:
-    """Volumes' frames and probes of some examples. Subclasses add the examples' other tensors."""
+class Tensors:
+    """A batch of any stage: fields are tensors whose first axis is the example, or None."""
 
-    lower_m: Float[Tensor, "b 3"]
-    voxel_m: Float[Tensor, "b 3"]
-    world_to_volume_rotation: Float[Tensor, "b 3 3"]
-    """World to volume axes; includes the reflection of a mirrored example."""
-    origins: Float[Tensor, "b p 3"]
-    """Probes in the volume's frame, metres."""
-    to_viewer: Float[Tensor, "b p 3"]
-    """Unit world vectors from the probes toward the first camera."""
+    def __len__(self) -> int:
+        """Return the number of examples."""
+        return len(next(value for value in vars(self).values() if isinstance(value, Tensor)))
 
     def to(self: Self, device: torch.device) -> Self:
         """Copy the batch to another device."""
@@ -50,8 +46,22 @@ class Probes:
         parts = {name: value.split(size) for name, value in vars(self).items() if isinstance(value, Tensor)}
         return [
             replace(self, **{name: part[number] for name, part in parts.items()})
-            for number in range(len(parts["origins"]))
+            for number in range(-(-len(self) // size))
         ]
+
+
+@dataclass(frozen=True, eq=False)
+class Probes(Tensors):
+    """Volumes' frames and probes of some examples. Subclasses add the examples' other tensors."""
+
+    lower_m: Float[Tensor, "b 3"]
+    voxel_m: Float[Tensor, "b 3"]
+    world_to_volume_rotation: Float[Tensor, "b 3 3"]
+    """World to volume axes; includes the reflection of a mirrored example."""
+    origins: Float[Tensor, "b p 3"]
+    """Probes in the volume's frame, metres."""
+    to_viewer: Float[Tensor, "b p 3"]
+    """Unit world vectors from the probes toward the first camera."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,3 +185,27 @@ def at_height(panoramas: Float[np.ndarray, "p h w 3"], height: int | None) -> Fl
     if height is None or panoramas.shape[1] == height:
         return panoramas
     return np.stack([resize_panorama(panorama, height) for panorama in panoramas])
+
+
+def fill_detail(
+    state: Panorama | None,
+    detail: Float[Tensor, "3 h w"],
+    mask: Float[Tensor, "1 h w"],
+    distance_m: Float[Tensor, "1 h w"],
+    hdr: Float[Tensor, "3 h w"],
+    depth_max_m: float,
+) -> Float[Tensor, "3 h w"]:
+    """Return one probe's detail with the serving engine's fill outside the mesh; without a gradient."""
+    accumulated = PanoramaState.fresh(mask.shape[-2], depth_max_m)
+    if state is not None:
+        accumulated.radiance[:] = _image(state.radiance)
+        accumulated.depth_m[:] = _image(state.depth)[..., 0] * np.float32(depth_max_m)
+        accumulated.seen[:] = _image(state.weight)[..., 0]
+    filled = filled_detail(
+        accumulated, _image(detail), _image(distance_m)[..., 0], mask=_image(mask)[..., 0] > 0, hdr=_image(hdr)
+    )
+    return torch.from_numpy(np.ascontiguousarray(np.moveaxis(filled, -1, 0)))
+
+
+def _image(planes: Float[Tensor, "c h w"]) -> Float[np.ndarray, "h w c"]:
+    return np.moveaxis(planes.detach().float().cpu().numpy(), 0, -1)

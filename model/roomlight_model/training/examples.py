@@ -5,7 +5,7 @@ Runs on CPU threads. Every random choice follows from (seed, step), so that a re
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol, runtime_checkable
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
@@ -15,7 +15,9 @@ from roomlight.dataset.recording import GLASS, Recording
 from roomlight.depth import complete_depth
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.frame import Frame
-from roomlight_model.training.options import DepthKind
+
+DepthKind = Literal["exact", "arkit", "both"]
+"""Depth as rendered, as a phone measures it, or half of each."""
 
 _OTHER_FRAMES = 0.5
 """Share of examples that start at another frame than the first: more views of the same rooms."""

@@ -1,54 +1,95 @@
-"""Gradients of a batch's loss. On CPUs, the examples of a batch are distributed over threads.
+"""Gradients of a batch's loss, and the time of a step's parts.
 
-oneDNN's 3D convolutions have too little work at the coarse levels to share between threads, which then wait for each
-other; two halves of a batch on a thread each do not.
+On CPUs the pieces of a batch run on threads of their own. oneDNN's 3D convolutions have too little work at the coarse
+levels to share between threads, which then wait for each other; two halves of a batch on a thread each do not.
 """
 
-from collections.abc import Sequence
+import time
+from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import AbstractContextManager, nullcontext
-from typing import Final, NamedTuple
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import Any, Final, NamedTuple
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 
-from roomlight_model.networks import SingleModel, VideoModel
-from roomlight_model.training.batches import Batch
-from roomlight_model.training.options import STAGES, TrainOptions
-from roomlight_model.training.sequences import WalkBatch
-from roomlight_model.training.stages import Losses, predict, stage_losses
-from roomlight_model.training.step_clock import StepClock
-from roomlight_model.training.unroll import Unroll
+from roomlight_model.training.batches import Tensors
+from roomlight_model.training.losses import Losses
+from roomlight_model.training.run_folder import RunOptions
 
-_PIECE_SIZE: Final = 2
-"""Examples in one forward pass on a CPU; fixed, so that a run's results do not depend on the number of cores. Sequences
-have a pass each: their frames are work enough."""
+BACKGROUND: Final = ("data", "mesh")
+"""Parts of a step on separate threads."""
+PARTS: Final = (*BACKGROUND, "forward", "render", "march", "blend", "backward", "optimiser")
+"""Parts of a step. data: decoding, phone depth, initial volumes. mesh: meshes and what the probes see of them. forward:
+the 3D networks. render: ray marching, 2D networks, sphere, losses of a single view; march, blend: the same of a frame
+of a sequence. backward includes the recomputed forward pass of sequences. optimiser: clipping, AdamW, EMA."""
+
+
+@dataclass
+class StepClock:
+    """Collects one value in milliseconds per step and part, wall and processor time; several threads may report.
+
+    Attributes:
+        enabled: Whether to collect.
+        wall_ms: Wall time by part.
+        thread_ms: Processor time of the reporting thread by part, without PyTorch's own threads.
+    """
+
+    enabled: bool = True
+    wall_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
+    thread_ms: dict[str, list[float]] = field(default_factory=dict[str, list[float]])
+
+    @contextmanager
+    def part(self, name: str) -> Generator[None]:
+        """Time the block."""
+        wall, own = time.perf_counter(), time.thread_time()
+        yield
+        if self.enabled:
+            self.wall_ms.setdefault(name, []).append((time.perf_counter() - wall) * 1e3)
+            self.thread_ms.setdefault(name, []).append((time.thread_time() - own) * 1e3)
+
+    def add_sums(self, other: "StepClock") -> None:
+        """Add one value per part: the sum of another clock's values, such as those of a sequence's frames."""
+        for mine, theirs in ((self.wall_ms, other.wall_ms), (self.thread_ms, other.thread_ms)):
+            for name, values in theirs.items():
+                mine.setdefault(name, []).append(sum(values))
+
+
+LossFunction = Callable[[Any, torch.Generator, StepClock], Iterator[Losses]]
+"""A stage's losses of some examples, in one or more windows: gradients are taken after each (`loop.Stage.losses`)."""
 
 
 class _Piece(NamedTuple):
-    losses: Losses
+    losses: dict[str, float]
     gradients: Sequence[Tensor | None]
     share: float
     """Share of the batch's examples."""
 
 
 class BatchGradients:
-    """Computes a batch's losses and writes their gradients to the parameters' `grad`. Set `clock` to time the parts."""
+    """Computes a batch's losses and writes their gradients to the parameters' `grad`."""
 
     def __init__(
         self,
-        model: SingleModel | VideoModel,
+        losses: LossFunction,
         parameters: Sequence[nn.Parameter],
-        options: TrainOptions,
+        options: RunOptions,
         *,
         device: torch.device,
+        piece_size: int,
     ) -> None:
-        """Prepare the threads; `parameters` are the ones that the stage trains."""
-        self.clock: StepClock | None = None
-        self._model, self._parameters, self._options, self._device = model, tuple(parameters), options, device
-        size = _PIECE_SIZE if isinstance(model, SingleModel) else 1
-        pieces = -(-options.batch // size) if device.type == "cpu" else 1
+        """Prepare the threads.
+
+        Args:
+            losses: The stage's losses.
+            parameters: Those that the stage trains.
+            options: The batch's size and the seed of random directions.
+            device: Where the networks run; only a CPU's batches are split.
+            piece_size: Examples in one forward pass on a CPU; fixed, so that results do not depend on the cores.
+        """
+        self._losses, self._parameters, self._options, self._device = losses, tuple(parameters), options, device
+        pieces = -(-options.batch // piece_size) if device.type == "cpu" else 1
         threads = torch.get_num_threads()
         self._pool = ThreadPoolExecutor(
             min(pieces, threads),
@@ -56,48 +97,40 @@ class BatchGradients:
             initializer=torch.set_num_threads,  # applies to the calling thread
             initargs=(max(1, threads // pieces),),
         )
-        self._piece_size = size if pieces > 1 else options.batch
+        self._piece_size = piece_size if pieces > 1 else options.batch
 
-    def of(self, batch: Batch | WalkBatch, step: int) -> Losses:
-        """Compute gradients and return the mean losses, detached; random directions follow from (seed, step)."""
+    def of(self, batch: Tensors, step: int, clock: StepClock) -> dict[str, float]:
+        """Compute gradients and return the mean losses; random directions follow from (seed, step)."""
         pieces = batch.pieces(self._piece_size)
-        if len(pieces) == 1:
-            done = [self._piece(batch, step, 0, 1.0)]
-        else:
-            shares = [len(piece.origins) / len(batch.origins) for piece in pieces]
-            done = list(self._pool.map(self._piece, pieces, [step] * len(pieces), range(len(pieces)), shares))
+
+        def compute(number: int) -> _Piece:
+            return self._piece(pieces[number], (step, number), len(pieces[number]) / len(batch), clock)
+
+        done = [compute(0)] if len(pieces) == 1 else list(self._pool.map(compute, range(len(pieces))))
         with torch.no_grad():
             for index, parameter in enumerate(self._parameters):
                 _accumulate(parameter, [(piece.gradients[index], piece.share) for piece in done])
-            means = [
-                torch.stack([losses[k] * share for losses, _, share in done]).sum() for k in range(len(Losses._fields))
-            ]
-            return Losses(*means)
+        return {name: sum(piece.losses[name] * piece.share for piece in done) for name in done[0].losses}
 
-    def _piece(self, batch: Batch | WalkBatch, step: int, number: int, share: float) -> _Piece:
-        options, device = self._options, self._device
-        seed = np.random.SeedSequence([options.seed, STAGES.index(options.stage), step, number])
-        generator = torch.Generator().manual_seed(int(seed.generate_state(1)[0]))
-        here = batch.to(device)
-        if isinstance(here, WalkBatch) or isinstance(self._model, VideoModel):
-            assert isinstance(here, WalkBatch)
-            assert isinstance(self._model, VideoModel)
-            spent = None if self.clock is None else StepClock()
-            unroll = Unroll(self._model, here, options, generator=generator, device=device, clock=spent)
-            losses, found = unroll.gradients(self._parameters)
-            if self.clock is not None and spent is not None:
-                self.clock.add_sums(spent)
-            return _Piece(losses, found, share)
-        with self._part("forward"):
-            sglv = predict(self._model, here, options, device=device)
-        with self._part("render"):
-            losses = stage_losses(self._model, sglv, here, options, generator=generator, device=device)
-        with self._part("backward"):
-            gradients = torch.autograd.grad(losses.total, self._parameters, allow_unused=True)
-        return _Piece(Losses(*(loss.detach() for loss in losses)), gradients, share)
+    def _piece(self, batch: Tensors, keys: tuple[int, int], share: float, clock: StepClock) -> _Piece:
+        generator = torch.Generator().manual_seed(int(self._options.rng(*keys).integers(2**31)))
+        spent = StepClock(enabled=clock.enabled)
+        sums: dict[str, float] = {}
+        gradients: list[Tensor | None] = [None for _ in self._parameters]
+        for losses in self._losses(batch.to(self._device), generator, spent):
+            with spent.part("backward"):
+                found = torch.autograd.grad(losses["loss"], self._parameters, allow_unused=True)
+            gradients = [_added(one, other) for one, other in zip(gradients, found, strict=True)]
+            for name, value in losses.items():
+                sums[name] = sums.get(name, 0.0) + float(value.detach())
+        clock.add_sums(spent)
+        return _Piece(sums, gradients, share)
 
-    def _part(self, name: str) -> AbstractContextManager[None]:
-        return nullcontext() if self.clock is None else self.clock.part(name)
+
+def _added(gradient: Tensor | None, other: Tensor | None) -> Tensor | None:
+    if gradient is None or other is None:
+        return other if gradient is None else gradient
+    return gradient + other
 
 
 def _accumulate(parameter: nn.Parameter, pieces: Sequence[tuple[Tensor | None, float]]) -> None:

@@ -6,6 +6,9 @@ what a probe sees of them come from the serving engine's code.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
+from pathlib import Path
+from typing import Final
 
 import numpy as np
 import torch
@@ -15,16 +18,19 @@ from torch import Tensor
 from roomlight.engine.panorama.blend import farthest_depth_m
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
+from roomlight.files import write_atomic
 from roomlight.frame import Frame
 from roomlight_model.training.batches import Probes, at_height, probe_columns, restored_frames
-from roomlight_model.training.examples import Example, Recordings, augmented, example_of, near
-from roomlight_model.training.options import DepthKind
+from roomlight_model.training.examples import DepthKind, Example, Recordings, augmented, example_of, near
 
 _WHOLE = 0.25
 """Share of steps with the largest number of frames; the others draw the logarithm of the number uniformly."""
 _FROM_THE_START = 0.5
 """Share of sequences that begin with the walk's first frame, near which the probes are."""
 _MAX_STRIDE = 4
+_HALVES: Final = ("lights", "detail", "mask", "clipped", "guessed", "hdr")
+"""Fields that `WalkCache` keeps in half precision: radiance is at most 60,000 (`training.examples`)."""
+_MOST: Final = 65_504.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,14 +80,14 @@ def draw_frames(count: int, length: int, rng: np.random.Generator) -> list[int]:
     return list(range(start, start + stride * (length - 1) + 1, stride))
 
 
-def look_again(numbers: Sequence[int], rng: np.random.Generator) -> list[int]:
+def revisit(numbers: Sequence[int], rng: np.random.Generator) -> list[int]:
     """Replace the end of a sequence: it stays at a frame, or returns the way it came. The length stays the same."""
-    turn = int(rng.integers(1, len(numbers)))
+    changes_at = int(rng.integers(1, len(numbers)))
     if rng.random() < 0.5:
-        return [*numbers[:turn], *[numbers[turn - 1]] * (len(numbers) - turn)]
-    period = max(2 * (turn - 1), 1)
+        return [*numbers[:changes_at], *[numbers[changes_at - 1]] * (len(numbers) - changes_at)]
+    period = max(2 * (changes_at - 1), 1)
     places = [k % period for k in range(len(numbers))]
-    return [numbers[min(place, period - place) if turn > 1 else 0] for place in places]
+    return [numbers[min(place, period - place) if changes_at > 1 else 0] for place in places]
 
 
 def read_walk(
@@ -93,18 +99,18 @@ def read_walk(
     length: int,
     augment: bool,
     change_light: LightChange | None = None,
-    second_looks: float = 0.0,
+    revisits: float = 0.0,
 ) -> WalkExample:
     """Read a sequence of `length` frames of a walk; without `augment` the first ones, as they are.
 
-    With `augment`, a share `second_looks` of the sequences shows places again (`look_again`).
+    With `augment`, a share `revisits` of the sequences shows places again (`revisit`).
 
     A sequence whose first frame's volume does not contain every point begins with the walk's first frame instead.
     """
     count = recordings.frames_of(index)
     numbers = draw_frames(count, length, rng) if augment else list(range(length))
-    if augment and length > 1 and second_looks and rng.random() < second_looks:
-        numbers = look_again(numbers, rng)
+    if augment and length > 1 and revisits and rng.random() < revisits:
+        numbers = revisit(numbers, rng)
     example = example_of(recordings.read(index, frames=numbers), rng, depth=depth)
     if numbers[0] and not near(example):
         numbers = [number - numbers[0] for number in numbers]
@@ -134,7 +140,7 @@ class WalkBatch(Probes):
     guessed: Float[Tensor, "b t p 1 h w"] | None = None
     """Luminance of `detail` that was estimated for these pixels."""
     hdr: Float[Tensor, "b t p 3 h w"] | None = None
-    """The panoramas of a fixed 3D network at the probes (`unroll.with_renderings`), which replace the volumes."""
+    """The panoramas of a fixed 3D network at the probes (`video-blend` with `variants`), which replace the volumes."""
 
     @property
     def frames(self) -> int:
@@ -182,23 +188,23 @@ class PreparedWalk:
 def collate_walks(walks: Sequence[PreparedWalk], *, panorama_height: int | None) -> WalkBatch:
     """Build a batch without the probes' views; a `panorama_height` resamples the truth."""
     columns: dict[str, list[np.ndarray]] = {}
-    for one in walks:
-        volumes = np.stack([initial_volume(one.grid, frame) for frame in one.frames])
-        mirrored = one.walk.example.mirrored
-        lights = np.stack([at_height(light, panorama_height) for light in one.walk.lights])
+    for prepared in walks:
+        example = prepared.walk.example
+        volumes = np.stack([initial_volume(prepared.grid, frame) for frame in prepared.frames])
+        lights = np.stack([at_height(light, panorama_height) for light in prepared.walk.lights])
         row = {
-            **probe_columns(one.walk.example, one.grid),
-            "volume": volumes[..., ::-1] if mirrored else volumes,
-            "depth_max_m": np.asarray(one.grid.depth_max_m),
+            **probe_columns(example, prepared.grid),
+            "volume": volumes[..., ::-1] if example.mirrored else volumes,
+            "depth_max_m": np.asarray(prepared.grid.depth_max_m),
             "lights": np.moveaxis(lights, -1, 2),
         }
         for name, value in row.items():
             columns.setdefault(name, []).append(np.asarray(value, np.float32))
     tensors = {name: torch.from_numpy(np.stack(values)) for name, values in columns.items()}
-    return WalkBatch(**tensors, light_of=torch.from_numpy(np.stack([one.walk.light_of for one in walks])))
+    return WalkBatch(**tensors, light_of=torch.from_numpy(np.stack([prepared.walk.light_of for prepared in walks])))
 
 
-def joined(batches: Sequence[WalkBatch]) -> WalkBatch:
+def join_walks(batches: Sequence[WalkBatch]) -> WalkBatch:
     """Join batches, cut to the shortest one's number of frames."""
     shortest = min(batch.frames for batch in batches)
     columns = [vars(batch.cut(0, shortest)) for batch in batches]
@@ -209,18 +215,52 @@ def joined(batches: Sequence[WalkBatch]) -> WalkBatch:
 def with_views(batch: WalkBatch, walks: Sequence[PreparedWalk], *, panorama_height: int) -> WalkBatch:
     """Add what the probes see of each frame's mesh."""
     planes: dict[str, list[np.ndarray]] = {name: [] for name in ("detail", "mask", "distance_m", "clipped", "guessed")}
-    for one in walks:
-        farthest_m = farthest_depth_m(one.grid.depth_max_m)
-        meshes = [FrameMesh(frame) for frame in one.frames]
+    for prepared in walks:
+        farthest_m = farthest_depth_m(prepared.grid.depth_max_m)
+        positions = prepared.walk.example.positions
         views = [
-            [mesh.render_panorama(at, height=panorama_height).within(farthest_m) for at in one.walk.example.positions]
-            for mesh in meshes
+            [mesh.render_panorama(position, height=panorama_height).within(farthest_m) for position in positions]
+            for mesh in map(FrameMesh, prepared.frames)
         ]
         planes["detail"].append(np.array([[np.moveaxis(view.radiance, -1, 0) for view in row] for row in views]))
         planes["mask"].append(np.array([[view.mask[None] for view in row] for row in views], np.float32))
         planes["distance_m"].append(np.array([[view.depth_m[None] for view in row] for row in views]))
         nothing = np.zeros((1, panorama_height, 2 * panorama_height), np.float32)
         for name in ("clipped", "guessed"):
-            found = [[getattr(view, name) for view in row] for row in views]
-            planes[name].append(np.array([[nothing if one is None else one[None] for one in row] for row in found]))
+            rows = [[getattr(view, name) for view in row] for row in views]
+            planes[name].append(
+                np.array([[nothing if plane is None else plane[None] for plane in row] for row in rows])
+            )
     return replace(batch, **{name: torch.from_numpy(np.stack(values)) for name, values in planes.items()})
+
+
+class WalkCache:
+    """Prepared sequences of walks by number and variant, one file each.
+
+    Volumes, meshes, views and the 3D networks are most of `video-blend`'s work, and its 3D networks do not change.
+    Radiance is kept in half precision; a sequence is rounded before its first use too, so that a resumed run repeats
+    its curve.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        """Use this folder; it is made when the first sequence is kept."""
+        self._folder = folder
+
+    def get(self, index: int, variant: int, make: Callable[[], WalkBatch]) -> WalkBatch:
+        """Return a sequence, made and stored if it is not there.
+
+        Raises:
+            OutputError: The folder cannot be written.
+        """
+        path = self._folder / f"{index:06d}-{variant}.pt"
+        if not path.exists():
+            self._folder.mkdir(parents=True, exist_ok=True)
+            fields = {name: value for name, value in vars(make()).items() if isinstance(value, Tensor)}
+            small = {
+                name: value.clamp(max=_MOST).half() if name in _HALVES else value for name, value in fields.items()
+            }
+            buffer = BytesIO()
+            torch.save(small, buffer)
+            write_atomic(path, buffer.getvalue())
+        stored = torch.load(path, weights_only=True, map_location="cpu")
+        return WalkBatch(**{name: value.float() if name in _HALVES else value for name, value in stored.items()})

@@ -1,12 +1,10 @@
-"""The sequences that a run trains on, and the held-out ones of its validation; both follow growing folders.
+"""The sequences that a run trains on, and those that are held out to score it.
 
-The first rooms of the first folder are held out: a dataset grows at its end, so that they stay the same between stages
-and runs. The test split is not used.
+View and video stages hold out the first sequences of the first dataset, the same in every stage. The small networks
+hold out the test splits, or a twelfth of their examples.
 """
 
-from collections import Counter
 from collections.abc import Callable, Sequence
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,14 +14,13 @@ from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
 from roomlight.errors import DatasetError
 from roomlight_model.training.examples import Recordings
-from roomlight_model.training.options import HELD_OUT
 
 ProgressCallback = Callable[[int, int], object]
 """Receives (done, total)."""
 
 
 class Subset:
-    """Some sequences of several datasets, numbered from 0; may grow while others read."""
+    """Some sequences of several datasets, numbered from 0."""
 
     def __init__(self, places: Sequence[tuple[Recordings, int]]) -> None:
         """Take sequences as pairs of dataset and number in it."""
@@ -43,23 +40,67 @@ class Subset:
         recordings, number = self._places[index]
         return recordings.frames_of(number)
 
-    def shares(self) -> list[tuple[Recordings, int]]:
-        """Return each dataset with the number of its sequences in the subset."""
-        datasets = {id(dataset): dataset for dataset, _ in self._places}
-        counts = Counter(id(dataset) for dataset, _ in self._places)
-        return [(dataset, counts[key]) for key, dataset in datasets.items()]
+    def without_bright_surroundings(self, most: float, progress: ProgressCallback | None = None) -> "Subset":
+        """Return the sequences whose `surround` is at most `most`.
 
-    def replace_by(self, other: "Subset") -> int:
-        """Replace the sequences by another subset's, atomically for readers; returns how many were added."""
-        before, self._places = len(self._places), other._places
-        return len(self._places) - before
+        Raises:
+            DatasetError: No sequence is left.
+        """
+        surrounds: list[float] = []
+        for index in range(len(self)):
+            surrounds.append(surround(self.read(index, frames=[0])))
+            if progress:
+                progress(index + 1, len(self))
+        places = [place for place, ratio in zip(self._places, surrounds, strict=True) if ratio <= most]
+        if not places:
+            raise DatasetError(
+                f"none of {len(self)} sequences has surroundings at most {most} times as bright as its first frame "
+                f"(the least: {min(surrounds, default=0):.2f}); raise `surround_max`"
+            )
+        return Subset(places)
 
 
-def train_val_split(datasets: Sequence[Recordings], held_out: int = HELD_OUT) -> tuple[Subset, Subset]:
-    """Split into training and held-out sequences: the first ones of the first dataset, at most a quarter of it."""
-    kept = min(held_out, len(datasets[0]) // 4)
-    places = [(dataset, number) for dataset in datasets for number in range(len(dataset))]
-    return Subset(places[kept:]), Subset(places[:kept])
+def train_val_split(datasets: Sequence[Recordings], held_out: int) -> tuple[Subset, Subset]:
+    """Split into training and held-out sequences: the first ones of the first dataset, at most a quarter of it.
+
+    The first dataset may be listed several times; its held-out sequences are in none of them.
+    """
+    count = min(held_out, len(datasets[0]) // 4)
+    places = [
+        (dataset, number)
+        for dataset in datasets
+        for number in range(count if dataset is datasets[0] else 0, len(dataset))
+    ]
+    return Subset(places), Subset([(datasets[0], number) for number in range(count)])
+
+
+def test_split(datasets: Sequence[Dataset]) -> list[Dataset]:
+    """Return the test splits of the datasets' folders, where there are any."""
+    folders = {dataset.folder: dataset for dataset in datasets if dataset.manifest.sequences.get("test")}
+    splits = [Dataset(folder, "test") for folder in folders]
+    return [split for split in splits if len(split)]
+
+
+def random_split(count: int, seed: int) -> tuple[list[int], list[int]]:
+    """Split off a twelfth of `count` examples at random, to score; returns the training and the held-out numbers.
+
+    Rooms are shared with training, so that the scores show progress alone.
+    """
+    order = np.random.default_rng([seed, 13]).permutation(count).tolist()
+    held_out = max(1, count // 12)
+    return order[held_out:], order[:held_out]
+
+
+def describe(datasets: Sequence[Dataset]) -> list[dict[str, Any]]:
+    """Describe datasets for a model's card: seed, frames and number of sequences of each."""
+    return [
+        {
+            "seed": dataset.manifest.settings.seed,
+            "frames": dataset.manifest.settings.frames,
+            "sequences": len(dataset),
+        }
+        for dataset in datasets
+    ]
 
 
 def surround(recording: Recording) -> float:
@@ -72,75 +113,3 @@ def surround(recording: Recording) -> float:
     share = panorama_solid_angles(around.shape[1]) / (4 * np.pi)
     frame = np.log1p(srgb8_to_linear(recording.colour[0]).mean(axis=-1))
     return float((np.log1p(around).mean(axis=0) * share).sum() / max(frame.mean(), 1e-6))
-
-
-class TrainingRooms:
-    """The train splits of dataset folders; `grow` adds sequences that were finished since."""
-
-    def __init__(
-        self,
-        folders: Sequence[Path],
-        *,
-        surround_max: float = 0.0,
-        held_out: int = HELD_OUT,
-        progress: ProgressCallback | None = None,
-    ) -> None:
-        """Open the folders and choose the sequences.
-
-        Args:
-            folders: Dataset folders; the first one has the held-out sequences.
-            surround_max: Train only on sequences whose `surround` is at most this; 0 trains on all. Held-out
-                sequences are not filtered.
-            held_out: Largest number of held-out sequences. A resumed run passes its first number, because a folder
-                that has grown would hold out more.
-            progress: Receives (done, total) sequences while `surround` is computed.
-
-        Raises:
-            DatasetError: A folder is not a dataset, or no sequence is left to train on.
-        """
-        self._folders, self._most, self._progress = tuple(folders), surround_max, progress
-        self._surrounds: dict[tuple[int, str], float] = {}
-        datasets = self._open()
-        chosen, self.held_out = train_val_split(datasets, held_out)
-        self._kept = frozenset(datasets[0].names[: len(self.held_out)])
-        self.training = Subset(self._places(datasets))
-        if not len(self.training) and len(chosen):
-            where = ", ".join(str(folder) for folder in folders)
-            raise DatasetError(
-                f"{where}: none of {len(chosen)} sequences has surroundings at most {surround_max} "
-                f"times as bright as its first frame (the least: {min(self._surrounds.values()):.2f}); "
-                "raise `surround_max`"
-            )
-
-    def grow(self) -> int:
-        """Read the folders again and return how many training sequences were added; held-out ones stay the same."""
-        return self.training.replace_by(Subset(self._places(self._open())))
-
-    def described(self) -> list[dict[str, Any]]:
-        """Describe the training data for a model's card: seed, frames and number of sequences of each dataset."""
-        return [
-            {"seed": settings.seed, "frames": settings.frames, "sequences": count}
-            for dataset, count in self.training.shares()
-            if isinstance(dataset, Dataset)
-            for settings in [dataset.manifest.settings]
-        ]
-
-    def _places(self, datasets: Sequence[Dataset]) -> list[tuple[Recordings, int]]:
-        """Return the sequences to train on."""
-        named = [
-            (folder, name, (dataset, number))
-            for folder, dataset in enumerate(datasets)
-            for number, name in enumerate(dataset.names)
-            if folder or name not in self._kept
-        ]
-        if not self._most:
-            return [place for _, _, place in named]
-        for done, (folder, name, (dataset, number)) in enumerate(named, 1):
-            if (folder, name) not in self._surrounds:
-                self._surrounds[folder, name] = surround(dataset.read(number, frames=[0]))
-                if self._progress:
-                    self._progress(done, len(named))
-        return [place for folder, name, place in named if self._surrounds[folder, name] <= self._most]
-
-    def _open(self) -> list[Dataset]:
-        return [Dataset(folder, "train") for folder in self._folders]

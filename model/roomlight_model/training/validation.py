@@ -1,13 +1,13 @@
-"""Validation on held-out rooms during training: the paper's two losses, and pictures.
+"""Validation on held-out rooms during training: the paper's losses, and pictures.
 
 It gives a run's curve and selects its best weights; published results, beside baselines, come from `roomlight eval`,
-which runs the serving engine. Both use 120 rows, the same means and units, the first frame and exact depth, so that
-their numbers can be compared.
+which runs the serving engine. Single views have 120 rows and the evaluation's means and units, so that their numbers
+can be compared with it; sequences have the height of training.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, Protocol
 
 import cv2
 import numpy as np
@@ -17,105 +17,200 @@ from torch import Tensor
 
 from roomlight.conventions import linear_to_srgb8
 from roomlight.errors import OutputError
-from roomlight_model.networks import SingleModel, VideoModel
 from roomlight_model.sphere_rendering import disc, look_up, sample_sphere, shade, sphere_normals
 from roomlight_model.training.batches import Batch, collate
-from roomlight_model.training.examples import Recordings, example_of, read_example
-from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.stages import predicted_panoramas, rendered_panoramas
+from roomlight_model.training.examples import DepthKind, Recordings, example_of, read_example
+from roomlight_model.training.losses import Losses
+from roomlight_model.training.sequences import PreparedWalk, WalkBatch, collate_walks, read_walk, with_views
 
 HEIGHT: Final = 120
+INTERVALS: Final = ((1, 8), (8, 14), (14, 20), (20, 26), (26, 32))
+"""Frames of the paper's table, first and past the last."""
+MOST_WALKS: Final = 12
+"""Held-out walks that are scored, at most; the networks run once for each frame."""
 _DARK_EV: Final = -4.0
 """Exposure of a second copy of every panorama, which shows the light sources."""
 _SPHERE: Final = (96, 64)
 """Pixels and samples of the glossy sphere; the directions are the same in every validation."""
 
-Panoramas = Float[Tensor, "p 3 h w"]
+Predict = Callable[[Batch], Mapping[str, Float[Tensor, "b p 3 h w"]]]
+"""Predicts panoramas of a batch by name: the volume's (`sglv`), and the blended ones if the stage trains them."""
+Picture = UInt8[np.ndarray, "_ _ 3"]
 
 
-class Validation:
+class SingleViewValidation:
     """First frames of some sequences with exact depth, collated once.
 
     If training uses several frames, also as many frames spread over each walk.
     """
 
-    def __init__(self, recordings: Recordings, numbers: Sequence[int], options: TrainOptions) -> None:
-        """Collate the sequences of these numbers."""
+    def __init__(
+        self, recordings: Recordings, *, volume_shape: tuple[int, int, int], frames: int, rendering_weight: float
+    ) -> None:
+        """Collate the sequences.
+
+        Args:
+            recordings: The held-out sequences.
+            volume_shape: Resolution [z, y, x] of the volumes.
+            frames: Largest number of frames of an example in training.
+            rendering_weight: Weight of the rendering loss in the score "loss".
+        """
         rng = np.random.default_rng(0)
-        self._options = options
-        self.images: list[UInt8[np.ndarray, "h w 3"]] = []
+        self._rendering_weight = rendering_weight
+        self._images: list[Picture] = []
         self._batches: list[Batch] = []
         self._walks: list[Batch] = []
-        for number in numbers:
+        for number in range(len(recordings)):
             example = example_of(recordings.read(number, frames=[0]), rng, depth="exact")
-            self.images.append(linear_to_srgb8(example.frame.image))
-            batch = collate([example], volume_shape=options.volume_shape, panorama_height=HEIGHT)
+            self._images.append(linear_to_srgb8(example.frame.image))
+            batch = collate([example], volume_shape=volume_shape, panorama_height=HEIGHT)
             self._batches.append(batch)
-            if options.frames > 1:
-                walk = read_example(recordings, number, rng, depth="exact", augment=False, frames=options.frames)
-                self._walks.append(collate([walk], volume_shape=options.volume_shape, panorama_height=HEIGHT))
+            if frames > 1:
+                walk = read_example(recordings, number, rng, depth="exact", augment=False, frames=frames)
+                self._walks.append(collate([walk], volume_shape=volume_shape, panorama_height=HEIGHT))
 
-    def scores(self, model: SingleModel | VideoModel, *, device: torch.device) -> dict[str, float]:
-        """Return the mean log-L2 and rendering loss of each method.
+    @torch.no_grad()
+    def scores(self, predict: Predict) -> dict[str, float]:
+        """Return the mean log-L2 and rendering loss of each kind of panorama, and `loss`, the sum that is minimised.
 
-        Methods: the volume (`sglv`), and the blended panoramas if the stage trains them (`blended`). `_walk`: after all
-        frames of a walk.
+        Kinds: the volume's (`sglv`), the blended ones if the stage trains them (`blended`); `_walk`: after all frames
+        of a walk. `loss` is the blended panoramas', or the volume's, and the mean with that after a walk.
         """
         errors: dict[str, list[tuple[float, float]]] = {}
         for batches, after in ((self._batches, ""), (self._walks, "_walk")):
             for batch in batches:
-                for name, panoramas in self._predict(model, batch, device).items():
-                    errors.setdefault(name + after, []).append(_errors(panoramas, batch))
+                for name, panoramas in predict(batch).items():
+                    errors.setdefault(name + after, []).append(_errors(panoramas[0].cpu(), batch))
+        trained = [name for name in errors if name.startswith("blended")] or list(errors)
         scores: dict[str, float] = {}
         for name, values in errors.items():
             scores[f"log_l2_{name}"], scores[f"rendering_{name}"] = np.mean(values, axis=0).tolist()
-        return scores
+        losses = [scores[f"log_l2_{name}"] + self._rendering_weight * scores[f"rendering_{name}"] for name in trained]
+        return {"loss": float(np.mean(losses)), **scores}
 
-    @property
-    def blends(self) -> bool:
-        """Whether the stage trains the blending networks."""
-        return self._options.stage != "single-sglv"
-
-    def loss(self, scores: dict[str, float]) -> float:
-        """Return the paper's loss of the networks that the stage trains: log-L2 plus the weighted rendering loss.
-
-        With walks, it is the mean of both.
-        """
-        name = "blended" if self.blends else "sglv"
-        weight, names = self._options.rendering_weight, [name, name + "_walk"] if self._walks else [name]
-        return float(np.mean([scores[f"log_l2_{one}"] + weight * scores[f"rendering_{one}"] for one in names]))
-
-    def draw(self, model: SingleModel | VideoModel, path: Path, *, device: torch.device, rows: int = 6) -> None:
+    @torch.no_grad()
+    def draw(self, predict: Predict, path: Path, *, rows: int = 6) -> None:
         """Write a PNG with a row for each of the first sequences: frame, then truth, volume and blended, also darker.
 
         Raises:
             OutputError: The file cannot be written.
         """
-        lines: list[UInt8[np.ndarray, "h w 3"]] = []
-        for image, batch in zip(self.images[:rows], self._batches, strict=False):
-            cells = [cv2.resize(image, (2 * HEIGHT * 4 // 3, 2 * HEIGHT), interpolation=cv2.INTER_AREA)]
-            for panoramas in (batch.truth[0], *self._predict(model, batch, device).values()):
-                shown = panoramas[0].permute(1, 2, 0).numpy()
-                cells.append(np.concatenate([linear_to_srgb8(shown), linear_to_srgb8(shown * 2**_DARK_EV)]))
-            lines.append(np.concatenate(cells, axis=1))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        if not cv2.imwrite(str(path), np.concatenate(lines)[..., ::-1]):
-            raise OutputError(f"{path}: the picture cannot be written")
-
-    def _predict(self, model: SingleModel | VideoModel, batch: Batch, device: torch.device) -> dict[str, Panoramas]:
-        assert isinstance(model, SingleModel)
-        here = batch.to(device)
-        with torch.no_grad():
-            sglv = model(here.volume)
-            if not self.blends:
-                return {"sglv": rendered_panoramas(sglv, here, height=HEIGHT, device=device)[0].cpu()}
-            hdr, blended = predicted_panoramas(
-                model, sglv, here, weight_height=self._options.panorama_height, bf16=False, device=device
-            )
-        return {"sglv": hdr[0].cpu(), "blended": blended[0].cpu()}
+        lines: list[list[Picture]] = []
+        for image, batch in zip(self._images[:rows], self._batches, strict=False):
+            frame = cv2.resize(image, (2 * HEIGHT * 4 // 3, 2 * HEIGHT), interpolation=cv2.INTER_AREA)
+            shown = (batch.truth[0], *(panoramas[0] for panoramas in predict(batch).values()))
+            lines.append([frame, *(_two_exposures(panoramas[0]) for panoramas in shown)])
+        _write_rows(path, lines)
 
 
-def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:
+class FrameByFrame(Protocol):
+    """A model that runs over a batch of sequences (`video.Unroll`); the first frame is done."""
+
+    def first_losses(self) -> Losses:
+        """Return the losses of the first frame."""
+        ...
+
+    def advance(self, frame: int) -> Losses:
+        """Run one frame after the first and return its losses."""
+        ...
+
+    def panoramas(self) -> Float[Tensor, "b p 3 h w"]:
+        """Return the panoramas after the latest frame."""
+        ...
+
+
+Unrolled = Callable[[WalkBatch], Any]
+"""Begins to run a model over a batch and returns a `FrameByFrame`."""
+
+
+class WalkValidation:
+    """The first frames of held-out walks, up to the stage's number; every second one has phone-like depth."""
+
+    def __init__(
+        self,
+        recordings: Recordings,
+        *,
+        frames: int,
+        depth: DepthKind,
+        volume_shape: tuple[int, int, int],
+        panorama_height: int,
+        with_probes: bool,
+    ) -> None:
+        """Take the first walks; they are read again for every validation.
+
+        Args:
+            recordings: The held-out walks.
+            frames: Largest number of frames of a sequence.
+            depth: Depth of training; "exact" gives all walks exact depth.
+            volume_shape: Resolution [z, y, x] of the volumes.
+            panorama_height: Rows of the panoramas.
+            with_probes: Whether the model needs what the probes see of each frame's mesh.
+        """
+        self._recordings, self._numbers = recordings, tuple(range(min(len(recordings), MOST_WALKS)))
+        self._frames, self._depth, self._volume_shape = frames, depth, volume_shape
+        self._height, self._with_probes = panorama_height, with_probes
+        self._alone: list[Losses] = []
+
+    @torch.no_grad()
+    def scores(self, unroll: Unrolled) -> dict[str, float]:
+        """Return mean losses: `video` over all frames after the first, `video_01_07` and so on by intervals, and
+        `no_rnn`: each of these frames alone, through the single-view networks. `loss` is the one that training lowers.
+        """
+        losses: dict[str, list[Losses]] = {}
+        alone: list[Losses] = []
+        for number in self._numbers:
+            batch = self._batch(number)
+            sequence: FrameByFrame = unroll(batch)
+            for frame in range(1, batch.frames):
+                now = sequence.advance(frame)
+                losses.setdefault("video", []).append(now)
+                for first, past in INTERVALS:
+                    if first <= frame < past:
+                        losses.setdefault(f"video_{first:02d}_{past - 1:02d}", []).append(now)
+                if not self._alone:
+                    alone.append(unroll(batch.cut(frame, frame + 1)).first_losses())
+        self._alone = self._alone or alone  # the stages do not train the single-view networks
+        scores = {"loss": _mean(losses["video"], "loss")}
+        for name, values in {**losses, "no_rnn": self._alone}.items():
+            for part in ("log_l2", "rendering", "smoothness"):
+                if (name, part) != ("no_rnn", "smoothness"):
+                    scores[f"{part}_{name}"] = _mean(values, part)
+        return scores
+
+    @torch.no_grad()
+    def draw(self, unroll: Unrolled, path: Path, *, rows: int = 4) -> None:
+        """Write a PNG with a row for each of the first walks: the truth, then the first, middle and last frame's light.
+
+        Raises:
+            OutputError: The file cannot be written.
+        """
+        lines: list[list[Picture]] = []
+        for number in self._numbers[:rows]:
+            batch = self._batch(number)
+            sequence: FrameByFrame = unroll(batch)
+            shown = [batch.truth(0), sequence.panoramas()]
+            for frame in range(1, batch.frames):
+                sequence.advance(frame)
+                if frame in (batch.frames // 2, batch.frames - 1):
+                    shown.append(sequence.panoramas())
+            lines.append([_two_exposures(panoramas[0, 0].float()) for panoramas in shown])
+        _write_rows(path, lines)
+
+    def _batch(self, number: int) -> WalkBatch:
+        length = min(self._frames, self._recordings.frames_of(number))
+        depth: DepthKind = "arkit" if number % 2 and self._depth != "exact" else "exact"
+        rng = np.random.default_rng(number)
+        walk = read_walk(self._recordings, number, rng, depth=depth, length=length, augment=False)
+        prepared = [PreparedWalk.of(walk, self._volume_shape)]
+        batch = collate_walks(prepared, panorama_height=self._height)
+        return with_views(batch, prepared, panorama_height=self._height) if self._with_probes else batch
+
+
+def _mean(losses: Sequence[Losses], name: str) -> float:
+    return float(np.mean([float(one[name]) for one in losses]))
+
+
+def _errors(panoramas: Float[Tensor, "p 3 h w"], batch: Batch) -> tuple[float, float]:
     """Return (log-L2, rendering loss) of one sequence's probes."""
     truth = batch.truth[0]
     difference = torch.log1p(panoramas.clamp(min=0)) - torch.log1p(truth)
@@ -129,3 +224,16 @@ def _errors(panoramas: Panoramas, batch: Batch) -> tuple[float, float]:
     spheres = [shade(sphere, look_up(light, flat).reshape(sphere.directions.shape)) for light in (panoramas, truth)]
     rendering = (spheres[0].clamp(max=1) - spheres[1].clamp(max=1)).square().mean()
     return float(difference.square().mean()), float(rendering)
+
+
+def _two_exposures(panorama: Float[Tensor, "3 h w"]) -> UInt8[np.ndarray, "2*h w 3"]:
+    """Return a panorama as shown on a screen, above a darker copy."""
+    linear = panorama.permute(1, 2, 0).cpu().numpy()
+    return np.concatenate([linear_to_srgb8(linear), linear_to_srgb8(linear * 2**_DARK_EV)])
+
+
+def _write_rows(path: Path, rows: Sequence[Sequence[Picture]]) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    picture = np.concatenate([np.concatenate(cells, axis=1) for cells in rows])
+    if not cv2.imwrite(str(path), picture[..., ::-1]):
+        raise OutputError(f"{path}: the picture cannot be written")

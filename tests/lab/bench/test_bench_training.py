@@ -10,14 +10,12 @@ from recordings import BoxRecordings
 from roomlight.errors import ModelError
 from roomlight_bench.training.training import TrainCosts, measure_training
 from roomlight_cli.console import print_table
-from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
-from roomlight_model.training.options import TrainOptions
-from roomlight_model.training.step_clock import PARTS, VIDEO_PARTS, StepClock
+from roomlight_model.training.gradients import StepClock
+from tiny_stages import VIEWS, WALKS
 
-OPTIONS = TrainOptions(
-    steps=1000, batch=2, rays=32, sphere_pixels=2, sphere_samples=4, volume_shape=(16, 15, 21), panorama_height=16,
-    bf16=False, model=ModelConfig(sg=SGConfig(channels=4, full_channels=4), blend=BlendConfig(channels=4)),
-)  # fmt: skip
+OPTIONS = replace(VIEWS, steps=1000, batch=2, rays=32, sphere_pixels=2)
+VIEW_PARTS = ("data", "forward", "render", "backward", "optimiser")
+VIDEO_PARTS = ("data", "mesh", "forward", "march", "blend", "backward", "optimiser")
 
 
 @pytest.fixture(scope="module")
@@ -26,7 +24,7 @@ def costs() -> TrainCosts:
 
 
 def assert_consistent(costs: TrainCosts) -> None:
-    assert tuple(part.name for part in costs.parts) == PARTS
+    assert tuple(part.name for part in costs.parts) == VIEW_PARTS
     assert all(0 < part.least_ms <= part.median_ms for part in costs.parts)
     assert [part.name for part in costs.parts if part.beside] == ["data"]
     inside = sum(part.least_ms for part in costs.parts if not part.beside)
@@ -48,7 +46,7 @@ def test_the_blending_stage_is_measured_too():
 
 @pytest.mark.parametrize("stage", ["video-sglv", pytest.param("video-joint", marks=pytest.mark.slow)])
 def test_the_parts_of_a_video_step_are_reported(stage):
-    options = replace(OPTIONS, stage=stage, frames=3, window=2)
+    options = replace(WALKS, stage=stage, steps=1000, frames=3, window=2)
     costs = measure_training(options, BoxRecordings(3), steps=2, device="cpu", progress=lambda _: None)
     wanted = [name for name in VIDEO_PARTS if stage == "video-joint" or name not in ("mesh", "blend")]
     assert [part.name for part in costs.parts] == wanted
@@ -62,7 +60,7 @@ def test_the_report_is_readable_and_plain_json(costs):
     console = Console(width=80, record=True, quiet=False, file=None)
     with console.capture() as shown:
         print_table(console, costs.table())
-    for part in PARTS:
+    for part in VIEW_PARTS:
         assert part in shown.get()
     assert "in background" in shown.get()
     assert json.loads(json.dumps(costs.to_json()))["stage"] == "single-sglv"

@@ -2,18 +2,20 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
+from roomlight.dataset.loader import Dataset
 from roomlight.engine.volume.grid import VOLUME_SHAPE
 from roomlight.files import write_json
 from roomlight_bench.training.training import measure_training
 from roomlight_cli import arguments, console
 from roomlight_cli.lazy import single_command_app
 from roomlight_cli.train import choose_device
-from roomlight_model.training.options import TrainingStage, TrainOptions, is_video
-from roomlight_model.training.subsets import TrainingRooms
+from roomlight_model.training.single_view import SingleViewOptions
+from roomlight_model.training.subsets import train_val_split
+from roomlight_model.training.video import VideoOptions
 
 app = single_command_app()
 
@@ -21,7 +23,10 @@ app = single_command_app()
 @app.command("train")
 def bench_train(
     data: Annotated[list[Path], typer.Argument(help="Dataset folders (roomlight dataset generate).")],
-    stage: Annotated[TrainingStage, typer.Option(help="The stage of training.")] = "single-sglv",
+    stage: Annotated[
+        Literal["single-sglv", "single-blend", "single-joint", "video-sglv", "video-blend", "video-joint"],
+        typer.Option(help="The stage of training."),
+    ] = "single-sglv",
     steps: Annotated[int, typer.Option(min=1, max=10_000, help="Steps to measure.")] = 20,
     batch: Annotated[
         int | None, typer.Option(min=1, help="Examples per step; 4, and 2 sequences in video stages.")
@@ -38,21 +43,19 @@ def bench_train(
     Parts: data, forward pass, rendering, backward pass, optimiser; in video stages also meshes and the probes' views
     of them, and ray marching and blending apart.
     """
-    video = is_video(stage)
-    options = TrainOptions(
-        stage=stage,
-        batch=batch or (2 if video else 4),
-        frames=frames or (31 if video else 1),
-        window=window,
+    options = VideoOptions(stage=stage, window=window) if stage.startswith("video-") else SingleViewOptions(stage=stage)
+    options = replace(
+        options,
+        batch=batch or options.batch,
+        frames=frames or options.frames,
         bf16=bf16,
         steps=1_000_000,
+        volume_shape=VOLUME_SHAPE if volume == "full" else options.volume_shape,
     )
-    if volume == "full":
-        options = replace(options, volume_shape=VOLUME_SHAPE)
     with console.err.status("measuring") as status:
         costs = measure_training(
             options,
-            TrainingRooms(data).training,
+            train_val_split([Dataset(folder, "train") for folder in data], options.held_out)[0],
             steps=steps,
             device=choose_device(device),
             progress=status.update,

@@ -4,7 +4,7 @@ A session's panorama is the best estimate of each direction, and has too little 
 seen, and the mean of a logarithm lies below the mean. Objects are lit by sums over many directions. The network sees
 what the frames have shown of a place together, and changes the light of directions that no frame has shown, and of
 clipped pixels, so that pictures of objects come out as near to those under the true light as it can: it is trained on
-matte, glossy and mirror spheres and on a sphere's shadow (`roomlight_model.training.objects_stage`).
+matte, glossy and mirror spheres and on a sphere's shadow (`roomlight_model.training.objects`).
 
 Its two panoramas differ where a direction is uncertain. Matte and glossy objects need the mean of what may be there.
 Mirrors show single directions, and light from nowhere in particular would make shadows fainter.

@@ -170,7 +170,7 @@ def load_part(path: Path, form: PartForm, *, provider: Provider = "auto") -> Gra
     if index["form"] != form:
         raise ModelError(f"{path}: holds networks of the form {index['form']}, not {form}")
     if not index["card"].get("steps"):
-        raise ModelError(f"{path}: these weights were never trained; train them with `roomlight train --stage {form}`")
+        raise ModelError(f"{path}: these weights were never trained; train them with `roomlight train {form}`")
     return _checked_graph(path, form, index["graphs"], resolve_provider(provider))
 
 

@@ -1,15 +1,19 @@
-"""Options and starting weights that the tests of the video stages share."""
+"""Stages of training on small networks and box rooms, and weights to start from."""
 
+import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import torch
 
+from recordings import BoxRecordings
 from roomlight_model.checkpoint import Checkpoint
 from roomlight_model.config import BlendConfig, ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
-from roomlight_model.training.options import TrainOptions
 from roomlight_model.training.sequences import WalkExample
+from roomlight_model.training.single_view import SingleViewOptions, SingleViewStage
+from roomlight_model.training.video import VideoOptions, VideoStage
 
 CPU = torch.device("cpu")
 SHAPE = (16, 15, 21)
@@ -18,10 +22,47 @@ TINY = ModelConfig(
     sg=SGConfig(volume_shape=SHAPE, channels=4, full_channels=4),
     blend=BlendConfig(height=HEIGHT, channels=4, full_channels=4),
 )
-OPTIONS = TrainOptions(
+VIEWS = SingleViewOptions(
+    steps=6, batch=3, warm_up=2, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=SHAPE, panorama_height=HEIGHT,
+    bf16=False, model=TINY,
+)  # fmt: skip
+WALKS = VideoOptions(
     stage="video-joint", steps=4, batch=2, warm_up=1, rays=64, sphere_pixels=4, sphere_samples=4, volume_shape=SHAPE,
     panorama_height=HEIGHT, bf16=False, frames=4, learning_rate=3e-3, model=TINY,
 )  # fmt: skip
+NO_ROOMS = BoxRecordings(0)
+
+
+def view_stage(options=VIEWS, *, rooms=3, held_out=NO_ROOMS, start_from=None):
+    """A single-view stage on `rooms` box rooms."""
+    return SingleViewStage(options, BoxRecordings(rooms), held_out, device=CPU, start_from=start_from)
+
+
+def video_stage(
+    options=WALKS, *, rooms=3, held_out=NO_ROOMS, start_from="fresh", cache=Path("unused"), change_light=None
+):
+    """A video stage on walks through `rooms` box rooms, from `single_view_weights` unless others are given."""
+    return VideoStage(
+        options,
+        rooms if isinstance(rooms, BoxRecordings) else BoxRecordings(rooms),
+        held_out,
+        device=CPU,
+        start_from=single_view_weights() if start_from == "fresh" else start_from,
+        cache=cache,
+        change_light=change_light,
+    )
+
+
+def logged(folder):
+    """The log of a run without times."""
+    entries = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    times = ("seconds_a_step", "waited_for_data")
+    return [{name: value for name, value in entry.items() if name not in times} for entry in entries]
+
+
+def trained_networks(network):
+    """The names of the networks in a model that require a gradient."""
+    return {name.split(".")[0] for name, weight in network.named_parameters() if weight.requires_grad}
 
 
 def single_view_weights(config: ModelConfig = TINY) -> Checkpoint:

@@ -1,8 +1,8 @@
-"""The networks on a probe's panorama: 2D encoder-decoders on what the frames have shown together.
+"""The network that gives the light of virtual objects: a 2D encoder-decoder on a probe's panorama.
 
-`CompletionNetwork` completes it, `ObjectLightNetwork` turns it into the light of virtual objects. Panels are those of
-`roomlight.engine.panorama.panels`, linear radiance in units of white. All layers wrap around at the left and right
-edge; the elevation is an input, because ceilings are brighter than floors.
+Panels are `roomlight.compositing.light.object_light.object_panels`, linear radiance in units of white: what the frames
+have shown together. All layers wrap around at the left and right edge; the elevation is an input, because ceilings are
+brighter than floors.
 """
 
 from typing import Final
@@ -17,6 +17,8 @@ from roomlight_model.layers import LEAK, PanoramaConv, block2d
 
 _DERIVED: Final = 4
 """Planes that are computed from the panels."""
+_CHANGES: Final = 2
+"""Predicted changes, three channels each."""
 _COLOUR: Final = 0.3
 """Greatest change of a channel beside the common one, in log(1 + L)."""
 
@@ -33,21 +35,21 @@ class _Residual(nn.Module):
         return functional.leaky_relu(x + self.second(self.first(x)), LEAK)
 
 
-class PanelsNetwork(nn.Module):
-    """Changes of log(1 + L) from panels; begins as the identity, without any change."""
+class ObjectLightNetwork(nn.Module):
+    """Two changes of log(1 + L): for the light on objects, and for the light of their shadows and reflections.
 
-    def __init__(self, *, more: int, changes: int, width: int = 32) -> None:
-        """Build the layers: `width` channels at half the panels' resolution, three times that at an eighth.
+    It begins as the identity, without any change.
+    """
 
-        more:     panels of radiance behind those of `panorama_panels`.
-        changes:  number of changes, three channels each.
-        """
+    form = "objects"
+
+    def __init__(self, width: int = 32) -> None:
+        """Build the layers: `width` channels at half the panels' resolution, two and a half times that at an eighth."""
         super().__init__()
-        self._changes = changes
         widths = (width, width * 3 // 2, width * 5 // 2)
         self.down = nn.ModuleList(
             nn.Sequential(block2d(inputs, outputs, kernel=4, stride=2), _Residual(outputs))
-            for inputs, outputs in zip((PANELS + more + _DERIVED, *widths), widths, strict=False)
+            for inputs, outputs in zip((PANELS + 1 + _DERIVED, *widths), widths, strict=False)
         )
         self.room = nn.Linear(widths[-1], widths[-1])
         self.bottom = nn.Sequential(_Residual(widths[-1]), _Residual(widths[-1]))
@@ -55,7 +57,7 @@ class PanelsNetwork(nn.Module):
             nn.Sequential(block2d(low + high, high), _Residual(high))
             for low, high in zip(widths[:0:-1], widths[-2::-1], strict=True)
         )
-        self.head = PanoramaConv(width, 4 * changes)
+        self.head = PanoramaConv(width, 4 * _CHANGES)
         nn.init.zeros_(self.head.conv.weight)
         elevation = torch.cos((torch.arange(HEIGHT) + 0.5) / HEIGHT * torch.pi)
         self.register_buffer(
@@ -93,23 +95,6 @@ class PanelsNetwork(nn.Module):
             x = up(torch.cat([functional.interpolate(x, size=skip.shape[2:], mode="nearest"), skip], dim=1))
         out = self.head(x)
         change = torch.cat(
-            [part[:, :1] + _COLOUR * torch.tanh(part[:, 1:]) for part in out.chunk(self._changes, dim=1)], dim=1
+            [part[:, :1] + _COLOUR * torch.tanh(part[:, 1:]) for part in out.chunk(_CHANGES, dim=1)], dim=1
         )
         return functional.interpolate(change, size=panels.shape[2:], mode="bilinear", align_corners=False)
-
-
-class CompletionNetwork(PanelsNetwork):
-    """Changes the classical fill where nothing was observed."""
-
-    def __init__(self) -> None:
-        super().__init__(more=0, changes=1)
-
-
-class ObjectLightNetwork(PanelsNetwork):
-    """Changes the light that lights objects, and the light that casts their shadows and that mirrors show.
-
-    The panel behind those of `panorama_panels` is the luminance that was estimated for clipped pixels.
-    """
-
-    def __init__(self) -> None:
-        super().__init__(more=1, changes=2)

@@ -1,0 +1,358 @@
+"""The stage `objects`: the light of virtual objects, from what random streams have shown a probe.
+
+The loss is what one sees: errors of pictures of matte, glossy, metal and mirror spheres under the estimated light, cut
+at white as a camera cuts them, and of the shadow of a sphere. A weak log-L2 of the panoramas keeps light plausible that
+these pictures do not show.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import cv2
+import numpy as np
+import torch
+from jaxtyping import Float, Float16, Float32
+from torch import Tensor
+from torch.nn import functional
+
+from roomlight.compositing.light.object_light import OBJECT_PANELS, object_panels
+from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
+from roomlight.dataset.loader import Dataset
+from roomlight.engine.options import ModelName
+from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
+from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.errors import DatasetError, FrameError, ModelError
+from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
+from roomlight_model.checkpoint import Checkpoint
+from roomlight_model.object_light_network import ObjectLightNetwork
+from roomlight_model.sphere_shadow import ROWS, SHADED, shadow_tables
+from roomlight_model.training.batches import Tensors
+from roomlight_model.training.examples import example_of
+from roomlight_model.training.gradients import StepClock
+from roomlight_model.training.losses import Losses
+from roomlight_model.training.run_folder import RunOptions
+
+MATERIALS: Final = ("diffuse", "glossy", "metal", "mirror", "shadow")
+"""Pictures whose errors are the loss: spheres of these materials, and a sphere's shadow."""
+USUAL_ERRORS: Final = (0.16, 0.2, 0.2, 0.22, 0.1)
+"""Usual errors of `MATERIALS`, by which the loss divides them."""
+LOG_WEIGHT: Final = 0.3
+MODELS: Final[tuple[ModelName, ...]] = ("classical", "single")
+"""Models of the streams, in turn: trained on classical light alone, mirrors in the networks' light get worse."""
+_STREAMS: Final = 2
+"""Streams of each recording."""
+_FROM_START: Final = 0.5
+"""Share of streams that begin at a recording's first frame."""
+_TINT: Final = 0.1
+"""Standard deviation of the logarithm of random channel gains."""
+_LOBES: Final = 64
+_GLOSS: Final = 0.058
+"""Share of light that the glossy sphere of `roomlight.spheres` reflects in its lobe, in the mean over its picture."""
+_GLOSS_POWER: Final = 200
+_METAL_POWER: Final = 24
+_BEYOND_WHITE: Final = 0.1
+"""Slope of what is beyond white in a picture, so that too bright light has a gradient."""
+
+ProgressCallback = Callable[[int, int], object]
+
+
+@dataclass(frozen=True)
+class ObjectsOptions(RunOptions):
+    """Options of the stage `objects`: those of every run.
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    stages: ClassVar[tuple[str, ...]] = ("objects",)
+
+    stage: str = "objects"
+    steps: int = 6000
+    batch: int = 16
+    warm_up: int = 100
+    weight_decay: float = 0.02
+    ema: float = 0.998
+    validate_steps: int = 250
+
+
+@dataclass(frozen=True, eq=False)
+class ProbePanels:
+    """What streams have shown probes, and the true light there, at the network's resolution.
+
+    Attributes:
+        panels: As `roomlight.compositing.light.object_light.object_panels`.
+        truth: Linear RGB in the units of the panels.
+    """
+
+    panels: Float16[np.ndarray, "n 10 h w"]
+    truth: Float16[np.ndarray, "n 3 h w"]
+
+    def __len__(self) -> int:
+        """Return the number of examples."""
+        return len(self.panels)
+
+    def take(self, numbers: Sequence[int]) -> "ProbePanels":
+        """Return the examples with these numbers."""
+        return ProbePanels(self.panels[list(numbers)], self.truth[list(numbers)])
+
+    @classmethod
+    def read(
+        cls,
+        datasets: Sequence[Dataset],
+        *,
+        seed: int,
+        streams: int = _STREAMS,
+        models: Sequence[ModelName] = MODELS,
+        progress: ProgressCallback | None = None,
+    ) -> "ProbePanels":
+        """Stream every recording over random frames with random depth, and keep its probes at two moments.
+
+        The length of a stream is drawn evenly in its logarithm: a panorama changes most at its start. A recording of
+        one frame is streamed once.
+
+        Args:
+            datasets: The datasets.
+            seed: Seed of the streams.
+            streams: Streams of each recording.
+            models: The sessions have one of these models each, in turn.
+            progress: Receives (done, total) recordings.
+
+        Raises:
+            DatasetError: No recording has a probe.
+            ModelError: The weights of a model are missing.
+        """
+        rng = np.random.default_rng([seed, 12])
+        recordings = [(dataset, index) for dataset in datasets for index in range(len(dataset))]
+        loaded = {model: choose_graphs(SessionOptions(model=model)) for model in models}
+        panels, truth, streamed = list[np.ndarray](), list[np.ndarray](), 0
+        for done, (dataset, index) in enumerate(recordings, 1):
+            for _ in range(streams if dataset.frames_of(index) > 1 else 1):
+                model = models[streamed % len(models)]
+                session = Session(SessionOptions(model=model), graphs=loaded[model])
+                for probe_panels, light in _stream(session, dataset, index, rng):
+                    panels.append(probe_panels)
+                    truth.append(light)
+                streamed += 1
+            if progress:
+                progress(done, len(recordings))
+        if not panels:
+            raise DatasetError("no recording has a probe to learn from; generate a dataset with probes")
+        return cls(np.stack(panels), np.stack(truth))
+
+
+@dataclass(frozen=True, eq=False)
+class PanelsBatch(Tensors):
+    """Panels of the network and the true radiance."""
+
+    panels: Float32[Tensor, "b 10 h w"]
+    truth: Float32[Tensor, "b 3 h w"]
+
+
+class ObjectsStage:
+    """Trains `ObjectLightNetwork` on probes; held-out ones score it."""
+
+    def __init__(
+        self,
+        options: ObjectsOptions,
+        training: ProbePanels,
+        held_out: ProbePanels,
+        *,
+        start_from: Checkpoint | None = None,
+        data: list[dict[str, Any]] | None = None,
+    ) -> None:
+        """Take the examples, and the weights to start from (None: fresh ones).
+
+        Raises:
+            ModelError: `start_from` holds another network.
+        """
+        if start_from is not None and start_from.form != "objects":
+            raise ModelError(f"stage objects cannot start from a {start_from.form} network")
+        self.options, self.device, self.data = options, torch.device("cpu"), data or []
+        self.before = None if start_from is None else start_from.card
+        self._training, self._held_out, self._start_from = training, held_out, start_from
+
+    @property
+    def piece_size(self) -> int:
+        """A batch is not split: 2D convolutions share their work well between threads."""
+        return self.options.batch
+
+    # --- data
+
+    def __len__(self) -> int:
+        """Return the number of training examples."""
+        return len(self._training)
+
+    def batch(self, step: int, clock: StepClock) -> PanelsBatch:
+        """Augment and stack the examples of a step."""
+        numbers = [index for index, _ in self.options.draw_examples(len(self), step)]
+        with clock.part("data"):
+            return panels_batch(self._training.take(numbers), self.options.rng(step))
+
+    # --- network, forward and loss
+
+    def network(self) -> ObjectLightNetwork:
+        """Build the network."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            network = ObjectLightNetwork()
+        if self._start_from is not None:
+            network.load_state_dict(self._start_from.model.state_dict())
+        return network
+
+    def losses(
+        self, network: ObjectLightNetwork, batch: PanelsBatch, _: torch.Generator, clock: StepClock
+    ) -> Iterator[Losses]:
+        """Yield the errors of pictures, divided by their usual errors, and the log-L2 of both panoramas."""
+        with clock.part("forward"):
+            shown, casting = object_lights(network, batch.panels)
+        with clock.part("render"):
+            errors = picture_errors(shown, casting, batch.truth) / torch.tensor(USUAL_ERRORS)
+            pictures, wanted = errors.sum(dim=1).mean(), torch.log1p(batch.truth)
+            logs = (torch.log1p(shown) - wanted).square().mean() + (torch.log1p(casting) - wanted).square().mean()
+        yield {"loss": pictures + LOG_WEIGHT * logs, "pictures": pictures, "log_l2": logs}
+
+    # --- validation
+
+    def scores(self, network: ObjectLightNetwork) -> Mapping[str, float]:
+        """Score held-out examples: errors relative to those in the light that the session has, and their mean."""
+        ours, before = list[Tensor](), list[Tensor]()
+        with torch.no_grad():
+            for first in range(0, len(self._held_out), 32):
+                numbers = range(first, min(first + 32, len(self._held_out)))
+                batch = panels_batch(self._held_out.take(numbers))
+                session_light = batch.panels[:, 6:9]
+                ours.append(picture_errors(*object_lights(network, batch.panels), batch.truth))
+                before.append(picture_errors(session_light, session_light, batch.truth))
+        ratios = (torch.cat(ours).mean(dim=0) / torch.cat(before).mean(dim=0)).tolist()
+        return {"loss": float(np.mean(ratios)), **dict(zip(MATERIALS, ratios, strict=True))}
+
+    def draw(self, network: ObjectLightNetwork, path: Path) -> None:
+        """Draw nothing: the scores say all."""
+
+
+def panels_batch(examples: ProbePanels, rng: np.random.Generator | None = None) -> PanelsBatch:
+    """Stack examples; with `rng` rotated about the vertical, mirrored, channels permuted and scaled at random."""
+    both = np.concatenate([examples.panels, examples.truth], axis=1).astype(np.float32)
+    if rng is not None:
+        both = np.roll(both, int(rng.integers(2 * HEIGHT)), axis=3)
+        if rng.random() < 0.5:
+            both = both[..., ::-1]
+        if rng.random() < 0.3:
+            order = rng.permutation(3)
+            both = both[:, [*order, 3, 4, 5, *(6 + order), 9, *(10 + order)]]
+        gains = np.exp(rng.normal(0, _TINT, (len(examples), 3, 1, 1))).astype(np.float32)
+        for first in (0, 6, 10):
+            both[:, first : first + 3] *= gains
+        both[:, 9:10] *= gains.mean(axis=1, keepdims=True)
+    stacked = torch.from_numpy(np.ascontiguousarray(both))
+    return PanelsBatch(stacked[:, :OBJECT_PANELS], stacked[:, OBJECT_PANELS:])
+
+
+def object_lights(
+    network: torch.nn.Module, panels: Float32[Tensor, "b 10 h w"]
+) -> tuple[Float32[Tensor, "b 3 h w"], Float32[Tensor, "b 3 h w"]]:
+    """Return the light of objects, and that of their shadows, as the engine's (`ObjectLightModel.light`)."""
+    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=torch.is_grad_enabled()):
+        changes = network(panels)
+    known, guessed, light = panels[:, 3:4], panels[:, 9:10], panels[:, 6:9]
+    free = torch.maximum(1 - known, (guessed / _luminance(light).clamp(min=1e-6)).clamp(0, 1))
+    shown, casting = (
+        torch.expm1((torch.log1p(light) + change.float() * free).clamp(0, 11)) for change in changes.chunk(2, dim=1)
+    )
+    return shown, casting
+
+
+def picture_errors(
+    shown: Float[Tensor, "b 3 h w"], casting: Float[Tensor, "b 3 h w"], truth: Float[Tensor, "b 3 h w"]
+) -> Float[Tensor, "b 5"]:
+    """Return the root of the mean squared error of each of `MATERIALS`."""
+    spheres = [
+        _squared_below_white(ours, theirs).mean((1, 2))
+        for ours, theirs in zip(_spheres(shown), _spheres(truth), strict=True)
+    ]
+    mirror = (_squared_below_white(casting, truth) * _solid_angles() / _solid_angles().mean()).mean((1, 2, 3))
+    wanted = _shadow(truth)
+    shaded = (wanted < float(np.exp(-SHADED))).float()
+    shadow = ((_shadow(casting) - wanted).square() * shaded).sum(dim=1) / shaded.sum(dim=1).clamp(min=1)
+    return torch.sqrt(torch.stack([*spheres, mirror, shadow], dim=1) + 1e-5)
+
+
+def _spheres(light: Float[Tensor, "b 3 h w"]) -> list[Float[Tensor, "b 3 k"]]:
+    """Return pixels of the diffuse, the glossy and the metal sphere."""
+    matte, gloss, metal = (light.flatten(2) @ _reflection_lobe(power) for power in (1, _GLOSS_POWER, _METAL_POWER))
+    return [DIFFUSE_ALBEDO * matte, GLOSSY_ALBEDO * matte + _GLOSS * gloss, metal]
+
+
+def _squared_below_white(predicted: Float[Tensor, "*n"], wanted: Float[Tensor, "*n"]) -> Float[Tensor, "*n"]:
+    """Return the squared differences of pictures that white cuts."""
+    above = 1 + _BEYOND_WHITE * torch.log(predicted.clamp(min=1))
+    inside = torch.where(predicted < 1, predicted, above) - wanted
+    return torch.where(wanted >= 1, (1 - predicted).clamp(min=0), inside).square()
+
+
+def _shadow(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b n"]:
+    """Return `roomlight_model.sphere_shadow.shadow_of_sphere`."""
+    cosine, blocked = _shadow_tables()
+    small = functional.interpolate(_luminance(light), size=(ROWS, 2 * ROWS), mode="area")
+    power = small.flatten(1)[:, : len(cosine)] * cosine
+    return 1 - (power @ blocked.T) / power.sum(dim=1, keepdim=True).clamp(min=1e-6)
+
+
+def _luminance(light: Float[Tensor, "b 3 h w"]) -> Float[Tensor, "b 1 h w"]:
+    weights = torch.from_numpy(np.asarray(LUMINANCE, np.float32))
+    return (light * weights[:, None, None]).sum(dim=1, keepdim=True)
+
+
+@cache
+def _shadow_tables() -> tuple[Float32[Tensor, " d"], Float32[Tensor, "n d"]]:
+    cosine, blocked = shadow_tables()
+    return torch.from_numpy(cosine), torch.from_numpy(blocked)
+
+
+@cache
+def _solid_angles() -> Float32[Tensor, "h w"]:
+    angles = np.broadcast_to(panorama_solid_angles(HEIGHT), (HEIGHT, 2 * HEIGHT))
+    return torch.from_numpy(np.ascontiguousarray(angles, np.float32))
+
+
+@cache
+def _reflection_lobe(power: int) -> Float32[Tensor, "n k"]:
+    """Return weights of directions in reflections at fixed normals, cosine to a power (1: matte); each sums to 1."""
+    normals = np.random.default_rng(3).normal(size=(_LOBES, 3))
+    normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+    cosine = np.maximum(panorama_rays(HEIGHT).astype(np.float64) @ normals.T, 0)
+    weights = cosine**power * _solid_angles().numpy().reshape(-1, 1)
+    return torch.from_numpy((weights / weights.sum(0)).astype(np.float32))
+
+
+def _stream(
+    session: Session, dataset: Dataset, index: int, rng: np.random.Generator
+) -> list[tuple[Float16[np.ndarray, "10 h w"], Float16[np.ndarray, "3 h w"]]]:
+    """Push random frames of a recording; return the panels and the truth of its probes at two moments."""
+    count = dataset.frames_of(index)
+    length = int(np.exp(rng.uniform(0, np.log(count + 0.999))))
+    first = 0 if rng.random() < _FROM_START else int(rng.integers(count - length + 1))
+    moments = {length - 1, int(rng.integers(length))}
+    recording = dataset.read(index, frames=list(range(first, first + length)))
+    example = example_of(recording, rng, depth="both")
+    handles = [session.track((float(x), float(y), float(z))) for x, y, z in example.positions]
+    panels = list[tuple[np.ndarray, np.ndarray]]()
+    for number, frame in enumerate((example.frame, *example.later)):
+        try:
+            session.push(replace(frame, index=number))
+        except FrameError:  # a frame without depth cannot begin a stream
+            return panels
+        if number in moments:
+            for handle, truth in zip(handles, example.truth, strict=True):
+                panels.append((object_panels(session.panorama_state(handle)).astype(np.float16), reduced_truth(truth)))
+    return panels
+
+
+def reduced_truth(truth: Float32[np.ndarray, "h w 3"]) -> Float16[np.ndarray, "3 ph pw"]:
+    """Reduce a panorama to the network's resolution; its energy stays."""
+    limited = np.minimum(truth, np.float32(BRIGHTEST))
+    means = cv2.resize(limited, (2 * HEIGHT, HEIGHT), interpolation=cv2.INTER_AREA)
+    return np.moveaxis(means, -1, 0).astype(np.float16)

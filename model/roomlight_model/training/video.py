@@ -1,0 +1,448 @@
+"""The video stages: options, data, the recursion of the engine's video form, and losses through time.
+
+| stage       | trains             | light compared, in every frame after the first |
+|-------------|--------------------|------------------------------------------------|
+| video-sglv  | SG*, SGGRU*        | as single-sglv                                 |
+| video-blend | Blend*, BlendGRU*  | as single-blend                                |
+| video-joint | all recurrent ones | as single-joint                                |
+
+The single-view networks run the first frame and stay as they are. Losses are means over the other frames, with the
+smoothness between consecutive ones. The networks of a frame are recomputed in the backward pass
+(`torch.utils.checkpoint`): only the states between the frames of a window are kept.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor
+from torch.utils.checkpoint import checkpoint
+
+from roomlight.engine.panorama.blend import CLOSER_M
+from roomlight.errors import ModelError, OptionError
+from roomlight_model.accumulate import Panorama
+from roomlight_model.checkpoint import Checkpoint
+from roomlight_model.networks import BlendState, Observation, SGState, SingleModel, VideoModel
+from roomlight_model.sphere_rendering import shade
+from roomlight_model.training.batches import fill_detail
+from roomlight_model.training.examples import Recordings
+from roomlight_model.training.gradients import StepClock
+from roomlight_model.training.light_changes import LightChanges
+from roomlight_model.training.losses import (
+    Losses,
+    draw_sphere,
+    log_l2_loss,
+    panorama_directions,
+    radiance_along,
+    render_panoramas,
+    render_rays,
+    rendering_loss,
+)
+from roomlight_model.training.sequences import (
+    LightChange,
+    PreparedWalk,
+    WalkBatch,
+    WalkCache,
+    collate_walks,
+    draw_length,
+    join_walks,
+    read_walk,
+    with_views,
+)
+from roomlight_model.training.single_view import SingleViewOptions, channels_last, train_only
+from roomlight_model.training.validation import WalkValidation
+
+_VALIDATION_RAYS: Final = 2048
+
+
+@dataclass(frozen=True)
+class VideoOptions(SingleViewOptions):
+    """Options of a video stage, beside those of the single-view stages.
+
+    Attributes:
+        stage: What is trained; see `training.video`.
+        batch: Sequences in a batch.
+        frames: Largest number of frames of a sequence, 2 or more.
+        window: Frames over which gradients go back in time (truncated back-propagation); fewer take less memory.
+        variants: `video-blend`: draw so many sequences from each walk and keep what the fixed 3D networks make of them
+            in the run's folder, about 10 MB each; 0 draws new ones at every step.
+        smoothness_weight: Weight of the difference between the panoramas of consecutive frames.
+        light_changes: Share of sequences whose light changes at a frame (`training.light_changes`).
+        revisits: Share of sequences that stop at a frame or return the way they came, so that the networks see the
+            same places again.
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    stages: ClassVar[tuple[str, ...]] = ("video-sglv", "video-blend", "video-joint")
+
+    stage: str = "video-sglv"
+    batch: int = 2
+    learning_rate: float = 3e-4
+    frames: int = 31
+    window: int = 31
+    variants: int = 0
+    smoothness_weight: float = 0.01
+    light_changes: float = 0.0
+    revisits: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        self.require(2, "frames")
+        self.require(1, "window")
+        self.require(0, "variants")
+        self.require(0, "light_changes", "revisits", most=1)
+        self.require(0, "smoothness_weight", most=100)
+        if self.variants and self.stage != "video-blend":
+            raise OptionError(f"variants is {self.variants}; only video-blend has fixed 3D networks, it must be 0")
+
+
+class VideoStage:
+    """One of the video stages on some walks."""
+
+    def __init__(
+        self,
+        options: VideoOptions,
+        training: Recordings,
+        held_out: Recordings,
+        *,
+        device: torch.device,
+        start_from: Checkpoint | None,
+        cache: Path,
+        data: list[dict[str, Any]] | None = None,
+        change_light: LightChange | None = None,
+    ) -> None:
+        """Take the data and the weights to start from.
+
+        Args:
+            options: The stage and its hyperparameters; the widths become those of `start_from`.
+            training: Walks to train on.
+            held_out: Walks that are scored and not trained on.
+            device: Where the networks run.
+            start_from: Single-view weights, or those of the video stage before.
+            cache: A folder for the sequences that `options.variants` keeps.
+            data: The description of the datasets for the card.
+            change_light: Changes the light of sequences at a frame; None changes it as `options.light_changes` says.
+
+        Raises:
+            ModelError: `start_from` is missing or holds other networks.
+        """
+        if start_from is None or start_from.form not in ("single", "video"):
+            raise ModelError(
+                f"stage {options.stage} starts from trained weights: give `start_from` a single-view checkpoint or "
+                "model folder, or the checkpoint of the video stage before"
+            )
+        self.options = options = replace(options, model=start_from.config)
+        self.device, self.data, self.before = device, data or [], start_from.card
+        self.piece_size = 1  # the frames of a sequence are work enough for a thread
+        self._training, self._held_out, self._start_from = training, held_out, start_from
+        if change_light is None and options.light_changes:
+            change_light = LightChanges(options.light_changes)
+        self._change_light = change_light
+        self._cache = WalkCache(cache)
+
+    # --- data
+
+    def __len__(self) -> int:
+        """Return the number of walks to train on."""
+        return len(self._training)
+
+    def batch(self, step: int, clock: StepClock) -> WalkBatch:
+        """Draw, augment and collate the sequences of a step; with `variants`, what the 3D networks make of them."""
+        options, drawn = self.options, list(self.options.draw_examples(len(self), step))
+        if not options.variants:
+            return self._read(drawn, options.rng(step), clock)
+        variant = step * options.batch // len(self) % options.variants
+
+        def prepare(index: int) -> WalkBatch:
+            # the lengths of a batch are equal: they follow from the variant alone
+            batch = self._read([(index, options.rng(variant, index, 0))], options.rng(variant, 0, 0, 0), clock)
+            with clock.part("mesh"):
+                return self._with_renderings(batch)
+
+        return join_walks([self._cache.get(index, variant, partial(prepare, index)) for index, _ in drawn])
+
+    def _read(
+        self, drawn: Sequence[tuple[int, np.random.Generator]], rng: np.random.Generator, clock: StepClock
+    ) -> WalkBatch:
+        """Prepare one sequence of each walk; `rng` draws their common length: they run side by side."""
+        options = self.options
+        most = min(options.frames, *(self._training.frames_of(index) for index, _ in drawn))
+        length = draw_length(most, rng) if options.augment else most
+        with clock.part("data"):
+            walks = [
+                PreparedWalk.of(
+                    read_walk(
+                        self._training,
+                        index,
+                        own,
+                        depth=options.depth,
+                        length=length,
+                        augment=options.augment,
+                        change_light=self._change_light,
+                        revisits=options.revisits,
+                    ),
+                    options.volume_shape,
+                )
+                for index, own in drawn
+            ]
+            height = None if options.stage == "video-sglv" else options.panorama_height
+            batch = collate_walks(walks, panorama_height=height)
+        if height is None:
+            return batch
+        with clock.part("mesh"):
+            return with_views(batch, walks, panorama_height=height)
+
+    @torch.no_grad()
+    def _with_renderings(self, batch: WalkBatch) -> WalkBatch:
+        """Return the batch with the fixed 3D networks' panoramas in place of its volumes."""
+        model, here, height = self._fixed_model, batch.to(self.device), batch.lights.shape[-2]
+        panoramas: list[Tensor] = []
+        state: SGState | None = None
+        for frame in range(batch.frames):
+            volume = here.volume[:, frame]
+            with _autocast(self.options, self.device):
+                state = _in_float32(model.start(volume) if state is None else model.step(volume, state))
+            panoramas.append(render_panoramas(state.volume, here, height=height))
+        nothing = batch.volume.new_empty((*batch.volume.shape[:3], 0, 0, 0))
+        return replace(batch, volume=nothing, hdr=torch.stack(panoramas, dim=1).to(batch.volume.device))
+
+    @cached_property
+    def _fixed_model(self) -> VideoModel:
+        return self.network()
+
+    # --- networks
+
+    def network(self) -> VideoModel:
+        """Build the networks; those that the stage trains require a gradient."""
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            model = VideoModel(self.options.trained_model)
+        if isinstance(self._start_from.model, SingleModel):
+            model.single.load_state_dict(self._start_from.model.state_dict())
+            model.warm_start()
+        else:
+            model.load_state_dict(self._start_from.model.state_dict())
+        volume = (model.sg_encoder, model.sg_decoder, model.sg_gru0, model.sg_gru1)
+        panorama = (model.blend_encoder, model.blend_decoder, model.blend_gru0, model.blend_gru1)
+        train_only(model, self.options.stage, volume=volume, panorama=panorama)
+        channels_last((*volume, model.single.sg_encoder, model.single.sg_decoder))
+        return model.to(self.device)
+
+    # --- forward and loss
+
+    def losses(
+        self, model: VideoModel, batch: WalkBatch, generator: torch.Generator, clock: StepClock
+    ) -> Iterator[Losses]:
+        """Yield the losses of each window of frames, as shares of the mean over all frames after the first."""
+        sequence = Unroll(model, batch, self.options, generator=generator, clock=clock)
+        for start in range(1, batch.frames, self.options.window):
+            frames = range(start, min(start + self.options.window, batch.frames))
+            window = [sequence.advance(frame) for frame in frames]
+            yield {name: torch.stack([now[name] for now in window]).sum() / (batch.frames - 1) for name in window[0]}
+            sequence.detach()
+
+    # --- validation
+
+    def scores(self, model: VideoModel) -> Mapping[str, float]:
+        """Score held-out walks, all frames and intervals of them, beside each frame alone."""
+        return self._validation.scores(partial(self._unroll, model)) if len(self._held_out) else {}
+
+    def draw(self, model: VideoModel, path: Path) -> None:
+        """Write the true and predicted panoramas of held-out walks."""
+        if len(self._held_out):
+            self._validation.draw(partial(self._unroll, model), path)
+
+    def _unroll(self, model: VideoModel, batch: WalkBatch) -> "Unroll":
+        # joint training also keeps the volume alone accurate; what counts here is what a probe shows
+        stage = "video-sglv" if self.options.stage == "video-sglv" else "video-blend"
+        options = replace(self.options, stage=stage, variants=0, rays=_VALIDATION_RAYS, bf16=False)
+        return Unroll(model, batch.to(self.device), options, generator=torch.Generator().manual_seed(0))
+
+    @cached_property
+    def _validation(self) -> WalkValidation:
+        options = self.options
+        return WalkValidation(
+            self._held_out,
+            frames=options.frames,
+            depth=options.depth,
+            volume_shape=options.volume_shape,
+            panorama_height=options.panorama_height,
+            with_probes=options.stage != "video-sglv",
+        )
+
+
+class Unroll:
+    """One pass over a batch of sequences. Random directions are drawn once, from `generator`, on the CPU."""
+
+    def __init__(
+        self,
+        model: VideoModel,
+        batch: WalkBatch,
+        options: VideoOptions,
+        *,
+        generator: torch.Generator,
+        clock: StepClock | None = None,
+    ) -> None:
+        """Draw the directions of the losses and run the first frame."""
+        self._model, self._batch, self._options = model, batch, options
+        self._clock = clock or StepClock(enabled=False)
+        self._device = batch.origins.device
+        self._blends = options.stage != "video-sglv"
+        self._trains_volume = options.stage != "video-blend"
+        self._sphere = (
+            draw_sphere(batch, pixels=options.sphere_pixels, samples=options.sphere_samples, generator=generator)
+            if options.sphere_pixels
+            else None
+        )
+        height = batch.lights.shape[-2]
+        self._pixels = torch.randint(2 * height * height, (*batch.origins.shape[:2], options.rays), generator=generator)
+        self._pixels = self._pixels.to(self._device)
+        self._directions = panorama_directions(height, self._device)[self._pixels]
+        if self._sphere is not None:
+            self._directions = torch.cat([self._directions, self._sphere.directions.flatten(2, 3)], dim=2)
+        self._volume_state: SGState | None = None
+        self.probe_state: BlendState | None = None
+        with torch.no_grad():
+            if batch.hdr is None:
+                with self._clock.part("forward"), _autocast(options, self._device):
+                    self._volume_state = _in_float32(model.start(batch.volume[:, 0]))
+            self._hdr, self._light = self._observe(0)
+
+    @property
+    def volume_state(self) -> SGState:
+        """The 3D state after the latest frame; a batch with the 3D networks' panoramas has none."""
+        assert self._volume_state is not None
+        return self._volume_state
+
+    def first_losses(self) -> Losses:
+        """Return the losses of the first frame; call it before `advance`."""
+        return self._losses(0, self._light)
+
+    def panoramas(self) -> Float[Tensor, "b p 3 h w"]:
+        """Return the panoramas after the latest frame: blended, or the volume's in the stage that trains only it."""
+        if self.probe_state is not None:
+            return self.probe_state.panorama.radiance.unflatten(0, self._batch.origins.shape[:2])
+        return render_panoramas(self.volume_state.volume, self._batch, height=self._batch.lights.shape[-2])
+
+    def advance(self, frame: int) -> Losses:
+        """Run one frame after the first and return its losses."""
+        if self._volume_state is not None:
+            with self._clock.part("forward"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+                self._volume_state = self._volume_step(self._batch.volume[:, frame], self._volume_state)
+        before = self._light
+        self._hdr, self._light = self._observe(frame)
+        with self._clock.part("blend" if self._blends else "march"):
+            return self._losses(frame, before)
+
+    def detach(self) -> None:
+        """End the way back in time here: the states have no gradient from now on."""
+        self._volume_state = _detached(self._volume_state)
+        self.probe_state = _detached(self.probe_state)
+        self._hdr, self._light = self._hdr.detach(), self._light.detach()
+
+    def _observe(self, frame: int) -> tuple[Tensor, Tensor]:
+        """Render the volume at the probes; return (HDR, the light of the loss): along rays, or blended panoramas."""
+        batch = self._batch
+        with self._clock.part("march"), torch.set_grad_enabled(self._trains_volume and torch.is_grad_enabled()):
+            if not self._blends:
+                light = render_rays(self.volume_state.volume, batch, self._directions)
+                return light, light
+            if batch.hdr is not None:
+                hdr = batch.hdr[:, frame]
+            else:
+                hdr = render_panoramas(self.volume_state.volume, batch, height=batch.lights.shape[-2])
+        with self._clock.part("blend"):
+            self.probe_state = self._probe_step(self._observation(frame, hdr.flatten(0, 1)), self.probe_state)
+            return hdr, self.probe_state.panorama.radiance.unflatten(0, hdr.shape[:2])
+
+    def _losses(self, frame: int, before: Tensor) -> Losses:
+        """Compare the light of a frame with its truth, and with the light before."""
+        options, truth, light = self._options, self._batch.truth(frame), self._light
+        at_sphere: Tensor | None = None
+        if self._blends:
+            log_l2, smoothness = log_l2_loss(light, truth), log_l2_loss(light, before)
+            if options.stage == "video-joint":  # keeps the volume accurate where nothing is blended in
+                log_l2 = (log_l2 + log_l2_loss(self._hdr, truth)) / 2
+        else:  # light along the directions: random pixels, then the sphere's
+            wanted = truth.flatten(3).transpose(2, 3).gather(2, self._pixels[..., None].expand(-1, -1, -1, 3))
+            at_pixels, at_sphere = light[:, :, : options.rays], light[:, :, options.rays :]
+            log_l2 = log_l2_loss(at_pixels, wanted)
+            smoothness = log_l2_loss(at_pixels, before[:, :, : options.rays])
+        rendering = torch.zeros_like(log_l2)
+        if (sphere := self._sphere) is not None:
+            reflected = (
+                radiance_along(sphere, light) if at_sphere is None else at_sphere.unflatten(2, sphere.weights.shape[2:])
+            )
+            rendering = rendering_loss(shade(sphere, reflected), shade(sphere, radiance_along(sphere, truth)))
+        total = log_l2 + options.rendering_weight * rendering + options.smoothness_weight * smoothness
+        return {"loss": total, "log_l2": log_l2, "rendering": rendering, "smoothness": smoothness}
+
+    def _volume_step(self, volume: Float[Tensor, "b 5 z y x"], state: SGState) -> SGState:
+        def step(volume: Tensor, state: SGState) -> SGState:
+            with _autocast(self._options, self._device):
+                return _in_float32(self._model.step(volume, state))
+
+        return _recomputed(step, volume, state)
+
+    def _probe_step(self, observation: Observation, state: BlendState | None) -> BlendState:
+        margin = (CLOSER_M / self._batch.depth_max_m).repeat_interleave(self._batch.origins.shape[1])
+
+        def step(observation: Observation, state: BlendState | None) -> BlendState:
+            with _autocast(self._options, self._device):
+                if state is None:
+                    return self._model.blend_start(observation)
+                return self._model.blend_step(observation, state, margin=margin[:, None, None, None])
+
+        return _recomputed(step, observation, state)
+
+    def _observation(self, frame: int, hdr: Float[Tensor, "n 3 h w"]) -> Observation:
+        """Return the probes' panoramas of a frame, with a fill of what was seen so far; the fill has no gradient."""
+        batch = self._batch
+        if batch.detail is None or batch.mask is None or batch.distance_m is None:
+            raise ValueError("sequences for blending need the probes' views: add them with `with_views`")
+        detail, mask, distance_m = (
+            values[:, frame].flatten(0, 1) for values in (batch.detail, batch.mask, batch.distance_m)
+        )
+        depth_max_m = batch.depth_max_m.repeat_interleave(batch.origins.shape[1])
+        state = None if self.probe_state is None else self.probe_state.panorama
+        filled = [
+            fill_detail(
+                None if state is None else Panorama(*(part[k] for part in state[:3])), *values, float(depth_max_m[k])
+            )
+            for k, values in enumerate(zip(detail, mask, distance_m, hdr, strict=True))
+        ]
+        depth = distance_m / depth_max_m[:, None, None, None]
+        clipped, guessed = (
+            None if values is None else values[:, frame].flatten(0, 1) for values in (batch.clipped, batch.guessed)
+        )
+        return Observation(hdr, torch.stack(filled).to(hdr.device), mask, depth, clipped, guessed)
+
+
+def _autocast(options: VideoOptions, device: torch.device) -> torch.autocast:
+    return torch.autocast(device.type, dtype=torch.bfloat16, enabled=options.bf16)
+
+
+def _recomputed(step: Callable[[Any, Any], Any], given: Any, state: Any) -> Any:
+    """Run a step whose inner values are recomputed in the backward pass, if there will be one."""
+    if not torch.is_grad_enabled():
+        return step(given, state)
+    return checkpoint(step, given, state, use_reentrant=False, preserve_rng_state=False)  # there is no dropout
+
+
+def _detached(state: Any) -> Any:
+    """Return a named tuple of tensors, nested or not, without gradients."""
+    if isinstance(state, Tensor):
+        return state.detach()
+    return None if state is None else type(state)(*(_detached(part) for part in state))
+
+
+def _in_float32(state: SGState) -> SGState:
+    """Keep hidden states in full precision under autocast; they add up over the frames."""
+    return state._replace(h0=state.h0.float(), h1=state.h1.float())

@@ -1,0 +1,358 @@
+"""The run loop, on a stage that costs nothing: it resumes to the same curve after a stop or a kill, and refuses
+unusable options and folders.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from roomlight.errors import ModelError, OptionError, OutputError
+from roomlight_model.checkpoint import load_checkpoint
+from roomlight_model.clipping_network import ClippingNetwork
+from roomlight_model.training.clipping import ClippingBatch, ClippingOptions
+from roomlight_model.training.loop import Run, learning_rate
+from roomlight_model.training.run_folder import LAST, RunFolder
+from tiny_stages import logged
+
+SMALL = ClippingOptions(steps=8, batch=2, learning_rate=0.005, seed=5, validate_steps=2)
+
+
+class SmallStage:
+    """The network of clipped radiance on squares of 32 pixels."""
+
+    def __init__(self, options=SMALL, *, examples=6, scored=True, factor=1.0):
+        self.options, self.device, self.piece_size = options, torch.device("cpu"), 1
+        self.data, self.before = [{"seed": 3, "sequences": examples}], {"steps": 1}
+        self._planes = torch.from_numpy(np.random.default_rng(0).random((examples, 11, 32, 32)).astype(np.float32))
+        self._scored, self._factor = scored, factor
+
+    def __len__(self):
+        return len(self._planes)
+
+    def network(self):
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(self.options.seed)
+            network = ClippingNetwork()
+        network.room.requires_grad_(False)
+        return network
+
+    def batch(self, step, clock):
+        drawn = [index for index, _ in self.options.draw_examples(len(self), step)]
+        with clock.part("data"):
+            planes = self._planes[drawn] + 0.01 * float(self.options.rng(step).normal())
+        return ClippingBatch(planes, torch.zeros(len(drawn), 3, 16, 16), torch.ones(len(drawn), 1, 16, 16))
+
+    def losses(self, network, batch, generator, clock):
+        """Two windows, as of a sequence: the upper and the lower half of the square."""
+        noise = 0.01 * torch.randn(1, generator=generator)
+        for half in batch.planes.split(16, dim=2):
+            with clock.part("forward"):
+                error = (network(half) - 2 - noise).square().mean() / 2
+            yield {"loss": self._factor * error, "half": error}
+
+    def scores(self, network):
+        assert not network.training
+        with torch.no_grad():
+            return {"loss": float((network(self._planes) - 2).square().mean())} if self._scored else {}
+
+    def draw(self, _, path):
+        path.parent.mkdir(exist_ok=True)
+        path.write_text("a picture")
+
+
+class OneWindowStage(SmallStage):
+    """The same losses at once."""
+
+    def losses(self, network, batch, generator, clock):
+        windows = list(super().losses(network, batch, generator, clock))
+        yield {name: windows[0][name] + windows[1][name] for name in windows[0]}
+
+
+def run_of(folder, options=SMALL, *, stop_after=None, **changes):
+    run = Run(SmallStage(options, **changes), folder)
+    run.train(stop=lambda: run.step == stop_after)
+    return run
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    return run_of(tmp_path_factory.mktemp("run") / "whole")
+
+
+def test_a_run_leaves_weights_scores_curves_and_pictures(finished):
+    folder = finished.folder.path
+    names = {path.name for path in folder.iterdir()}
+    assert names == {
+        "best.pt", "last.pt", "log.jsonl", "model.pt", "options.json", "pictures", "tensorboard",
+    }  # fmt: skip
+    assert [path.name for path in sorted((folder / "pictures").iterdir())] == [f"000000{k}.png" for k in (2, 4, 6, 8)]
+    assert any((folder / "tensorboard").iterdir())
+    scored = [entry["scores"]["loss"] for entry in logged(folder) if "scores" in entry]
+    assert len(scored) == 4
+    assert scored[-1] < scored[0]
+    card = load_checkpoint(folder / "model.pt").card
+    assert (card["stage"], card["steps"], card["examples"], card["seed"]) == ("clipping", 8, 6, 5)
+    assert card["data"] == [{"seed": 3, "sequences": 6}]
+    assert card["before"] == {"steps": 1}
+    assert card["scores"]["loss"] == scored[-1]
+    assert load_checkpoint(folder / "best.pt").card["scores"]["loss"] == min(scored)
+    for name, value in load_checkpoint(folder / "model.pt").model.state_dict().items():
+        torch.testing.assert_close(value, finished.average[name], rtol=0, atol=0)
+
+
+def test_what_needs_no_gradient_stays(finished):
+    start = SmallStage().network().state_dict()
+    changed = {
+        name.split(".")[0] for name, value in finished.network.state_dict().items() if not value.equal(start[name])
+    }
+    assert changed == {"down", "up", "head"}
+
+
+@pytest.mark.parametrize("stop_after", [1, 3, 4])
+def test_a_stopped_run_goes_on_to_the_same_weights(finished, tmp_path, stop_after):
+    assert run_of(tmp_path / "run", stop_after=stop_after).step == stop_after
+    card = load_checkpoint(tmp_path / "run" / "model.pt").card
+    assert card["steps"] == stop_after
+    assert card["scores"]["loss"] > 0
+    resumed = run_of(tmp_path / "run")
+    kept = [entry for entry in logged(tmp_path / "run") if entry["step"] != stop_after or stop_after % 2 == 0]
+    assert kept == logged(finished.folder.path)
+    for name, value in resumed.network.state_dict().items():
+        assert value.equal(finished.network.state_dict()[name]), name
+        assert resumed.average[name].equal(finished.average[name]), name
+
+
+def test_windows_add_up_to_the_whole_loss(finished, tmp_path):
+    run = Run(OneWindowStage(), tmp_path / "run")
+    run.train()
+    for name, value in run.network.state_dict().items():
+        torch.testing.assert_close(value, finished.network.state_dict()[name], rtol=1e-3, atol=1e-5)
+
+
+SCRIPT = textwrap.dedent("""
+    import sys
+    from pathlib import Path
+    import test_loop as t
+
+    class Waiting(t.SmallStage):
+        def batch(self, step, clock):
+            if step == 5:
+                print("waiting", flush=True)
+                sys.stdin.readline()
+            return super().batch(step, clock)
+
+    run = t.Run(Waiting(), Path(sys.argv[1]))
+    run.train(checkpoint_s=0.0)
+    print("ended", run.step, flush=True)
+""")
+
+
+def start_and_send(folder, number):
+    """Start a run in a process of its own, send it a signal while step 5 waits for its batch, let it go on."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, str(folder)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment,
+    )  # fmt: skip
+    with process:
+        assert process.stdout is not None
+        assert process.stdin is not None
+        assert process.stdout.readline() == "waiting\n"
+        while not (folder / LAST).exists():  # the steps before go on meanwhile
+            assert process.poll() is None
+        process.send_signal(number)
+        if number == signal.SIGTERM:
+            process.stdin.write("\n")
+            process.stdin.flush()
+        ended = process.stdout.read()
+    return process.returncode, ended
+
+
+@pytest.mark.slow
+def test_a_killed_run_repeats_the_curve_of_a_whole_one(finished, tmp_path):
+    code, _ = start_and_send(tmp_path / "run", signal.SIGKILL)
+    assert code == -signal.SIGKILL
+    resumed = run_of(tmp_path / "run")
+    assert logged(tmp_path / "run") == logged(finished.folder.path)
+    for name, value in resumed.average.items():
+        assert value.equal(finished.average[name]), name
+
+
+@pytest.mark.slow
+def test_sigterm_saves_scores_and_ends(finished, tmp_path):
+    code, ended = start_and_send(tmp_path / "run", signal.SIGTERM)
+    assert code == 0
+    step = int(ended.split()[1])
+    assert 0 < step < 8
+    card = load_checkpoint(tmp_path / "run" / "model.pt").card
+    assert card["steps"] == step
+    assert "loss" in card["scores"]
+    for name, value in run_of(tmp_path / "run").average.items():
+        assert value.equal(finished.average[name]), name
+
+
+def test_sigterm_ends_the_run_of_this_process(tmp_path):
+    run = Run(SmallStage(), tmp_path / "run")
+    before = signal.getsignal(signal.SIGTERM)
+
+    def send(progress):
+        if progress.step == 4:
+            signal.raise_signal(signal.SIGTERM)
+
+    run.train(report=send)
+    assert run.step == 4
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_lost_steps_are_logged_once(finished, tmp_path):
+    """Steps after the last saved state run again: their earlier lines, the last one cut off, are left out."""
+    folder = tmp_path / "run"
+    run_of(folder, stop_after=2)
+    with (folder / "log.jsonl").open("a") as log:
+        log.write('{"step": 4, "loss": 9}\n{"step": 6, "lo')
+    run_of(folder)
+    assert logged(folder) == logged(finished.folder.path)
+
+
+def test_a_finished_run_is_left_as_it_is(tmp_path):
+    run_of(tmp_path / "run")
+    before = logged(tmp_path / "run")
+    assert RunFolder(tmp_path / "run").is_finished(SMALL)
+    assert not RunFolder(tmp_path / "run").is_finished(replace(SMALL, steps=9))
+    assert not RunFolder(tmp_path / "other").is_finished(SMALL)
+    run_of(tmp_path / "run")
+    assert logged(tmp_path / "run") == before
+
+
+def test_a_finished_run_can_be_extended(tmp_path):
+    run_of(tmp_path / "run", replace(SMALL, steps=2))
+    longer = run_of(tmp_path / "run", replace(SMALL, steps=3, validate_steps=5))
+    assert longer.step == 3
+    assert json.loads((tmp_path / "run" / "options.json").read_text())["steps"] == 3
+
+
+def test_a_run_out_of_time_stops_and_continues(tmp_path):
+    run = Run(SmallStage(), tmp_path / "run")
+    run.train(minutes=0.0)
+    assert run.step == 0
+    assert run_of(tmp_path / "run").step == 8
+
+
+def test_a_run_without_held_out_examples_has_no_best_weights(tmp_path):
+    run_of(tmp_path / "run", scored=False)
+    assert load_checkpoint(tmp_path / "run" / "model.pt").card["steps"] == 8
+    assert not (tmp_path / "run" / "best.pt").exists()
+
+
+def test_only_a_better_score_replaces_the_best(tmp_path):
+    folder, network = RunFolder(tmp_path), ClippingNetwork()
+    assert folder.keep_best(network, {"scores": {"loss": 0.5}})
+    assert not folder.keep_best(network, {"scores": {"loss": 0.6}})
+    assert folder.keep_best(network, {"scores": {"loss": 0.4}})
+    assert load_checkpoint(tmp_path / "best.pt").card["scores"]["loss"] == 0.4
+
+
+@pytest.mark.parametrize("change", [{"seed": 6}, {"batch": 3}, {"learning_rate": 0.01}, {"ema": 0.5}])
+def test_other_options_are_refused_by_name(change, finished):
+    folder = finished.folder.path
+    before = (folder / "options.json").read_bytes()
+    with pytest.raises(ModelError, match=rf"other options \({next(iter(change))}\)"):
+        Run(SmallStage(replace(SMALL, **change)), folder)
+    with pytest.raises(ModelError, match=rf"other options \({next(iter(change))}\)"):
+        RunFolder(folder).is_finished(replace(SMALL, **change))
+    assert (folder / "options.json").read_bytes() == before
+
+
+def test_other_data_are_refused(finished):
+    with pytest.raises(ModelError, match=r"other options \(data\)"):
+        Run(SmallStage(examples=7), finished.folder.path)
+
+
+def test_a_folder_with_other_files_is_left_alone(tmp_path):
+    (tmp_path / "thesis.txt").write_text("precious")
+    with pytest.raises(OutputError, match="holds other files"):
+        Run(SmallStage(), tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["thesis.txt"]
+
+
+def test_too_few_examples_are_refused(tmp_path):
+    with pytest.raises(ModelError, match="6 examples are fewer than a batch of 7"):
+        Run(SmallStage(replace(SMALL, batch=7)), tmp_path / "run")
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"nonsense", b"PK\x03\x04 damaged"])
+def test_a_damaged_state_names_the_remedy(content, tmp_path):
+    Run(SmallStage(), tmp_path / "run")
+    (tmp_path / "run" / LAST).write_bytes(content)
+    with pytest.raises(ModelError, match=r"last\.pt: cannot be resumed from .*delete it"):
+        Run(SmallStage(), tmp_path / "run")
+
+
+def test_a_state_of_another_version_names_the_remedy(tmp_path):
+    Run(SmallStage(), tmp_path / "run")
+    torch.save({"step": 3}, tmp_path / "run" / LAST)
+    with pytest.raises(ModelError, match=r"last\.pt: cannot be resumed from \('network'\); delete it"):
+        Run(SmallStage(), tmp_path / "run")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("{", "is damaged"),
+        ("[1]", "no run of this version"),
+        ('{"stage": "clipping", "steps": 8}', "no run of this version"),
+    ],
+)
+def test_options_that_are_damaged_or_of_another_version_are_refused(content, message, tmp_path):
+    (tmp_path / "options.json").write_text(content)
+    with pytest.raises(ModelError, match=rf"options\.json: .*{message}.*another folder"):
+        Run(SmallStage(), tmp_path)
+    assert (tmp_path / "options.json").read_text() == content
+
+
+def test_a_loss_that_is_not_finite_ends_the_run(tmp_path):
+    with pytest.raises(ModelError, match=r"the loss is nan at step 0; use a lower learning rate"):
+        run_of(tmp_path / "run", factor=float("nan"))
+
+
+def test_the_learning_rate_warms_up_and_falls_to_a_hundredth():
+    options = replace(SMALL, learning_rate=0.5, warm_up=10, steps=110)
+    rates = [learning_rate(options, step) for step in range(111)]
+    assert rates[0] == pytest.approx(0.05)
+    assert max(rates) == rates[10] == 0.5
+    assert rates[60] == pytest.approx(0.5 * 0.505)
+    assert rates[110] == pytest.approx(0.005)
+
+
+def test_an_epoch_has_every_example_once():
+    drawn = [index for step in range(6) for index, _ in replace(SMALL, batch=4).draw_examples(12, step)]
+    assert sorted(drawn[:12]) == sorted(drawn[12:]) == list(range(12))
+    assert drawn[:12] != drawn[12:]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"steps": 0}, "steps is 0; it must be 1 or more in clipping"),
+        ({"batch": 0}, "batch is 0; it must be 1 or more"),
+        ({"learning_rate": 0.0}, r"learning_rate is 0\.0; it must be above 0 and at most 1"),
+        ({"learning_rate": 2.0}, r"learning_rate is 2\.0"),
+        ({"ema": 1.1}, r"ema is 1\.1; it must be between 0 and 1"),
+        ({"seed": -1}, "seed is -1; it must be 0 or more"),
+        ({"warm_up": -1}, "warm_up is -1"),
+        ({"validate_steps": 0}, "validate_steps is 0"),
+        ({"stage": "cats"}, "stage is 'cats'; it must be one of clipping"),
+    ],
+)
+def test_options_out_of_range_are_refused(change, message):
+    with pytest.raises(OptionError, match=message):
+        replace(SMALL, **change)

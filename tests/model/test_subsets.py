@@ -1,0 +1,105 @@
+"""Which sequences a run trains on; held-out ones are never among them."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import stub_rooms
+from recordings import BoxRecordings
+from roomlight.conventions import srgb8_to_linear
+from roomlight.dataset.loader import Dataset
+from roomlight.errors import DatasetError
+from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_model.training.subsets import describe, random_split, surround, test_split, train_val_split
+
+test_split.__test__ = False  # a function of the package, no test
+
+
+def make(folder, sequences, *, split="train"):
+    options = GenerateOptions(
+        sequences, seed=3, split=split, shard_size=4, sequences_per_room=2, frames=2, renderer=stub_rooms.NAME
+    )
+    generate(folder, options, workers=1)
+    return Dataset(folder, split)
+
+
+def names(subset):
+    return [subset.read(number, frames=[0]).name for number in range(len(subset))]
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory):
+    return make(tmp_path_factory.mktemp("data") / "rooms", 8)
+
+
+def test_the_first_rooms_of_the_first_dataset_are_held_out():
+    first, second = BoxRecordings(200), BoxRecordings(40)
+    training, held_out = train_val_split([first, second], 48)
+    assert (len(training), len(held_out)) == (192, 48)
+    assert held_out.read(0, frames=[0]).name == "box-0"
+    assert training.read(0, frames=[0]).name == "box-48"
+    assert training.read(152, frames=[0]).name == "box-0"  # of the second dataset
+    assert [len(part) for part in train_val_split([BoxRecordings(3)], 48)] == [3, 0]
+
+
+def test_a_dataset_listed_twice_counts_twice_and_holds_out_the_same_rooms():
+    first, second = BoxRecordings(8), BoxRecordings(4)
+    training, held_out = train_val_split([first, second, first], 48)
+    assert (len(training), len(held_out)) == (6 + 4 + 6, 2)
+    assert names(training).count("box-7") == 2
+    assert names(training).count("box-0") == names(training).count("box-1") == 1  # of the second dataset
+
+
+def test_datasets_are_described(dataset):
+    assert describe([dataset]) == [{"seed": 3, "frames": 2, "sequences": 8}]
+
+
+def test_test_splits_are_found_where_there_are_any(dataset, tmp_path):
+    make(tmp_path / "both", 4)
+    make(tmp_path / "both", 4, split="test")
+    both = Dataset(tmp_path / "both", "train")
+    splits = test_split([dataset, both, both])
+    assert [split.folder for split in splits] == [tmp_path / "both"]
+    assert len(splits[0]) == 4
+
+
+def test_a_twelfth_is_split_off_at_random():
+    training, held_out = random_split(36, 0)
+    assert len(held_out) == 3
+    assert sorted(training + held_out) == list(range(36))
+    assert random_split(36, 0) == (training, held_out)
+    assert random_split(36, 1) != (training, held_out)
+    assert len(random_split(5, 0)[1]) == 1
+
+
+def test_surroundings_over_the_frame_by_hand():
+    recording = stub_rooms.recording(np.random.default_rng(1), frames=1)
+    grey = srgb8_to_linear(np.full((1, 1, 1), 100, np.uint8)).item()
+    even = replace(
+        recording,
+        colour=np.full_like(recording.colour, 100),
+        probe_panoramas=np.full_like(recording.probe_panoramas, grey),
+    )
+    assert surround(even) == pytest.approx(1.0, rel=1e-3)
+    lit = even.probe_panoramas.copy()
+    lit[:, : lit.shape[1] // 2] = np.exp(3) - 1
+    assert surround(replace(even, probe_panoramas=lit)) == pytest.approx(0.5 * 3 / np.log1p(grey) + 0.5, rel=1e-3)
+
+
+def test_only_views_of_the_lit_side_are_trained_on(dataset):
+    training, _ = train_val_split([dataset], 48)
+    ratios = [surround(training.read(number, frames=[0])) for number in range(6)]
+    most, reported = sorted(ratios)[3], []
+    lit = training.without_bright_surroundings(most, lambda *done: reported.append(done))
+    assert names(lit) == [name for name, ratio in zip(names(training), ratios, strict=True) if ratio <= most]
+    assert len(lit) == 4
+    assert reported == [(k, 6) for k in range(1, 7)]
+
+
+def test_if_no_sequence_is_left_the_error_states_the_least(dataset):
+    training, _ = train_val_split([dataset], 48)
+    with pytest.raises(
+        DatasetError, match=r"none of 6 sequences .* at most 0.01 .*the least: [0-9.]+\); raise `surround_max`"
+    ):
+        training.without_bright_surroundings(0.01)
