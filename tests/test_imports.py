@@ -1,5 +1,6 @@
-"""Import layers: stated in pyproject.toml, held here; and what a process loads when it imports each package."""
+"""Import layers, what a process loads when it imports each package, sizes of folders, and the map of CONTRIBUTING."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -71,11 +72,33 @@ def test_each_package_ships_its_types(folder: str, package: str):
 MAX_FILES_PER_FOLDER = 15
 
 
+def source_folders() -> dict[str, list[Path]]:
+    """Folders with their Python files, by their path from the top folder of their package."""
+    folders: dict[str, list[Path]] = {}
+    for package in (ROOT / folder / package for folder, packages in SOURCES.items() for package in packages):
+        for path in package.rglob("*.py"):
+            folders.setdefault(path.parent.relative_to(package.parent).as_posix(), []).append(path)
+    return folders
+
+
 def test_no_source_folder_holds_too_many_files():
-    counts = {
-        str(path.relative_to(ROOT)): len(list(path.glob("*.py")))
-        for folder in SOURCES
-        for path in (ROOT / folder).rglob("*")
-        if path.is_dir() and "node_modules" not in path.parts
-    }
-    assert {path: count for path, count in counts.items() if count > MAX_FILES_PER_FOLDER + 1} == {}  # and __init__.py
+    counts = {name: sum(file.name != "__init__.py" for file in files) for name, files in source_folders().items()}
+    assert {name: count for name, count in counts.items() if count > MAX_FILES_PER_FOLDER} == {}
+
+
+def mapped_folders(page: str) -> set[str]:
+    """Folders in the first column of CONTRIBUTING's tables, each from its package on; a heading or cell names that."""
+    folders: set[str] = set()
+    package = ""
+    for line in page.splitlines():
+        if line.startswith(("**`", "| `")):
+            for name in re.findall(r"`([\w/]+)`", line.split(" | ")[0]):
+                if path := re.search(r"roomlight\w*(/\w+)*", name):
+                    package = path[0].partition("/")[0]
+                folders.add(path[0] if path else f"{package}/{name.strip('/')}")
+    return folders
+
+
+def test_the_map_of_contributing_names_every_package_and_folder():
+    folders = {name for name in source_folders() if not name.endswith("/kernels")}
+    assert folders - mapped_folders((ROOT / "CONTRIBUTING.md").read_text()) == set()

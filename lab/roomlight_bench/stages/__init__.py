@@ -1,1 +1,1 @@
-"""Benchmark of the engine's stages beside references, plain PyTorch and the roofline."""
+"""Benchmark of the engine's stages beside references and plain PyTorch."""

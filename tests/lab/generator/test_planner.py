@@ -71,8 +71,7 @@ def in_second_room(empty: Shell, placement: Placement) -> bool:
     return any(math.hypot(placement.x - x, placement.z - z) < 0.01 for x, z, _ in empty.spots)
 
 
-def test_there_are_thirteen_room_types_two_for_the_test_split() -> None:
-    assert len(ROOM_TYPES) == 15
+def test_room_types_are_valid_and_two_are_for_the_test_split() -> None:
     assert {name for name, one in ROOM_TYPES.items() if one.split == "test"} == {"library", "cafe"}
     for name, one in ROOM_TYPES.items():
         assert one.name == name
