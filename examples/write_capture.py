@@ -31,7 +31,7 @@ def main() -> None:
                 camera_to_world=frame.camera_to_world,
                 timestamp_s=frame.timestamp_s,
             )
-        probe = camera.probes[0]  # optional ground truth, for `roomlight eval`
+        probe = camera.probes[0]  # optional ground truth, for `roomlight eval captures`
         writer.add_probe(probe.position, probe.panorama())
 
     written = rl.open_capture(args.out)

@@ -1,24 +1,26 @@
-"""Compositing of a recording into a folder of pictures or a film: output, progress and messages."""
+"""Compositing of a recording into a folder of pictures or a film: options, output, progress and messages."""
 
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final, Literal
 
-import typer
+from annotated_types import Interval
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.compositing.picture.layer_files import PICTURE_ENDINGS, PictureFormat, encode_layers, encode_picture
 from roomlight.compositing.picture.layers import Composite
-from roomlight.compositing.placement.scene import Scene
+from roomlight.compositing.placement.scene import Scene, load_scene
 from roomlight.compositing.recordings import composite_capture, scene_of_object
 from roomlight.engine.session import SessionOptions
-from roomlight.errors import OutputError
+from roomlight.errors import OptionError, OutputError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame
-from roomlight_cli.arguments import parse_pixel
-from roomlight_cli.console import print_notes, progress_bars
+from roomlight.rules import check_options
+from roomlight_cli.console import print_notes
+from roomlight_cli.options import Flag
+from roomlight_cli.progress import Progress
 from roomlight_cli.video import VideoWriter
 
 DEFAULT_RATE: Final = 30.0
@@ -26,26 +28,86 @@ DEFAULT_RATE: Final = 30.0
 
 
 @dataclass(frozen=True)
-class Output:
-    """Where composited frames go: a film if `path` ends with .mp4, else a folder with a picture for each frame.
+class ObjectOptions:
+    """Which objects to composite: those of a scene file, or a single one.
 
     Attributes:
-        path: The film or the folder.
-        picture_format: Format of the pictures.
-        layers: Also write the layers of each frame, into a folder of its own.
-        overwrite: Replace what is there.
+        scene: The objects: a scene.json.
+        object: A GLB, glTF, OBJ or PLY file, or sphere, cube, plane, vase, chair, teapot.
+        pixel: Put the object on the surface that this pixel of the first frame shows: column U, row V.
+        material: Replaces the materials of the file.
+        size_m: Longest side in metres. Default: the file's own size; 0.2 for a sphere, 0.85 for a chair.
+        yaw_degrees: Turn about the surface, in degrees.
+        up: Axis of the file that points up.
 
     Raises:
-        OutputError: Something is there already, or the name is of another film format.
+        OptionError: There are not objects of exactly one kind, or the object has no place.
     """
 
-    path: Path
-    picture_format: PictureFormat = "png"
+    scene: Path | None = None
+    object: Annotated[str | None, Flag(metavar="FILE|SHAPE")] = None
+    pixel: tuple[float, float] | None = None
+    material: Literal["diffuse", "glossy", "metal", "mirror", "glass"] | None = None
+    size_m: Annotated[float | None, Flag(metavar="M")] = None
+    yaw_degrees: float = 0.0
+    up: Literal["y", "z"] = "y"
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if (self.scene is None) == (self.object is None):
+            raise OptionError("give either `scene`, a scene.json, or `object` with `pixel`")
+        if self.object is not None and self.pixel is None:
+            raise OptionError("`object` needs `pixel` U,V: the pixel of the first frame that shows where it stands")
+        given = [name for name in ("pixel", "material", "size_m") if getattr(self, name) is not None]
+        if self.scene is not None and given:
+            names = ", ".join(f"`{name}`" for name in given)
+            raise OptionError(f"{names}: belongs to `object`; with `scene`, write it into {self.scene}")
+
+    def load(self) -> Scene:
+        """Read the objects. Raises SceneError and ObjectError."""
+        if self.scene is not None:
+            return load_scene(self.scene)
+        assert self.object is not None
+        assert self.pixel is not None
+        return scene_of_object(
+            self.object,
+            self.pixel,
+            size_m=self.size_m,
+            material=self.material,
+            yaw_degrees=self.yaw_degrees,
+            up=self.up,
+        )
+
+
+@dataclass(frozen=True)
+class CompositeOptions:
+    """How to render composites, and where they go.
+
+    Attributes:
+        out: A folder for pictures, or a film: a file that ends with .mp4.
+        quality: preview for speed, final for noise-free pictures.
+        picture: Format of the pictures; exr is linear.
+        layers: Also write objects, alpha, shadow and depth of each frame apart.
+        fps: Frames a second of the film. Default: the recording's, or 30.
+        online: Light each frame by the frames up to it, as an app would, instead of the whole recording.
+        overwrite: Replace the film or the pictures in `--out`.
+
+    Raises:
+        OptionError: A value is out of range.
+        OutputError: Something is at `out` already, or its name is of another film format.
+    """
+
+    out: Path
+    quality: Literal["preview", "good", "final"] = "good"
+    picture: PictureFormat = "png"
     layers: bool = False
+    fps: Annotated[float, Interval(ge=0.1, le=240)] | None = None
+    online: bool = False
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        path = self.path
+        check_options(self)
+        path = self.out
         if path.suffix.lower() in (".mov", ".mkv", ".avi", ".webm", ".gif"):
             raise OutputError(f"{path}: films are written as .mp4; anything else is a folder of pictures")
         if self.is_film and self.layers:
@@ -60,33 +122,15 @@ class Output:
     @property
     def is_film(self) -> bool:
         """Whether the frames become one film."""
-        return self.path.suffix.lower() == ".mp4"
+        return self.out.suffix.lower() == ".mp4"
 
-
-def one_object(
-    source: str, pixel: str | None, *, size_m: float | None, material: str | None, yaw_degrees: float, up: str = "y"
-) -> Scene:
-    """Return the scene of --object. Raises typer.BadParameter without a pixel, SceneError and ObjectError."""
-    if pixel is None:
-        raise typer.BadParameter("--object needs --pixel U,V: the pixel of the first frame that shows where it stands")
-    place = parse_pixel(pixel)
-    return scene_of_object(source, place, size_m=size_m, material=material, yaw_degrees=yaw_degrees, up=up)
-
-
-def film_rate(fps: float | None) -> Callable[[Capture], float]:
-    """Return what chooses the film's frames a second: the option, else the recording's own, else `DEFAULT_RATE`."""
-    return lambda capture: fps or min(max(capture.frames_per_second or DEFAULT_RATE, 0.1), 240.0)
+    def rate(self, capture: Capture) -> float:
+        """Return the film's frames a second."""
+        return self.fps or min(max(capture.frames_per_second or DEFAULT_RATE, 0.1), 240.0)
 
 
 def composite_recording(
-    source: tuple[Path, CaptureOptions],
-    scene: Scene,
-    output: Output,
-    *,
-    quality: str,
-    online: bool,
-    options: SessionOptions,
-    rate: Callable[[Capture], float],
+    path: Path, scene: Scene, options: CompositeOptions, *, light: SessionOptions, reading: CaptureOptions
 ) -> str:
     """Composite a recording and write it; return the sentence that says what was written where.
 
@@ -95,29 +139,29 @@ def composite_recording(
         SceneError: A place is refused.
         OutputError: A file cannot be written.
     """
-    capture = open_capture(*source)
+    capture, online = open_capture(path, reading), options.online
     frames = _Watched(capture)
-    made = composite_capture(frames, scene, quality=quality, online=online, options=options)
+    made = composite_capture(frames, scene, quality=options.quality, online=online, options=light)
     count, times = 0, 1 if online else 2
     with ExitStack() as stack:
-        bars = stack.enter_context(progress_bars())
-        bar = bars.add_task("reading the room" if not online else "compositing", total=times * capture.frame_count)
-        frames.watch = lambda: bars.advance(bar)
-        film = (
-            stack.enter_context(VideoWriter(output.path, frames_per_second=rate(capture))) if output.is_film else None
-        )
+        progress = stack.enter_context(Progress("compositing" if online else "reading the room"))
+        progress.count(0, times * capture.frame_count)
+        frames.watch = progress.advance
+        film = None
+        if options.is_film:
+            film = stack.enter_context(VideoWriter(options.out, frames_per_second=options.rate(capture)))
         for picture in made:
-            bars.update(bar, description="compositing")
+            progress.say("compositing")
             if film is not None:
                 height, width = (side - side % 2 for side in picture.image.shape[:2])
                 film.write(picture.image[:height, :width])
             else:
-                _write_pictures(picture, output)
+                _write_pictures(picture, options)
             count += 1
     print_notes(capture.notes)
     skipped = f", {len(capture.skipped)} skipped" if capture.skipped else ""
-    kind = "film" if output.is_film else "pictures"
-    return f"{count} frames{skipped}; {kind}: {output.path}"
+    kind = "film" if options.is_film else "pictures"
+    return f"{count} frames{skipped}; {kind}: {options.out}"
 
 
 class _Watched:
@@ -133,10 +177,10 @@ class _Watched:
             self.watch()
 
 
-def _write_pictures(picture: Composite, output: Output) -> None:
+def _write_pictures(picture: Composite, options: CompositeOptions) -> None:
     stem = f"{picture.frame.index:06d}"
-    name = f"{stem}.{PICTURE_ENDINGS[output.picture_format]}"
-    write_atomic(output.path / name, encode_picture(picture, output.picture_format))
-    if output.layers:
+    name = f"{stem}.{PICTURE_ENDINGS[options.picture]}"
+    write_atomic(options.out / name, encode_picture(picture, options.picture))
+    if options.layers:
         for layer, data in encode_layers(picture).items():
-            write_atomic(output.path / stem / layer, data)
+            write_atomic(options.out / stem / layer, data)

@@ -23,13 +23,13 @@ class CommandEntry:
 
     Attributes:
         name: as typed.
-        module: the module whose `app` (a `typer.Typer`) is the command.
+        target: `module:name` of the command's function (see `roomlight_cli.options`) or `typer.Typer`.
         summary: the first paragraph of the command's own help; a test compares the two.
         panel: the heading under which the group's help lists the command.
     """
 
     name: str
-    module: str
+    target: str
     summary: str
     panel: str | None = None
 
@@ -39,15 +39,15 @@ def lazy_app(entries: Sequence[CommandEntry], *, help_text: str, name: str | Non
 
     Use is a run of the command, its own `--help`, or the shell's completion of its options.
     """
-    modules = {entry.name: entry.module for entry in entries}
+    targets = {entry.name: entry.target for entry in entries}
 
     class LazyGroup(TyperGroup):
         """Replaces the listed placeholder by the command itself once a command line names it."""
 
         def resolve_command(self, ctx: Any, args: list[str]) -> Any:
             command_name, command, rest = super().resolve_command(ctx, args)
-            if command_name in modules:
-                command = load_command(modules[command_name])
+            if command_name in targets:
+                command = load_command(targets[command_name])
             return command_name, command, rest
 
     app = typer.Typer(name=name, cls=LazyGroup, help=help_text, no_args_is_help=True, **APP_OPTIONS)
@@ -56,14 +56,13 @@ def lazy_app(entries: Sequence[CommandEntry], *, help_text: str, name: str | Non
     return app
 
 
-def single_command_app() -> typer.Typer:
-    """Return the application of a module that defines one command."""
-    return typer.Typer(add_completion=False, **APP_OPTIONS)
+def load_command(target: str) -> Any:
+    """Import a command and return it as a click command. Raises ImportError as the import does."""
+    from roomlight_cli.options import command_app  # imports what only commands need
 
-
-def load_command(module: str) -> Any:
-    """Import a command's module and return its click command. Raises ImportError as the import does."""
-    return get_command(import_module(module).app)
+    module, _, name = target.partition(":")
+    command = getattr(import_module(module), name)
+    return get_command(command if isinstance(command, typer.Typer) else command_app(command))
 
 
 def _placeholder() -> None:

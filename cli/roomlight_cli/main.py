@@ -14,90 +14,52 @@ _SERVE: Final = "Serve"
 _MEASURE: Final = "Measure"
 _TRAIN: Final = "Train"
 
+_COMMANDS: Final = "roomlight_cli.commands"
+
 COMMANDS: Final = (
-    CommandEntry("demo", "roomlight_cli.commands.demo", "Show the light of the sample room in a browser.", _TRY),
-    CommandEntry("light", "roomlight_cli.commands.light", "Light points of one photograph that has depth.", _LIGHT),
+    CommandEntry("demo", f"{_COMMANDS}.demo:demo", "Show the light of the sample room in a browser.", _TRY),
+    CommandEntry("light", f"{_COMMANDS}.light:light", "Light points of one photograph that has depth.", _LIGHT),
     CommandEntry(
         "replay",
-        "roomlight_cli.commands.replay",
+        f"{_COMMANDS}.replay:replay",
         "Light points of a recording: an HDR panorama per frame, pictures, a video, a report.",
         _LIGHT,
     ),
     CommandEntry(
         "composite",
-        "roomlight_cli.commands.composite",
+        f"{_COMMANDS}.composite:composite",
         "Put virtual objects into a recording: lit by the room, with shadows, hidden by real things in front.",
         _LIGHT,
     ),
     CommandEntry(
         "stream",
-        "roomlight_cli.commands.stream",
+        f"{_COMMANDS}.stream:stream",
         "Play a recording to a server as a phone would stream it; show rate, latency and light.",
         _LIGHT,
     ),
     CommandEntry(
         "serve",
-        "roomlight_cli.commands.serve",
+        f"{_COMMANDS}.serve:app",
         "Serve lighting sessions over HTTP and WebSocket: frames in, light out.",
         _SERVE,
     ),
-    CommandEntry(
-        "eval",
-        "roomlight_cli.commands.evaluation.captures",
-        "Score light against the ground-truth probes of recordings.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "eval-dataset",
-        "roomlight_cli.commands.evaluation.dataset",
-        "Score light from single images on a dataset of rooms that no network was trained on.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "eval-walks",
-        "roomlight_cli.commands.evaluation.walks",
-        "Score the recurrent networks on walks through rooms that no network was trained on.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "eval-views",
-        "roomlight_cli.commands.evaluation.views",
-        "Predict later frames of recordings from the frames before them.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "eval-composite",
-        "roomlight_cli.commands.evaluation.composite",
-        "Compare virtual objects in pictures with the same rooms with the object really in them.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "eval-objects",
-        "roomlight_cli.commands.evaluation.objects",
-        "Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.",
-        _MEASURE,
-    ),
-    CommandEntry(
-        "bench",
-        "roomlight_cli.commands.bench",
-        "Measure speed: every figure as a ratio within one run.",
-        _MEASURE,
-    ),
+    CommandEntry("eval", f"{_COMMANDS}.evaluation:app", "Score light against ground truth.", _MEASURE),
+    CommandEntry("bench", f"{_COMMANDS}.bench:app", "Measure speed: every figure as a ratio within one run.", _MEASURE),
     CommandEntry(
         "dataset",
-        "roomlight_cli.commands.dataset",
+        f"{_COMMANDS}.dataset:app",
         "Generate, view, measure and check datasets of path-traced rooms.",
         _TRAIN,
     ),
     CommandEntry(
         "train",
-        "roomlight_cli.commands.train",
+        f"{_COMMANDS}.train:train",
         "Train networks by a recipe: its data, its stages, the export (needs the `train` extra).",
         _TRAIN,
     ),
     CommandEntry(
         "export",
-        "roomlight_cli.commands.export",
+        f"{_COMMANDS}.export:export",
         "Export a checkpoint as verified ONNX graphs (needs the `train` extra).",
         _TRAIN,
     ),

@@ -9,9 +9,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
 import numpy as np
+from annotated_types import Interval
 from jaxtyping import Float
 
 from roomlight.camera import Intrinsics
@@ -28,6 +29,7 @@ from roomlight.imaging.exif import oriented
 from roomlight.light.light import Light
 from roomlight.notes import Note
 from roomlight.placement import ABOVE_M, point_at_pixel
+from roomlight.rules import check_options
 from roomlight.spheres import Material, SphereRenderer, view_toward
 
 DepthOrientation = Literal["auto", "upright", "stored"]
@@ -41,6 +43,57 @@ _FARTHEST_M: Final = 1000.0
 """A median depth past this is in another unit."""
 _SPHERE: Final = 256
 _GAP: Final = 16
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """What the files of a photograph do not state.
+
+    Attributes:
+        fov_deg: Horizontal field of view of the upright photo in degrees. Default: by the focal length in its EXIF,
+            else 60.
+        depth_unit_m: Metres per stored unit of a PNG or .npy.
+        depth_orientation: For a photo that EXIF rotates: whether the depth is upright, as viewers show the photo, or
+            has its stored rows and columns. auto decides by the aspect.
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    fov_deg: Annotated[float, Interval(ge=5, le=150)] | None = None
+    depth_unit_m: Annotated[float, Interval(ge=1e-6, le=1000)] | None = None
+    depth_orientation: DepthOrientation = "auto"
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class PhotoPoints:
+    """The points to light.
+
+    Attributes:
+        probes: Light this point: metres from the camera, x right, y up, z backward (negative in front). Repeatable.
+        pixels: Light a point above the surface that this pixel of the upright photo shows: column U, row V from the
+            top left. Repeatable.
+        above_m: Distance in metres of the points of `--pixel` from their surface.
+
+    Raises:
+        OptionError: A value is out of range, or there is no point.
+    """
+
+    probes: tuple[Position, ...] = ()
+    pixels: tuple[tuple[float, float], ...] = ()
+    above_m: Annotated[float, Interval(ge=0, le=10)] = ABOVE_M
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if not self.probes and not self.pixels:
+            raise OptionError("give the points to light: --pixel U,V of the photo, or --probe X,Y,Z in metres")
+
+    def positions(self, frame: Frame) -> list[Position]:
+        """Return the points in metres from the camera. Raises OptionError and ProbeError as `point_at_pixel` does."""
+        return [*self.probes, *(point_at_pixel(frame, u, v, above_m=self.above_m) for u, v in self.pixels)]
 
 
 @dataclass(frozen=True)
@@ -106,38 +159,28 @@ class PhotoLight:
         }
 
 
-def read_photo(
-    image: Path,
-    depth: Path,
-    *,
-    fov_deg: float | None = None,
-    depth_unit_m: float | None = None,
-    depth_orientation: DepthOrientation = "auto",
-) -> Photo:
+def read_photo(image: Path, depth: Path, options: PhotoOptions | None = None) -> Photo:
     """Read a photograph and its depth; both come out upright.
 
     Args:
         image: JPEG, PNG, or linear EXR. Its EXIF orientation is applied.
         depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres.
-        fov_deg: Horizontal field of view of the upright photograph; None takes EXIF's focal length, else
-            `DEFAULT_FOV_DEG`.
-        depth_unit_m: Metres per stored unit, if it is another.
-        depth_orientation: Whether the depth map is upright or stored as the photo is. "auto" decides by the aspect,
-            which tells where EXIF rotates the photo by 90 degrees.
+        options: What the files do not state.
 
     Raises:
         ImageError: A file cannot be read.
         FrameError: Depth and photo do not fit, or the depth is empty or in another unit.
-        OptionError: "auto" cannot decide, because the depth's aspect fits both orientations; or it fits only the
-            orientation that was not stated.
+        OptionError: `depth_orientation` "auto" cannot decide, because the depth's aspect fits both orientations; or it
+            fits only the orientation that was not stated.
     """
+    options = options or PhotoOptions()
     data = read_bytes(image)
     picture = decode_picture(data, str(image))
     colour, exif = picture.image, exif_camera(data, str(image))
     height, width = colour.shape[:2]
-    depth_m = _read_depth(depth, depth_unit_m)
-    depth_m = _upright_depth(depth_m, exif.orientation, (width, height), depth_orientation, str(depth))
-    source: FovSource = "option"
+    depth_m = _read_depth(depth, options.depth_unit_m)
+    depth_m = _upright_depth(depth_m, exif.orientation, (width, height), options.depth_orientation, str(depth))
+    fov_deg, source = options.fov_deg, "option"
     if fov_deg is None:
         fov_deg, source = exif.fov_deg(width, height), "exif"
     if fov_deg is None:
@@ -210,25 +253,6 @@ def _same_aspect(depth_m: Float[np.ndarray, "h w"], photo_size: tuple[int, int])
     (height, width), (photo_width, photo_height) = depth_m.shape, photo_size
     aspect = photo_width / photo_height
     return abs(width / height - aspect) <= ASPECT_TOLERANCE * aspect
-
-
-def photo_positions(
-    frame: Frame,
-    positions: Sequence[Position],
-    pixels: Sequence[tuple[float, float]],
-    *,
-    above_m: float = ABOVE_M,
-) -> list[Position]:
-    """Return `positions`, and after them the points above the surfaces that `pixels` show.
-
-    Raises:
-        OptionError: A pixel lies outside the photo, or no point is given at all.
-        ProbeError: The photo has no depth at a pixel.
-    """
-    points = [*positions, *(point_at_pixel(frame, u, v, above_m=above_m) for u, v in pixels)]
-    if not points:
-        raise OptionError("no point to light: give positions or pixels")
-    return points
 
 
 def light_photo(

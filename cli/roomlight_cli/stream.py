@@ -13,9 +13,10 @@ from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
@@ -23,7 +24,10 @@ from roomlight.errors import OptionError, WireError
 from roomlight.frame import Frame
 from roomlight.notes import Note
 from roomlight.placement import ABOVE_M, point_at_pixel, point_in_view
+from roomlight.rules import check_options
 from roomlight.wire.messages import FrameResult, ModelName
+from roomlight_cli.options import Flag, Without
+from roomlight_cli.shared_options import POINTS
 from roomlight_client import (
     AsyncClient,
     AsyncSession,
@@ -51,39 +55,41 @@ class StreamOptions:
     """What to play and how.
 
     Attributes:
-        capture: How to read the recording.
-        fps: Frames sent per second. A recording with timestamps keeps its own pace and leaves frames out: the nearest
-            rate that every n-th frame gives. For one without, this is the pace. None sends every frame.
-        colour: How frames travel; jpeg is what a phone sends.
-        in_flight: Unanswered frames at the same time; 2 upload one while the other is processed.
-        probe: The point whose light is shown, world metres; None takes `pixel`.
-        pixel: (column, row) in the first frame's colour image: the point `above_m` metres above the surface there;
-            None takes a point in front of the first camera.
-        above_m: Distance of the `pixel` point from its surface.
-        session_id: Play into this session; None opens a new one.
+        capture: How to read the capture.
+        fps: Frames sent per second; a recording with timestamps keeps its pace and leaves frames out. For one without,
+            this is the pace (default: 3).
+        colour: How frames travel: jpeg as from a phone, png without loss, exact as floats.
+        in_flight: Unanswered frames at the same time; other frames that are due are dropped. 2 upload one while the
+            other is processed.
+        probe: Show the light at this point: world metres, y up. Default: one point in front of the first camera.
+        pixel: Show the light above the surface that this pixel of the first colour image shows: column U, row V from
+            the top left.
+        above_m: Distance in metres of the point of `--pixel` from its surface.
+        session: Play into this session; default: a new one.
         keep: Leave the session on the server at the end, e.g. for a page that shows it.
         model: The session's model.
-        height: Height of panoramas in pixels.
+        height: Panorama height in pixels; the width is twice that.
+
+    Raises:
+        OptionError: A value is out of range, or there are two points.
     """
 
-    capture: CaptureOptions = field(default_factory=CaptureOptions)
-    fps: float | None = None
+    capture: Annotated[CaptureOptions, Without("every")] = field(default_factory=CaptureOptions)
+    fps: Annotated[float, Interval(ge=0.01, le=1000)] | None = None
     colour: FrameEncoding = "jpeg"
-    in_flight: int = 2
-    probe: Position | None = None
-    pixel: tuple[float, float] | None = None
-    above_m: float = ABOVE_M
-    session_id: str | None = None
+    in_flight: Annotated[int, Ge(1)] = 2
+    probe: Annotated[Position | None, Flag(panel=POINTS)] = None
+    pixel: Annotated[tuple[float, float] | None, Flag(panel=POINTS)] = None
+    above_m: Annotated[float, Interval(ge=0, le=10), Flag(panel=POINTS)] = ABOVE_M
+    session: Annotated[str | None, Flag(metavar="ID")] = None
     keep: bool = False
     model: ModelName = "auto"
-    height: int = 120
+    height: Annotated[int, Interval(ge=16, le=512)] = 120
 
     def __post_init__(self) -> None:
-        """Check the rates. Raises OptionError."""
-        if self.fps is not None and not 0.01 <= self.fps <= 1000:
-            raise OptionError(f"fps is {self.fps:g}; it must be 0.01 to 1000 frames per second")
-        if self.in_flight < 1:
-            raise OptionError(f"in_flight is {self.in_flight}; it must be 1 or more")
+        check_options(self)
+        if self.probe is not None and self.pixel is not None:
+            raise OptionError("a stream shows the light at one point: give `probe` or `pixel`, not both")
 
     def probe_position(self, first: Frame) -> Position:
         """Return the point whose light is shown. Raises OptionError and ProbeError as `point_at_pixel` does."""
@@ -203,9 +209,7 @@ async def stream(
     """
     tally = tally or Tally()
     async with AsyncExitStack() as stack:
-        session = await client.open(
-            options.session_id, model=options.model, height=options.height, reference_exposure=1.0
-        )
+        session = await client.open(options.session, model=options.model, height=options.height, reference_exposure=1.0)
         if not options.keep:
             await stack.enter_async_context(session)
         tally.session_id, tally.model = session.id, session.model

@@ -11,13 +11,13 @@ import cv2
 import torch
 from pydantic import TypeAdapter, ValidationError
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_cli.datasets.progress import ProgressDisplay
+from roomlight_cli.datasets.generation import show_generation
+from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
 from roomlight_generator.generate import GenerateOptions, generate
@@ -68,8 +68,8 @@ def train_recipe(
         if run.step < stage.options.steps:
             console.print(f"{stage.name}: stopped at step {run.step}; the same command continues")
             return None
-    with console.status("exporting and verifying the graphs"):
-        report = export_checkpoint(out / recipe.ships, out / "onnx")
+    with Progress("exporting and verifying the graphs", console) as progress:
+        report = export_checkpoint(out / recipe.ships, out / "onnx", progress=progress.say)
     return report.out
 
 
@@ -84,8 +84,7 @@ def _train_stage(
     console: Console,
 ) -> Run:
     start = _start_path(recipe, stage, out)
-    with _bar(console) as progress:
-        task = progress.add_task(f"{stage.name}: reading data", total=None)
+    with Progress(f"{stage.name}: reading data", console) as progress:
         run = Run(
             build_stage(
                 stage,
@@ -93,19 +92,19 @@ def _train_stage(
                 out / stage.name,
                 start_from=None if start is None else load_weights(start),
                 device=device,
-                progress=lambda done, total: progress.update(task, completed=done, total=total),
+                progress=progress.count,
             ),
             out / stage.name,
         )
     console.print(f"{stage.name}: {len(run.stage)} examples, step {run.step} of {stage.options.steps}")
-    with _bar(console) as progress:
-        task = progress.add_task(stage.name, total=stage.options.steps, completed=run.step)
+    with Progress(stage.name, console) as progress:
+        progress.count(run.step, stage.options.steps)
 
         def report(now: TrainingProgress) -> None:
             if now.losses:
                 rate = f"{now.seconds_a_step:.2f} s a step, {now.waited_for_data:.0%} for data"
                 description = f"{stage.name}, loss {now.losses['loss']:.4f}, {rate}"
-                progress.update(task, completed=now.step, description=description)
+                progress.count_of(description, now.step, stage.options.steps)
             if now.scores:
                 figures = ", ".join(f"{name} {value:.4f}" for name, value in now.scores.items())
                 best = ", best so far" if now.best else ""
@@ -165,8 +164,8 @@ def _complete_dataset(folder: Path, options: GenerateOptions | None, console: Co
     if options is None:
         raise DatasetError(f"{folder}: is no dataset, and the recipe does not say how to generate it")
     console.print(f"{folder}: generating {options.sequences} sequences", soft_wrap=True)
-    with ProgressDisplay(console) as display:
-        generate(folder, options, progress=display)
+    with Progress("generating", console) as progress:
+        generate(folder, options, progress=show_generation(progress))
 
 
 def choose_device(device: str) -> str:
@@ -187,8 +186,3 @@ def _keep_freed_memory() -> None:
     if mallopt is not None:
         mallopt(_M_MMAP_THRESHOLD, 32 << 20)  # glibc's maximum; a step's largest buffers are 7 MB
         mallopt(_M_TRIM_THRESHOLD, 2**31 - 1)
-
-
-def _bar(console: Console) -> Progress:
-    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn()
-    return Progress(*columns, TimeRemainingColumn(), console=console, transient=True)

@@ -5,7 +5,7 @@ brightest light of a room. Dropping them loses it; placing them on the volume's 
 window's light comes through its frame. So a hole takes the depth of its rim, interpolated smoothly in inverse depth
 (planes stay planes). Mean log-L2 of the classical model over 31 frames of three path-traced captures, exact depth /
 depth as a phone's: dropped 0.086 / 0.090, on the far boundary of the volume 0.085 / 0.089, at the rim 0.068 / 0.069
-(`roomlight eval CAPTURE... --model classical --unknown-depth drop|far|rim` repeats it).
+(`roomlight eval captures CAPTURE... --model classical --unknown-depth drop|far|rim` repeats it).
 """
 
 from typing import Final, Literal

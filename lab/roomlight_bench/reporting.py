@@ -4,12 +4,17 @@ import platform
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numba
 import numpy as np
+from annotated_types import Interval
 from rich.table import Table
 
 from roomlight.engine.networks.runtime import ort
+
+Counts = tuple[Annotated[int, Interval(ge=1, le=1000)], ...]
+"""Numbers of sessions or servers, a row of a table each."""
 
 
 @dataclass(frozen=True)

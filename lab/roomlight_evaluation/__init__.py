@@ -3,10 +3,10 @@
 Two questions, each with an evaluation, its scores and its tables:
 
 - How good is the light of a video stream? `evaluate_captures` scores estimators frame by frame at the ground-truth
-  probes of captures (`roomlight eval`): `capture_evaluation`, `capture_scores`, `capture_tables`. An `Estimator` is a
-  session, a baseline, or a folder of panoramas that any program wrote (`estimators`).
+  probes of captures (`roomlight eval captures`): `capture_evaluation`, `capture_scores`, `capture_tables`. An
+  `Estimator` is a session, a baseline, or a folder of panoramas that any program wrote (`estimators`).
 - How good is the light of a single image? `evaluate_dataset` scores methods on the first frames of a dataset's rooms
-  (`roomlight eval-dataset`): `dataset_evaluation`, `dataset_scores`, `dataset_tables`, `dataset_picture`.
+  (`roomlight eval dataset`): `dataset_evaluation`, `dataset_scores`, `dataset_tables`, `dataset_picture`.
 
 The metrics themselves are in `roomlight.metrics`.
 """

@@ -10,7 +10,9 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
+
+from annotated_types import Ge, Interval
 
 from roomlight.dataset.folder import (
     FRAMES,
@@ -24,6 +26,7 @@ from roomlight.dataset.folder import (
 from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
+from roomlight.rules import check_options
 from roomlight_generator.furniture_digest import digest
 from roomlight_generator.panoramas.library import digest as panoramas_digest
 from roomlight_generator.panoramas.library import split_files
@@ -41,46 +44,40 @@ class GenerateOptions:
     To continue a dataset, `sequences` may grow; the other options must be those that it was made with.
 
     Attributes:
-        sequences: in the split, in all.
-        seed: of all random numbers of the dataset.
-        split: train or test.
-        shard_size: sequences a file: 16 are 40 MB.
-        sequences_per_room: walks through one room, which share its light's solution.
-        frames: in each sequence; 1 makes single views, of which an hour gives four times as many.
-        furniture: a furniture library or cache to use instead of the installed one.
+        sequences: Sequences that the folder has in the end; those of earlier runs count.
+        seed: The same seed gives the same rooms.
+        split: train and test have no room, no furniture model and no texture in common.
+        shard_size: Sequences per file (16 are 40 MB); a worker makes one file at a time.
+        sequences_per_room: Walks through each room; they share the solution of its light.
+        frames: Frames per walk; 1 makes single views and is four times as fast.
+        furniture: A .sh3f library, or a cache of several; default: the installed libraries.
         renderer: `module:function` that renders a room's recordings (`worker.RenderRoom`); None for RoomLight's own.
-        panoramas: a folder of HDR panoramas that light the rooms, instead of generated light.
-        furniture_share: share of the rooms lit by panoramas that have furniture.
+        panoramas: Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light.
+        furniture_share: Share of the rooms lit by panoramas that have furniture.
 
     Raises:
-        DatasetError: if an option is out of range, or a shard does not hold whole rooms.
+        OptionError: An option is out of range.
+        DatasetError: A shard does not hold whole rooms.
     """
 
-    sequences: int
-    seed: int = 0
+    sequences: Annotated[int, Ge(1)]
+    seed: Annotated[int, Ge(0)] = 0
     split: Split = "train"
-    shard_size: int = 16
-    sequences_per_room: int = 4
-    frames: int = FRAMES
+    shard_size: Annotated[int, Ge(1)] = 16
+    sequences_per_room: Annotated[int, Ge(1)] = 4
+    frames: Annotated[int, Ge(1)] = FRAMES
     furniture: Path | None = None
     renderer: str | None = None
     panoramas: Path | None = None
-    furniture_share: float = 0.7
+    furniture_share: Annotated[float, Interval(ge=0, le=1)] = 0.7
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
-        if min(self.sequences, self.shard_size, self.sequences_per_room, self.frames) < 1 or self.seed < 0:
-            raise DatasetError(
-                f"{self.sequences} sequences, {self.shard_size} a shard, {self.sequences_per_room} a room, "
-                f"{self.frames} frames, seed {self.seed}: each must be 1 or more, and the seed 0 or more"
-            )
+        check_options(self)
         if self.shard_size % self.sequences_per_room:
             raise DatasetError(
                 f"a shard of {self.shard_size} sequences does not hold whole rooms of {self.sequences_per_room}; "
                 "make the first a multiple of the second"
             )
-        if not 0 <= self.furniture_share <= 1:
-            raise DatasetError(f"furniture_share is {self.furniture_share}; give a share from 0 to 1")
 
     @property
     def furnished(self) -> bool:

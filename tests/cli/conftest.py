@@ -16,6 +16,7 @@ def roomlight(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
     def run(*arguments: object, cwd: Path | None = None) -> Finished:
         if cwd is not None:
             monkeypatch.chdir(cwd)
+        monkeypatch.setattr("roomlight_cli.progress.LINE_EVERY_S", 1e6)  # a busy machine prints no line either
         monkeypatch.setattr(sys, "argv", ["roomlight", *map(str, arguments)])
         capsys.readouterr()
         with pytest.raises(SystemExit) as ended:

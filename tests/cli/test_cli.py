@@ -17,6 +17,7 @@ from roomlight_cli import console
 from roomlight_cli import main as cli
 from roomlight_cli.commands import demo as demo_command
 from roomlight_cli.commands.bench import BENCHMARKS
+from roomlight_cli.commands.evaluation import EVALUATIONS
 from roomlight_cli.lazy import CommandEntry, load_command
 from roomlight_cli.replays import replay_run
 from roomlight_cli.replays.replay_options import ReplayOptions
@@ -38,11 +39,6 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
         "stream",
         "serve",
         "eval",
-        "eval-dataset",
-        "eval-walks",
-        "eval-views",
-        "eval-composite",
-        "eval-objects",
         "bench",
         "dataset",
         "train",
@@ -54,9 +50,13 @@ def test_help_lists_commands_in_a_newcomer_s_order(roomlight: RunCommand) -> Non
     assert panels == sorted(panels)
 
 
-@pytest.mark.parametrize("entry", [*cli.COMMANDS, *BENCHMARKS], ids=lambda entry: entry.module.rpartition(".")[2])
+@pytest.mark.parametrize(
+    "entry",
+    [*cli.COMMANDS, *EVALUATIONS, *BENCHMARKS],
+    ids=lambda entry: entry.target.removeprefix("roomlight_cli.commands."),
+)
 def test_the_listed_summary_is_the_command_s_own(entry: CommandEntry) -> None:
-    help_text = load_command(entry.module).help
+    help_text = load_command(entry.target).help
     assert " ".join(help_text.split("\n\n")[0].split()) == entry.summary
 
 
@@ -106,7 +106,7 @@ def test_version(roomlight: RunCommand) -> None:
     [
         (("replay", "nowhere", "--out", "out"), "nowhere"),
         (("replay", ".", "--out", "out"), "roomlight"),
-        (("eval", "nowhere"), "nowhere"),
+        (("eval", "captures", "nowhere"), "nowhere"),
         (("export", "nothing.pt", "--out", "model"), "nothing.pt"),
         (("light", "a [bold]photo[/x]", "--depth", "d", "--probe", "0,0,-1", "--out", "out"), "a [bold]photo[/x]:"),
         (("replay", "a [bold]room[/x]", "--out", "out"), "error: a [bold]room[/x]: there is no such file"),
@@ -123,13 +123,17 @@ def test_an_error_is_one_line_without_traceback(
     assert not (tmp_path / "out").exists()
 
 
+FLAGS = {name: "--" + name.replace("_", "-") for name in ("every", "max_frames", "min_confidence", "weights", "model")}
+FLAGS |= {"depth_unit_m": "--depth-unit"}
+
+
 @pytest.mark.parametrize(
     ("error", "message"),
     [
         (OptionError("every is 0; it must be 1 or more"), "--every is 0; it must be 1 or more"),
         (OptionError("every frame counts"), "--every frame counts"),
         (FrameError("every frame is bad"), "every frame is bad"),
-        (FrameError("use the `every` and `max_frames` that"), "use the `--every` and `--max-frames` that"),
+        (FrameError("use the `every` and `max_frames` that"), "use the --every and --max-frames that"),
         (
             ModelError("w: not here; set min_confidence=2 to use it"),
             "w: not here; set --min-confidence 2 to use it",
@@ -139,7 +143,7 @@ def test_an_error_is_one_line_without_traceback(
     ],
 )
 def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
-    assert console.with_flags(error) == message
+    assert console.with_flags(error, FLAGS) == message
 
 
 @pytest.mark.parametrize(
@@ -158,7 +162,7 @@ def test_messages_name_the_flags(error: RoomLightError, message: str) -> None:
         (("--interpolate",), "--interpolate fills in"),
         (("--model", "classical", "--weights", "w"), "leave out --weights"),
         (("--model", "magic"), "magic"),
-        (("--world-up", "1,2"), "three numbers"),
+        (("--world-up", "1,2"), "a position or direction is X,Y,Z"),
         (("--mode", "classical"), "No such option"),
     ],
 )
@@ -172,7 +176,7 @@ def test_a_bad_argument_is_a_usage_error(
 
 
 def test_late_excludes_predictions(tmp_path: Path, roomlight: RunCommand) -> None:
-    result = roomlight("eval", sample_capture(), "--late", "--predictions", ".", cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), "--late", "--predictions", ".", cwd=tmp_path)
     assert result.code == 2
     assert "--late runs the engine" in result.err
 
@@ -181,14 +185,14 @@ def test_late_excludes_predictions(tmp_path: Path, roomlight: RunCommand) -> Non
 def test_main_light_excludes_late_and_predictions(
     other: tuple[str, ...], tmp_path: Path, roomlight: RunCommand
 ) -> None:
-    result = roomlight("eval", sample_capture(), "--main-light", *other, cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), "--main-light", *other, cwd=tmp_path)
     assert result.code == 2
     assert "--main-light scores tracked probes" in result.err
 
 
 def test_the_main_light_is_scored_on_a_capture(tmp_path: Path, roomlight: RunCommand) -> None:
     options = ("--main-light", "--model", "classical", "--max-frames", "6", "--json", "main.json")
-    result = roomlight("eval", sample_capture(), *options, cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
     assert result.code == 0, result.err
     assert "one panorama" in result.out
     tracks = json.loads((tmp_path / "main.json").read_text())["tracks"]
@@ -203,10 +207,10 @@ def test_predictions_of_every_tenth_frame_are_scored(tmp_path: Path, roomlight: 
     assert made.code == 0, made.err
     assert "Pictures: out [/y]/summary.png" in made.out
     assert "4 frames, 3 probes" in made.out
-    missing = roomlight("eval", sample, "--predictions", out, cwd=tmp_path)
+    missing = roomlight("eval", "captures", sample, "--predictions", out, cwd=tmp_path)
     assert missing.code == 1
     assert "--every" in missing.err
-    scored = roomlight("eval", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
+    scored = roomlight("eval", "captures", sample, "--predictions", out, "--every", "10", cwd=tmp_path)
     assert scored.code == 0, scored.err
     assert "predictions" in scored.out
 
@@ -265,7 +269,7 @@ def test_the_demo_without_a_browser_replays_the_sample(
     calls: list[tuple[Path, Path, ReplayOptions]] = []
     monkeypatch.setattr(demo_command, "run_replay", lambda *arguments: calls.append(arguments))
     monkeypatch.setattr(demo_command, "score_line", lambda capture, out: f"{capture} {out}")
-    monkeypatch.setattr(demo_command, "composite_recording", lambda *given, **_: f"film: {given[2].path}")
+    monkeypatch.setattr(demo_command, "composite_recording", lambda *given, **_: f"film: {given[2].out}")
     result = roomlight("demo", "--no-browser", cwd=tmp_path)
     expected = ReplayOptions(probes_from_capture=True, overwrite=True)
     assert calls == [(sample_capture(), Path("roomlight-demo"), expected)]

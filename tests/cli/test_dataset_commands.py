@@ -18,14 +18,15 @@ from roomlight.captures import open_capture
 from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
-from roomlight_cli.datasets.progress import ProgressDisplay, cost_text, duration
-from roomlight_generator.generate import GenerateOptions, GenerateReport, GenerationProgress
+from roomlight_cli.datasets.generation import cost_text, show_generation
+from roomlight_cli.progress import Progress
+from roomlight_generator.generate import GenerateReport, GenerationProgress
 
 SMALL = ("--shard-size", "4", "--sequences-per-room", "2", "--frames", "4", "--workers", "1")
 STUBBED = f"""
-import functools, sys
+import sys
 from roomlight_generator import generate
-generate.GenerateOptions = functools.partial(generate.GenerateOptions, renderer={stub_rooms.NAME!r})
+generate.RENDERER = {stub_rooms.NAME!r}
 for name in sys.argv.pop(1).split(","):
     sys.modules[name] = None
 from roomlight_cli import console
@@ -51,7 +52,7 @@ def start(*arguments, cwd, **options):
 @pytest.fixture
 def run(monkeypatch, roomlight):
     """`roomlight dataset ...` in this process, with the stand-in renderer."""
-    monkeypatch.setattr(dataset_commands, "GenerateOptions", partial(GenerateOptions, renderer=stub_rooms.NAME))
+    monkeypatch.setattr("roomlight_generator.generate.RENDERER", stub_rooms.NAME)
     return partial(roomlight, "dataset")
 
 
@@ -70,7 +71,6 @@ def test_generate_reports_sequences_and_costs(made, run):
     assert "set [x]: 8 train sequences, 0.0" in result.out
     assert "core-seconds each (first half" in result.out
     assert "roomlight dataset preview set [x] --out preview" in result.out
-    assert "8 of 8 sequences" in result.err
     again = run("generate", "--out", "set [x]", "--sequences", "8", "--seed", "5", *SMALL, cwd=cwd)
     assert "already has its 8 train sequences" in again.out
     other = run("generate", "--out", "set [x]", "--sequences", "8", *SMALL, cwd=cwd)
@@ -161,31 +161,16 @@ def test_sample_refuses_a_folder_with_files(tmp_path, run):
     assert "out: exists already" in result.err
 
 
-def printed(*, terminal, width=120):
+def test_the_state_of_a_run_is_a_line_with_rate_cost_and_time_left():
     stream = io.StringIO()
-    console = Console(file=stream, force_terminal=terminal, width=width, highlight=False)
-    with ProgressDisplay(console, line_every_s=1e9) as shown:
-        shown(GenerationProgress(10, 2, 0, 5_000_000, 0.0, 0.0))
-        shown(GenerationProgress(10, 3, 1, 8_000_000, 11.0, 6.0, "a [worker] died"))
-        shown(GenerationProgress(10, 10, 8, 30_000_000, 96.0, 48.0))
-    return stream.getvalue()
-
-
-def test_plain_lines_state_rate_cost_and_time_left():
-    text = printed(terminal=False)
-    assert text.splitlines() == [
-        "2 of 10 sequences, 5 MB",
-        "note: a [worker] died",
-        "10 of 10 sequences, 30 MB, 600 per hour, 0:00 left, 12.0 core-seconds each",
-    ]
-
-
-def test_a_terminal_has_a_bar():
-    assert "600 per hour" in printed(terminal=True)
-
-
-def test_durations():
-    assert [duration(s) for s in (0.0, 65.0, 3599.6, 7265.0)] == ["0:00", "1:05", "1:00:00", "2:01:05"]
+    with Progress("generating", Console(file=stream, width=120, highlight=False)) as progress:
+        show = show_generation(progress)
+        show(GenerationProgress(10, 2, 0, 5_000_000, 0.0, 0.0))
+        assert progress.line() == "generating (5 MB) 2 of 10, 0:00"
+        show(GenerationProgress(10, 3, 1, 8_000_000, 11.0, 6.0, "a [worker] died"))
+        show(GenerationProgress(10, 10, 8, 30_000_000, 96.0, 48.0))
+        assert progress.line() == "generating (30 MB, 600 per hour, 0:00 left, 12.0 core-seconds each) 10 of 10, 0:00"
+    assert stream.getvalue() == "note: a [worker] died\n"
 
 
 def test_costs_show_whether_they_grow():

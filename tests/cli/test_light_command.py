@@ -14,7 +14,7 @@ from roomlight.errors import FrameError, ImageError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.placement import point_at_pixel
-from roomlight_cli.photo import DEFAULT_FOV_DEG, light_photo, photo_positions, read_photo
+from roomlight_cli.photo import DEFAULT_FOV_DEG, PhotoOptions, PhotoPoints, light_photo, read_photo
 from rooms import BoxRoom, camera_at
 
 pytestmark = pytest.mark.usefixtures("small_pictures")
@@ -75,7 +75,7 @@ def test_a_photo_gives_panoramas_spheres_and_the_main_light(room, roomlight):
 
 def test_the_exr_holds_the_engine_s_light(room):
     folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
+    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
     (one,) = light_photo(frame, [(0.0, 0.0, -1.5)], folder / "out", options=CLASSICAL)
     written = read_panorama(folder / "out" / one.files[0])
     np.testing.assert_allclose(written, one.light.panorama, rtol=1e-3, atol=1e-4)  # half floats
@@ -83,7 +83,7 @@ def test_the_exr_holds_the_engine_s_light(room):
 
 def test_the_field_of_view_is_horizontal(room):
     folder, shot, fov = room
-    photo = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov)
+    photo = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov))
     frame = photo.frame
     assert (photo.fov_deg, photo.fov_source) == (fov, "option")
     assert frame.intrinsics.fx == pytest.approx(shot.intrinsics.fx)
@@ -105,13 +105,13 @@ def test_every_file_type_gives_the_same_depth(room, kind):
     else:
         path, unit = folder / "centimetres.png", 0.01
         cv2.imwrite(str(path), np.rint(shot.depth_m * 100).astype(np.uint16))
-    frame = read_photo(folder / "photo.png", path, fov_deg=fov, depth_unit_m=unit).frame
+    frame = read_photo(folder / "photo.png", path, PhotoOptions(fov_deg=fov, depth_unit_m=unit)).frame
     np.testing.assert_allclose(frame.depth_m, shot.depth_m, rtol=0.01)
 
 
 def test_a_lamp_ahead_is_above_and_in_view(room):
     folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
+    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
     (one,) = light_photo(frame, [(0.0, -0.5, -1.0)], folder / "out", options=CLASSICAL)
     elevation, azimuth = one.heading
     assert elevation > 20
@@ -122,33 +122,33 @@ def test_a_depth_in_another_unit_is_caught(room):
     folder, shot, fov = room
     np.save(folder / "depth.npy", (shot.depth_m * 1000).astype(np.float32))  # floats, but millimetres
     with pytest.raises(FrameError, match=r"median depth would be .* depth_unit_m"):
-        read_photo(folder / "photo.png", folder / "depth.npy", fov_deg=fov)
+        read_photo(folder / "photo.png", folder / "depth.npy", PhotoOptions(fov_deg=fov))
 
 
 def test_empty_depth_is_refused(room):
     folder, _, fov = room
     cv2.imwrite(str(folder / "none.png"), np.zeros((48, 64), np.uint16))
     with pytest.raises(FrameError, match=r"none\.png: no pixel has a depth"):
-        read_photo(folder / "photo.png", folder / "none.png", fov_deg=fov)
+        read_photo(folder / "photo.png", folder / "none.png", PhotoOptions(fov_deg=fov))
 
 
 def test_depth_of_another_shape_is_refused(room):
     folder, _, fov = room
     cv2.imwrite(str(folder / "square.png"), np.full((48, 48), 2000, np.uint16))
     with pytest.raises(FrameError, match="another aspect"):
-        read_photo(folder / "photo.png", folder / "square.png", fov_deg=fov)
+        read_photo(folder / "photo.png", folder / "square.png", PhotoOptions(fov_deg=fov))
 
 
 def test_an_image_for_depth_is_refused(room):
     folder, _, fov = room
     with pytest.raises(ImageError, match=r"photo\.png: depth must be a 16-bit grey PNG"):
-        read_photo(folder / "photo.png", folder / "photo.png", fov_deg=fov)
+        read_photo(folder / "photo.png", folder / "photo.png", PhotoOptions(fov_deg=fov))
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["--probe", "1,2"], "a position is X,Y,Z"),
+        (["--probe", "1,2"], "a position or direction is X,Y,Z"),
         (["--probe", "0,0,-1", "--fov", "170"], "150"),
         (["--pixel", "1"], "a pixel is U,V"),
         ([], "give the points to light"),
@@ -186,15 +186,13 @@ def test_unusable_input_is_one_line(room, changed, message, roomlight):
 
 def test_a_pixel_is_lit_above_its_surface(room):
     folder, _, fov = room
-    frame = read_photo(folder / "photo.png", folder / "depth.png", fov_deg=fov).frame
+    frame = read_photo(folder / "photo.png", folder / "depth.png", PhotoOptions(fov_deg=fov)).frame
     expected = point_at_pixel(frame, 20.0, 40.0, above_m=0.2)
-    positions = photo_positions(frame, [(0.0, 0.0, -1.0)], [(20.0, 40.0)], above_m=0.2)
-    assert positions == [(0.0, 0.0, -1.0), expected]
-    with pytest.raises(OptionError, match="no point to light"):
-        photo_positions(frame, [], [])
+    points = PhotoPoints(((0.0, 0.0, -1.0),), ((20.0, 40.0),), above_m=0.2)
+    assert points.positions(frame) == [(0.0, 0.0, -1.0), expected]
     empty = replace(frame, depth_m=np.where(np.arange(64) < 32, 0, frame.depth_m).astype(np.float32))
     with pytest.raises(ProbeError, match="nearest pixel with depth"):
-        photo_positions(empty, [], [(20.0, 40.0)])
+        points.positions(empty)
 
 
 def test_a_point_behind_the_camera_gets_a_warning(room, roomlight):
@@ -220,7 +218,7 @@ def test_the_field_of_view_comes_from_exif(room, orientation):
     assert photo.focal_35mm == 26
     # the 35 mm equivalence is by the diagonal: 80 pixels here, 43.27 mm on film
     assert photo.frame.intrinsics.fx == pytest.approx(26 * 80 / 43.2666, rel=1e-3)
-    given = read_photo(folder / "photo.jpg", folder / "depth.png", fov_deg=50.0)
+    given = read_photo(folder / "photo.jpg", folder / "depth.png", PhotoOptions(fov_deg=50.0))
     assert (given.fov_deg, given.fov_source) == (50.0, "option")
 
 
@@ -246,7 +244,7 @@ def test_a_depth_orientation_that_does_not_fit_is_refused(room, stated, other):
     write_jpeg(folder / "photo.jpg", linear_to_srgb8(np.clip(shot.image, 0, 1)), orientation=6)
     np.save(folder / "depth.npy", shot.depth_m if stated == "stored" else stored(shot.depth_m, 6))
     with pytest.raises(OptionError, match=rf"depth_orientation is {stated}; .* fits the photo only as {other}"):
-        read_photo(folder / "photo.jpg", folder / "depth.npy", fov_deg=fov, depth_orientation=stated)
+        read_photo(folder / "photo.jpg", folder / "depth.npy", PhotoOptions(fov_deg=fov, depth_orientation=stated))
 
 
 @pytest.mark.parametrize("orientation", [5, 6, 7, 8])
@@ -257,7 +255,7 @@ def test_depth_of_a_rotated_photo_is_fitted_by_aspect(room, orientation, depth_i
     write_jpeg(folder / "photo.jpg", upright, orientation=orientation)
     depth = shot.depth_m if depth_is == "upright" else stored(shot.depth_m, orientation)
     np.save(folder / "depth.npy", depth)
-    frame = read_photo(folder / "photo.jpg", folder / "depth.npy", fov_deg=fov).frame
+    frame = read_photo(folder / "photo.jpg", folder / "depth.npy", PhotoOptions(fov_deg=fov)).frame
     assert frame.image.shape == (48, 64, 3)
     assert (frame.depth_m == shot.depth_m).all()
     assert np.abs(frame.image - shot.image).mean() < 0.05  # JPEG, of 64 x 48 pixels
@@ -269,8 +267,8 @@ def test_an_ambiguous_orientation_needs_an_option(room):
     np.save(folder / "depth.npy", stored(shot.depth_m, 3))
     files = (folder / "photo.jpg", folder / "depth.npy")
     with pytest.raises(OptionError, match=r"orientation is 3.* depth_orientation as upright .* or stored"):
-        read_photo(*files, fov_deg=fov)
-    turned = read_photo(*files, fov_deg=fov, depth_orientation="stored").frame
+        read_photo(*files, PhotoOptions(fov_deg=fov))
+    turned = read_photo(*files, PhotoOptions(fov_deg=fov, depth_orientation="stored")).frame
     assert (turned.depth_m == shot.depth_m).all()
-    kept = read_photo(*files, fov_deg=fov, depth_orientation="upright").frame
+    kept = read_photo(*files, PhotoOptions(fov_deg=fov, depth_orientation="upright")).frame
     assert (kept.depth_m == stored(shot.depth_m, 3)).all()

@@ -12,7 +12,7 @@ from roomlight.sample import sample_capture
 def test_the_ship_rule_compares_and_decides(tmp_path: Path, roomlight: RunCommand) -> None:
     """The reference against itself: no interval is worse, but nothing is gained."""
     options = ("--ship-rule", "--model", "classical", "--max-frames", 2, "--json", "s.json")
-    result = roomlight("eval", sample_capture(), *options, cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
     assert result.code == 1, result.err
     assert "classical against classical" in result.out
     assert "log-L2 is 1.000 of classical's, above 0.85" in result.out
@@ -25,19 +25,21 @@ def test_the_ship_rule_compares_and_decides(tmp_path: Path, roomlight: RunComman
 def test_a_model_within_the_rule_passes(tmp_path: Path, roomlight: RunCommand, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("roomlight_evaluation.captures.ship_rule.TARGET", 1.0)
     options = ("--ship-rule", "--model", "classical", "--max-frames", 1)
-    result = roomlight("eval", sample_capture(), *options, cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), *options, cwd=tmp_path)
     assert result.code == 0, result.err
     assert "classical passes: 0 of its figures break the rule" in result.out
 
 
 @pytest.mark.parametrize("other", [("--late",), ("--main-light",), ("--predictions", ".")])
 def test_the_ship_rule_excludes_other_scores(other: tuple[str, ...], tmp_path: Path, roomlight: RunCommand) -> None:
-    result = roomlight("eval", sample_capture(), "--ship-rule", *other, cwd=tmp_path)
+    result = roomlight("eval", "captures", sample_capture(), "--ship-rule", *other, cwd=tmp_path)
     assert result.code == 2
     assert "--ship-rule scores tracked probes" in result.err
 
 
 def test_parts_are_an_option_of_eval(tmp_path: Path, roomlight: RunCommand) -> None:
-    result = roomlight("eval", sample_capture(), "--parts", tmp_path / "none", "--max-frames", 1, cwd=tmp_path)
+    result = roomlight(
+        "eval", "captures", sample_capture(), "--parts", tmp_path / "none", "--max-frames", 1, cwd=tmp_path
+    )
     assert result.code == 1
     assert "none/clipping/model.json: cannot be read" in result.err

@@ -8,7 +8,6 @@ from unittest import mock
 
 import httpx
 import pytest
-import typer
 from sdk_scripts import STATE, problem
 from server_process import ServerProcess
 
@@ -20,7 +19,7 @@ from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import OptionError
 from roomlight.placement import point_at_pixel
 from roomlight.wire.frame_message import parse
-from roomlight_cli.server_options import recovery_line, refuse_local_model
+from roomlight_cli.shared_options import recovery_line, refuse_local_model
 from roomlight_cli.stream import Clock, StreamOptions, Tally, percentile_ms, stream
 from roomlight_client import AsyncClient, RecoveryEvent, _waiting
 from rooms import BoxRoom, pan
@@ -226,7 +225,7 @@ def test_an_interrupted_stream_deletes_its_session(timed):
 
 
 def test_an_existing_session_is_continued_and_kept(timed):
-    room = played(timed, StreamOptions(session_id="room", keep=True), last_index=41)
+    room = played(timed, StreamOptions(session="room", keep=True), last_index=41)
     assert list(room.arrived) == list(range(42, 48))
     assert room.deleted == 0
 
@@ -306,7 +305,7 @@ def test_exact_frames_one_at_a_time_give_the_engine_s_light(timed):
 
     async def main(url):
         async with AsyncClient(url) as client:
-            held = StreamOptions(session_id="exact", keep=True, colour="exact", height=16, in_flight=1, probe=PROBE)
+            held = StreamOptions(session="exact", keep=True, colour="exact", height=16, in_flight=1, probe=PROBE)
             room = FakeServer()
 
             async def wait(_):
@@ -360,7 +359,7 @@ def test_an_error_is_printed_after_what_was_done(timed, monkeypatch, roomlight):
     [SessionOptions(weights=Path("w")), SessionOptions(provider="cpu")],
 )
 def test_engine_options_are_refused_for_a_server(options):
-    with pytest.raises(typer.BadParameter, match="roomlight serve"):
+    with pytest.raises(OptionError, match="roomlight serve"):
         refuse_local_model("http://room.test", options)
     refuse_local_model("http://room.test", SessionOptions())
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from annotated_types import Ge
 
 from roomlight.dataset.extract import extract as extract_sequence
 from roomlight.dataset.loader import Dataset
@@ -18,10 +19,12 @@ from roomlight.files import write_json
 from roomlight_cli import console
 from roomlight_cli.console import run, say
 from roomlight_cli.datasets.check import check
+from roomlight_cli.datasets.generation import cost_text, show_generation
 from roomlight_cli.datasets.preview import write_previews
-from roomlight_cli.datasets.progress import ProgressDisplay, cost_text, duration
 from roomlight_cli.datasets.tables import print_light, print_stats
 from roomlight_cli.lazy import APP_OPTIONS
+from roomlight_cli.options import Flag, Without, add_command
+from roomlight_cli.progress import Progress, duration
 from roomlight_generator.generate import GenerateOptions
 from roomlight_generator.generate import generate as run_generator
 from roomlight_generator.light_stats import LightComparison, compare_light
@@ -31,67 +34,36 @@ from roomlight_generator.rooms.furniture.catalogue import installed_libraries, l
 from roomlight_generator.sample import SEED, generate_sample
 from roomlight_generator.stats import collect
 
-app = typer.Typer(
-    help="Generate, view, measure and check datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
-)
-
-DatasetFolder = Annotated[Path, typer.Argument(help="A dataset folder.")]
-OnlySplit = Annotated[Split | None, typer.Option(help="Use this split only.")]
+DatasetFolder = Annotated[Path, Flag(text="A dataset folder.")]
+OnlySplit = Annotated[Split | None, Flag(text="Use this split only.")]
 
 
-@app.command()
 def generate(
-    out: Annotated[Path, typer.Option(help="Dataset folder: a new one, or one to continue.")],
-    sequences: Annotated[
-        int, typer.Option(min=1, help="Sequences that the folder has in the end; those of earlier runs count.")
-    ],
-    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same rooms.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Processes; default: one per core.")] = None,
-    split: Annotated[
-        Split, typer.Option(help="train and test have no room, no furniture model and no texture in common.")
-    ] = "train",
-    furniture: Annotated[
-        Path | None,
-        typer.Option(help="A .sh3f library, or a cache of several; default: the installed libraries."),
-    ] = None,
-    shard_size: Annotated[int, typer.Option(min=1, help="Sequences per file; a worker makes one file at a time.")] = 16,
-    sequences_per_room: Annotated[int, typer.Option(min=1, help="Walks through each room.")] = 4,
-    frames: Annotated[
-        int, typer.Option(min=1, help="Frames per walk; 1 makes single views and is four times as fast.")
-    ] = 31,
-    panoramas: Annotated[
-        Path | None,
-        typer.Option(help="Folder of equirectangular HDR panoramas (.exr, .hdr) that light the rooms: real light."),
-    ] = None,
-    furniture_share: Annotated[
-        float, typer.Option(min=0, max=1, help="Share of the rooms lit by panoramas that have furniture.")
-    ] = 0.7,
+    options: Annotated[GenerateOptions, Without("renderer")],
+    *,
+    out: Path,
+    workers: Annotated[int, Ge(1)] | None = None,
 ) -> None:
-    """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command continues."""
-    options = GenerateOptions(
-        sequences=sequences,
-        seed=seed,
-        split=split,
-        shard_size=shard_size,
-        sequences_per_room=sequences_per_room,
-        frames=frames,
-        furniture=furniture,
-        panoramas=panoramas,
-        furniture_share=furniture_share,
-    )
-    if panoramas is not None:
-        _say_split(panoramas, split)
-    with ProgressDisplay(console.err) as display:
+    """Generate path-traced sequences with ground-truth probes. Stopped or killed, the same command continues.
+
+    Args:
+        options: What to generate.
+        out: Dataset folder: a new one, or one to continue.
+        workers: Processes; default: one per core.
+    """
+    if options.panoramas is not None:
+        _say_split(options.panoramas, options.split)
+    with Progress("generating") as progress:
         try:
-            report = run_generator(out, options, workers=workers, progress=display)
+            report = run_generator(out, options, workers=workers, progress=show_generation(progress))
         except KeyboardInterrupt:
             console.err.print("stopped; finished sequences are kept, and the same command continues", soft_wrap=True)
             raise typer.Exit(130) from None
     if not report.made:
-        say(f"{out} already has its {report.sequences} {split} sequences")
+        say(f"{out} already has its {report.sequences} {options.split} sequences")
         return
     say(
-        f"{out}: {report.sequences} {split} sequences, {report.bytes / report.sequences / 1e6:.2f} MB each; "
+        f"{out}: {report.sequences} {options.split} sequences, {report.bytes / report.sequences / 1e6:.2f} MB each; "
         f"{report.made} made in {duration(report.elapsed_s)}, {3600 * report.made / report.elapsed_s:.0f} per hour, "
         f"{cost_text(report.core_s)}"
     )
@@ -107,71 +79,63 @@ def _say_split(panoramas: Path, split: Split) -> None:
     say(f"kept for the other split, whole buildings each: {', '.join(kept) or 'none'}")
 
 
-@app.command()
 def preview(
     folder: DatasetFolder,
-    out: Annotated[Path, typer.Option(help="Folder for the pictures.")] = Path("preview"),
-    rooms: Annotated[int, typer.Option(min=1, help="Rooms to show, evenly spread; 8 per picture.")] = 16,
+    *,
+    out: Path = Path("preview"),
+    rooms: Annotated[int, Ge(1)] = 16,
     split: OnlySplit = None,
 ) -> None:
-    """Write contact sheets as PNG: frames, depth, surfaces, and probes in normal and low exposure."""
+    """Write contact sheets as PNG: frames, depth, surfaces, and probes in normal and low exposure.
+
+    Args:
+        out: Folder for the pictures.
+        rooms: Rooms to show, evenly spread; 8 per picture.
+    """
     dataset = Dataset(folder, split)
-    with console.err.status("drawing") as status:
-        written = write_previews(
-            dataset, out, rooms=rooms, progress=lambda done, total: status.update(f"drawing room {done} of {total}")
-        )
+    with Progress("drawing rooms") as progress:
+        written = write_previews(dataset, out, rooms=rooms, progress=progress.count)
     for path in written:
         say(str(path))
 
 
-@app.command()
 def stats(
     folder: DatasetFolder,
-    sequences: Annotated[
-        int | None, typer.Option(min=1, help="Measure this many, evenly spread; default: all.")
-    ] = None,
+    *,
+    sequences: Annotated[int, Ge(1)] | None = None,
     split: OnlySplit = None,
-    against: Annotated[
-        Path | None,
-        typer.Option(
-            help="Compare the light of first frames and probes with the real HDR panoramas (.exr, .hdr) of this folder."
-        ),
-    ] = None,
-    json_out: Annotated[Path | None, typer.Option("--json", help="Also write the figures as JSON.")] = None,
+    against: Path | None = None,
+    json: Path | None = None,
 ) -> None:
-    """Print figures of motion, range, exposure, coverage, sizes and room contents; or of light, beside real rooms'."""
+    """Print figures of motion, range, exposure, coverage, sizes and room contents; or of light, beside real rooms'.
+
+    Args:
+        sequences: Measure this many, evenly spread; default: all.
+        against: Compare the light of first frames and probes with the real HDR panoramas (.exr, .hdr) of this folder.
+        json: Also write the figures as JSON.
+    """
     dataset = Dataset(folder, split)
-    with console.err.status("measuring") as status:
-
-        def progress(done: int, total: int) -> None:
-            status.update(f"measuring {done} of {total}")
-
+    with Progress("measuring") as progress:
         if against is None:
-            figures = collect(dataset, limit=sequences, progress=progress)
+            figures = collect(dataset, limit=sequences, progress=progress.count)
         else:
-            figures = compare_light(dataset, against, limit=sequences, progress=progress)
+            figures = compare_light(dataset, against, limit=sequences, progress=progress.count)
     if isinstance(figures, LightComparison):
         print_light(console.out, figures)
     else:
         print_stats(console.out, figures)
-    if json_out:
-        write_json(json_out, figures.to_json())
+    if json:
+        write_json(json, figures.to_json())
 
 
-@app.command()
-def verify(
-    folder: DatasetFolder,
-    repair: Annotated[
-        bool, typer.Option("--repair", help="Remove damaged sequences, so that `generate` makes them again.")
-    ] = False,
-) -> None:
-    """Compare every sequence with its checksum."""
-    with console.err.status("verifying") as status:
-        report = verify_dataset(
-            folder,
-            repair=repair,
-            progress=lambda done, total: status.update(f"verifying sequence {done} of {total}"),
-        )
+def verify(folder: DatasetFolder, *, repair: bool = False) -> None:
+    """Compare every sequence with its checksum.
+
+    Args:
+        repair: Remove damaged sequences, so that `generate` makes them again.
+    """
+    with Progress("verifying sequences") as progress:
+        report = verify_dataset(folder, repair=repair, progress=progress.count)
     for message in report.damaged:
         say(message)
     if not report.damaged:
@@ -183,54 +147,51 @@ def verify(
         raise DatasetError(f"{folder}: {len(report.damaged)} damaged, {report.whole} intact; --repair removes them")
 
 
-@app.command()
-def extract(
-    folder: DatasetFolder,
-    name: Annotated[str, typer.Argument(help="The sequence, e.g. train-000012.")],
-    out: Annotated[Path, typer.Option(help="Capture folder to write: a new or an empty one.")],
-) -> None:
-    """Write one sequence as a capture, for replay and eval."""
+def extract(folder: DatasetFolder, name: str, *, out: Path) -> None:
+    """Write one sequence as a capture, for replay and eval.
+
+    Args:
+        name: The sequence, e.g. train-000012.
+        out: Capture folder to write: a new or an empty one.
+    """
     extract_sequence(Dataset(folder, None), name, out)
     say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
 
 
-app.command()(check)
+def furniture(*, out: Path, library: tuple[Path, ...] = ()) -> None:
+    """Pack furniture libraries into one compact file: meshes, textures, authors. It takes about 90 seconds.
 
-
-@app.command()
-def furniture(
-    out: Annotated[Path, typer.Option(help="Cache file to write, for `generate --furniture` on another machine.")],
-    library: Annotated[
-        list[Path] | None,
-        typer.Option(help="A .sh3f library or a folder of them; default: the installed ones. Repeatable."),
-    ] = None,
-) -> None:
-    """Pack furniture libraries into one compact file: meshes, textures, authors. It takes about 90 seconds."""
+    Args:
+        out: Cache file to write, for `generate --furniture` on another machine.
+        library: A .sh3f library or a folder of them; default: the installed ones. Repeatable.
+    """
     sources = [file for path in library for file in library_files(path)] if library else installed_libraries()
     if not sources:
         raise FurnitureError("no furniture library is installed: apt install sweethome3d-furniture, or give --library")
-    with console.err.status("reading") as status:
-        build_cache(
-            sources,
-            out,
-            warn=say,
-            progress=lambda done, total: status.update(f"reading model {done} of {total}"),
-        )
+    with Progress("reading models") as progress:
+        build_cache(sources, out, warn=say, progress=progress.count)
     say(f"{out}: {out.stat().st_size / 1e6:.1f} MB")
 
 
-@app.command()
-def sample(
-    out: Annotated[Path, typer.Option(help="Capture folder to write: a new or an empty one.")],
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the room.")] = None,
-) -> None:
-    """Generate a sample capture such as the one in the package: a walk through one room, with true light."""
+def sample(*, out: Path, seed: Annotated[int, Ge(0)] | None = None) -> None:
+    """Generate a sample capture such as the one in the package: a walk through one room, with true light.
+
+    Args:
+        out: Capture folder to write: a new or an empty one.
+        seed: Seed of the room.
+    """
     if out.exists() and (not out.is_dir() or any(out.iterdir())):  # said now, not after a minute of rendering
         raise OutputError(f"{out}: exists already; choose another folder or delete it")
-    with console.err.status("solving the room's light and rendering the frames"):
+    with Progress("solving the room's light and rendering the frames"):
         generate_sample(out, seed=SEED if seed is None else seed)
     say(f"Written to {out}; try: roomlight replay {out} --probes-from-capture --out light")
 
+
+app = typer.Typer(
+    help="Generate, view, measure and check datasets of path-traced rooms.", no_args_is_help=True, **APP_OPTIONS
+)
+for _command in (generate, preview, stats, verify, extract, check, furniture, sample):
+    add_command(app, _command)
 
 if __name__ == "__main__":
     run(app)

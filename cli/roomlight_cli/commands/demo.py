@@ -3,45 +3,30 @@
 from pathlib import Path
 from typing import Annotated, Final
 
-import typer
+from annotated_types import Interval
 
 from roomlight.captures import CaptureOptions
 from roomlight.engine.session import SessionOptions
 from roomlight.sample import sample_capture
-from roomlight_cli.compositing import Output, composite_recording
+from roomlight_cli.compositing import CompositeOptions, composite_recording
 from roomlight_cli.console import say
 from roomlight_cli.demo_scene import demo_scene
-from roomlight_cli.lazy import single_command_app
 from roomlight_cli.live_demo import find_browser, page_is_built, run_live_demo
 from roomlight_cli.replays.replay_options import ReplayOptions
 from roomlight_cli.replays.replay_run import run_replay
 from roomlight_evaluation.captures.evaluation import evaluate_predictions
 
-app = single_command_app()
+DEFAULT_OUT: Final = Path("roomlight-demo")
 FILM: Final = "composite.mp4"
 FILM_RATE: Final = 6.0
 """Frames a second: the sample's 31 frames take five seconds."""
 
 
-DEFAULT_OUT: Final = Path("roomlight-demo")
-
-
-@app.command()
 def demo(
-    browser: Annotated[
-        bool, typer.Option("--browser/--no-browser", help="Open the live page, or write pictures.", show_default=False)
-    ] = True,
-    out: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write pictures to this folder (without a browser: roomlight-demo); an earlier demo is replaced.",
-            show_default=False,
-        ),
-    ] = None,
-    port: Annotated[
-        int | None,
-        typer.Option(min=0, max=65535, help="Port of the page (default: 8090, or a free one).", show_default=False),
-    ] = None,
+    *,
+    browser: bool = True,
+    out: Path | None = None,
+    port: Annotated[int, Interval(ge=0, le=65535)] | None = None,
 ) -> None:
     """Show the light of the sample room in a browser.
 
@@ -50,12 +35,17 @@ def demo(
 
     With --no-browser or --out, and on a machine without a browser, it writes pictures, a report, and a film of the room
     with virtual objects instead, which takes about a minute.
+
+    Args:
+        browser: Open the live page, or write pictures.
+        out: Write pictures to this folder (without a browser: roomlight-demo); an earlier demo is replaced.
+        port: Port of the page (default: 8090, or a free one).
     """
     capture = sample_capture()
     if browser and out is None:
-        found = find_browser() if page_is_built() else None
-        if found is not None:
-            run_live_demo(capture, found, port=port)
+        default = find_browser() if page_is_built() else None
+        if default is not None:
+            run_live_demo(capture, default, port=port)
             return
         say(f"No browser for the live page here: writing pictures to {DEFAULT_OUT} instead (as with --no-browser).")
     write_pictures(capture, out or DEFAULT_OUT)
@@ -65,16 +55,8 @@ def write_pictures(capture: Path, out: Path) -> None:
     """Light the sample room and write pictures, a report and a film with virtual objects."""
     run_replay(capture, out, ReplayOptions(probes_from_capture=True, overwrite=True))
     say(score_line(capture, out))
-    film = Output(out / FILM, overwrite=True)
-    done = composite_recording(
-        (capture, CaptureOptions()),
-        demo_scene(),
-        film,
-        quality="preview",
-        online=False,
-        options=SessionOptions(),
-        rate=lambda _: FILM_RATE,
-    )
+    film = CompositeOptions(out / FILM, quality="preview", fps=FILM_RATE, overwrite=True)
+    done = composite_recording(capture, demo_scene(), film, light=SessionOptions(), reading=CaptureOptions())
     say(f"A chair, a mirror sphere and two moving objects in the room: {done}")
 
 
@@ -84,5 +66,5 @@ def score_line(capture: Path, out: Path) -> str:
     first, *_, last, _all = (interval.mean for interval in scores.means("predictions", "log_l2"))
     return (
         f"Against the room's ground truth: log-L2 {first:.3f} over the first seven frames, {last:.3f} over the last six"
-        f" (0 is perfect). Compare methods with: roomlight eval {capture}"
+        f" (0 is perfect). Compare methods with: roomlight eval captures {capture}"
     )

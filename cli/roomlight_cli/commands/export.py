@@ -1,31 +1,24 @@
 """`roomlight export`: a PyTorch checkpoint as a model folder of ONNX graphs."""
 
 from pathlib import Path
-from typing import Annotated
 
-import typer
-
-from roomlight_cli.console import err, say
-from roomlight_cli.lazy import single_command_app
+from roomlight_cli.console import say
+from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 
-app = single_command_app()
 
-
-@app.command()
-def export(
-    checkpoint: Annotated[Path, typer.Argument(help="A PyTorch checkpoint that `roomlight train` wrote.")],
-    out: Annotated[Path, typer.Option(help="Model folder to write, for --weights of the other commands.")],
-    ort: Annotated[
-        bool, typer.Option("--ort/--no-ort", help="Also write .ort files, ONNX Runtime's format for phones.")
-    ] = True,
-) -> None:
+def export(checkpoint: Path, *, out: Path, ort: bool = True) -> None:
     """Export a checkpoint as verified ONNX graphs (needs the `train` extra).
 
     Each graph's output is compared with the PyTorch network's.
+
+    Args:
+        checkpoint: A PyTorch checkpoint that `roomlight train` wrote.
+        out: Model folder to write, for --weights of the other commands.
+        ort: Also write .ort files, ONNX Runtime's format for phones.
     """
-    with err.status("exporting and verifying the graphs") as status:
-        report = export_checkpoint(checkpoint, out, ort=ort, progress=status.update)
+    with Progress("exporting and verifying the graphs") as progress:
+        report = export_checkpoint(checkpoint, out, ort=ort, progress=progress.say)
     say(
         f"{report.form} model, {report.parameters / 1e6:.2f} M parameters: {len(report.graphs)} graphs in {out}, "
         f"{report.onnx_bytes / 1e6:.1f} MB of ONNX"

@@ -2,8 +2,10 @@
 
 import asyncio
 import time
+from collections.abc import Callable, Generator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 from rich.console import RenderableType
@@ -12,116 +14,38 @@ from rich.markup import escape
 from rich.table import Table
 
 from roomlight.errors import RoomLightError
-from roomlight_cli import arguments
 from roomlight_cli.console import err, out, print_notes, say
-from roomlight_cli.lazy import single_command_app
+from roomlight_cli.options import Flag
 from roomlight_cli.probe_notes import percent, probe_warnings
-from roomlight_cli.server_options import Token, recovery_line
+from roomlight_cli.progress import Progress
+from roomlight_cli.shared_options import Token, recovery_line
 from roomlight_cli.stream import StreamOptions, Tally, percentile_ms
 from roomlight_cli.stream import stream as play
 from roomlight_client import AsyncClient, RecoveryEvent
 
-app = single_command_app()
 
-
-@app.command()
 def stream(
-    capture: Annotated[Path, typer.Argument(help="A recorded capture: a folder, or a Record3D .r3d file.")],
-    server: Annotated[str, typer.Option(metavar="URL", help="The server's address.")] = "http://localhost:8090",
+    capture: Path,
+    options: StreamOptions,
+    *,
+    server: Annotated[str, Flag(metavar="URL")] = "http://localhost:8090",
     token: Token = None,
-    fps: Annotated[
-        float | None,
-        typer.Option(
-            help="Frames sent per second; the recording keeps its pace. For a recording without timestamps this is the "
-            "pace (default: 3)."
-        ),
-    ] = None,
-    probe: Annotated[
-        str | None,
-        typer.Option(
-            metavar="X,Y,Z",
-            rich_help_panel=arguments.POINTS_PANEL,
-            help="Show the light at this point: world metres, y up. Default: one point in front of the first camera.",
-        ),
-    ] = None,
-    pixel: Annotated[
-        str | None,
-        typer.Option(
-            metavar="U,V",
-            rich_help_panel=arguments.POINTS_PANEL,
-            help="Show the light above the surface that this pixel of the first colour image shows: column U, row V "
-            "from the top left.",
-        ),
-    ] = None,
-    above: arguments.Above = 0.1,
-    colour: Annotated[
-        Literal["jpeg", "png", "exact"],
-        typer.Option(help="How frames travel: jpeg as from a phone, png without loss, exact as floats."),
-    ] = "jpeg",
-    in_flight: Annotated[
-        int, typer.Option(min=1, help="Unanswered frames at the same time; other frames that are due are dropped.")
-    ] = 2,
-    session: Annotated[str | None, typer.Option(metavar="ID", help="Play into this session.")] = None,
-    keep: Annotated[bool, typer.Option("--keep", help="Leave the session on the server at the end.")] = False,
-    model: arguments.Model = "auto",
-    height: Annotated[
-        int, typer.Option(min=16, max=512, help="Panorama height in pixels; the width is twice that.")
-    ] = 120,
-    format_name: arguments.Format = None,
-    depth_key: arguments.DepthKey = None,
-    depth_unit: arguments.DepthUnit = None,
-    min_confidence: arguments.MinConfidence = None,
-    camera_convention: arguments.CameraAxes = None,
-    pose_direction: arguments.PoseMaps = None,
-    world_up: arguments.WorldUp = None,
-    max_frames: arguments.MaxFrames = None,
 ) -> None:
-    """Play a recording to a server as a phone would stream it; show rate, latency and light."""
-    if probe and pixel:
-        raise typer.BadParameter("a stream shows the light at one point: give --probe or --pixel, not both")
-    options = StreamOptions(
-        capture=arguments.capture_options(
-            format_name=format_name,
-            depth_key=depth_key,
-            depth_unit=depth_unit,
-            min_confidence=min_confidence,
-            camera_convention=camera_convention,
-            pose_direction=pose_direction,
-            world_up=world_up,
-            max_frames=max_frames,
-        ),
-        fps=fps,
-        colour=colour,
-        in_flight=in_flight,
-        probe=arguments.parse_position(probe) if probe else None,
-        pixel=arguments.parse_pixel(pixel) if pixel else None,
-        above_m=above,
-        session_id=session,
-        keep=keep,
-        model=model,
-        height=height,
-    )
-    _play(capture, server, token, options)
+    """Play a recording to a server as a phone would stream it; show rate, latency and light.
 
-
-def _play(path: Path, server: str, token: str | None, options: StreamOptions) -> None:
-    tally = Tally()
-
-    async def run(live: Live) -> None:
-        def tell(event: RecoveryEvent) -> None:
-            live.console.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
-
-        async with AsyncClient(server, token=token, on_recovery=tell) as client:
-            await play(path, client, options, tally=tally, show=lambda now: live.update(_live_table(now)))
-
-    stopped = False
-    with Live(_live_table(tally), console=err, transient=True, refresh_per_second=4) as live:
+    Args:
+        capture: A recorded capture: a folder, or a Record3D .r3d file.
+        options: What to play.
+        server: The server's address.
+        token: The server's.
+    """
+    tally, stopped = Tally(), False
+    with _shown(tally) as show:
         try:
-            asyncio.run(run(live))
+            asyncio.run(_play(capture, options, tally, show, server=server, token=token))
         except KeyboardInterrupt:
             stopped = True
         except RoomLightError:
-            live.stop()
             if tally.sent:
                 _print_result(tally, options)
             raise
@@ -129,6 +53,33 @@ def _play(path: Path, server: str, token: str | None, options: StreamOptions) ->
     if stopped:
         err.print("stopped; " + ("the session stays" if options.keep else "the session is deleted"), soft_wrap=True)
         raise typer.Exit(130)
+
+
+@contextmanager
+def _shown(tally: Tally) -> Generator[Callable[[Tally], None]]:
+    """Yield what shows the tally: as a table on a terminal, else as lines of progress."""
+    if err.is_terminal:
+        with Live(_live_table(tally), console=err, transient=True, refresh_per_second=4) as live:
+            yield lambda now: live.update(_live_table(now))
+    else:
+        with Progress("streaming") as progress:
+            yield lambda now: progress.count(now.due, now.frames)
+
+
+async def _play(
+    capture: Path,
+    options: StreamOptions,
+    tally: Tally,
+    show: Callable[[Tally], object],
+    *,
+    server: str,
+    token: str | None,
+) -> None:
+    def tell(event: RecoveryEvent) -> None:
+        err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
+
+    async with AsyncClient(server, token=token, on_recovery=tell) as client:
+        await play(capture, client, options, tally=tally, show=show)
 
 
 def _live_table(tally: Tally) -> RenderableType:

@@ -5,50 +5,42 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
+from annotated_types import Ge
 
-from roomlight_cli import arguments, console
-from roomlight_cli.lazy import single_command_app
+from roomlight_cli import console
+from roomlight_cli.options import Flag
+from roomlight_cli.shared_options import Device
 from roomlight_cli.train import train_recipe
 from roomlight_model.training.recipe import read_recipe
 
-app = single_command_app()
 
-
-@app.command()
 def train(
-    recipe: Annotated[
-        str,
-        typer.Argument(help="A recipe's file (.toml), or the name of a shipped one: single, video, clipping, objects."),
-    ],
-    out: Annotated[Path, typer.Option(help="Folder of the runs: a new one, or one to continue.")],
-    data: Annotated[
-        Path | None,
-        typer.Option(help="Folder with the recipe's datasets by name; missing ones are generated. Default: OUT/data."),
-    ] = None,
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="NAME=VALUE",
-            help="Change an option in every stage that has it, e.g. --set steps=100. Repeatable.",
-        ),
-    ] = None,
-    minutes: Annotated[
-        float | None, typer.Option(min=0, help="Stop after this many minutes; the same command continues.")
-    ] = None,
-    device: arguments.Device = "auto",
+    recipe: str,
+    *,
+    out: Path,
+    data: Path | None = None,
+    changes: Annotated[tuple[str, ...], Flag(name="--set", metavar="NAME=VALUE")] = (),
+    minutes: Annotated[float, Ge(0)] | None = None,
+    device: Device = "auto",
 ) -> None:
     """Train networks by a recipe: its data, its stages, the export (needs the `train` extra).
 
     Stopped or killed, the same command continues from the last checkpoint.
+
+    Args:
+        recipe: A recipe's file (.toml), or the name of a shipped one: single, video, clipping, objects.
+        out: Folder of the runs: a new one, or one to continue.
+        data: Folder with the recipe's datasets by name; missing ones are generated. Default: OUT/data.
+        changes: Change an option in every stage that has it, e.g. --set steps=100. Repeatable.
+        minutes: Stop after this many minutes; the same command continues.
     """
-    read = read_recipe(recipe).changed(_parse_changes(changes or []))
+    read = read_recipe(recipe).changed(_parse_changes(changes))
     model = train_recipe(read, out, data=data or out / "data", device=device, minutes=minutes, console=console.err)
     if model is not None:
         console.say(f"{model}: the weights of {out / read.ships}, as ONNX graphs; use them with --weights {model}")
 
 
-def _parse_changes(changes: list[str]) -> dict[str, Any]:
+def _parse_changes(changes: tuple[str, ...]) -> dict[str, Any]:
     """Parse NAME=VALUE; values are written as in TOML, and other text is a string."""
     values: dict[str, Any] = {}
     for change in changes:

@@ -6,7 +6,7 @@ from typing import Annotated, Final
 
 import cv2
 import numpy as np
-import typer
+from annotated_types import Ge
 from jaxtyping import Float, UInt8
 from rich import box
 from rich.console import Console
@@ -18,6 +18,7 @@ from roomlight.errors import DatasetError
 from roomlight.images import write_png
 from roomlight_cli import console
 from roomlight_cli.console import say
+from roomlight_cli.progress import Progress
 from roomlight_generator.verification.check import (
     JUDGED_NOISE,
     CheckReport,
@@ -39,38 +40,41 @@ _MARGIN: Final = 12
 
 
 def check(
-    rooms: Annotated[int, typer.Option(min=1, help="Number of rooms.")] = 12,
-    seed: Annotated[int, typer.Option(min=0, help="The dataset's seed.")] = 0,
-    first: Annotated[int, typer.Option(min=0, help="Number of the first room.")] = 0,
-    split: Annotated[Split, typer.Option(help="Which split's rooms.")] = "train",
-    samples: Annotated[int, typer.Option(min=2, help="Paths per pixel of the reference's frame and probe.")] = 64,
-    paths: Annotated[
-        int, typer.Option(min=1000, help="Most paths for the points of a room at which surfaces are compared.")
-    ] = 12_000_000,
-    furniture: Annotated[
-        Path | None, typer.Option(help="A .sh3f library, or a cache of several; default: the installed libraries.")
-    ] = None,
-    out: Annotated[
-        Path | None, typer.Option(help="Folder for pictures: RoomLight, the reference, the signed error.")
-    ] = None,
+    *,
+    rooms: Annotated[int, Ge(1)] = 12,
+    seed: Annotated[int, Ge(0)] = 0,
+    first: Annotated[int, Ge(0)] = 0,
+    split: Split = "train",
+    samples: Annotated[int, Ge(2)] = 64,
+    paths: Annotated[int, Ge(1000)] = 12_000_000,
+    furniture: Path | None = None,
+    out: Path | None = None,
 ) -> None:
-    """Compare generated rooms with the path tracer Mitsuba: errors of frames and probes."""
+    """Compare generated rooms with the path tracer Mitsuba: errors of frames and probes.
+
+    Args:
+        rooms: Number of rooms.
+        seed: The dataset's seed.
+        first: Number of the first room.
+        split: Which split's rooms.
+        samples: Paths per pixel of the reference's frame and probe.
+        paths: Most paths for the points of a room at which surfaces are compared.
+        furniture: A .sh3f library, or a cache of several; default: the installed libraries.
+        out: Folder for pictures: RoomLight, the reference, the signed error.
+    """
     if find_spec("mitsuba") is None:
         raise DatasetError("the check needs the path tracer Mitsuba: pip install mitsuba")
-    done = 0
+    with Progress("comparing rooms") as progress:
+        progress.count(0, rooms)
 
-    with console.err.status(f"room 1 of {rooms}") as status:
-
-        def progress(room: RoomCheck) -> None:
-            nonlocal done
-            done += 1
+        def show(room: RoomCheck) -> None:
             if out:
                 write_png(out / f"{room.name}.png", compose_check(room))
             console.err.print(_line(room), soft_wrap=True, markup=False)
-            status.update(f"room {done + 1} of {rooms}")
+            progress.advance()
 
         report = check_rooms(
-            rooms, seed=seed, first=first, split=split, furniture=furniture, samples=samples, paths=paths, done=progress
+            rooms, seed=seed, first=first, split=split, furniture=furniture, samples=samples, paths=paths, done=show
         )
     print_check(console.out, report)
     if out:

@@ -8,14 +8,15 @@ from rich.markup import escape
 
 from roomlight.engine.session import warm_up
 from roomlight.notes import Note
-from roomlight_cli.console import err, out, print_notes, progress_bars, say
+from roomlight_cli.console import err, out, print_notes, say
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
+from roomlight_cli.progress import Progress
 from roomlight_cli.replays.pictures import SUMMARY, VIDEO
 from roomlight_cli.replays.remote_replay import replay_through
 from roomlight_cli.replays.replay import replay
 from roomlight_cli.replays.replay_folder import REPORT, finished_report
 from roomlight_cli.replays.replay_options import ReplayOptions
-from roomlight_cli.server_options import recovery_line
+from roomlight_cli.shared_options import recovery_line
 from roomlight_client import RecoveryEvent
 
 
@@ -30,27 +31,22 @@ def run_replay(capture: Path, folder: Path, options: ReplayOptions, *, token: st
         say(f"{folder} already holds this replay, finished; --overwrite makes it again")
         _print_result(folder, report)
         return
-    with progress_bars() as bars:
-        task = bars.add_task("compiling kernels (first run only)", total=None)
+    with Progress("compiling kernels (first run only)") as progress:
         if options.server is None:
             warm_up()
-        bars.update(task, description="replaying")
-
-        def show(done: int, total: int) -> None:
-            bars.update(task, completed=done, total=total)
+        progress.say("replaying")
 
         def tell(event: RecoveryEvent) -> None:
             err.print(f"[yellow]{escape(recovery_line(event))}[/]", soft_wrap=True)
 
         try:
             if options.server is None:
-                result = replay(capture, folder, options, progress=show)
+                result = replay(capture, folder, options, progress=progress.count)
             else:
                 result = replay_through(
-                    options.server, capture, folder, options, token=token, progress=show, on_recovery=tell
+                    options.server, capture, folder, options, token=token, progress=progress.count, on_recovery=tell
                 )
         except KeyboardInterrupt:
-            bars.stop()
             next_time = "starts again" if options.overwrite else "continues where it stopped"
             err.print(f"stopped; the same command {next_time}", soft_wrap=True)
             raise typer.Exit(130) from None

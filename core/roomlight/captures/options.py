@@ -1,9 +1,12 @@
 """Options of reading a capture: facts that its files do not state, or state wrongly."""
 
 from dataclasses import dataclass
-from typing import Final, Literal, get_args
+from typing import Annotated, Final, Literal
+
+from annotated_types import Ge, Interval
 
 from roomlight.errors import OptionError
+from roomlight.rules import check_options
 
 CameraConvention = Literal["opengl", "opencv"]
 PoseDirection = Literal["camera-to-world", "world-to-camera"]
@@ -20,54 +23,41 @@ UP_AXES: Final[dict[str, tuple[float, float, float]]] = {
 
 @dataclass(frozen=True)
 class CaptureOptions:
-    """Options of reading a capture; None keeps the format's default.
+    """Options of reading a capture; without one, the format's default applies.
 
     Attributes:
-        format: Name of the reader to use, one of `FORMATS`; None detects it.
-        camera_convention: Camera axes of the stored poses: "opengl" (y up, z backward) or "opencv" (y down,
-            z forward).
-        pose_direction: Direction of the stored poses: "camera-to-world" or "world-to-camera".
-        world_up: Up direction of the stored world: x, y, z, -x, -y, -z or a 3-vector.
-        depth_unit_m: Metres for one stored unit of depth.
-        depth_key: Key of the depth map in a transforms.json that lists several.
-        min_confidence: Depth of lower confidence is removed; ARKit's levels are 0 (low), 1 and 2. Default 1.
-        every: Read every n-th record.
-        max_frames: Read at most this many records.
+        format: Use this reader instead of the one that recognises the files: roomlight, nerfstudio, stray-scanner,
+            record3d, tum or seven-scenes.
+        camera_convention: Camera axes of the stored poses: opengl (y up, z backward) or opencv (y down, z forward).
+        pose_direction: Direction in which the stored poses map.
+        world_up: Up direction of the stored world: x, y, z, -x, -y, -z, or a vector X,Y,Z.
+        depth_unit_m: Metres per stored unit of depth.
+        depth_key: Which depth map of a transforms.json to read, e.g. depth_lidar_file_path.
+        min_confidence: Drop depth of lower confidence; ARKit's levels are 0 (low), 1 and 2. Default: 1.
+        every: Use every n-th frame only.
+        max_frames: Use at most this many frames.
 
     Raises:
         OptionError: A value is out of range or unknown.
     """
 
     format: str | None = None
-    camera_convention: str | None = None
-    pose_direction: str | None = None
+    camera_convention: CameraConvention | None = None
+    pose_direction: PoseDirection | None = None
     world_up: str | tuple[float, float, float] | None = None
-    depth_unit_m: float | None = None
+    depth_unit_m: Annotated[float, Interval(ge=1e-9, le=1e3)] | None = None
     depth_key: str | None = None
-    min_confidence: int | None = None
-    every: int = 1
-    max_frames: int | None = None
+    min_confidence: Annotated[int, Interval(ge=0, le=255)] | None = None
+    every: Annotated[int, Ge(1)] = 1
+    max_frames: Annotated[int, Ge(1)] | None = None
 
     def __post_init__(self) -> None:
-        _check_choice("camera_convention", self.camera_convention, get_args(CameraConvention))
-        _check_choice("pose_direction", self.pose_direction, get_args(PoseDirection))
+        check_options(self)
         if self.world_up is not None:
             try:
                 up_vector(self.world_up)
             except ValueError as error:
                 raise OptionError(str(error)) from error
-        unit = self.depth_unit_m
-        if unit is not None and not 1e-9 <= unit <= 1e3:
-            raise OptionError(f"depth_unit_m is {unit}; it must be the metres for one stored unit, 1e-9 to 1000")
-        if self.every < 1:
-            raise OptionError(f"every is {self.every}; it must be 1 or more")
-        if self.max_frames is not None and self.max_frames < 1:
-            raise OptionError(f"max_frames is {self.max_frames}; it must be 1 or more")
-
-
-def _check_choice(name: str, value: str | None, choices: tuple[str, ...]) -> None:
-    if value is not None and value not in choices:
-        raise OptionError(f"{name} is {value!r}; it must be one of {', '.join(choices)}")
 
 
 def up_vector(world_up: str | tuple[float, float, float]) -> tuple[float, float, float]:

@@ -12,13 +12,15 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from annotated_types import Interval
 from rich.table import Table
 
 from roomlight import sample_capture
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.placement import point_in_view
+from roomlight.rules import check_options
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.messages import ModelName
 from roomlight_bench.server.replicas import ReplicaBenchOptions, send_frames
@@ -54,18 +56,21 @@ class Assumptions:
     Attributes:
         fps: Frames per second that a phone sends.
         cores: Cores of a machine.
-        memory_bytes: Memory of a machine for sessions.
+        memory_gb: Memory of a machine for sessions, in GB.
         load: Share of a machine's time that is planned for; the rest is for peaks and for the loss of a machine.
-        proxy_ratio: Time of a frame through the front (Ray, nginx) over that without.
-        state_interval_s: `--state-interval-s` of the servers; 0: sessions are not saved.
+        ratio: Time of a frame through the front (Ray, nginx) over that without (`roomlight bench replicas`).
+        state_interval_s: The servers' --state-interval-s; 0: sessions are not saved.
     """
 
-    fps: float = 3.0
-    cores: int = 16
-    memory_bytes: float = 48e9
-    load: float = 0.6
-    proxy_ratio: float = 1.0
-    state_interval_s: float = 5.0
+    fps: Annotated[float, Interval(ge=0.01, le=60)] = 3.0
+    cores: Annotated[int, Interval(ge=1, le=1024)] = 16
+    memory_gb: Annotated[float, Interval(ge=0.5, le=10_000)] = 48.0
+    load: Annotated[float, Interval(ge=0.05, le=1)] = 0.6
+    ratio: Annotated[float, Interval(ge=1, le=10)] = 1.0
+    state_interval_s: Annotated[float, Interval(ge=0, le=3600)] = 5.0
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass(frozen=True)
@@ -96,9 +101,9 @@ def machines_for(phones: int, cost: ServiceCost, assumed: Assumptions) -> Capaci
     machines by memory: phones * bytes of a session / memory of a machine, rounded up.
     state traffic: phones * bytes of a state * 2.5 / interval, as a changing session is saved 2.5 times per interval.
     """
-    frames_per_s = assumed.cores * cost.frames_per_core_s * assumed.load / assumed.proxy_ratio
+    frames_per_s = assumed.cores * cost.frames_per_core_s * assumed.load / assumed.ratio
     by_frames = math.ceil(phones * assumed.fps / frames_per_s)
-    by_memory = math.ceil(phones * cost.session_bytes / assumed.memory_bytes)
+    by_memory = math.ceil(phones * cost.session_bytes / (1e9 * assumed.memory_gb))
     saves_per_s = SAVES_PER_INTERVAL / assumed.state_interval_s if assumed.state_interval_s else 0.0
     return Capacity(
         phones=phones,
@@ -128,8 +133,8 @@ class CapacityReport:
             f"measured, model {self.model}: {cost.frames_per_core_s:.1f} frames/s a core ({self.cores} cores), "
             f"{cost.frame_bytes / 1e3:.0f} kB a frame, {cost.state_bytes / 1e6:.1f} MB a state, "
             f"{cost.session_bytes / 1e6:.0f} MB a session; assumed: {assumed.fps:g} frames/s a phone, "
-            f"{assumed.cores} cores and {assumed.memory_bytes / 1e9:.0f} GB a machine, load {assumed.load:.0%}, "
-            f"front x {assumed.proxy_ratio:.2f}, saved within {assumed.state_interval_s:g} s"
+            f"{assumed.cores} cores and {assumed.memory_gb:.0f} GB a machine, load {assumed.load:.0%}, "
+            f"front x {assumed.ratio:.2f}, saved within {assumed.state_interval_s:g} s"
         )
         headings = ("phones", "machines", "by frames", "by memory", "frames, MB/s", "states, MB/s", "states, MB/s each")
         table = Table(*headings, title=title, title_justify="left")

@@ -17,8 +17,9 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from annotated_types import Ge, Interval
 from rich.table import Table
 
 from roomlight import sample_capture
@@ -27,6 +28,7 @@ from roomlight.conventions import Position
 from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
 from roomlight.errors import ServerError
 from roomlight.placement import point_in_view
+from roomlight.rules import check_options
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
@@ -54,12 +56,15 @@ class DurabilityOptions:
     """
 
     model: ModelName = "classical"
-    kills: int = 200
-    interval_s: float = 2.0
-    longest_s: float = 4.0
-    height: int = 48
-    frames: int = 24
+    kills: Annotated[int, Interval(ge=1, le=100_000)] = 200
+    interval_s: Annotated[float, Interval(ge=0.1, le=60)] = 2.0
+    longest_s: Annotated[float, Interval(ge=0.1, le=600)] = 4.0
+    height: Annotated[int, Interval(ge=16, le=512)] = 48
+    frames: Annotated[int, Ge(1)] = 24
     seed: int = 1
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass

@@ -17,11 +17,14 @@ from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Annotated, Any, Final
+
+from annotated_types import Interval
 
 from roomlight.captures import CaptureOptions, open_capture
-from roomlight.errors import ServerError
+from roomlight.errors import OptionError, ServerError
 from roomlight.placement import point_in_view
+from roomlight.rules import check_options
 from roomlight.sample import sample_capture
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.messages import ModelName
@@ -47,18 +50,25 @@ class HostileOptions:
     """What is measured.
 
     Attributes:
-        minutes: Duration of the whole run: a fifth is the neighbour alone, the rest is shared by the attacks.
-        attacks: Names of the attacks, of `hostile_client.ATTACKS`.
+        minutes: Minutes of the whole run: a fifth is the neighbour alone, the rest is shared by the attacks.
+        attacks: Run this attack alone. Repeatable. Default: all.
         fps: Frames per second of the neighbour.
         model: Model of the neighbour's session.
         height: Rows of the neighbour's panoramas.
     """
 
-    minutes: float = 10.0
-    attacks: tuple[str, ...] = tuple(ATTACKS)
-    fps: float = 2.0
+    minutes: Annotated[float, Interval(ge=0.05, le=600)] = 10.0
+    attacks: tuple[str, ...] = ()
+    fps: Annotated[float, Interval(ge=0.1, le=60)] = 2.0
     model: ModelName = "auto"
-    height: int = 120
+    height: Annotated[int, Interval(ge=16, le=512)] = 120
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        for attack in self.attacks:
+            if attack not in ATTACKS:
+                raise OptionError(f"attacks holds {attack!r}; it must be one of {', '.join(ATTACKS)}")
+        object.__setattr__(self, "attacks", self.attacks or tuple(ATTACKS))
 
     @property
     def alone_s(self) -> float:

@@ -14,17 +14,19 @@ from contextlib import AsyncExitStack
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import fmean, median
-from typing import Any, Final
+from typing import Annotated, Any, Final
 
+from annotated_types import Interval
 from rich.table import Table
 
 from roomlight import sample_capture
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
 from roomlight.placement import point_in_view
+from roomlight.rules import check_options
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.messages import ModelName
-from roomlight_bench.reporting import describe_machine, short_number
+from roomlight_bench.reporting import Counts, describe_machine, short_number
 from roomlight_bench.server.server_load import PROBE, TIMEOUTS, frame_call
 from roomlight_bench.server.server_process import ServerProcess
 from roomlight_bench.timing import ProgressCallback
@@ -40,18 +42,21 @@ class ReplicaBenchOptions:
     """What is measured.
 
     Attributes:
-        replicas: Numbers of replicas, a row each.
+        replicas: Numbers of replicas, separated by commas: a row each.
         phones: Phones at the same time.
-        seconds: How long they send, for each row, and how long one phone alone sends before.
+        seconds: Seconds of sending for each row, and as many of one phone alone before.
         model: Model of the sessions.
         height: Rows of the panoramas.
     """
 
-    replicas: tuple[int, ...] = (1, 2, 3)
-    phones: int = 6
-    seconds: float = 12.0
+    replicas: Counts = (1, 2, 3)
+    phones: Annotated[int, Interval(ge=1, le=1000)] = 6
+    seconds: Annotated[float, Interval(ge=0.5, le=3600)] = 12.0
     model: ModelName = "classical"
-    height: int = 120
+    height: Annotated[int, Interval(ge=16, le=512)] = 120
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,10 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from statistics import fmean, median
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
+from annotated_types import Ge, Interval
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
@@ -22,12 +23,13 @@ from roomlight.engine.session import WORKING_SIZE, SessionOptions
 from roomlight.engine.session import Session as Engine
 from roomlight.frame import Frame
 from roomlight.placement import point_in_view
+from roomlight.rules import check_options
 from roomlight.sample import sample_capture
 from roomlight.threads import thread_count
 from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_message import FrameLimits
 from roomlight.wire.messages import ModelName
-from roomlight_bench.reporting import describe_machine
+from roomlight_bench.reporting import Counts, describe_machine
 from roomlight_bench.server.server_load import FORMS, PROBE, TIMEOUTS, Load, Outcome, Phones, frame_call
 from roomlight_bench.server.server_process import ServerProcess, polling_health
 from roomlight_bench.server.server_report import Latencies, LoadRow, OverheadRow, ProbeRow, ServerReport
@@ -49,29 +51,32 @@ class ServerBenchOptions:
     """What is measured.
 
     Attributes:
-        sessions: Numbers of sessions at the same time, a row each.
-        seconds: How long phones stream, for each row.
+        sessions: Numbers of sessions at the same time, separated by commas: a row each.
+        seconds: Seconds of streaming for each row.
         fps: Frames per second that each phone sends.
-        points: Numbers of probes, a row each; late probes up to `MAX_LATE_PROBES`.
+        points: Numbers of probes, separated by commas: a row each. Late probes up to 16.
         rounds: Requests for light; times are their median.
         passes: How often the frames go through the server and the engine; the least time of each frame counts. More
             passes remove more of the machine's other work from the difference.
         frames: Use at most this many frames of the sample capture; phones start again after the last.
         model: Model of the sessions.
-        weights: A model folder instead of the shipped weights.
+        weights: A model folder of `roomlight export`, instead of the weights inside the package.
         height: Rows of the panoramas.
     """
 
-    sessions: tuple[int, ...] = (1, 4, 16, 64)
-    seconds: float = 12.0
-    fps: float = 3.0
-    points: tuple[int, ...] = (1, 4, 16, 64)
-    rounds: int = 3
-    passes: int = 8
-    frames: int | None = None
+    sessions: Counts = (1, 4, 16, 64)
+    seconds: Annotated[float, Interval(ge=0.5, le=3600)] = 12.0
+    fps: Annotated[float, Interval(ge=0.1, le=60)] = 3.0
+    points: Counts = (1, 4, 16, 64)
+    rounds: Annotated[int, Ge(1)] = 3
+    passes: Annotated[int, Ge(1)] = 8
+    frames: Annotated[int, Ge(1)] | None = None
     model: ModelName = "auto"
     weights: Path | None = None
-    height: int = 120
+    height: Annotated[int, Interval(ge=16, le=512)] = 120
+
+    def __post_init__(self) -> None:
+        check_options(self)
 
     @property
     def serve_arguments(self) -> list[str]:
@@ -130,7 +135,13 @@ def run_server_bench(options: ServerBenchOptions, *, progress: ProgressCallback 
 
 
 def _engine(options: ServerBenchOptions) -> Engine:
-    return Engine(SessionOptions(model=options.model, weights=options.weights, height=options.height))
+    return Engine(
+        SessionOptions(
+            model=options.model,
+            weights=options.weights,
+            height=options.height,
+        )
+    )
 
 
 def _open(client: Client, options: ServerBenchOptions) -> Session:

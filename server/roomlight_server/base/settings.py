@@ -31,34 +31,42 @@ class ServerSettings(BaseSettings):
     """Settings of a server. The field `max_sessions` is the variable `ROOMLIGHT_MAX_SESSIONS`.
 
     Attributes:
+        host: Address to listen on. Any but loopback needs a token.
+        port: Port; 0 takes any free one.
         tokens: Bearer tokens. A session belongs to the token that opened it. Without tokens: loopback only.
-        token_file: File with more tokens, one per line; `#` starts a comment.
-        allow_origins: Web origins whose pages may use the server (CORS and WebSocket), or `*`.
-        allow_hosts: Names and addresses that the header `Host` may have; empty allows all. Without a token they are
-            those of loopback.
-        tls_cert: Certificate chain in PEM; the server then speaks HTTPS.
+        token_file: File of more bearer tokens, one per line; `#` starts a comment. Or set ROOMLIGHT_TOKENS.
+        allow_origins: Web origin whose pages may use the server (CORS and WebSocket), or *. Repeatable.
+        allow_hosts: Name or address that the header `Host` may have. Repeatable. Default: any; without a token those
+            of loopback.
+        tls_cert: Certificate chain in PEM; the server then speaks HTTPS. Default with --lan: made and kept.
         tls_key: Private key of the certificate in PEM.
         public_url: Address by which a phone reaches the server; `/v1/pairing` returns it.
         on_lan: The host is the address by which phones reach the server; listen on loopback besides.
-        model: Meaning of `model: auto`.
-        weights: Folder or file of trained weights; see `roomlight.engine`.
-        provider: Where networks run.
-        keyframes: Frames kept per session for probes that are requested later.
-        max_sessions: Each holds up to 150 MB of keyframes and 20 MB of volume with the default options.
+        model: Model of sessions that ask for auto.
+        weights: A model folder of `roomlight export`, instead of the weights inside the package.
+        provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.
+        keyframes: Frames kept per session for probes that are requested later, 5.4 MB each.
+        max_sessions: Sessions at the same time. Each holds up to 150 MB of keyframes and 20 MB of volume.
         max_session_bytes: Sessions whose options could exceed this are rejected.
         max_probes: Named probes per session. Each adds to the time of every frame.
         frames_in_flight: Frames per session that are being uploaded, decoded or awaited, before 429.
-        idle_expiry_s: A session without requests for this time is deleted; with a state directory, it leaves memory.
+        idle_expiry_s: Delete a session after this many seconds without a request; with a state directory, it leaves
+            memory only.
         state_dir: Folder in which sessions are saved, so that they survive a restart. Default: they are not saved.
         state_shared: Other servers use the state directory too; a session belongs to one of them at a time.
-        state_interval_s: A change of a session is on disk after this time at the latest.
-        state_expiry_s: A saved session without requests for this time is erased.
+        state_interval_s: A change of a session is on disk after this many seconds at the latest.
+        state_expiry_s: Erase a saved session after this many seconds without a request.
         body_timeout_s: Time limit for receiving the body of a request.
-        engine_threads: Sessions whose frames are processed at once. Each already uses `ROOMLIGHT_THREADS` threads, so
-            more than 1 trades latency per frame for less waiting.
+        max_body_bytes: Largest frame in bytes.
+        max_colour_pixels: Largest colour image of a frame.
+        max_depth_pixels: Largest depth map of a frame.
+        engine_threads: Sessions whose frames are processed at the same time. Each already uses `ROOMLIGHT_THREADS`
+            threads, so more than 1 trades latency per frame for less waiting.
         decode_threads: Images decoded at once. As many decoding processes are started. With several tokens, one
             thread is left for the others.
         encode_threads: Lights encoded at once. With several tokens, one thread is left for the others.
+        log_level: Least level of the lines in the log.
+        access_log: Log a line for each request.
         max_connections: Connections at once; half of the usual limit of 1,024 open files.
         max_connections_per_address: Connections at once from one address. Behind a proxy all share its address.
         max_header_bytes: Largest request line and headers. The WebSocket library limits each line to 8 KiB besides.

@@ -138,8 +138,6 @@ def test_override_of_the_depth_unit(built: tuple[str, Path]) -> None:
 @pytest.mark.parametrize(
     "options",
     [
-        {"camera_convention": "maya"},
-        {"pose_direction": "both"},
         {"world_up": "up"},
         {"world_up": (0.0, 0.0, 0.0)},
         {"world_up": (0.0, float("nan"), 1.0)},

@@ -246,13 +246,13 @@ def test_heights_out_of_range_are_refused(height):
 
 @pytest.mark.parametrize("hedge", [-0.1, 1.5, float("nan")])
 def test_a_hedge_outside_0_to_1_is_refused(hedge):
-    with pytest.raises(ValueError, match=f"hedge must be 0 .* to 1 .*, got {hedge}"):
+    with pytest.raises(ValueError, match=f"hedge is {hedge}; it must be 0 to 1"):
         SessionOptions(hedge=hedge)
 
 
 @pytest.mark.parametrize("keyframes", [0, -3])
 def test_a_keyframe_store_of_size_zero_is_refused(keyframes):
-    with pytest.raises(ValueError, match=f"keyframes must be 1 or more, got {keyframes}"):
+    with pytest.raises(ValueError, match=f"keyframes is {keyframes}; it must be 1 or more"):
         SessionOptions(keyframes=keyframes)
 
 

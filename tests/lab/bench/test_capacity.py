@@ -10,17 +10,17 @@ from roomlight_bench.server.capacity import Assumptions, CapacityReport, Service
 from roomlight_bench.server.replicas import ReplicaBenchOptions, ReplicaReport, ReplicaRow
 
 COST = ServiceCost(frames_per_core_s=10.0, frame_bytes=40e3, state_bytes=4e6, session_bytes=100e6)
-ASSUMED = Assumptions(fps=2.0, cores=8, memory_bytes=10e9, load=0.5, state_interval_s=10.0)
+ASSUMED = Assumptions(fps=2.0, cores=8, memory_gb=10.0, load=0.5, state_interval_s=10.0)
 PAGE = Path(__file__).parents[3] / "docs" / "capacity.md"
 
 
 def test_the_scarcer_of_time_and_memory_decides():
     found = machines_for(1000, COST, ASSUMED)
     assert (found.by_frames, found.by_memory, found.machines) == (50, 10, 50)
-    found = machines_for(1000, COST, replace(ASSUMED, memory_bytes=1e9))
+    found = machines_for(1000, COST, replace(ASSUMED, memory_gb=1.0))
     assert (found.by_frames, found.by_memory, found.machines) == (50, 100, 100)
     assert machines_for(1, COST, ASSUMED).machines == 1
-    assert machines_for(1000, COST, replace(ASSUMED, proxy_ratio=1.5)).by_frames == 75
+    assert machines_for(1000, COST, replace(ASSUMED, ratio=1.5)).by_frames == 75
 
 
 def test_traffic_is_that_of_all_phones():

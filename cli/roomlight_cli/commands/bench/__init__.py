@@ -4,55 +4,57 @@ from typing import Final
 
 from roomlight_cli.lazy import CommandEntry, lazy_app
 
+_COMMANDS: Final = "roomlight_cli.commands.bench"
+
 BENCHMARKS: Final = (
     CommandEntry(
         "stages",
-        "roomlight_cli.commands.bench.stages",
+        f"{_COMMANDS}.engine:stages",
         "Time each stage beside its reference and plain PyTorch; networks also against this machine's peak.",
     ),
     CommandEntry(
         "server",
-        "roomlight_cli.commands.bench.server",
+        f"{_COMMANDS}.server:server",
         "Load a server on this machine with streaming phones, beside direct engine calls (3 minutes).",
     ),
     CommandEntry(
         "hostile",
-        "roomlight_cli.commands.bench.hostile",
+        f"{_COMMANDS}.server:hostile",
         "Attack a server on this machine while a neighbour streams: frames that it keeps, latency, memory.",
     ),
     CommandEntry(
         "durability",
-        "roomlight_cli.commands.bench.durability",
+        f"{_COMMANDS}.server:durability",
         "Kill a server on this machine while a client streams: frames that are lost, light, time to restore.",
     ),
     CommandEntry(
         "replicas",
-        "roomlight_cli.commands.bench.replicas",
+        f"{_COMMANDS}.server:replicas",
         "Compare replicas under Ray Serve with a plain server on this machine (3 minutes; extra `ray`).",
     ),
     CommandEntry(
         "capacity",
-        "roomlight_cli.commands.bench.capacity",
+        f"{_COMMANDS}.server:capacity",
         "Compute the machines for 100, 10,000 and a million phones from what a server does here (half a minute).",
     ),
     CommandEntry(
         "composite",
-        "roomlight_cli.commands.bench.composite",
+        f"{_COMMANDS}.engine:composite",
         "Measure what virtual objects in a frame cost by part, and how much they shimmer.",
     ),
     CommandEntry(
         "widths",
-        "roomlight_cli.commands.bench.widths",
+        f"{_COMMANDS}.training:widths",
         "Measure what each width of the networks costs (needs the `train` extra; minutes).",
     ),
     CommandEntry(
         "train",
-        "roomlight_cli.commands.bench.train",
+        f"{_COMMANDS}.training:train",
         "Measure what a training step costs by part (needs the `train` extra).",
     ),
     CommandEntry(
         "rendering",
-        "roomlight_cli.commands.bench.rendering",
+        f"{_COMMANDS}.training:rendering",
         "Compare importance sampling of the rendering layer with uniform directions (needs the `train` extra).",
     ),
 )

@@ -1,1 +1,38 @@
-"""One module for each command `roomlight eval...`."""
+"""`roomlight eval`: light against ground truth, each kind of score a command of its own."""
+
+from typing import Final
+
+from roomlight_cli.lazy import CommandEntry, lazy_app
+
+_COMMANDS: Final = "roomlight_cli.commands.evaluation"
+
+EVALUATIONS: Final = (
+    CommandEntry(
+        "captures", f"{_COMMANDS}.captures:captures", "Score light against the ground-truth probes of recordings."
+    ),
+    CommandEntry(
+        "views", f"{_COMMANDS}.captures:views", "Predict later frames of recordings from the frames before them."
+    ),
+    CommandEntry(
+        "dataset",
+        f"{_COMMANDS}.rooms:dataset",
+        "Score light from single images on a dataset of rooms that no network was trained on.",
+    ),
+    CommandEntry(
+        "walks",
+        f"{_COMMANDS}.rooms:walks",
+        "Score the recurrent networks on walks through rooms that no network was trained on.",
+    ),
+    CommandEntry(
+        "composite",
+        f"{_COMMANDS}.objects:composite",
+        "Compare virtual objects in pictures with the same rooms with the object really in them.",
+    ),
+    CommandEntry(
+        "objects",
+        f"{_COMMANDS}.objects:objects",
+        "Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.",
+    ),
+)
+
+app = lazy_app(EVALUATIONS, help_text="Score light against ground truth.")

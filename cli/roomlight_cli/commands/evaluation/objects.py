@@ -1,50 +1,109 @@
-"""`roomlight eval-objects`: spheres and shadows in the light after a few frames, in many rooms with ground truth."""
+"""`roomlight eval composite` and `objects`: virtual objects scored beside the same objects under the true light."""
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-import typer
-from rich.markup import escape
+from annotated_types import Ge
 
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import SessionOptions, warm_up
+from roomlight.engine.session import warm_up
 from roomlight.files import write_atomic
-from roomlight_cli import arguments, console
-from roomlight_cli.lazy import single_command_app
+from roomlight_cli.console import print_tables, say
+from roomlight_cli.progress import Progress
+from roomlight_cli.shared_options import ScoredLight, ScoresJson
+from roomlight_evaluation.composites.evaluation import evaluate_composites, evaluate_mitsuba
+from roomlight_evaluation.composites.scores import METRICS, write_line
+from roomlight_evaluation.composites.tables import composite_markdown, composite_table, summary
 from roomlight_evaluation.objects.evaluation import evaluate_objects
 from roomlight_evaluation.objects.tables import object_markdown, object_table
 
-app = single_command_app()
+
+@dataclass(frozen=True)
+class CompositeScoreOptions:
+    """Which scenes are scored, and what is written.
+
+    Attributes:
+        scenes: Rooms, each with one object.
+        seed: Of rooms, walks and objects.
+        keep: Folder of rendered scenes, to score several models on the same ones.
+        pictures: Also write a PNG of each scene: truth, ours, true panorama, SH + directional.
+        mitsuba: Score six views rendered by Mitsuba instead (needs mitsuba).
+        markdown: Also write the tables as Markdown.
+    """
+
+    scenes: Annotated[int, Ge(1)] = 40
+    seed: Annotated[int, Ge(0)] = 0
+    keep: Path | None = None
+    pictures: Path | None = None
+    mitsuba: bool = False
+    markdown: Path | None = None
 
 
-@app.command("eval-objects")
-def eval_objects(
-    sources: Annotated[list[Path], typer.Argument(help="Captures with ground-truth probes, and dataset folders.")],
-    frames: Annotated[int, typer.Option(min=1, help="Show this many frames of each recording, evenly spread.")] = 6,
-    split: Annotated[Split, typer.Option(help="Of dataset folders; no network is trained on test.")] = "test",
-    limit: Annotated[int | None, typer.Option(min=1, help="Use this many walks of each dataset.")] = None,
-    json_out: Annotated[Path | None, typer.Option("--json", help="Also write every room's errors as JSON.")] = None,
-    markdown_out: Annotated[Path | None, typer.Option("--markdown", help="Also write the tables as Markdown.")] = None,
-    model: arguments.Model = "auto",
-    weights: arguments.Weights = None,
+def composite(out: Path, options: CompositeScoreOptions, light: ScoredLight) -> None:
+    """Compare virtual objects in pictures with the same rooms with the object really in them.
+
+    A scene takes about a minute of processor time: the light of its room is solved three times.
+
+    Args:
+        out: File of results, a JSON line a scene; a run continues where it ended.
+        options: What to score.
+        light: How to estimate the light.
+    """
+    with Progress("compiling kernels (first run only)") as progress:
+        warm_up()
+        if options.mitsuba:
+            progress.say("rendering with Mitsuba")
+            scores = evaluate_mitsuba(options=light, pictures=options.pictures)
+        else:
+            scores = evaluate_composites(
+                options.scenes,
+                out,
+                seed=options.seed,
+                options=light,
+                keep=options.keep,
+                pictures=options.pictures,
+                progress=lambda done, total, note: progress.count_of(note, done, total),
+            )
+    print_tables(*(composite_table(scores, metric) for metric in METRICS))
+    for line in summary(scores):
+        say(line)
+    if options.mitsuba:
+        for score in scores.scenes:
+            write_line(out, score)
+    if options.markdown:
+        write_atomic(options.markdown, composite_markdown(scores).encode())
+
+
+def objects(
+    sources: tuple[Path, ...],
+    light: ScoredLight,
+    *,
+    frames: Annotated[int, Ge(1)] = 6,
+    split: Split = "test",
+    limit: Annotated[int, Ge(1)] | None = None,
+    json: ScoresJson = None,
+    markdown: Path | None = None,
 ) -> None:
     """Score spheres and a sphere's shadow in the light after a few frames, in many rooms with ground truth.
 
     The table compares the model, as it is and as composites change it, with SH + directional light
     and other simple lights. Half a second to two seconds a room.
+
+    Args:
+        sources: Captures with ground-truth probes, and dataset folders.
+        light: How to estimate the light.
+        frames: Show this many frames of each recording, evenly spread.
+        split: Of dataset folders; no network is trained on test.
+        limit: Use this many walks of each dataset.
+        markdown: Also write the tables as Markdown.
     """
-    options = SessionOptions(model=model, weights=weights)
-    with console.progress_bars() as bars:
-        task = bars.add_task("compiling kernels (first run only)", total=None)
+    with Progress("compiling kernels (first run only)") as progress:
         warm_up()
-
-        def show(name: str, done: int, total: int) -> None:
-            bars.update(task, description=escape(f"scoring {name}"), completed=done, total=total)
-
-        scores = evaluate_objects(sources, options, frames=frames, split=split, limit=limit, progress=show)
-    console.print_table(console.out, object_table(scores))
-    if json_out:
-        scores.write(json_out)
-        console.say(f"Scores: {json_out}")
-    if markdown_out:
-        write_atomic(markdown_out, object_markdown(scores).encode())
+        scores = evaluate_objects(sources, light, frames=frames, split=split, limit=limit, progress=progress.count_of)
+    print_tables(object_table(scores))
+    if json:
+        scores.write(json)
+        say(f"Scores: {json}")
+    if markdown:
+        write_atomic(markdown, object_markdown(scores).encode())

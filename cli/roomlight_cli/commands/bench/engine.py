@@ -1,0 +1,61 @@
+"""`roomlight bench stages` and `composite`: the engine's stages, and virtual objects in frames, part by part."""
+
+from pathlib import Path
+from typing import Annotated
+
+from annotated_types import Ge, Interval
+
+from roomlight.errors import OptionError
+from roomlight_bench.compositing.composite import run_composite
+from roomlight_bench.compositing.rivals import RivalReport, run_rivals, run_sizes
+from roomlight_bench.reporting import criteria_table
+from roomlight_bench.stages.stages import run_stages
+from roomlight_cli import console
+from roomlight_cli.console import show_report
+from roomlight_cli.progress import Progress
+from roomlight_cli.shared_options import FiguresJson
+
+
+def stages(*, repeats: Annotated[int, Ge(1)] = 7, weights: Path | None = None, json: FiguresJson = None) -> None:
+    """Time each stage beside its reference and plain PyTorch; networks also against this machine's peak.
+
+    Args:
+        repeats: Interleaved repeats of each stage.
+        weights: A model folder of `roomlight export`. Default: untrained networks are exported for the run.
+    """
+    with Progress("measuring") as progress:
+        report = run_stages(repeats=repeats, model=weights, progress=progress.say)
+    show_report(report, json, report.table(width=console.out.width))
+
+
+def composite(
+    *,
+    frames: Annotated[int, Interval(ge=1, le=1000)] = 30,
+    final: bool = False,
+    sizes: bool = False,
+    mitsuba: bool = False,
+    json: FiguresJson = None,
+) -> None:
+    """Measure what virtual objects in a frame cost by part, and how much they shimmer.
+
+    Args:
+        frames: Measured frames of a preview; good takes a quarter, final a tenth.
+        final: Also measure the quality final (minutes).
+        sizes: Instead: a sphere by triangles and pixels.
+        mitsuba: Instead: the same spheres in Mitsuba 3, if it is installed.
+    """
+    with Progress("measuring") as progress:
+        if not sizes and not mitsuba:
+            report = run_composite(frames=frames, final=final, progress=progress.say)
+            tables = [report.table(), report.shimmer_table(), criteria_table(report.criteria())]
+        else:
+            try:
+                report = RivalReport(
+                    run_sizes(progress=progress.say) if sizes else (),
+                    run_rivals(progress=progress.say) if mitsuba else (),
+                )
+            except ImportError as error:
+                raise OptionError(f"`mitsuba` needs Mitsuba 3, pip install mitsuba: {error}") from error
+            tables = [report.size_table()] if sizes else []
+            tables += [report.rival_table(), criteria_table(report.criteria())] if mitsuba else []
+    show_report(report, json, *tables)

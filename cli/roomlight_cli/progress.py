@@ -1,0 +1,89 @@
+"""Progress of a command on standard error: a bar on a terminal, a line every ten seconds elsewhere."""
+
+import threading
+import time
+from types import TracebackType
+from typing import Final
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import Progress as Bars
+
+from roomlight_cli import console as consoles
+
+LINE_EVERY_S: Final = 10.0
+
+
+class Progress:
+    """The state of a task, for use in a `with` statement.
+
+        with Progress("replaying") as progress:
+            replay(..., progress=progress.count)
+
+    Args:
+        text: What is being done.
+        console: Where it is shown; default: standard error.
+    """
+
+    def __init__(self, text: str, console: Console | None = None) -> None:
+        self.console = console or consoles.err
+        self._text, self._done, self._total = text, 0, None
+        self._began_s = time.monotonic()
+        self._ended = threading.Event()
+        self._bars: Bars | None = None
+        if self.console.is_terminal:
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+            self._bars = Bars(*columns, TimeRemainingColumn(), console=self.console, transient=True)
+            self._task = self._bars.add_task(escape(text), total=None)
+
+    def __enter__(self) -> "Progress":
+        if self._bars:
+            self._bars.start()
+        else:
+            threading.Thread(target=self._print_lines, daemon=True).start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended.set()
+        if self._bars:
+            self._bars.stop()
+
+    def say(self, text: str) -> None:
+        """Set what is being done."""
+        self._show(text, self._done, self._total)
+
+    def count(self, done: int, total: int) -> None:
+        """Set how much is done, and of how much."""
+        self._show(self._text, done, total)
+
+    def count_of(self, name: str, done: int, total: int) -> None:
+        """Set what is being done, how much of it is done, and of how much."""
+        self._show(name, done, total)
+
+    def advance(self) -> None:
+        """Count one more."""
+        self._show(self._text, self._done + 1, self._total)
+
+    def line(self) -> str:
+        """Return the state as a line: what, how much, for how long."""
+        count = f" {self._done} of {self._total}" if self._total else ""
+        return f"{self._text}{count}, {duration(time.monotonic() - self._began_s)}"
+
+    def _show(self, text: str, done: int, total: int | None) -> None:
+        self._text, self._done, self._total = text, done, total
+        if self._bars:
+            self._bars.update(self._task, description=escape(text), completed=done, total=total)
+
+    def _print_lines(self) -> None:
+        while not self._ended.wait(LINE_EVERY_S):
+            self.console.print(self.line(), soft_wrap=True, markup=False)
+
+
+def duration(seconds: float) -> str:
+    """Format seconds as 3:07:05 or 7:05."""
+    minutes, rest = divmod(round(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"

@@ -1,0 +1,63 @@
+"""Options that several commands share, each with its text."""
+
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+from roomlight.engine.session import SessionOptions
+from roomlight.errors import OptionError
+from roomlight_cli.options import Check, Flag, Without
+from roomlight_client import RecoveryEvent
+
+POINTS: Final = "Where to light"
+"""Heading of the options that choose points."""
+
+Token = Annotated[
+    str | None,
+    Flag(
+        env="ROOMLIGHT_TOKEN",
+        text="The server's bearer token; better set as ROOMLIGHT_TOKEN, which other users of the machine cannot see.",
+    ),
+]
+FiguresJson = Annotated[Path | None, Flag(text="Also write the figures as JSON.")]
+ScoresJson = Annotated[Path | None, Flag(text="Also write every score as JSON.")]
+Device = Annotated[Literal["auto", "cpu", "cuda"], Flag(text="Where PyTorch runs; auto: a GPU if there is one.")]
+Resolution = Literal["half", "full"]
+"""Of the lighting volume; half costs an eighth of full."""
+
+
+def refuse_unused_weights(session: SessionOptions) -> None:
+    """Refuse weights for a model without networks. Raises OptionError."""
+    if session.model == "classical" and session.weights is not None:
+        raise OptionError(
+            f"leave out weights={session.weights}: model={session.model} does not run networks; "
+            "or choose another `model`"
+        )
+
+
+def refuse_local_model(server: str, session: SessionOptions) -> None:
+    """Refuse weights and a provider for a session on a server. Raises OptionError."""
+    if session.weights is not None or session.provider != "auto":
+        raise OptionError(
+            f"`weights` and `provider` are the server's own: give them to the `roomlight serve` at {server}"
+        )
+
+
+LightOptions = Annotated[SessionOptions, Without("hedge", "keyframes"), Check(refuse_unused_weights)]
+"""How to estimate the light, without what only experiments change."""
+
+ScoredLight = Annotated[SessionOptions, Without("hedge", "keyframes", "height"), Check(refuse_unused_weights)]
+"""How to estimate light that is scored, at one height."""
+ScoredNetworks = Annotated[SessionOptions, Without("model", "hedge", "keyframes", "height")]
+"""How to estimate light where the command chooses the models."""
+
+
+def recovery_line(event: RecoveryEvent) -> str:
+    """Return what the terminal says about a server that is away, or that is back."""
+    if event.state == "waiting":
+        return f"the server is away; waiting for it ({event.error})"
+    again = "the server is back"
+    again += ": it had lost the session, which was opened again" if event.reopened else " with the session"
+    frames = f"{event.resent} frame" + ("" if event.resent == 1 else "s")
+    again += f"; {frames} sent again" if event.resent else ""
+    lost = "; older frames are lost: the light differs from one without the interruption"
+    return again + (lost if event.incomplete else "")

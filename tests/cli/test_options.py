@@ -1,0 +1,206 @@
+"""Commands are made of dataclasses: flags, help, ranges and errors come from the fields."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Literal
+
+import pytest
+from annotated_types import Ge, Interval
+from typer.testing import CliRunner
+
+from roomlight.compositing.recordings import SHAPE_SIZE_M
+from roomlight.errors import FrameError, OptionError
+from roomlight.rules import check_options
+from roomlight_cli import main
+from roomlight_cli.commands.bench import BENCHMARKS
+from roomlight_cli.commands.evaluation import EVALUATIONS
+from roomlight_cli.commands.serve import FLAGS
+from roomlight_cli.compositing import ObjectOptions
+from roomlight_cli.lazy import load_command
+from roomlight_cli.options import Check, Flag, Without, command_app, described
+from roomlight_server.base.settings import ServerSettings
+
+CALLS: list[tuple[object, ...]] = []
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How files are read.
+
+    Attributes:
+        unit_m: Metres per unit.
+        hidden: Not for users.
+    """
+
+    unit_m: Annotated[float, Interval(ge=0, le=10)] = 0.5
+    hidden: int = 7
+
+
+@dataclass(frozen=True)
+class Options:
+    """What is made.
+
+    Attributes:
+        reading: How to read.
+        probes: Light this point,
+            in metres.
+        counts: Numbers of rows.
+        up: A word or a direction.
+        quality: The quality.
+        layers: Write layers.
+        max_frames: At most so many.
+    """
+
+    reading: Annotated[Reading, Without("hidden")] = field(default_factory=Reading)
+    probes: tuple[tuple[float, float, float], ...] = ()
+    counts: tuple[int, ...] = (1, 4)
+    up: str | tuple[float, float, float] | None = None
+    quality: Literal["good", "final"] = "good"
+    layers: bool = False
+    max_frames: Annotated[int, Ge(1)] | None = None
+
+    def __post_init__(self) -> None:
+        check_options(self)
+        if self.layers and self.quality == "final":
+            raise OptionError("layers excludes `quality`='final'")
+
+
+def _refuse_three(options: Options) -> None:
+    if len(options.probes) == 3:
+        raise OptionError("probes are three")
+
+
+def make(
+    source: Path,
+    options: Annotated[Options, Check(_refuse_three)],
+    *,
+    out: Path,
+    token: Annotated[str | None, Flag(env="MAKE_TOKEN", text="A token.")] = None,
+    online: bool = True,
+) -> None:
+    """Make something of a file.
+
+    It takes long.
+
+    Args:
+        source: The file.
+        options: What to make.
+        out: Where it goes.
+        online: Ask the network.
+    """
+    if source.name == "bad":
+        raise FrameError("frame 3: state unit_m, or leave out `max_frames`")
+    CALLS.append((source, options, out, token, online))
+
+
+APP = command_app(make)
+
+
+def run(*arguments: str, **environment: str) -> tuple[int, str]:
+    result = CliRunner().invoke(APP, list(arguments), env=environment, terminal_width=200)
+    return result.exit_code, " ".join((result.output).replace("│", " ").split())
+
+
+def made(*arguments: str, **environment: str) -> tuple[object, ...]:
+    code, text = run("in", "--out", "there", *arguments, **environment)
+    assert code == 0, text
+    return CALLS.pop()
+
+
+def test_without_options_the_defaults_of_the_fields_apply():
+    assert made() == (Path("in"), Options(), Path("there"), None, True)
+
+
+def test_values_reach_their_fields():
+    _, options, _, token, online = made(
+        "--unit", "2", "--probe", "1,2,3", "--probe", "-1,0,0.5", "--counts", "8", "--up", "-z", "--layers",
+        "--max-frames", "3", "--no-online", MAKE_TOKEN="secret",
+    )  # fmt: skip
+    expected = Options(Reading(2.0), ((1.0, 2.0, 3.0), (-1.0, 0.0, 0.5)), (8,), up="-z", layers=True, max_frames=3)
+    assert (options, token, online) == (expected, "secret", False)
+    assert made("--up", "0,0,-1")[1] == Options(up=(0.0, 0.0, -1.0))
+
+
+def test_help_is_that_of_the_docstrings():
+    code, text = run("-h")
+    assert code == 0
+    for words in (
+        "Make something of a file. It takes long.", "The file.", "Light this point, in metres.", "A token.",
+        "0<=x<=10", "good|final", "default: 1,4", "─ How to read ─", "─ What to make ─", "env var: MAKE_TOKEN",
+        "X,Y,Z", "Ask the network.",
+    ):  # fmt: skip
+        assert words in text
+    assert "hidden" not in text
+    assert "Args:" not in text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--unit", "11"), "'--unit': Input should be less than or equal to 10"),
+        (("--max-frames", "0"), "'--max-frames': Input should be greater than or equal to 1"),
+        (("--quality", "best"), "'--quality': Value error, 'best' is not one of 'good', 'final'"),
+        (("--probe", "1,2"), "Invalid value for '--probe': a position or direction is X,Y,Z"),
+        (("--counts", "1,x"), "Invalid value for '--counts': whole numbers are separated by commas"),
+        (("--layers", "--quality", "final"), "--layers excludes --quality='final'"),
+        (("--probe", "1,2,3") * 3, "--probe are three"),
+        (("--hidden", "3"), "No such option: --hidden"),
+    ],
+)
+def test_a_refused_value_is_a_usage_error_with_its_flag(arguments, message):
+    code, text = run("in", "--out", "there", *arguments)
+    assert code == 2
+    assert message in text
+
+
+def test_a_missing_option_is_named():
+    code, text = run("in")
+    assert code == 2
+    assert "Missing option '--out'" in text
+
+
+def test_an_error_of_the_command_is_one_line_with_flags():
+    code, text = run("bad", "--out", "there")
+    assert code == 1
+    assert text == "error: frame 3: state --unit, or leave out --max-frames"
+
+
+def test_an_option_without_a_text_is_refused():
+    def silent(*, out: Path) -> None:
+        """Do nothing."""
+
+    with pytest.raises(ValueError, match="the option out has no text"):
+        command_app(silent)
+
+
+def test_two_options_of_one_name_are_refused():
+    def twice(options: Options, *, quality: str) -> None:
+        """Do nothing.
+
+        Args:
+            options: Options.
+            quality: Quality.
+        """
+
+    with pytest.raises(ValueError, match="two options have the name quality"):
+        command_app(twice)
+
+
+def test_texts_of_a_section_end_with_it():
+    assert described(make, "Args").keys() == {"source", "options", "out", "online"}
+    assert described(Options, "Attributes")["probes"] == "Light this point, in metres."
+
+
+@pytest.mark.parametrize("entry", [*main.COMMANDS, *EVALUATIONS, *BENCHMARKS], ids=lambda entry: entry.target)
+def test_every_command_has_help(entry):
+    assert load_command(entry.target).help
+
+
+def test_shapes_are_named_where_they_are_chosen():
+    assert all(f" {shape}" in described(ObjectOptions, "Attributes")["object"] for shape in SHAPE_SIZE_M)
+
+
+def test_every_setting_of_the_server_is_described():
+    texts = described(ServerSettings, "Attributes")
+    assert texts.keys() == ServerSettings.model_fields.keys()
+    assert {name for names in FLAGS.values() for name in names} <= texts.keys()

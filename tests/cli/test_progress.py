@@ -1,0 +1,40 @@
+"""Progress without a terminal is lines; on one it is a bar."""
+
+import io
+
+import pytest
+from rich.console import Console
+
+from roomlight_cli import progress as progress_module
+from roomlight_cli.progress import Progress, duration
+
+
+def test_a_line_says_what_how_much_and_for_how_long() -> None:
+    with Progress("replaying", Console(file=io.StringIO(), width=100)) as shown:
+        assert shown.line() == "replaying, 0:00"
+        shown.count(3, 31)
+        shown.advance()
+        assert shown.line() == "replaying 4 of 31, 0:00"
+        shown.say("drawing")
+        shown.count_of("scoring [room]", 1, 2)
+        assert shown.line() == "scoring [room] 1 of 2, 0:00"
+
+
+def test_lines_are_printed_while_the_work_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(progress_module, "LINE_EVERY_S", 0.001)
+    stream = io.StringIO()
+    with Progress("solving [x]", Console(file=stream, width=100)):
+        while stream.getvalue().count("\n") < 2:
+            pass
+    assert stream.getvalue().splitlines()[0] == "solving [x], 0:00"
+
+
+def test_a_terminal_has_a_bar() -> None:
+    stream = io.StringIO()
+    with Progress("replaying", Console(file=stream, force_terminal=True, width=100)) as shown:
+        shown.count(2, 4)
+    assert "2/4" in stream.getvalue()
+
+
+def test_durations() -> None:
+    assert [duration(s) for s in (0.0, 65.0, 3599.6, 7265.0)] == ["0:00", "1:05", "1:00:00", "2:01:05"]
