@@ -42,7 +42,9 @@ def pausing(pause: Callable[[], object]) -> Generator[None]:
         _pauses.pause = before
 
 
-def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4) -> None:
+def parallel_for(
+    work: Callable[[int, int], object], count: int, *, pieces_per_thread: int = 4, most: int | None = None
+) -> None:
     """Call `work(start, stop)` for pieces of range(count), on this thread and on helpers; return when all have ended.
 
     More pieces than threads balance rays of unequal length. Loops of several threads share the helpers piece by piece,
@@ -50,17 +52,26 @@ def parallel_for(work: Callable[[int, int], object], count: int, *, pieces_per_t
 
     An exception in a piece is raised here after the pieces that had begun have ended, so that none still writes to the
     caller's buffers; the others do not begin.
+
+    Args:
+        work: Does the items start .. stop.
+        count: Number of items.
+        pieces_per_thread: How finely the items are divided, at least.
+        most: Most items of a piece, such as the rays that a buffer holds; None: no limit.
     """
     pause = getattr(_pauses, "pause", None)
     if pause is not None:
         pause()
     threads = thread_count()
-    if threads == 1 or count < 2 * threads:
+    alone = threads == 1 or count < 2 * threads
+    pieces = 1 if alone else min(count, threads * pieces_per_thread)
+    if most is not None:
+        pieces = max(pieces, -(-count // most))
+    if pieces == 1:
         work(0, count)
         return
-    pieces = min(count, threads * pieces_per_thread)
     loop = _Loop(work, [count * piece // pieces for piece in range(pieces + 1)])
-    for _ in range(min(threads, pieces) - 1):
+    for _ in range(0 if alone else min(threads, pieces) - 1):
         _helpers().submit(loop.help)
     while loop.run_piece():
         pass

@@ -138,3 +138,15 @@ def test_an_invalid_thread_count_is_ignored(monkeypatch, variable):
     monkeypatch.setenv("ROOMLIGHT_THREADS", variable)
     assert thread_count() == default
     assert 1 <= default <= 8
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_pieces_hold_at_most_as_many_items_as_asked(monkeypatch, threads):
+    monkeypatch.setenv("ROOMLIGHT_THREADS", threads)
+    pieces = []
+    parallel_for(lambda start, stop: pieces.append((start, stop)), 1003, most=50)
+    assert max(stop - start for start, stop in pieces) <= 50
+    assert sorted(item for start, stop in pieces for item in range(start, stop)) == list(range(1003))
+    pieces.clear()
+    parallel_for(lambda start, stop: pieces.append((start, stop)), 3, most=2)
+    assert sorted(item for start, stop in pieces for item in range(start, stop)) == [0, 1, 2]

@@ -11,7 +11,7 @@ Everything is computed in the frame's own linear radiance: its exposure is the l
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final, Literal, cast, get_args
 
 import numpy as np
@@ -19,7 +19,8 @@ from jaxtyping import Float, Float32, UInt8
 
 from roomlight.camera import transform_points
 from roomlight.compositing.kernels.ground import Supports
-from roomlight.compositing.light.probes import LightAt, SceneProbes
+from roomlight.compositing.kernels.shadows import SurfaceGrid
+from roomlight.compositing.light.probes import LightAt, ObjectProbes
 from roomlight.compositing.light.temporal import FRAME_S, SHADOW_S, DepthFilter, ShadowHistory, elapsed_s, share_of
 from roomlight.compositing.picture.camera_match import CameraModel, add_noise, blur_layer, measure_camera
 from roomlight.compositing.picture.crop import Crop, CropCamera, crop_of_sphere
@@ -27,19 +28,20 @@ from roomlight.compositing.picture.layers import BehindGlass, Composite, compose
 from roomlight.compositing.picture.occlusion import RealDepth, on_carrier, real_depth, visibility
 from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.compositing.placed_object import (
-    StandingObject,
+    PlacedObject,
+    PosedObjects,
     clusters,
-    placed,
+    place_object,
+    placement_of,
     probe_positions,
-    stand,
     supports_of,
 )
-from roomlight.compositing.placement.places import Placement, Plane
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.places import Placement
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.placement.scene import AtPixel, Scene, SceneObject
 from roomlight.compositing.rendering import shadows
 from roomlight.compositing.rendering.renderer import RenderedObjects, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene, is_rigid
+from roomlight.compositing.rendering.tracer import TracedObjects, is_rigid
 from roomlight.depth import complete_depth
 from roomlight.engine.session import Session
 from roomlight.errors import OptionError, SceneError
@@ -100,27 +102,27 @@ class Compositor:
             raise OptionError(f"quality must be one of {', '.join(get_args(Quality))}; got {quality!r}")
         self.scene = scene if isinstance(scene, Scene) else Scene(tuple(scene))
         self.quality: Quality = cast(Quality, quality)
-        self.geometry = SceneGeometry()
+        self.geometry = RoomGeometry()
         self._session, self._seed, self._match = session, seed, match_camera
         self._background_glass, self._max_paths = background_glass, max_paths
-        self._standing: list[StandingObject] = []
-        self._probes = SceneProbes(session, light)
+        self._placed: list[PlacedObject] = []
+        self._probes = ObjectProbes(session, light)
         self._depth, self._shadow = DepthFilter(), ShadowHistory()
-        self._objects: ObjectScene | None = None
+        self._objects: TracedObjects | None = None
         self._matrices: list[bytes] = []
         self._built_at: list[Float[np.ndarray, "4 4"]] = []
         self._camera, self._camera_age = CameraModel.perfect(), 0
         self._first: Frame | None = None
         self._before: Frame | None = None
-        for held in self.scene.objects:  # refuse bad places now, not at the first frame
-            if not isinstance(held.place, AtPixel):
-                placed(held)
+        for scene_object in self.scene.objects:  # refuse bad places now, not at the first frame
+            if not isinstance(scene_object.place, AtPixel):
+                placement_of(scene_object)
 
     @property
     def waiting(self) -> tuple[str, ...]:
         """Names of the objects that have no place yet."""
-        done = {one.number for one in self._standing}
-        return tuple(held.name for number, held in enumerate(self.scene.objects) if number not in done)
+        done = {placed.number for placed in self._placed}
+        return tuple(item.name for number, item in enumerate(self.scene.objects) if number not in done)
 
     def placement(self, name: str) -> Placement:
         """Return where an object was placed, before its motion.
@@ -128,10 +130,11 @@ class Compositor:
         Raises:
             SceneError: the scene has no such object, or it has no place yet.
         """
-        for one in self._standing:
-            if one.held.name == name:
-                return one.placement
-        raise SceneError(f"{name!r} has no place yet; the scene has {', '.join(o.name for o in self.scene.objects)}")
+        for placed in self._placed:
+            if placed.object.name == name:
+                return placed.placement
+        names = ", ".join(item.name for item in self.scene.objects)
+        raise SceneError(f"{name!r} has no place yet; the scene has {names}")
 
     def composite(self, frame: Frame) -> Composite:
         """Return the frame with the objects in it.
@@ -147,69 +150,76 @@ class Compositor:
         with clock.stage("place"):
             self._place_waiting(frame)
             self.geometry.update(self._session, latest=False)
-            first = self._first or frame
-            seconds = elapsed_since(first, frame)
-            matrices = [one.matrix_at(seconds, frame.index) for one in self._standing]
-            spheres = [one.sphere(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
-            crop, object_crop = self._crops(frame, spheres)
+            posed = PosedObjects.at(self._placed, elapsed_since(self._first or frame, frame), frame.index)
+            crops = self._crops(frame, posed)
         step_s = 0.0 if self._before is None else elapsed_s(self._before, frame)
-        if self._standing:
+        if self._placed:
             with clock.stage("light"):
                 self._probes.advance(step_s, every_s=LIGHT_EVERY_S[self.quality])
         with clock.stage("depth"):
             depth_m = self._depth.push(frame, max_width=DEPTH_COLUMNS[self.quality])
         with clock.stage("combine"):
             image = encode_srgb8(frame.image)
-        self._first, self._before = first, frame
-        if crop.empty:
+        self._first, self._before = self._first or frame, frame
+        if crops.shadow.empty:
             return unchanged(frame, image, clock, self.waiting)
         with clock.stage("camera"):
             self._follow_camera(image)
         with clock.stage("scene"):
-            objects = self._built(matrices)
-        supports = [one.support_at(matrix) for one, matrix in zip(self._standing, matrices, strict=True)]
+            objects = self._built(posed.matrices)
         with clock.stage("render"):
-            rendered = self._render(frame, objects, supports_of(objects, spheres, supports))
+            rendered = self._render(frame, objects, supports_of(objects, posed.spheres, posed.supports))
         with clock.stage("depth"):
-            depth_m = self._filled(depth_m, frame, crop)
-            size = frame.intrinsics.width, frame.intrinsics.height
-            real = real_depth(depth_m, *size, crop)
-            # shadows fall on surfaces without depth too: black and shiny tables; they do not hide objects
-            whole = complete_depth(depth_m)
-            shaded_m = real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m
+            depth = self._room_depth(depth_m, frame, crops.shadow)
         with clock.stage("shadow"):
-            shadow = self._shadows(frame, crop, shaded_m, spheres, supports, share_of(step_s, SHADOW_S))
+            shadow = self._shadow_ratio(frame, crops.shadow, depth.shaded_m, posed, share_of(step_s, SHADOW_S))
         with clock.stage("occlusion"):
-            layer = self._layer(frame, image, (crop, real), rendered, object_crop, supports)
+            layer = self._layer(frame, image, depth.real, rendered, crops, posed)
         with clock.stage("combine"):
-            return self._combined(frame, image, (crop, shadow), (object_crop, layer), rendered, clock)
+            self._combine(frame, image, crops, shadow, layer)
+        numbers = np.array([*(placed.number for placed in self._placed), -1], np.int32)
+        inner = crops.objects.slices
+        return Composite(
+            image=image,
+            frame=frame,
+            crop=crops.shadow,
+            object_crop=crops.objects,
+            stage_ms=clock.wall_ms,
+            stage_cpu_ms=clock.cpu_ms,
+            waiting=self.waiting,
+            crop_objects=layer[..., :3],
+            crop_alpha=np.ascontiguousarray(layer[..., 3]),
+            crop_shadow=shadow,
+            crop_depth_m=rendered.depth_m[inner],
+            crop_object_id=numbers[rendered.object_id[inner]],  # -1 reads the last entry
+            samples=rendered.samples,
+        )
 
     def close(self) -> None:
         """Stop tracking the objects' positions in the session."""
         self._probes.close()
 
     def _place_waiting(self, frame: Frame) -> None:
-        done = {one.number for one in self._standing}
-        found: list[StandingObject] = []
-        for number, held in enumerate(self.scene.objects):
-            place = held.place
+        done = {placed.number for placed in self._placed}
+        new: list[PlacedObject] = []
+        for number, scene_object in enumerate(self.scene.objects):
+            place = scene_object.place
             if number in done or (isinstance(place, AtPixel) and place.frame not in (None, frame.index)):
                 continue
             self.geometry.update(self._session)
             try:
-                found.append(stand(number, held, self.geometry, frame))
+                new.append(place_object(number, scene_object, self.geometry, frame))
             except SceneError as error:
-                raise SceneError(f"objects[{number}] ({held.name}): {error}") from error
-        for one in found:
-            self._probes.add(probe_positions(one))
-        self._standing = sorted([*self._standing, *found], key=lambda one: one.number)
+                raise SceneError(f"objects[{number}] ({scene_object.name}): {error}") from error
+        for placed in new:
+            self._probes.add(probe_positions(placed))
+        self._placed = sorted([*self._placed, *new], key=lambda placed: placed.number)
 
-    def _crops(self, frame: Frame, spheres: list[Float[np.ndarray, "4"]]) -> tuple[Crop, Crop]:
-        """Return the rectangles around objects and shadows, and around objects alone."""
+    def _crops(self, frame: Frame, posed: PosedObjects) -> "_Crops":
         k, pose = frame.intrinsics, frame.camera_to_world
         crop, object_crop = Crop(0, 0, 0, 0), Crop(0, 0, 0, 0)
         reach = shadows.QUALITIES[self.quality].reach
-        for sphere in spheres:
+        for sphere in posed.spheres:
             own = crop_of_sphere(k, pose, sphere[:3], float(sphere[3]))
             object_crop = object_crop.union(own)
             crop = crop.union(crop_of_sphere(k, pose, sphere[:3], reach * float(sphere[3])))
@@ -217,34 +227,34 @@ class Compositor:
             object_crop = object_crop.grown(8, k.width, k.height)
         if not crop.empty:  # a rim of the reach at the image's edge gets the neighbours that normals need
             crop = crop.grown(2 * shadow_step(self.quality, k.width), k.width, k.height)
-        return crop.union(object_crop), object_crop
+        return _Crops(crop.union(object_crop), object_crop)
 
     def _follow_camera(self, image: UInt8[np.ndarray, "h w 3"]) -> None:
         if not self._match:
             return
         if self._camera_age % CAMERA_EVERY == 0:
-            found = measure_camera(image.astype(np.float32) / np.float32(255))
-            self._camera = found if self._camera_age == 0 else self._camera.eased(found, 0.3)
+            measured = measure_camera(image.astype(np.float32) / np.float32(255))
+            self._camera = measured if self._camera_age == 0 else self._camera.eased(measured, 0.3)
         self._camera_age += 1
 
-    def _built(self, matrices: list[Float[np.ndarray, "4 4"]]) -> ObjectScene:
+    def _built(self, matrices: list[Float[np.ndarray, "4 4"]]) -> TracedObjects:
         keys = [matrix.tobytes() for matrix in matrices]
         if self._objects is None or keys != self._matrices:
             self._objects = self._moved(matrices)
             self._matrices = keys
         return self._objects
 
-    def _moved(self, matrices: list[Float[np.ndarray, "4 4"]]) -> ObjectScene:
+    def _moved(self, matrices: list[Float[np.ndarray, "4 4"]]) -> TracedObjects:
         """Return the objects in their new places: the scene before, moved, if all have moved together."""
         if self._objects is not None and len(matrices) == len(self._built_at):
             moves = [new @ np.linalg.inv(old) for new, old in zip(matrices, self._built_at, strict=True)]
             if is_rigid(moves[0]) and all(np.abs(move - moves[0]).max() < SAME_MOVE for move in moves):
                 return self._objects.moved(moves[0])
         self._built_at = matrices
-        pairs = zip(self._standing, matrices, strict=True)
-        return ObjectScene([one.held.geometry.transformed(matrix) for one, matrix in pairs])
+        pairs = zip(self._placed, matrices, strict=True)
+        return TracedObjects([placed.object.geometry.transformed(matrix) for placed, matrix in pairs])
 
-    def _render(self, frame: Frame, objects: ObjectScene, supports: Supports) -> RenderedObjects:
+    def _render(self, frame: Frame, objects: TracedObjects, supports: Supports) -> RenderedObjects:
         glass = self._background_glass and bool((objects.materials.transmission > 0).any())
         return render_objects(
             objects,
@@ -257,6 +267,14 @@ class Compositor:
             supports=supports,
             max_paths=self._max_paths,
         )
+
+    def _room_depth(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> "_RoomDepth":
+        """Return depth at the pixels of a crop, with holes filled from other frames."""
+        depth_m = self._filled(depth_m, frame, crop)
+        size = frame.intrinsics.width, frame.intrinsics.height
+        real = real_depth(depth_m, *size, crop)
+        whole = complete_depth(depth_m)
+        return _RoomDepth(real, real.depth_m if whole is depth_m else real_depth(whole, *size, crop).depth_m)
 
     def _filled(self, depth_m: Float32[np.ndarray, "dh dw"], frame: Frame, crop: Crop) -> Float32[np.ndarray, "dh dw"]:
         """Fill holes near the objects with what other frames saw there."""
@@ -273,100 +291,105 @@ class Compositor:
         camera = frame.intrinsics.resized(columns, rows)
         return np.where(holes, self.geometry.depth_image(camera, frame.camera_to_world, holes), depth_m)
 
-    def _shadows(
-        self,
-        frame: Frame,
-        crop: Crop,
-        depth_m: Float32[np.ndarray, "ch cw"],
-        spheres: list[Float[np.ndarray, "4"]],
-        supports: list[Plane | None],
-        share: float,
+    def _shadow_ratio(
+        self, frame: Frame, crop: Crop, depth_m: Float32[np.ndarray, "ch cw"], posed: PosedObjects, share: float
     ) -> Float32[np.ndarray, "ch cw 3"]:
-        assert self._objects is not None
-        quality = shadows.QUALITIES[self.quality]
-        casters: list[shadows.Caster] = []
-        for members in clusters(spheres):
-            x, y, z = spheres[members[0]][:3].tolist()
-            position = (x, y, z)
-            caster = shadows.Caster(
-                self._objects,
-                np.stack([spheres[member] for member in members]).astype(np.float32),
-                np.array(members, np.int32),
-                self._probes.at(position),
-                self._probes.casting_at(position),
-                next((supports[member] for member in members if supports[member] is not None), None),
-                None if self.quality == "preview" else self.geometry,
-            )
-            casters.append(caster)
+        """Return light with objects / without them on the real surfaces of a crop, eased over time by a share."""
         pose, eased = frame.camera_to_world, share if share > 0 else 1.0
+
+        def smooth(
+            ratio: Float32[np.ndarray, "h w 3"],
+            grid: SurfaceGrid,
+            coarse_m: Float32[np.ndarray, "h w"],
+            camera: CropCamera,
+        ) -> Float32[np.ndarray, "h w 3"]:
+            return self._shadow.blend(ratio, grid, coarse_m, camera, pose, share=eased)
+
         return shadows.shadow_ratio(
-            casters,
+            [self._caster(members, posed) for members in clusters(posed.spheres)],
             depth_m,
             CropCamera.of(frame.intrinsics, crop),
             pose,
-            replace(quality, step=shadow_step(self.quality, frame.intrinsics.width)),
-            supports=[plane for plane in supports if plane is not None],
-            smooth=lambda ratio, grid, coarse_m, camera: self._shadow.blend(
-                ratio, grid, coarse_m, camera, pose, share=eased
-            ),
+            replace(shadows.QUALITIES[self.quality], step=shadow_step(self.quality, frame.intrinsics.width)),
+            supports=posed.planes,
+            smooth=smooth,
+        )
+
+    def _caster(self, members: list[int], posed: PosedObjects) -> shadows.Caster:
+        """Return objects that cast their shadows together, under the light of the first, which is the largest."""
+        assert self._objects is not None
+        x, y, z = posed.spheres[members[0]][:3].tolist()
+        return shadows.Caster(
+            scene=self._objects,
+            spheres=np.stack([posed.spheres[member] for member in members]).astype(np.float32),
+            object_ids=np.array(members, np.int32),
+            light=self._probes.at((x, y, z)),
+            casting=self._probes.casting_at((x, y, z)),
+            support=next((plane for member in members if (plane := posed.supports[member]) is not None), None),
+            room=None if self.quality == "preview" else self.geometry,
         )
 
     def _layer(
         self,
         frame: Frame,
         image: UInt8[np.ndarray, "h w 3"],
-        real_of: tuple[Crop, RealDepth],
+        real: RealDepth,
         rendered: RenderedObjects,
-        crop: Crop,
-        supports: list[Plane | None],
+        crops: "_Crops",
+        posed: PosedObjects,
     ) -> Float32[np.ndarray, "oh ow 4"]:
         """Return premultiplied radiance and alpha of the visible part of the objects, blurred as the frame is."""
+        crop = crops.objects
         if crop.empty:  # only the shadows are in the picture
             return np.zeros((*crop.shape, 4), np.float32)
-        real = real_of[1].part(crop.inside(real_of[0]))
+        real = real.part(crop.inside(crops.shadow))
         camera = CropCamera.of(frame.intrinsics, crop)
-        planes = [plane for plane in supports if plane is not None]
-        carrier = on_carrier(real, camera, frame.camera_to_world, planes)
+        carrier = on_carrier(real, camera, frame.camera_to_world, posed.planes)
         guide = image[crop.slices].astype(np.float32) / np.float32(255)
-        seen = visibility(rendered.depth_m[crop.slices], real, guide, carrier)
+        visible = visibility(rendered.depth_m[crop.slices], real, guide, carrier)
         layer = np.empty((*crop.shape, 4), np.float32)
-        layer[..., :3] = rendered.radiance[crop.slices] * seen[..., None]
-        layer[..., 3] = rendered.alpha[crop.slices] * seen
+        layer[..., :3] = rendered.radiance[crop.slices] * visible[..., None]
+        layer[..., 3] = rendered.alpha[crop.slices] * visible
         return blur_layer(layer, self._camera.blur_px) if self._match else layer
 
-    def _combined(
+    def _combine(
         self,
         frame: Frame,
         image: UInt8[np.ndarray, "h w 3"],
-        shadow: tuple[Crop, Float32[np.ndarray, "ch cw 3"]],
-        layer: tuple[Crop, Float32[np.ndarray, "oh ow 4"]],
-        rendered: RenderedObjects,
-        clock: StageClock,
-    ) -> Composite:
-        (crop, ratio), (inner, pixels) = shadow, layer
-        encoded, alpha = image[crop.slices], np.ascontiguousarray(pixels[..., 3])
-        compose_srgb8(encoded, frame.image[crop.slices], ratio, pixels, (inner.top - crop.top, inner.left - crop.left))
+        crops: "_Crops",
+        shadow: Float32[np.ndarray, "ch cw 3"],
+        layer: Float32[np.ndarray, "oh ow 4"],
+    ) -> None:
+        """Put shadow and objects into the encoded frame, in place, with the camera's noise on the objects."""
+        crop, inner = crops.shadow, crops.objects
+        corner = inner.top - crop.top, inner.left - crop.left
+        compose_srgb8(image[crop.slices], frame.image[crop.slices], shadow, layer, corner)
         if self._match and self._camera.noise.any() and not inner.empty:
             part = image[inner.slices]
             values, corner = part.astype(np.float32) / np.float32(255), (inner.top, inner.left)
-            noisy = add_noise(values, alpha, self._camera, frame_index=frame.index, at=corner)
+            noisy = add_noise(values, layer[..., 3], self._camera, frame_index=frame.index, at=corner)
             part[:] = np.rint(noisy * 255).astype(np.uint8)
-        numbers = np.array([*(one.number for one in self._standing), -1], np.int32)
-        return Composite(
-            image,
-            frame,
-            crop,
-            inner,
-            clock.wall_ms,
-            self.waiting,
-            pixels[..., :3],
-            alpha,
-            ratio,
-            rendered.depth_m[inner.slices],
-            numbers[rendered.object_id[inner.slices]],  # -1 reads the last entry
-            clock.cpu_ms,
-            rendered.samples,
-        )
+
+
+@dataclass(frozen=True)
+class _Crops:
+    """Rectangles of a frame: around objects and shadows, and around the objects alone, inside the first."""
+
+    shadow: Crop
+    objects: Crop
+
+
+@dataclass(frozen=True)
+class _RoomDepth:
+    """Depth of real surfaces at the pixels of a crop.
+
+    Attributes:
+        real: as measured; it hides objects.
+        shaded_m: [ch, cw] completed where nothing was measured: shadows fall on black and shiny tables too.
+    """
+
+    real: RealDepth
+    shaded_m: Float32[np.ndarray, "ch cw"]
 
 
 def composite(
@@ -400,13 +423,13 @@ def elapsed_since(first: Frame, frame: Frame) -> float:
 
 def check_in_view(compositor: Compositor, frame: Frame) -> None:
     """Raise SceneError for an object that a single picture cannot show."""
-    for held in compositor.scene.objects:
-        placement, box = compositor.placement(held.name), held.box
+    for item in compositor.scene.objects:
+        placement, box = compositor.placement(item.name), item.box
         centre = transform_points(placement.object_to_world, (box.low + box.high) / 2)
         radius = float(np.linalg.norm(box.high - box.low)) / 2
         crop = crop_of_sphere(frame.intrinsics, frame.camera_to_world, centre, radius)
         offset = (centre - frame.camera_to_world[:3, 3]) @ frame.camera_to_world[:3, :3]
         if -offset[2] < -radius:
-            raise SceneError(f"{held.name}: lies behind the camera, {offset[2]:.2f} m; place it in front")
+            raise SceneError(f"{item.name}: lies behind the camera, {offset[2]:.2f} m; place it in front")
         if crop.empty:
-            raise SceneError(f"{held.name}: lies outside the picture; move it or the camera")
+            raise SceneError(f"{item.name}: lies outside the picture; move it or the camera")

@@ -1,5 +1,6 @@
 """Objects that have their place in the world: where they are at a time, and where their light is asked."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
@@ -19,9 +20,9 @@ from roomlight.compositing.placement.places import (
     place_by_pose,
     support_below,
 )
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.placement.scene import AtPixel, AtPose, SceneObject
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.frame import Frame
 
 SINK_M: Final = 0.02
@@ -32,15 +33,21 @@ SUPPORT_REACH_M: Final = 1.0
 
 
 @dataclass
-class StandingObject:
-    """An object that has its place.
+class PlacedObject:
+    """An object of a scene with its place in the world.
 
-    number:  in the scene.
-    pivot:   anchor in the world.
+    Attributes:
+        number: index in the scene.
+        object: as the scene describes it.
+        placement: before its motion.
+        pivot: anchor in the world, about which it moves.
+        support: plane that it stands on, before its motion.
+        centre: of its bounding sphere, in the object's frame.
+        radius_m: of its bounding sphere.
     """
 
     number: int
-    held: SceneObject
+    object: SceneObject
     placement: Placement
     pivot: Float[np.ndarray, "3"]
     support: Plane | None
@@ -49,7 +56,7 @@ class StandingObject:
 
     def matrix_at(self, seconds: float, index: int) -> Float[np.ndarray, "4 4"]:
         """Return object to world at a time since the first frame, in a frame of this index."""
-        motion = self.held.motion
+        motion = self.object.motion
         if motion is None:
             return self.placement.object_to_world
         at = seconds if motion.unit == "seconds" else float(index)
@@ -59,7 +66,7 @@ class StandingObject:
         """Return the plane that the object stands on at a transform; None once it has moved below it."""
         if self.support is None:
             return None
-        box = self.held.box
+        box = self.object.box
         corners = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         corners = (box.low + corners * (box.high - box.low)) @ matrix[:3, :3].T + matrix[:3, 3]
         return self.support if float(self.support.height_of(corners).min()) > -SINK_M else None
@@ -70,47 +77,76 @@ class StandingObject:
         return np.append(matrix[:3, :3] @ self.centre + matrix[:3, 3], self.radius_m * scale)
 
 
-def placed(held: SceneObject) -> Placement:
+def placement_of(scene_object: SceneObject) -> Placement:
     """Return the placement of an object whose place is a position or a pose. Raises SceneError."""
-    place, box = held.place, held.box
+    place, box = scene_object.place, scene_object.box
     if isinstance(place, AtPose):
         return place_by_pose(place.pose, box, anchor=place.anchor)
     assert not isinstance(place, AtPixel)
     return place_at(np.array(place.position), box, yaw_degrees=place.yaw_degrees, anchor=place.anchor)
 
 
-def stand(number: int, held: SceneObject, geometry: SceneGeometry, frame: Frame) -> StandingObject:
+def place_object(number: int, scene_object: SceneObject, geometry: RoomGeometry, frame: Frame) -> PlacedObject:
     """Give an object its place in the world, by the frame where its place is a pixel. Raises SceneError."""
-    place, box = held.place, held.box
+    place, box = scene_object.place, scene_object.box
     if isinstance(place, AtPixel):
         placement = place_at_pixel(geometry, frame, place.u, place.v, box, yaw_degrees=place.yaw_degrees)
         anchor: Anchor = "back" if placement.kind == "wall" else "top" if placement.kind == "ceiling" else "base"
         support = placement.support
     else:
-        placement = placed(held)
+        placement = placement_of(scene_object)
         anchor = place.anchor
         support = support_below(geometry, placement, box)
     matrix = placement.object_to_world
     pivot = transform_points(matrix, box.anchor(anchor))
     centre = (box.low + box.high) / 2
-    points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh, _ in held.geometry.parts])
+    points = np.concatenate([mesh.vertices[np.unique(mesh.faces)] for mesh, _ in scene_object.geometry.parts])
     radius = float(np.linalg.norm(points - centre.astype(np.float32), axis=1).max())
-    return StandingObject(number, held, placement, pivot, support, centre, radius)
+    return PlacedObject(number, scene_object, placement, pivot, support, centre, radius)
 
 
-def probe_positions(one: StandingObject) -> Float[np.ndarray, "n 3"]:
+def probe_positions(placed: PlacedObject) -> Float[np.ndarray, "n 3"]:
     """Return where the light of an object is asked: at its centre, over its box, or along its path."""
-    motion, box = one.held.motion, one.held.box
+    motion, box = placed.object.motion, placed.object.box
     if motion is None:
-        return box_probes(box.low, box.high, one.placement.object_to_world)
+        return box_probes(box.low, box.high, placed.placement.object_to_world)
     times = [key.at for key in motion.keys]
     path = np.concatenate([np.linspace(a, b, 24) for a, b in pairwise(times)] or [np.array(times)])
     path = path[np.linspace(0, len(path) - 1, min(len(path), 500)).astype(np.int64)]
-    matrices = [motion.transform_at(float(at), one.pivot) @ one.placement.object_to_world for at in path]
-    return path_probes(np.stack([matrix[:3, :3] @ one.centre + matrix[:3, 3] for matrix in matrices]))
+    matrices = [motion.transform_at(float(at), placed.pivot) @ placed.placement.object_to_world for at in path]
+    return path_probes(np.stack([matrix[:3, :3] @ placed.centre + matrix[:3, 3] for matrix in matrices]))
 
 
-def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], planes: list[Plane | None]) -> Supports:
+@dataclass(frozen=True, eq=False)
+class PosedObjects:
+    """The placed objects at one time, in the order of the scene.
+
+    Attributes:
+        matrices: [4, 4] object to world of each.
+        spheres: [4] centre and radius of each bounding sphere.
+        supports: plane that each stands on, if any.
+    """
+
+    matrices: list[Float[np.ndarray, "4 4"]]
+    spheres: list[Float[np.ndarray, "4"]]
+    supports: list[Plane | None]
+
+    @classmethod
+    def at(cls, placed: Sequence[PlacedObject], seconds: float, index: int) -> "PosedObjects":
+        """Return the objects at a time since the first frame, in a frame of this index."""
+        matrices = [item.matrix_at(seconds, index) for item in placed]
+        pairs = list(zip(placed, matrices, strict=True))
+        return cls(
+            matrices, [item.sphere(pose) for item, pose in pairs], [item.support_at(pose) for item, pose in pairs]
+        )
+
+    @property
+    def planes(self) -> list[Plane]:
+        """Planes that any object stands on."""
+        return [plane for plane in self.supports if plane is not None]
+
+
+def supports_of(objects: TracedObjects, spheres: list[Float[np.ndarray, "4"]], planes: list[Plane | None]) -> Supports:
     """Return the planes that objects stand on as the renderer takes them; each plane once."""
     known: list[Plane] = []
     carriers: list[int] = []
@@ -131,7 +167,7 @@ def supports_of(objects: ObjectScene, spheres: list[Float[np.ndarray, "4"]], pla
     return Supports(points, normals, shading, np.array(carriers, np.int32), ends_m, SUPPORT_REACH_M)
 
 
-def _plane_end(plane: Plane, sphere: Float[np.ndarray, "4"], objects: ObjectScene) -> float:
+def _plane_end(plane: Plane, sphere: Float[np.ndarray, "4"], objects: TracedObjects) -> float:
     """Return how far from an object its plane is known: as far as a table may reach, or up to an object that passes
     through the plane, because there the table has ended."""
     centre, radius = sphere[:3].astype(np.float64), float(sphere[3])

@@ -26,10 +26,11 @@ def encode_values(linear, table, out, start, stop):
 def compose_rows(frame, ratio, objects, corner, table, encoded, start, stop):
     """Encode frame x ratio x (1 - alpha) + objects for rows start..stop; pixels that nothing changes stay.
 
-    frame, ratio:  [h, w, 3] linear.
-    objects:       [oh, ow, 4] linear radiance times alpha, and alpha; `corner` is the row and column where they begin.
-    table:         as in `encode_values`.
-    encoded:       [h, w, 3] in: the encoded frame; out: the encoded sum.
+    Args:
+        frame, ratio: [h, w, 3] linear.
+        objects: [oh, ow, 4] linear radiance times alpha, and alpha; `corner` is the row and column where they begin.
+        table: as in `encode_values`.
+        encoded: [h, w, 3] in: the encoded frame; out: the encoded sum.
     """
     one = np.float32(1)
     rows, columns = objects.shape[:2]
@@ -50,8 +51,9 @@ def compose_rows(frame, ratio, objects, corner, table, encoded, start, stop):
 def add_pattern(image, alpha, noise, pattern, corner, start, stop):
     """Add noise to the part `alpha` of rows start..stop of an encoded image [h, w, 3], in place; clip to 0 to 1.
 
-    noise:    [levels, 3] standard deviation at each brightness.
-    pattern:  [n, n, 3] periodic noise of deviation 1; `corner` is its row and column at the image's corner.
+    Args:
+        noise: [levels, 3] standard deviation at each brightness.
+        pattern: [n, n, 3] periodic noise of deviation 1; `corner` is its row and column at the image's corner.
     """
     last = noise.shape[0] - 1
     size = pattern.shape[0]

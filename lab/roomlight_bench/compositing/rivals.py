@@ -25,7 +25,7 @@ from roomlight.compositing.objects.materials import Material, diffuse, rough_met
 from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
 from roomlight.compositing.rendering.renderer import PRESETS, RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight_bench.reporting import Criterion, short_number
 from roomlight_bench.timing import ProgressCallback
 from roomlight_generator.verification.reference import usable_variant
@@ -171,7 +171,7 @@ def run_sizes(
         if progress is not None:
             progress(f"a sphere of {count} triangles, {side} x {side} pixels")
         one = _sphere_of(count)
-        built, build_ms = _timed(lambda one=one: ObjectScene([one]))
+        built, build_ms = _timed(lambda one=one: TracedObjects([one]))
         times: dict[str, float] = {}
         pixels = 0
         for name in PRESETS:
@@ -199,9 +199,9 @@ def run_rivals(
     lights = ProbeSet.single(_panorama())
     found: list[Rivalry] = []
     for name, material in {"diffuse": diffuse(_COLOUR), "rough metal": rough_metal(_ALPHA**0.5)}.items():
-        scene = ObjectScene([sphere(0.5, material)])
+        scene = TracedObjects([sphere(0.5, material)])
 
-        def ours(samples: int, seed: int, scene: ObjectScene = scene) -> Picture:
+        def ours(samples: int, seed: int, scene: TracedObjects = scene) -> Picture:
             return _renderer(scene, lights, SIDE, RenderSettings(samples, _BOUNCES, denoised=False), seed)()
 
         report(f"{name}: ours")
@@ -245,7 +245,7 @@ def _effort_text(one: Effort) -> str:
 
 
 def _renderer(
-    scene: ObjectScene, lights: ProbeSet, side: int, quality: str | RenderSettings, seed: int = 0
+    scene: TracedObjects, lights: ProbeSet, side: int, quality: str | RenderSettings, seed: int = 0
 ) -> Callable[[], Picture]:
     focal = side / 2 / np.tan(np.radians(_FIELD_DEG / 2))
     camera = Intrinsics(focal, focal, side / 2, side / 2, side, side)

@@ -9,10 +9,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final, Literal
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float
 
+from roomlight.rays import RayTree
 from roomlight_generator.rooms.colour import blackbody_rgb
 from roomlight_generator.rooms.plan import Placement, Shell
 from roomlight_generator.rooms.scene import Item, Material, Mesh, Rgb, Sky
@@ -275,15 +274,13 @@ def _trace_bulb_occlusion(mesh: Mesh, bulbs: Float[np.ndarray, "n 3"]) -> tuple[
     """Return the share of rays from the bulbs that leave the lamp, and the number of hits for each material."""
     if not len(bulbs):
         return 1.0, {}
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.int32))
     step = np.arange(_RAYS_PER_BULB) + 0.5
     up = 1 - 2 * step / _RAYS_PER_BULB
     azimuth = np.pi * (1 + np.sqrt(5)) * step
     ring = np.sqrt(1 - up**2)
     directions = np.stack([ring * np.cos(azimuth), up, ring * np.sin(azimuth)], 1).astype(np.float32)
     origins = np.repeat(bulbs.astype(np.float32), _RAYS_PER_BULB, axis=0)
-    found = np.asarray(scene.run(origins, np.tile(directions, (len(bulbs), 1)), query="INTERSECT"))
+    found = RayTree(mesh.vertices, mesh.faces).trace(origins, np.tile(directions, (len(bulbs), 1))).face
     met, counts = np.unique(mesh.face_materials[found[found >= 0]], return_counts=True)
     return float((found < 0).mean()), {int(k): int(count) for k, count in zip(met, counts, strict=True)}
 

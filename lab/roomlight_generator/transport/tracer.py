@@ -1,18 +1,15 @@
 """A room flattened into arrays, and the rays traced through it.
 
 Frames: world, y up, metres; radiance in kcd/m2. Two trees: one of everything opaque (mirrors too), one of the glass
-panes, which stop no light. embreex checks no argument: shapes and dtypes are settled here.
+panes, which stop no light.
 """
 
-from collections.abc import Callable
 from typing import Final, NamedTuple
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
-from roomlight.threads import parallel_for
+from roomlight.rays import RayTree
 from roomlight_generator.rooms.scene import Material, Scene, Texture
 from roomlight_generator.transport.atlas import Atlas, build_atlas
 
@@ -21,9 +18,8 @@ OFFSET_M: Final = 1e-4
 
 FAR_M: Final = 1e4
 """Longer than any room: the reach of a ray toward the sky."""
-
-_BLOCK: Final = 1 << 16
-"""Rays a call from one thread: more are no faster, fewer leave threads idle."""
+_MISSED_M: Final = np.float32(1e37)
+"""Distance of rays that met nothing: finite, because kernels take quotients of distances."""
 
 
 class Geometry(NamedTuple):
@@ -135,18 +131,7 @@ class Tracer:
         reach_m: Float32[np.ndarray, " n"],
     ) -> Bool[np.ndarray, " n"]:
         """Return whether each ray is free of opaque surfaces within reach (panes let light through)."""
-        count = len(origins)
-        seen = np.ones(count, bool)
-        if count == 0:
-            return seen
-
-        def work(start: int, stop: int) -> None:
-            reach = reach_m[start:stop].copy()  # embreex overwrites it
-            part = self._opaque.run(origins[start:stop], directions[start:stop], dists=reach, query="OCCLUDED")
-            seen[start:stop] = part < 0
-
-        _in_blocks(work, count)
-        return seen
+        return ~self._opaque.blocked(origins, directions, reach_m)
 
     def distances(
         self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
@@ -203,40 +188,13 @@ def _material_table(materials: list[Material], texture_ids: list[int]) -> Materi
     )
 
 
-def _tree(corners: Float32[np.ndarray, "f 3 3"]) -> EmbreeScene:
-    # robust = False costs one ray in a million at shared edges and is 1.4 times as fast.
-    tree = EmbreeScene(robust=False)
-    TriangleMesh(tree, corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3))
-    # The tree is built in the first query, unlocked: ask once before threads do.
-    tree.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32))
-    return tree
+def _tree(corners: Float32[np.ndarray, "f 3 3"]) -> RayTree:
+    return RayTree(corners.reshape(-1, 3), np.arange(3 * len(corners), dtype=np.int32).reshape(-1, 3), robust=False)
 
 
 def _trace(
-    tree: EmbreeScene, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"], first: int
+    tree: RayTree, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"], first: int
 ) -> Hits:
-    count = len(origins)
-    hits = Hits(np.empty(count, np.int32), *(np.empty(count, np.float32) for _ in range(3)))
-    if count == 0:
-        return hits
-
-    def work(start: int, stop: int) -> None:
-        found = tree.run(origins[start:stop], directions[start:stop], output=1)
-        face = found["primID"]
-        hits.face[start:stop] = np.where(face >= 0, face + first, -1) if first else face
-        hits.u[start:stop], hits.v[start:stop] = found["u"], found["v"]
-        hits.distance_m[start:stop] = found["tfar"]
-
-    _in_blocks(work, count)
-    return hits
-
-
-def _in_blocks(work: Callable[[int, int], object], count: int) -> None:
-    """Call work over range(count) in blocks on the threads; a ray's result does not depend on its block."""
-    blocks = -(-count // _BLOCK)
-
-    def run(start: int, stop: int) -> None:
-        for block in range(start, stop):
-            work(block * _BLOCK, min((block + 1) * _BLOCK, count))
-
-    parallel_for(run, blocks)
+    found = tree.trace(origins, directions)
+    face = np.where(found.face >= 0, found.face + np.int32(first), np.int32(-1)) if first else found.face
+    return Hits(face, found.u, found.v, np.minimum(found.distance_m, _MISSED_M))

@@ -10,7 +10,7 @@ from roomlight.compositing.light.lighting import ProbeSet
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.primitives import plane
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 
 
@@ -31,7 +31,7 @@ def plane_radiance(material: Material, panorama, degrees: float, *, samples: int
     angle = np.radians(degrees)
     pose = look_at(1000 * np.array([np.sin(angle), np.cos(angle), 0]), np.zeros(3))
     camera = Intrinsics(800.0, 800.0, 4.0, 4.0, 8, 8)
-    scene = ObjectScene([plane(1000.0, 1000.0, material)])
+    scene = TracedObjects([plane(1000.0, 1000.0, material)])
     quality = RenderSettings(samples, 4, denoised=False)
     picture = render_objects(scene, camera, pose, ProbeSet.single(panorama), quality=quality, seed=seed)
     assert picture.alpha.min() == 1

@@ -159,12 +159,12 @@ def test_textures_colour_the_surface_by_its_uvs() -> None:
 
     from roomlight.camera import Intrinsics
     from roomlight.compositing.objects.primitives import plane
-    from roomlight.compositing.rendering.tracer import ObjectScene
+    from roomlight.compositing.rendering.tracer import TracedObjects
 
     image = np.zeros((2, 2, 3), np.float32)
     image[0, 0], image[0, 1], image[1, 0], image[1, 1] = (1, 0, 0), (0, 1, 0), (0, 0, 1), (1, 1, 1)
     material = Material(base_colour=(1.0, 1.0, 1.0), specular=0.0, base_colour_texture=Texture.from_linear(image))
-    scene = ObjectScene([plane(2.0, 2.0, material)])
+    scene = TracedObjects([plane(2.0, 2.0, material)])
     camera = Intrinsics(40.0, 40.0, 20.0, 20.0, 40, 40)
     # from above, image right = +x (u), image down = +z (v)
     picture = render_objects(

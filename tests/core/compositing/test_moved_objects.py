@@ -8,7 +8,7 @@ from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import diffuse, mirror
 from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.rendering.shadows import light_samples
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 
 
 def turned(angle: float = 0.7) -> np.ndarray:
@@ -26,8 +26,8 @@ def objects() -> list:
 
 
 def test_moved_scene_meets_rays_as_a_scene_built_anew() -> None:
-    moved = ObjectScene(objects()).moved(turned())
-    built = ObjectScene([one.transformed(turned()) for one in objects()])
+    moved = TracedObjects(objects()).moved(turned())
+    built = TracedObjects([one.transformed(turned()) for one in objects()])
     rng = np.random.default_rng(0)
     origins = rng.uniform(-1, 2, (4000, 3)).astype(np.float32)
     toward = np.array([0.5, -0.2, 0.9]) + rng.normal(0, 0.3, (4000, 3)) - origins
@@ -43,8 +43,8 @@ def test_moved_scene_meets_rays_as_a_scene_built_anew() -> None:
 
 
 def test_moved_scene_has_the_surfaces_of_a_scene_built_anew() -> None:
-    moved = ObjectScene(objects()).moved(np.eye(4)).moved(turned())  # moves count from the first place
-    built = ObjectScene([one.transformed(turned()) for one in objects()])
+    moved = TracedObjects(objects()).moved(np.eye(4)).moved(turned())  # moves count from the first place
+    built = TracedObjects([one.transformed(turned()) for one in objects()])
     for name in ("corners", "normals"):
         assert_allclose(getattr(moved.surfaces, name), getattr(built.surfaces, name), atol=1e-6)
     assert_array_equal(moved.surfaces.object_id, built.surfaces.object_id)
@@ -52,7 +52,7 @@ def test_moved_scene_has_the_surfaces_of_a_scene_built_anew() -> None:
 
 
 def test_a_turned_plate_shades_less_ground() -> None:
-    lying = ObjectScene([plane(0.4, 0.4)])
+    lying = TracedObjects([plane(0.4, 0.4)])
     before = lying.shade_radii()[0]
     upright = np.eye(4)
     upright[1:3, 1:3] = [[0, -1], [1, 0]]
@@ -62,7 +62,7 @@ def test_a_turned_plate_shades_less_ground() -> None:
 
 def test_moved_scene_refuses_a_transform_with_a_scale() -> None:
     with pytest.raises(ValueError, match="rigid"):
-        ObjectScene(objects()).moved(np.diag([1.01, 1.01, 1.01, 1.0]))
+        TracedObjects(objects()).moved(np.diag([1.01, 1.01, 1.01, 1.0]))
 
 
 def test_samples_of_mixed_light_rest_while_the_shares_change() -> None:

@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from roomlight.compositing.light.object_light import object_light
-from roomlight.compositing.light.probes import SceneProbes
+from roomlight.compositing.light.probes import ObjectProbes
 from roomlight.compositing.light.temporal import LIGHT_S
 from roomlight.engine.session import Session, SessionOptions
 from rooms import BoxRoom, camera_at
@@ -31,7 +31,7 @@ def position(place):
 
 
 def test_objects_and_their_shadows_have_a_light_each(session):
-    probes = SceneProbes(session)
+    probes = ObjectProbes(session)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
     light = object_light(session, session.track(at))
@@ -42,7 +42,7 @@ def test_objects_and_their_shadows_have_a_light_each(session):
 
 
 def test_mirrors_show_the_light_that_casts_shadows(session, room):
-    probes = SceneProbes(session)
+    probes = ObjectProbes(session)
     probes.add(PLACES)
     first = probes.lights()
     assert probes.lights() is first
@@ -56,7 +56,7 @@ def test_mirrors_show_the_light_that_casts_shadows(session, room):
 
 
 def test_both_follow_the_session(session, room):
-    probes = SceneProbes(session)
+    probes = ObjectProbes(session)
     probes.add(PLACES)
     handles = [session.track(position(place)) for place in PLACES]
     session.push(room.frame(camera_at((0.2, 1.4, 1.2), pitch_degrees=25.0), width=64, height=48))
@@ -70,7 +70,7 @@ def test_both_follow_the_session(session, room):
 
 def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
     given = np.full((16, 32, 3), 0.7, np.float32)
-    probes = SceneProbes(session, lambda _: given)
+    probes = ObjectProbes(session, lambda _: given)
     probes.add(PLACES[:1])
     at = position(PLACES[0])
     assert probes.at(at) is probes.casting_at(at)
@@ -82,7 +82,7 @@ def test_light_that_is_given_lights_objects_and_casts_their_shadows(session):
 
 
 def test_probes_are_given_back(session):
-    probes = SceneProbes(session)
+    probes = ObjectProbes(session)
     probes.add(PLACES)
     assert len(probes) == 2
     probes.close()

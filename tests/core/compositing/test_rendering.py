@@ -9,7 +9,7 @@ from roomlight.compositing.light.lighting import LightSampler, ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, glossy, mirror, rough_metal
 from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.rendering.renderer import PRESETS, RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.errors import ObjectError, OptionError
 from roomlight.spheres import Material as SphereMaterial
 from roomlight.spheres import SphereRenderer
@@ -33,9 +33,9 @@ def moved(one, x: float, y: float = 0.0, z: float = 0.0):
 def test_mirror_sphere_shows_the_panorama_itself() -> None:
     light = ProbeSet.single(panorama())
     picture = render_objects(
-        ObjectScene([sphere(0.5, mirror())]), CAMERA, POSE, light, quality=RenderSettings(1, 4, denoised=False)
+        TracedObjects([sphere(0.5, mirror())]), CAMERA, POSE, light, quality=RenderSettings(1, 4, denoised=False)
     )
-    preview = render_objects(ObjectScene([sphere(0.5, mirror())]), CAMERA, POSE, light, quality="preview")
+    preview = render_objects(TracedObjects([sphere(0.5, mirror())]), CAMERA, POSE, light, quality="preview")
     rays = CAMERA.rays().reshape(-1, 3).astype(float)
     rays /= np.linalg.norm(rays, axis=1, keepdims=True)
     towards = np.array([0, 0, 2.0]) @ rays.T
@@ -53,7 +53,7 @@ def test_mirror_sphere_shows_the_panorama_itself() -> None:
 
 def test_diffuse_sphere_under_constant_light_is_its_albedo() -> None:
     light = ProbeSet.single(np.full((16, 32, 3), (1, 2, 3), np.float32))
-    scene = ObjectScene([sphere(0.5, diffuse((0.8, 0.5, 0.2)))])
+    scene = TracedObjects([sphere(0.5, diffuse((0.8, 0.5, 0.2)))])
     for quality, tolerance in (("preview", 0.002), (RenderSettings(64, 4, denoised=False), 0.01)):
         picture = render_objects(scene, CAMERA, POSE, light, quality=quality)
         inside = picture.radiance[picture.alpha == 1]
@@ -67,7 +67,7 @@ def test_preview_agrees_with_the_sphere_renderer() -> None:
     spheres = SphereRenderer((0.0, 0.0, -1.0), size=64)
     cases: list[tuple[Material, SphereMaterial]] = [(diffuse((1.0, 1.0, 1.0)), "diffuse"), (mirror(), "mirror")]
     for material, name in cases:
-        scene = ObjectScene([sphere(32 / 60, material)])
+        scene = TracedObjects([sphere(32 / 60, material)])
         picture = render_objects(scene, far, pose, ProbeSet.single(light), quality="preview")
         known = spheres.coverage > 0.999
         difference = np.abs(picture.radiance - spheres.render(light, name))[known]
@@ -75,7 +75,7 @@ def test_preview_agrees_with_the_sphere_renderer() -> None:
 
 
 def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = ObjectScene([sphere(0.4, glossy()), moved(cube(0.4, glass()), 0.5)])
+    scene = TracedObjects([sphere(0.4, glossy()), moved(cube(0.4, glass()), 0.5)])
     light = ProbeSet.single(panorama())
     first = render_objects(scene, CAMERA, POSE, light, quality=FEW, seed=3)
     monkeypatch.setenv("ROOMLIGHT_THREADS", "1")
@@ -87,7 +87,7 @@ def test_same_inputs_and_seed_give_the_same_bytes(monkeypatch: pytest.MonkeyPatc
 
 def test_alpha_is_the_covered_share_of_each_pixel() -> None:
     picture = render_objects(
-        ObjectScene([sphere(0.5, diffuse())]),
+        TracedObjects([sphere(0.5, diffuse())]),
         CAMERA,
         POSE,
         ProbeSet.single(panorama()),
@@ -105,12 +105,12 @@ def test_alpha_is_the_covered_share_of_each_pixel() -> None:
 @pytest.mark.parametrize("quality", ["preview", FEW])
 def test_depth_is_along_the_optical_axis(quality) -> None:
     wall = plane(4.0, 4.0).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, -1], [0, 0, 0, 1.0]]))
-    picture = render_objects(ObjectScene([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
+    picture = render_objects(TracedObjects([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
     np.testing.assert_allclose(picture.depth_m, 3, rtol=1e-5)
 
 
 def test_nearest_object_is_named() -> None:
-    scene = ObjectScene([moved(sphere(0.3), 0.0), moved(sphere(0.1), 0.0, 0.0, 0.8)])
+    scene = TracedObjects([moved(sphere(0.3), 0.0), moved(sphere(0.1), 0.0, 0.0, 0.8)])
     picture = render_objects(scene, CAMERA, POSE, ProbeSet.single(panorama()), quality="preview")
     assert picture.object_id[24, 32] == 1
     assert picture.object_id[24, 25] == 0
@@ -121,8 +121,8 @@ def test_objects_shadow_each_other() -> None:
     light[:6] = 1.0  # from above
     ground = plane(2.0, 2.0, diffuse((1.0, 1.0, 1.0)))
     above = look_at((0, 1.5, 2), (0, 0, 0))
-    bare = render_objects(ObjectScene([ground]), CAMERA, above, ProbeSet.single(light), quality=FEW)
-    covered = ObjectScene([ground, moved(plane(0.8, 0.8, diffuse((0.0, 0.0, 0.0))), 0, 0.3)])
+    bare = render_objects(TracedObjects([ground]), CAMERA, above, ProbeSet.single(light), quality=FEW)
+    covered = TracedObjects([ground, moved(plane(0.8, 0.8, diffuse((0.0, 0.0, 0.0))), 0, 0.3)])
     shadowed = render_objects(covered, CAMERA, above, ProbeSet.single(light), quality=FEW)
     seen = (shadowed.object_id == 0) & (shadowed.alpha == 1)
     ratio = shadowed.radiance[seen].sum(axis=1) / bare.radiance[seen].sum(axis=1)
@@ -132,7 +132,7 @@ def test_objects_shadow_each_other() -> None:
 
 def test_objects_reflect_each_other() -> None:
     red = moved(sphere(0.4, Material(base_colour=(0.0, 0.0, 0.0), specular=0.0, emissive=(5.0, 0.0, 0.0))), 0.9)
-    scene = ObjectScene([sphere(0.4, mirror()), red])
+    scene = TracedObjects([sphere(0.4, mirror()), red])
     light = ProbeSet.single(np.full((16, 32, 3), 0.1, np.float32))
     picture = render_objects(scene, CAMERA, POSE, light, quality=FEW)
     on_mirror = picture.radiance[picture.object_id == 0]
@@ -146,7 +146,7 @@ def test_mirrors_and_glass_leave_no_bright_dots_on_matte_ground() -> None:
     ground = plane(2.0, 2.0, diffuse())
     above = look_at((0, 1.0, 2), (0, 0, 0))
     for material in (mirror(), glass()):
-        scene = ObjectScene([ground, moved(sphere(0.3, material), 0, 0.3)])
+        scene = TracedObjects([ground, moved(sphere(0.3, material), 0, 0.3)])
         picture = render_objects(
             scene, CAMERA, above, ProbeSet.single(light), quality=RenderSettings(64, 6, denoised=False)
         )
@@ -157,7 +157,7 @@ def test_mirrors_and_glass_leave_no_bright_dots_on_matte_ground() -> None:
 def test_closed_box_of_mirrors_ends_paths() -> None:
     inside = look_at((0.1, 0.05, 0.1), (0, 0, -1))
     picture = render_objects(
-        ObjectScene([cube(1.0, mirror())]), CAMERA, inside, ProbeSet.single(panorama()), quality=FEW
+        TracedObjects([cube(1.0, mirror())]), CAMERA, inside, ProbeSet.single(panorama()), quality=FEW
     )
     assert picture.alpha.min() == 1
     assert picture.radiance.max() == 0  # no light gets in
@@ -174,7 +174,7 @@ def test_glass_shows_the_background_behind_it() -> None:
         return seen
 
     light = ProbeSet.single(np.full((16, 32, 3), 0.25, np.float32))
-    picture = render_objects(ObjectScene([pane]), CAMERA, POSE, light, quality=FEW, background=background)
+    picture = render_objects(TracedObjects([pane]), CAMERA, POSE, light, quality=FEW, background=background)
     assert picture.alpha.min() == 1
     np.testing.assert_allclose(picture.radiance[:, 40:], np.broadcast_to([3, 0, 0], (48, 24, 3)), rtol=1e-4)
     np.testing.assert_allclose(picture.radiance[:, :24], 0.25, rtol=1e-4)
@@ -185,7 +185,7 @@ def test_glass_sphere_turns_the_light_upside_down() -> None:
     light[:16] = (0, 0, 1)  # blue above
     light[16:] = (0, 1, 0)
     picture = render_objects(
-        ObjectScene([sphere(0.5, glass(1.5))]),
+        TracedObjects([sphere(0.5, glass(1.5))]),
         CAMERA,
         POSE,
         ProbeSet.single(light),
@@ -202,9 +202,9 @@ def test_cut_out_shows_what_is_behind() -> None:
     wall = plane(4.0, 4.0, hole).transformed(np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 1], [0, 0, 0, 1.0]]))
     behind = sphere(0.4, diffuse())
     light = ProbeSet.single(panorama())
-    alone = render_objects(ObjectScene([behind]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False))
+    alone = render_objects(TracedObjects([behind]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False))
     covered = render_objects(
-        ObjectScene([behind, wall]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False)
+        TracedObjects([behind, wall]), CAMERA, POSE, light, quality=RenderSettings(64, 3, denoised=False)
     )
     assert covered.alpha[0, 0] == 0
     np.testing.assert_allclose(covered.alpha, alone.alpha, atol=0.05)
@@ -217,7 +217,7 @@ def test_half_opacity_covers_half() -> None:
         np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1.0]])
     )
     for quality in ("preview", RenderSettings(64, 3, denoised=False)):
-        picture = render_objects(ObjectScene([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
+        picture = render_objects(TracedObjects([wall]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
         assert picture.alpha.mean() == pytest.approx(0.5, abs=0.01)
 
 
@@ -231,7 +231,7 @@ def test_light_changes_over_a_long_object() -> None:
     beam = plane(2.0, 0.4, diffuse((1.0, 1.0, 1.0)))
     above = look_at((0, 2, 0), (0, 0, 0))
     for quality in ("preview", FEW):
-        picture = render_objects(ObjectScene([beam]), CAMERA, above, probes, quality=quality)
+        picture = render_objects(TracedObjects([beam]), CAMERA, above, probes, quality=quality)
         row = picture.radiance[24, :, 1]
         assert row[4] == pytest.approx(1, abs=0.1)
         assert row[32] == pytest.approx(2, abs=0.15)
@@ -246,7 +246,7 @@ def test_mirrors_and_glass_show_a_light_of_their_own(quality) -> None:
     light = ProbeSet(lit, mirrored=shown)
 
     def mean(material: Material) -> float:
-        picture = render_objects(ObjectScene([sphere(0.5, material)]), CAMERA, POSE, light, quality=quality)
+        picture = render_objects(TracedObjects([sphere(0.5, material)]), CAMERA, POSE, light, quality=quality)
         return float(picture.radiance[picture.alpha == 1].mean())
 
     assert mean(mirror()) == pytest.approx(1, rel=0.01)
@@ -273,8 +273,8 @@ def test_normal_texture_tilts_the_surface() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[:, 28:36] = 1  # around +x
     above = look_at((0, 3, 0.001), (0, 0, 0))
-    plain = ObjectScene([plane(1.0, 1.0, diffuse((1.0, 1.0, 1.0)))])
-    bent = ObjectScene(
+    plain = TracedObjects([plane(1.0, 1.0, diffuse((1.0, 1.0, 1.0)))])
+    bent = TracedObjects(
         [plane(1.0, 1.0, Material((1.0, 1.0, 1.0), specular=0.0, normal_texture=Texture.from_linear(tilted)))]
     )
     before, after = (
@@ -285,14 +285,14 @@ def test_normal_texture_tilts_the_surface() -> None:
 
 
 def test_objects_behind_the_camera_are_not_drawn() -> None:
-    scene = ObjectScene([moved(sphere(0.3), 0, 0, 5)])
+    scene = TracedObjects([moved(sphere(0.3), 0, 0, 5)])
     picture = render_objects(scene, CAMERA, POSE, ProbeSet.single(panorama()), quality=FEW)
     assert picture.alpha.max() == 0
 
 
 def test_camera_inside_an_object_is_drawn() -> None:
     picture = render_objects(
-        ObjectScene([sphere(5.0)]),
+        TracedObjects([sphere(5.0)]),
         CAMERA,
         POSE,
         ProbeSet.single(panorama()),
@@ -307,7 +307,7 @@ def test_final_is_denoised_only_where_objects_are() -> None:
     quality = RenderSettings(4, 3, denoised=True)
     light = panorama()
     light[5, 9] = 300
-    scene = ObjectScene([sphere(0.5, rough_metal())])
+    scene = TracedObjects([sphere(0.5, rough_metal())])
     noisy = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=RenderSettings(4, 3, denoised=False))
     clean = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=quality)
     truth = render_objects(scene, CAMERA, POSE, ProbeSet.single(light), quality=RenderSettings(512, 3, denoised=False))
@@ -322,12 +322,12 @@ def test_final_is_denoised_only_where_objects_are() -> None:
 )
 def test_unknown_qualities_are_refused(quality) -> None:
     with pytest.raises(OptionError):
-        render_objects(ObjectScene([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
+        render_objects(TracedObjects([sphere(0.1)]), CAMERA, POSE, ProbeSet.single(panorama()), quality=quality)
 
 
 def test_empty_scene_is_refused() -> None:
     with pytest.raises(ObjectError, match="one object at least"):
-        ObjectScene([])
+        TracedObjects([])
 
 
 def test_presets_grow_in_samples() -> None:
@@ -335,7 +335,7 @@ def test_presets_grow_in_samples() -> None:
 
 
 def test_rays_meet_and_miss_objects() -> None:
-    scene = ObjectScene([sphere(0.5), moved(cube(0.5), 2.0)])
+    scene = TracedObjects([sphere(0.5), moved(cube(0.5), 2.0)])
     origins = np.array([[0, 0, 2.0], [2, 0, 2], [0, 3, 2]])
     directions = np.tile([0, 0, -1.0], (3, 1))
     hits = scene.intersect(origins, directions)

@@ -11,7 +11,7 @@ from roomlight.compositing.light.lighting import ProbeSet
 from roomlight.compositing.objects.materials import Material, diffuse, glass, rough_metal
 from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 
 SIZE = 24
 
@@ -78,7 +78,7 @@ def test_spheres_agree_with_mitsuba(mitsuba: ModuleType, material: Material, bsd
     focal = float(SIZE / 2 / np.tan(np.radians(degrees / 2)))
     camera = Intrinsics(focal, focal, SIZE / 2, SIZE / 2, SIZE, SIZE)
     ours = render_objects(
-        ObjectScene([sphere(0.5, material)]),
+        TracedObjects([sphere(0.5, material)]),
         camera,
         look_at((0, 0.5, 2.5), (0, 0, 0)),
         ProbeSet.single(panorama),

@@ -8,10 +8,10 @@ from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.objects.materials import diffuse
 from roomlight.compositing.objects.primitives import sphere
 from roomlight.compositing.picture.crop import CropCamera
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.rendering.room_shade import lamp_of
 from roomlight.compositing.rendering.shadows import Caster, ShadowQuality, coarse_ratio, surface_grid
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at
 
@@ -24,7 +24,7 @@ CENTRE = (-0.5, 1.0, -0.9)
 @pytest.fixture(scope="module")
 def scene():
     """Return the grid of surfaces that a camera sees, and the fused geometry."""
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     for index, (eye, yaw) in enumerate((((0.9, 1.6, 0.4), 45), ((0.2, 1.5, 1.4), 20), ((-0.2, 2.0, 0.6), 15))):
         geometry.add(index, FrameMesh(ROOM.frame(camera_at(eye, yaw, -40))))
     frame = ROOM.frame(camera_at((0.6, 1.6, 0.6), 25, -40), width=256, height=192, depth_size=(256, 192))
@@ -35,7 +35,7 @@ def scene():
 def ratio(grid, room):
     move = np.eye(4)
     move[:3, 3] = CENTRE
-    held = ObjectScene([sphere(0.3, diffuse((0.0, 0.0, 0.0))).transformed(move)])
+    held = TracedObjects([sphere(0.3, diffuse((0.0, 0.0, 0.0))).transformed(move)])
     spheres = np.array([[*CENTRE, 0.3]], np.float32)
     caster = Caster(held, spheres, np.array([0], np.int32), LightSampler(SUN), LightSampler(SUN), None, room)
     return coarse_ratio(caster, grid, ShadowQuality(step=1, samples=64, bounces=0)).mean(axis=-1)

@@ -12,7 +12,7 @@ from roomlight.compositing.objects.materials import Material, diffuse, glossy, m
 from roomlight.compositing.objects.primitives import cube, plane, sphere
 from roomlight.compositing.rendering import tracer
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import panorama_directions, panorama_solid_angles
 from roomlight.kernels.common import point
 from roomlight.spheres import resize_panorama
@@ -37,7 +37,7 @@ def lit_room(seed: int = 7) -> np.ndarray:
     return panorama.astype(np.float32)
 
 
-def picture(scene: ObjectScene, lights: ProbeSet, samples: int, seed: int = 0, **options) -> np.ndarray:
+def picture(scene: TracedObjects, lights: ProbeSet, samples: int, seed: int = 0, **options) -> np.ndarray:
     """Return the pixels in the middle of an object about the origin, [n, 3]."""
     quality = RenderSettings(samples, 4, denoised=False)
     found = render_objects(scene, CAMERA, POSE, lights, quality=quality, seed=seed, **options)
@@ -59,10 +59,10 @@ def test_points_are_stratified_in_every_shape() -> None:
 
 
 def test_faces_under_nothing_are_open() -> None:
-    assert ObjectScene([sphere(0.5)]).is_open().all()
-    assert ObjectScene([cube(0.5)]).is_open().all()
+    assert TracedObjects([sphere(0.5)]).is_open().all()
+    assert TracedObjects([cube(0.5)]).is_open().all()
     # two cubes side by side: the faces toward each other are closed
-    pair = ObjectScene([cube(0.5), moved(cube(0.5), 1.0, 0.0, 0.0)])
+    pair = TracedObjects([cube(0.5), moved(cube(0.5), 1.0, 0.0, 0.0)])
     first, second = (pair.surfaces.corners[:, k] - pair.surfaces.corners[:, 0] for k in (1, 2))
     normals = np.cross(first, second)
     left = pair.surfaces.object_id == 0
@@ -70,7 +70,7 @@ def test_faces_under_nothing_are_open() -> None:
 
 
 def test_open_faces_move_with_the_objects() -> None:
-    scene = ObjectScene([cube(0.5), moved(cube(0.3), 0.1, 0.4, 0.0)])
+    scene = TracedObjects([cube(0.5), moved(cube(0.3), 0.1, 0.4, 0.0)])
     turn = np.array([[0, -1, 0, 3.0], [1, 0, 0, 1.0], [0, 0, 1, -2.0], [0, 0, 0, 1.0]])
     np.testing.assert_array_equal(scene.moved(turn).is_open(), scene.is_open())
     assert 0 < scene.is_open().mean() < 1
@@ -78,17 +78,17 @@ def test_open_faces_move_with_the_objects() -> None:
 
 def test_scenes_too_large_to_ask_are_traced(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(tracer, "_OPEN_TESTS", 1000)
-    assert not ObjectScene([sphere(0.5)]).is_open().any()
+    assert not TracedObjects([sphere(0.5)]).is_open().any()
 
 
 @pytest.mark.parametrize("standing", [False, True], ids=["free", "on a floor"])
 @pytest.mark.parametrize("name", MATERIALS)
 def test_open_faces_show_what_traced_ones_show(monkeypatch: pytest.MonkeyPatch, name: str, standing: bool) -> None:
-    scene, lights = ObjectScene([sphere(0.5, MATERIALS[name])]), ProbeSet.single(lit_room(), (0.0, 0.1, 0.0))
+    scene, lights = TracedObjects([sphere(0.5, MATERIALS[name])]), ProbeSet.single(lit_room(), (0.0, 0.1, 0.0))
     options = {"supports": FLOOR} if standing else {}
     known = np.stack([picture(scene, lights, 64, seed, **options) for seed in range(4)])
     monkeypatch.setattr(tracer, "_OPEN_TESTS", -1)
-    scene = ObjectScene([sphere(0.5, MATERIALS[name])])
+    scene = TracedObjects([sphere(0.5, MATERIALS[name])])
     traced = np.stack([picture(scene, lights, 64, seed, **options) for seed in range(4, 8)])
     error = np.sqrt((known.var(axis=0, ddof=1) + traced.var(axis=0, ddof=1)).mean(axis=0) / 4 / known.shape[1])
     difference = np.abs(known.mean(axis=(0, 1)) - traced.mean(axis=(0, 1)))
@@ -101,7 +101,7 @@ def test_two_probes_light_as_their_mean(monkeypatch: pytest.MonkeyPatch, is_open
     if not is_open:
         monkeypatch.setattr(tracer, "_OPEN_TESTS", -1)
     rooms = lit_room(1), lit_room(2)[:, ::-1]
-    scene = ObjectScene([sphere(0.5, MATERIALS["glossy"])])
+    scene = TracedObjects([sphere(0.5, MATERIALS["glossy"])])
     both = picture(scene, ProbeSet([LightSampler(room) for room in rooms]), 256)
     mean = picture(scene, ProbeSet.single(np.mean(rooms, axis=0)), 256, seed=1)
     # a pixel's noise is 2 % of its value, and there are 100
@@ -123,7 +123,7 @@ def test_variance_is_below_independent_samples(
 ) -> None:
     if not is_open:
         monkeypatch.setattr(tracer, "_OPEN_TESTS", -1)
-    scene, lights = ObjectScene([sphere(0.5, MATERIALS[name])]), ProbeSet.single(lit_room())
+    scene, lights = TracedObjects([sphere(0.5, MATERIALS[name])]), ProbeSet.single(lit_room())
     # pictures of one sample with different seeds are independent samples
     single = np.stack([picture(scene, lights, 1, seed) for seed in range(32)]).var(axis=0, ddof=1).mean() / 64
     together = np.stack([picture(scene, lights, 64, seed) for seed in range(6)]).var(axis=0, ddof=1).mean()
@@ -146,13 +146,13 @@ def test_irradiance_agrees_with_a_dense_sum(rows: int) -> None:
 def test_mirrors_are_not_sampled_by_light() -> None:
     light = np.zeros((32, 64, 3), np.float32)
     light[2, 5] = 1000.0
-    seen = picture(ObjectScene([moved(plane(9.0, 9.0, mirror()), 0.0, -0.5, 0.0)]), ProbeSet.single(light), 4)
+    seen = picture(TracedObjects([moved(plane(9.0, 9.0, mirror()), 0.0, -0.5, 0.0)]), ProbeSet.single(light), 4)
     assert seen.max() == 0  # the lamp is not where the mirror shows
 
 
 def test_dark_bases_stay_dark_under_supports() -> None:
     black = Material(base_colour=(0.0, 0.0, 0.0), specular=0.0)
-    scene = ObjectScene([sphere(0.5, black)])
+    scene = TracedObjects([sphere(0.5, black)])
     assert picture(scene, ProbeSet.single(lit_room()), 4, supports=FLOOR).max() == 0
-    white = ObjectScene([sphere(0.5, diffuse((1.0, 1.0, 1.0)))])
+    white = TracedObjects([sphere(0.5, diffuse((1.0, 1.0, 1.0)))])
     assert picture(white, ProbeSet.single(lit_room()), 4, supports=FLOOR).min() >= 0

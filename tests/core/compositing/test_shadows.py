@@ -20,7 +20,7 @@ from roomlight.compositing.rendering.shadows import (
     shadow_ratio,
     surface_grid,
 )
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from rooms import camera_at, pinhole
 
 POSE = camera_at((0.0, 1.6, 1.6), pitch_degrees=-45)
@@ -38,7 +38,7 @@ def floor_depth():
 def caster(held, panorama, centre, radius, support: Plane | None = FLOOR):
     spheres = np.array([[*centre, radius]], np.float32)
     light = LightSampler(panorama)
-    return Caster(ObjectScene([held]), spheres, np.array([0], np.int32), light, light, support)
+    return Caster(TracedObjects([held]), spheres, np.array([0], np.int32), light, light, support)
 
 
 def ball(panorama, radius=0.2, height=0.5, material=None):

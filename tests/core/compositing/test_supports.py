@@ -13,7 +13,7 @@ from roomlight.compositing.objects.primitives import cube, sphere
 from roomlight.compositing.placed_object import supports_of
 from roomlight.compositing.placement.places import Plane
 from roomlight.compositing.rendering.renderer import RenderSettings, render_objects
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import panorama_directions
 
 CAMERA = Intrinsics(180.0, 180.0, 64.0, 48.0, 128, 96)
@@ -29,10 +29,10 @@ def supports(shade_radius: float = 0.0) -> Supports:
     return Supports(*FLOOR, spheres, np.zeros(1, np.int32), np.array([25.0], np.float32), reach_m=50.0)
 
 
-def ball(material: Material) -> ObjectScene:
+def ball(material: Material) -> TracedObjects:
     pose = np.eye(4)
     pose[:3, 3] = CENTRE
-    return ObjectScene([sphere(RADIUS, material).transformed(pose)])
+    return TracedObjects([sphere(RADIUS, material).transformed(pose)])
 
 
 def split_floor(rows: int = 256) -> ProbeSet:
@@ -119,7 +119,7 @@ def test_light_has_no_step_where_the_table_of_another_object_ends(quality: str |
     moves = np.tile(np.eye(4), (2, 1, 1))
     moves[0, :3, 3], moves[1, :3, 3] = (-0.6, 0.6, 0.0), (0.3, 0.5 if crosses else 1.05, 0.0)
     panel = cube(1.0, mirror()).transformed(np.diag([1.0, 1.0, 0.02, 1.0]))
-    objects = ObjectScene([sphere(0.1).transformed(moves[0]), panel.transformed(moves[1])])
+    objects = TracedObjects([sphere(0.1).transformed(moves[0]), panel.transformed(moves[1])])
     spheres = [np.array([-0.6, 0.6, 0, 0.1]), np.array([*moves[1, :3, 3], 0.71])]
     supports = supports_of(objects, spheres, [table, floor if crosses else None])
     up = panorama_directions(64)[..., 1:2]
@@ -143,9 +143,9 @@ def test_a_table_ends_where_an_object_passes_through_its_plane() -> None:
     moves = np.tile(np.eye(4), (2, 1, 1))
     moves[0, :3, 3], moves[1, :3, 3] = (0.0, 0.6, 0.0), (0.4, 0.5, 0.0)
     spheres = [np.array([0, 0.6, 0, 0.1]), np.array([0.4, 0.5, 0, 0.2])]
-    alone = supports_of(ObjectScene([sphere(0.1).transformed(moves[0])]), spheres[:1], [table])
+    alone = supports_of(TracedObjects([sphere(0.1).transformed(moves[0])]), spheres[:1], [table])
     beside = supports_of(
-        ObjectScene([held.transformed(move) for held, move in zip((sphere(0.1), cube(0.2)), moves, strict=True)]),
+        TracedObjects([held.transformed(move) for held, move in zip((sphere(0.1), cube(0.2)), moves, strict=True)]),
         spheres,
         [table, None],
     )

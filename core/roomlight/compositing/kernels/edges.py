@@ -11,9 +11,10 @@ from numba import njit
 def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
     """Fill rows start..stop of a finer image: linear where the nearest sample is `smooth`, else the nearest sample.
 
-    corner:        row and column of the finer image's first pixel.
-    scale:         size of its pixels in samples of depth, along rows and columns.
-    out, certain:  [h, w] out: depth, and `smooth` at the nearest sample.
+    Args:
+        corner: row and column of the finer image's first pixel.
+        scale: size of its pixels in samples of depth, along rows and columns.
+        out, certain: [h, w] out: depth, and `smooth` at the nearest sample.
     """
     rows, columns = depth.shape
     half = np.float32(0.5)
@@ -42,12 +43,13 @@ def resample_depth(depth, smooth, corner, scale, out, certain, start, stop):
 def guide_by_colour(visible, certain, wanted, guide, radius, spread, out, start, stop):
     """Fill rows start..stop of `out` where `wanted`: the mean of certain neighbours, weighted by colour and distance.
 
-    visible:  [h, w] 0 hidden to 1 visible.
-    certain:  [h, w] where depth decides.
-    wanted:   [h, w] pixels to fill.
-    guide:    [h, w, 3] sRGB-encoded colour in [0, 1].
-    radius:   of the window, pixels.
-    spread:   difference of colour at which a neighbour's weight falls to 1/e.
+    Args:
+        visible: [h, w] 0 hidden to 1 visible.
+        certain: [h, w] where depth decides.
+        wanted: [h, w] pixels to fill.
+        guide: [h, w, 3] sRGB-encoded colour in [0, 1].
+        radius: of the window, pixels.
+        spread: difference of colour at which a neighbour's weight falls to 1/e.
     """
     height, width = visible.shape
     space = np.float32(2.0) / np.float32(radius * radius)

@@ -8,8 +8,9 @@ from numba import njit
 def average_samples(film, samples, out, start, stop):
     """Average the samples of pixels start..stop; the object is the nearest sample's, depth the covered ones' mean.
 
-    film:  a value for each sample, `samples` a pixel; albedo and normal may be left out (no rows).
-    out:   the same for each pixel.
+    Args:
+        film: a value for each sample, `samples` a pixel; albedo and normal may be left out (no rows).
+        out: the same for each pixel.
     """
     extra = len(film.albedo) > 0
     for i in range(start, stop):

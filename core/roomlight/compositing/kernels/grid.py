@@ -11,10 +11,11 @@ from numba import njit
 def fill_points(depth, lens, camera_to_world, out, start, stop):
     """Fill the world positions of rows start..stop of a depth image.
 
-    depth:            [h, w] z-depth.
-    lens:             fx, fy, cx, cy of its pixels.
-    camera_to_world:  [3, 4].
-    out:              [h, w, 3].
+    Args:
+        depth: [h, w] z-depth.
+        lens: fx, fy, cx, cy of its pixels.
+        camera_to_world: [3, 4].
+        out: [h, w, 3].
     """
     m = camera_to_world
     half = np.float32(0.5)
@@ -33,12 +34,13 @@ def fill_surfaces(raw, depth, eye, planes, tolerance, points, normals, start, st
     Points move along the line of sight, so that they stay where their pixels show them: moved along the normal, points
     seen at a low angle would come to lie under the object that stands there.
 
-    raw:              [h, w, 3] world positions.
-    depth:            [h, w] their z-depth.
-    eye:              [3] the camera's position.
-    planes:           [k, 2, 3] a point and the unit normal of each.
-    tolerance:        distance from a plane that counts as noise: metres, and share of the depth.
-    points, normals:  [h, w, 3] out.
+    Args:
+        raw: [h, w, 3] world positions.
+        depth: [h, w] their z-depth.
+        eye: [3] the camera's position.
+        planes: [k, 2, 3] a point and the unit normal of each.
+        tolerance: distance from a plane that counts as noise: metres, and share of the depth.
+        points, normals: [h, w, 3] out.
     """
     height, width = depth.shape
     for i in range(start, stop):

@@ -79,8 +79,9 @@ def light_left(spheres, normal, x, y, z):
 
     A sphere of radius r whose centre is at height h and distance d takes r^2 h / d^3 of a uniform sky's irradiance.
 
-    spheres:  [k, 4] centre and radius.
-    normal:   [3] of the plane, unit.
+    Args:
+        spheres: [k, 4] centre and radius.
+        normal: [3] of the plane, unit.
     """
     left = 1.0
     for k in range(spheres.shape[0]):

@@ -12,7 +12,7 @@ import math
 from numba import njit
 
 from roomlight.compositing.kernels.environment import density_at, direction_in, find
-from roomlight.compositing.kernels.scattering import evaluate
+from roomlight.compositing.kernels.scattering import Scatter, evaluate
 from roomlight.kernels.common import JIT
 
 _BY_LIGHT_ALONE = 0.1
@@ -39,12 +39,12 @@ def cell_share(light, weights, i, j):
 
 
 @njit(**JIT)
-def fill_guide(light, weights, found, frame, local_view, guide):
-    """Fill the probability of each cell, and of each row of cells, at a surface `found` with a frame (normal, a, b)."""
+def fill_guide(light, weights, scatter, frame, local_view, guide):
+    """Fill the probability of each cell, and of each row of cells, at a surface with a frame (normal, a, b)."""
     cells, rows = guide
     normal, a, b = frame
-    f0, f90, base, roughness, share, lobe = found
-    wide = (f0, f90, base, max(roughness, _WIDEST_ROUGHNESS), share, lobe)
+    f0, f90, base, roughness, share, lobe = scatter
+    wide = Scatter(f0, f90, base, max(roughness, _WIDEST_ROUGHNESS), share, lobe)
     total = 0.0
     for i in range(cells.shape[0]):
         for j in range(cells.shape[1]):

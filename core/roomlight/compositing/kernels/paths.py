@@ -8,6 +8,8 @@ light x scattering (`guiding`).
 Faces that nothing rises above are open: rays from there are not traced, as all of them reach the light. What an open
 face's base reflects of the panoramas is known without noise, from their irradiance; samples give the lobe's light, and
 the difference that the support makes (a control variate).
+
+`bounce` is the kernel; the functions above it are its steps.
 """
 
 import math
@@ -26,7 +28,7 @@ from roomlight.compositing.kernels.environment import (
 )
 from roomlight.compositing.kernels.ground import arriving, arriving_at
 from roomlight.compositing.kernels.guiding import fill_guide, guided_density, guided_sample
-from roomlight.compositing.kernels.scattering import draw, evaluate, surface
+from roomlight.compositing.kernels.scattering import Scatter, draw, evaluate, scatter_of
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
 from roomlight.kernels.common import JIT, KERNEL, point, tangents
 from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
@@ -142,34 +144,34 @@ def _glass(paths, i, live, place, normal, face_normal, ratio, tint, choice, offs
 
 
 @njit(**JIT)
-def _take_known(world, paths, i, found, film, at, scale):
+def _take_known(world, paths, i, scatter, film, at, scale):
     """Take away what the base reflects of the panoramas from a sample's direction; `_add_known` gave it as a whole."""
-    base = found[2]
+    base = scatter.base
     if base[0] + base[1] + base[2] > 0:
         r, g, h = radiance_at(world.light, at[0], at[1])
         _add(film.radiance, paths.slot[i], paths, i, -base[0] * r * scale, -base[1] * g * scale, -base[2] * h * scale)
 
 
 @njit(**JIT)
-def _add_known(world, paths, i, found, film, normal, weights):
+def _add_known(world, paths, i, scatter, film, normal, weights):
     """Add what the base of an open face reflects of the panoramas; returns the surface that is left to sample.
 
     Without supports, that is the lobe alone.
     """
-    f0, f90, base, roughness, _, lobe = found
+    f0, f90, base, roughness, _, lobe = scatter
     if base[0] + base[1] + base[2] <= 0:
-        return found
+        return scatter
     r, g, h = mean_around(world.light, weights, normal)
     _add(film.radiance, paths.slot[i], paths, i, base[0] * r, base[1] * g, base[2] * h)
     if world.supports.points.shape[0] > 0:
-        return found
-    return f0, f90, (0.0, 0.0, 0.0), roughness, 1.0, lobe
+        return scatter
+    return Scatter(f0, f90, (0.0, 0.0, 0.0), roughness, 1.0, lobe)
 
 
 @njit(**JIT)
 def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
     """Draw a direction of the light: add its light, or store a shadow ray at `count`; returns their number."""
-    found, frame, local_view, flat, is_open = hit
+    scatter, frame, local_view, flat, is_open = hit
     normal, a, b, origin = frame
     weights, guide, guided = guiding
     if guided:
@@ -181,14 +183,14 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
         b[0] * d[0] + b[1] * d[1] + b[2] * d[2],
         normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2],
     )
-    value, own = evaluate(found, local_view, local)
+    value, own = evaluate(scatter, local_view, local)
     if drawn <= 0 or (own <= 0 and value[0] + value[1] + value[2] <= 0):
         return count
     r, g, h = arriving_at(world, world.light.radiance, weights, origin, d, place)
     scale = 1 / (drawn + own)
     red, green, blue = value[0] * r * scale, value[1] * g * scale, value[2] * h * scale
     if is_open:
-        _take_known(world, paths, i, found, film, (weights, place), max(local[2], 0.0) * (scale / math.pi))
+        _take_known(world, paths, i, scatter, film, (weights, place), max(local[2], 0.0) * (scale / math.pi))
         if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
             _add(film.radiance, paths.slot[i], paths, i, red, green, blue)
             return count
@@ -206,10 +208,10 @@ def _light_ray(world, paths, i, hit, film, shadow, count, guiding, points2):
 @njit(**JIT)
 def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
     """Draw the next ray of an opaque surface; returns 1 if there is one, 0 if it ends or meets the light."""
-    found, frame, local_view, flat, is_open = hit
+    scatter, frame, local_view, flat, is_open = hit
     normal, a, b, origin = frame
     weights, guide, guided = guiding
-    light, weight, pdf = draw(found, local_view, choice, points2[0], points2[1])
+    light, weight, pdf = draw(scatter, local_view, choice, points2[0], points2[1])
     if light[2] <= 0 or max(weight[0], weight[1], weight[2]) < 1e-6:
         return 0
     d = (
@@ -227,7 +229,7 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
             share = pdf / (pdf + density_at(world.light, weights, row, column))
     blurred = paths.flags[i] & BLURRED
     if is_open and pdf > 0:
-        _take_known(world, paths, i, found, film, (weights, place), share * light[2] / (math.pi * pdf))
+        _take_known(world, paths, i, scatter, film, (weights, place), share * light[2] / (math.pi * pdf))
     if is_open and not (blurred and share >= 1) and flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] > 0:
         images = world.light.radiance if pdf > 0 else world.light.mirrored
         r, g, h = arriving_at(world, images, weights, origin, d, place)
@@ -235,16 +237,29 @@ def _opaque(world, paths, i, live, hit, film, guiding, choice, points2):
             film.radiance, paths.slot[i], paths, i, weight[0] * r * share, weight[1] * g * share, weight[2] * h * share
         )
         return 0
-    matte = choice >= found[4] or found[3] >= LEAST_BLURRED_ROUGHNESS
+    matte = choice >= scatter.lobe_probability or scatter.roughness >= LEAST_BLURRED_ROUGHNESS
     _continue(paths, i, live, origin, d, weight, share, BLURRED if matte else blurred)
     return 1
 
 
 @njit(**KERNEL)
 def bounce(world, view, paths, count, hits, film, queues, settings):
-    """Advance `count` rays by one surface; returns the numbers of rays that go on, to the light, and to the background.
+    """Advance `count` rays by one surface.
 
     Rays that go on are moved to the front of `paths`; the others are put into the two `queues`.
+
+    Args:
+        world: surfaces, materials, textures and light (`renderer._World`).
+        view: the camera and the pixels of the block (`renderer._View`).
+        paths: the rays [n] (`renderer._Paths`); overwritten by those that go on.
+        count: number of rays, the first of `paths`.
+        hits: what each ray met (`roomlight.rays.RayHits`).
+        film: [n] a value for each sample, by the rays' slots (`renderer._Film`); light is added.
+        queues: shadow rays, and rays to the background (`renderer._Queue`), each with room for n.
+        settings: `renderer._Settings`.
+
+    Returns:
+        The numbers of rays that go on, to the light, and to the background.
     """
     shadow, escape = queues
     weights = np.empty(world.light.radiance.shape[0])
@@ -257,6 +272,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
     for i in range(count):
         face = hits.face[i]
         slot = paths.slot[i]
+        # 1. A ray that leaves the objects brings the light there, or waits for the background behind glass.
         if face < 0:
             if _escape(world, paths, i, film, settings, weights):
                 for axis in range(3):
@@ -266,6 +282,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 escape.slot[escaped] = slot
                 escaped += 1
             continue
+        # 2. What the ray meets: colours, side and place.
         b, c = hits.u[i], hits.v[i]
         d = (paths.direction[i, 0], paths.direction[i, 1], paths.direction[i, 2])
         base, shares, emitted = colours(world, face, b, c)
@@ -276,7 +293,8 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
         side = 1.0 if flat[0] * d[0] + flat[1] * d[1] + flat[2] * d[2] < 0 else -1.0
         flat = (flat[0] * side, flat[1] * side, flat[2] * side)
         place = points(world.surfaces, face, b, c, side)
-        if chance >= shares[2]:  # not there: straight on
+        # 3. A cut-out lets the ray pass.
+        if chance >= shares[2]:
             through = (
                 place[0][0] - settings.offset_m * flat[0],
                 place[0][1] - settings.offset_m * flat[1],
@@ -286,12 +304,14 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
                 _continue(paths, i, live, through, d, (1.0, 1.0, 1.0), paths.share[i], paths.flags[i])
                 live += 1
             continue
+        # 4. The first surface of a camera ray is recorded; every surface adds the light that it emits.
         normal = shading_normal(world, face, b, c, d, side)
         if paths.flags[i] & PRIMARY:
             _record(film, slot, world, (face, place[0], normal, base), view)
         _add(film.radiance, slot, paths, i, emitted[0], emitted[1], emitted[2])
         if last:
             continue
+        # 5. Glass reflects or refracts the ray.
         material = world.surfaces.material[face]
         clear = world.materials.transmission[material]
         if clear > 0 and chance < clear * shares[2]:
@@ -299,6 +319,7 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             _glass(paths, i, live, place, normal, flat, ratio, base, choice, settings.offset_m)
             live += 1
             continue
+        # 6. How the surface scatters, in a frame about its normal.
         ax, ay, az, bx, by, bz = tangents(normal[0], normal[1], normal[2])
         a, e = (ax, ay, az), (bx, by, bz)
         origin = (
@@ -313,25 +334,29 @@ def bounce(world, view, paths, count, hits, film, queues, settings):
             -(normal[0] * d[0] + normal[1] * d[1] + normal[2] * d[2]),
         )
         roughness = max(shares[1], LEAST_BLURRED_ROUGHNESS) if paths.flags[i] & BLURRED else shares[1]
-        found = surface(world, material, base, shares[0], roughness, local_view[2])
+        scatter = scatter_of(world, material, base, shares[0], roughness, local_view[2])
         probe_weights(world.light.position, origin[0], origin[1], origin[2], weights)
+        # 7. An open face's base gets the light of the panoramas that is known without samples.
         guided = settings.depth == 0
         is_open = side > 0 and world.is_open[face]
         if is_open:
-            found = _add_known(world, paths, i, found, film, normal, weights)
-            if found[5][0] + found[5][1] + found[5][2] + found[2][0] + found[2][1] + found[2][2] <= 0:
+            scatter = _add_known(world, paths, i, scatter, film, normal, weights)
+            lobe, base_left = scatter.lobe, scatter.base
+            if lobe[0] + lobe[1] + lobe[2] + base_left[0] + base_left[1] + base_left[2] <= 0:
                 continue
-        hit = (found, frame, local_view, flat, is_open)
-        if found[4] < 1 or roughness >= MIRROR_ROUGHNESS:
+        # 8. A direction of the light, with a shadow ray unless the face is open.
+        hit = (scatter, frame, local_view, flat, is_open)
+        if scatter.lobe_probability < 1 or roughness >= MIRROR_ROUGHNESS:
             if guided:
                 pixel = slot // settings.samples
                 turned = normal[0] * guide_normal[0] + normal[1] * guide_normal[1] + normal[2] * guide_normal[2]
                 if pixel != guide_pixel or material != guide_material or turned < _SAME_GUIDE:
-                    fill_guide(world.light, weights, found, (normal, a, e), local_view, guide)
+                    fill_guide(world.light, weights, scatter, (normal, a, e), local_view, guide)
                     guide_pixel, guide_material, guide_normal = pixel, material, normal
             light_point = point(key, number, dimension + 1)
             guiding = (weights, guide, guided)
             shadows = _light_ray(world, paths, i, hit, film, shadow, shadows, guiding, light_point)
+        # 9. The next ray, by scattering.
         own_point = point(key, number, dimension + 2)
         live += _opaque(world, paths, i, live, hit, film, (weights, guide, guided), choice, own_point)
     return live, shadows, escaped

@@ -1,12 +1,15 @@
 # pyright: reportMissingParameterType=false
-"""Shading of first hits by prefiltered panoramas, without random numbers: Karis's split sum."""
+"""Shading of first hits by prefiltered panoramas, without random numbers: Karis's split sum (2013).
+
+`shade_hits` is the kernel.
+"""
 
 import numpy as np
 from numba import njit
 
 from roomlight.compositing.kernels.environment import bilinear_at, mixed_at, place_of, probe_weights
 from roomlight.compositing.kernels.ground import arriving
-from roomlight.compositing.kernels.scattering import surface
+from roomlight.compositing.kernels.scattering import scatter_of
 from roomlight.compositing.kernels.surfaces import colours, geometric_normal, points, shading_normal
 from roomlight.kernels.common import JIT, KERNEL
 from roomlight.kernels.microfacets import MIRROR_ROUGHNESS, dielectric
@@ -44,7 +47,7 @@ def _shade(world, mips, weights, face, base, shares, normal, place, d, side):
     clear = world.materials.transmission[material]
     r, g, b = 0.0, 0.0, 0.0
     if clear < 1:
-        _, _, under, roughness, _, lobe = surface(world, material, base, shares[0], shares[1], n_v)
+        _, _, under, roughness, _, lobe = scatter_of(world, material, base, shares[0], shares[1], n_v)
         if lobe[0] + lobe[1] + lobe[2] > 0:
             if roughness < MIRROR_ROUGHNESS:
                 p, q, s = arriving(world, world.light.mirrored, weights, place, mirrored)

@@ -9,10 +9,11 @@ from numba import njit
 def splat_depth(depth, age, lens, transform, new_lens, out, out_age):
     """Project an earlier depth image into a later camera; the nearest surface wins, gaps stay 0.
 
-    depth, age:     [h, w] z-depth, 0 unknown; frames since it was measured.
-    lens:           fx, fy, cx, cy of both images' depth pixels; `new_lens` of the later one.
-    transform:      [3, 4] earlier camera to later camera.
-    out, out_age:   [oh, ow] must begin at 0.
+    Args:
+        depth, age: [h, w] z-depth, 0 unknown; frames since it was measured.
+        lens: fx, fy, cx, cy of both images' depth pixels; `new_lens` of the later one.
+        transform: [3, 4] earlier camera to later camera.
+        out, out_age: [oh, ow] must begin at 0.
     """
     height, width = depth.shape
     out_height, out_width = out.shape
@@ -45,13 +46,14 @@ def accumulate_image(
 ):
     """Blend rows start..stop of `fresh` with an earlier image of the same surfaces.
 
-    image:            [h, w, 3] out; pixels that the earlier image does not show keep their value.
-    fresh, known:     [h, w, 3], [h, w].
-    points:           [h, w, 3] world positions of the pixels.
-    world_to_before:  [3, 4]; lens: fx, fy, cx, cy of the earlier image's pixels.
-    before:           [bh, bw, 4] the earlier image, and its z-depth.
-    share:            of the new image, 0 to 1.
-    slack:            how far the earlier value may lie outside the range of the new one's neighbours.
+    Args:
+        image: [h, w, 3] out; pixels that the earlier image does not show keep their value.
+        fresh, known: [h, w, 3], [h, w].
+        points: [h, w, 3] world positions of the pixels.
+        world_to_before: [3, 4]; lens: fx, fy, cx, cy of the earlier image's pixels.
+        before: [bh, bw, 4] the earlier image, and its z-depth.
+        share: of the new image, 0 to 1.
+        slack: how far the earlier value may lie outside the range of the new one's neighbours.
     """
     height, width = known.shape
     before_height, before_width = before_known.shape

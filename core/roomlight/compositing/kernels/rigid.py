@@ -33,9 +33,10 @@ def grow_boxes(corners, object_id, boxes):
 def fill_open(corners, vertices, tolerance, asked, out):
     """Fill whether no vertex is above the plane of each triangle (counter-clockwise side) by more than a tolerance.
 
-    corners:  [f, 3, 3] of the triangles.
-    vertices: [v, 3] that are tested.
-    asked:    [f] triangles to test; the others become False.
+    Args:
+        corners: [f, 3, 3] of the triangles.
+        vertices: [v, 3] that are tested.
+        asked: [f] triangles to test; the others become False.
     """
     for f in range(len(corners)):
         out[f] = False

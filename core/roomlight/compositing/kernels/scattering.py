@@ -1,11 +1,11 @@
 # pyright: reportMissingParameterType=false
 """Scattering at an opaque surface: the lobe over the base of `roomlight.compositing.objects.materials`.
 
-A surface is a tuple (F0, F90, base, roughness, share): F0, F90 and base are RGB; base is already reduced by what the
-lobe reflects; share is the probability of drawing from the lobe.
+Vectors are local: z along the shading normal.
 """
 
 import math
+from typing import NamedTuple
 
 from numba import njit
 
@@ -20,14 +20,34 @@ from roomlight.kernels.microfacets import (
 )
 
 
+class Scatter(NamedTuple):
+    """How a surface scatters light toward one viewer; colours are RGB.
+
+    Attributes:
+        f0: reflectance of the lobe's microfacets at normal incidence.
+        f90: at grazing incidence.
+        base: albedo of the base, reduced by what the lobe reflects.
+        roughness: of the lobe, perceptual.
+        lobe_probability: of drawing a direction from the lobe.
+        lobe: share of even light that the lobe reflects.
+    """
+
+    f0: tuple[float, float, float]
+    f90: float
+    base: tuple[float, float, float]
+    roughness: float
+    lobe_probability: float
+    lobe: tuple[float, float, float]
+
+
 @njit(**JIT)
 def _grey(colour):
     return 0.2126 * colour[0] + 0.7152 * colour[1] + 0.0722 * colour[2]
 
 
 @njit(**JIT)
-def surface(world, material, base, metallic, roughness, n_v):
-    """Make the surface of a material's values, as seen from the cosine n_v."""
+def scatter_of(world, material, base, metallic, roughness, n_v):
+    """Return the `Scatter` of a material's values, as seen from the cosine n_v."""
     ior, specular = world.materials.ior[material], world.materials.specular[material]
     normal = (ior - 1) / (ior + 1)
     normal = normal * normal * specular * (1 - metallic)
@@ -45,13 +65,13 @@ def surface(world, material, base, metallic, roughness, n_v):
     share = shiny / max(shiny + matte, 1e-12)
     if matte > 0 and shiny > 0:
         share = min(max(share, 0.1), 0.9)
-    return f0, f90, under, roughness, share, lobe
+    return Scatter(f0, f90, under, roughness, share, lobe)
 
 
 @njit(**JIT)
-def evaluate(found, view, light):
+def evaluate(scatter, view, light):
     """Return f x (n.l), RGB, and the density of drawing `light`; both vectors local. A mirror's lobe counts as 0."""
-    f0, f90, base, roughness, share, _ = found
+    f0, f90, base, roughness, share, _ = scatter
     n_l, n_v = light[2], view[2]
     if n_l <= 0 or n_v <= 0:
         return (0.0, 0.0, 0.0), 0.0
@@ -74,9 +94,9 @@ def evaluate(found, view, light):
 
 
 @njit(**JIT)
-def draw(found, view, choice, u, v):
+def draw(scatter, view, choice, u, v):
     """Draw a local direction; returns it, the weight f (n.l) / density, and the density (-1 for a mirror)."""
-    f0, f90, _, roughness, share, _ = found
+    f0, f90, _, roughness, share, _ = scatter
     if choice < share:
         if roughness < MIRROR_ROUGHNESS:
             weight = schlick(view[2])
@@ -96,7 +116,7 @@ def draw(found, view, choice, u, v):
     else:
         radius, angle = math.sqrt(u), 2 * math.pi * v
         light = (radius * math.cos(angle), radius * math.sin(angle), math.sqrt(max(1 - u, 1e-9)))
-    value, density = evaluate(found, view, light)
+    value, density = evaluate(scatter, view, light)
     if density <= 0:
         return light, (0.0, 0.0, 0.0), 1.0
     return light, (value[0] / density, value[1] / density, value[2] / density), density

@@ -100,11 +100,12 @@ def _look_up(panorama, x, y, z):
 def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irradiance, rays, start, stop):
     """Sum the irradiance of points start..stop; store the rays to the light that meet a bounding sphere.
 
-    of_lamp:     [s, m] directions whose light comes where `seen` says alone.
-    spheres:     [k, 4] centre and radius.
-    matte:       [h, w, 3] panorama of irradiance / pi.
-    unblocked:   [n, 3] out: of the samples.
-    irradiance:  [n, 3] out: of `matte`, without the samples' noise.
+    Args:
+        of_lamp: [s, m] directions whose light comes where `seen` says alone.
+        spheres: [k, 4] centre and radius.
+        matte: [h, w, 3] panorama of irradiance / pi.
+        unblocked: [n, 3] out: of the samples.
+        irradiance: [n, 3] out: of `matte`, without the samples' noise.
 
     Returns:
         The number of rays; their points count from start.
@@ -154,9 +155,10 @@ def light_rays(receivers, light, of_lamp, spheres, lift_m, matte, unblocked, irr
 def add_blocked(rays, share, blocked, squares):
     """Add the light that each ray's point loses.
 
-    share:    [n] 1 where an object blocks the ray, less where it lets light through.
-    blocked:  [points, 3] must begin at 0.
-    squares:  [points] sum of squares of the blocked mean of the channels, for its variance; must begin at 0.
+    Args:
+        share: [n] 1 where an object blocks the ray, less where it lets light through.
+        blocked: [points, 3] must begin at 0.
+        squares: [points] sum of squares of the blocked mean of the channels, for its variance; must begin at 0.
     """
     for p in range(len(share)):
         if share[p] == 0:
@@ -174,9 +176,10 @@ def add_blocked(rays, share, blocked, squares):
 def object_rays(receivers, spheres, lift_m, numbers, reach, rays, start, stop):
     """Store rays from points start..stop toward bounding spheres, for the light that objects reflect.
 
-    numbers:  [s, m, 2] low-discrepancy numbers in [0, 1), a row a subset.
-    reach:    in sphere radii; farther points get none.
-    rays:     out; the weight is cosine / (pdf m).
+    Args:
+        numbers: [s, m, 2] low-discrepancy numbers in [0, 1), a row a subset.
+        reach: in sphere radii; farther points get none.
+        rays: out; the weight is cosine / (pdf m).
 
     Returns:
         The number of rays.
@@ -248,10 +251,11 @@ def add_bounced(rays, face, distance, object_ids, looks, levels, ground, bounced
 
     The panorama shows the ground without the objects: what they see of it is reduced by the objects' own shade.
 
-    face:        [n] triangle that each ray met, -1 for none.
-    object_ids:  [k] object of each target; a ray that meets another one is counted where it was aimed at that one.
-    levels:      [l, h, w, 3] panoramas, the last one irradiance / pi.
-    bounced:     [points, 3] must begin at 0.
+    Args:
+        face: [n] triangle that each ray met, -1 for none.
+        object_ids: [k] object of each target; a ray that meets another one is counted where it was aimed at that one.
+        levels: [l, h, w, 3] panoramas, the last one irradiance / pi.
+        bounced: [points, 3] must begin at 0.
     """
     last = levels.shape[0] - 1
     up = ground.normal

@@ -47,9 +47,10 @@ def filter_change(change, grid, radius, plane_m, most_ratio, out, start, stop):
     `dark` is smoothed as far as its sampling noise allows, `glow`, which has no sharp borders, wherever `dark` changes
     slowly: at a contact both change together.
 
-    plane_m:  distance from a pixel's plane at which a neighbour's weight falls to 1/e.
-    most_ratio:  greatest result.
-    out:      [h, w, 3] must begin at 1; pixels that are not near keep it.
+    Args:
+        plane_m: distance from a pixel's plane at which a neighbour's weight falls to 1/e.
+        most_ratio: greatest result.
+        out: [h, w, 3] must begin at 1; pixels that are not near keep it.
     """
     dark, noise, glow = change.dark, change.noise, change.glow
     height, width = noise.shape
@@ -113,9 +114,10 @@ def _is_one(ratio, known, row, near, far):
 def upsample_ratio(ratio, known, depth, fine_depth, step, edge, out, start, stop):
     """Interpolate a ratio image to rows start..stop of a finer grid, across no depth edge.
 
-    ratio, known, depth:  [h, w, 3], [h, w], [h, w] on every `step`-th pixel, from step // 2 on.
-    fine_depth:           [fh, fw] z-depth, 0 unknown.
-    edge:                 relative difference of depth at which a neighbour's weight falls to 1/8.
+    Args:
+        ratio, known, depth: [h, w, 3], [h, w], [h, w] on every `step`-th pixel, from step // 2 on.
+        fine_depth: [fh, fw] z-depth, 0 unknown.
+        edge: relative difference of depth at which a neighbour's weight falls to 1/8.
     """
     height, width = depth.shape
     one = np.float32(1)

@@ -173,7 +173,8 @@ class ProbeSet:
     def __init__(self, samplers: Sequence[LightSampler], *, mirrored: Sequence[LightSampler] | None = None) -> None:
         """Join the probes; panoramas of fewer rows are resampled to the finest one's.
 
-        mirrored:  what smooth mirrors and glass show instead, at the same positions in the same order.
+        Args:
+            mirrored: what smooth mirrors and glass show instead, at the same positions in the same order.
 
         Raises:
             OptionError: There is none, or more than `MAX_PROBES`; or `mirrored` has other positions.

@@ -53,7 +53,7 @@ def path_probes(positions: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "k 3"]
         step *= 1.3
 
 
-class SceneProbes:
+class ObjectProbes:
     """Tracked probes of all objects of a scene, with the light of `object_light`."""
 
     def __init__(self, session: Session, light: LightAt | None = None) -> None:
@@ -86,7 +86,8 @@ class SceneProbes:
     def advance(self, elapsed_s: float, *, every_s: float = 0.0) -> bool:
         """Follow the session's light for a time; return whether any changed.
 
-        every_s:  change the light at most this often: each change costs 12 ms a probe.
+        Args:
+            every_s: change the light at most this often: each change costs 12 ms a probe.
         """
         self._waiting_s += elapsed_s
         if self._waiting_s < every_s:

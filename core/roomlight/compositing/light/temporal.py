@@ -171,7 +171,8 @@ class EasedLight:
 def rest_variance(images: Sequence[UInt8[np.ndarray, "h w 3"]], mask: Bool[np.ndarray, "h w"] | None = None) -> float:
     """Return the mean variance over time of encoded values in [0, 1], where camera and objects rest.
 
-    mask:  pixels that count; default all.
+    Args:
+        mask: pixels that count; default all.
     """
     stack = np.stack(images).astype(np.float32) / np.float32(255)
     variance = stack.var(axis=0).mean(axis=-1)

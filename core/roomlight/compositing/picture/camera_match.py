@@ -147,7 +147,8 @@ def add_noise(
 ) -> Float32[np.ndarray, "h w 3"]:
     """Add the camera's noise to the part `alpha` of an encoded image; the pattern is fixed by the frame's index.
 
-    at:  row and column of the image's corner in the frame, so that a crop has the pattern of the whole.
+    Args:
+        at: row and column of the image's corner in the frame, so that a crop has the pattern of the whole.
     """
     if not camera.noise.any():
         return encoded.astype(np.float32)

@@ -15,7 +15,7 @@ from roomlight.kernels.encode import compose_rows, encode_values
 from roomlight.threads import parallel_for
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Composite:
     """A frame with objects, and its layers: image = frame x shadow x (1 - alpha) + objects.
 
@@ -90,18 +90,18 @@ def unchanged(
     nothing = np.zeros((0, 0), np.float32)
     colour = np.zeros((0, 0, 3), np.float32)
     return Composite(
-        image,
-        frame,
-        Crop(0, 0, 0, 0),
-        Crop(0, 0, 0, 0),
-        clock.wall_ms,
-        waiting,
-        colour,
-        nothing,
-        colour,
-        nothing,
-        nothing.astype(np.int32),
-        clock.cpu_ms,
+        image=image,
+        frame=frame,
+        crop=Crop(0, 0, 0, 0),
+        object_crop=Crop(0, 0, 0, 0),
+        stage_ms=clock.wall_ms,
+        stage_cpu_ms=clock.cpu_ms,
+        waiting=waiting,
+        crop_objects=colour,
+        crop_alpha=nothing,
+        crop_shadow=colour,
+        crop_depth_m=nothing,
+        crop_object_id=nothing.astype(np.int32),
     )
 
 
@@ -122,8 +122,9 @@ def compose_srgb8(
 ) -> None:
     """Write frame x ratio x (1 - alpha) + objects to `encoded`, which holds the encoded frame, where it differs.
 
-    objects:  radiance times alpha, and alpha, of a rectangle of the image.
-    corner:   its first row and column.
+    Args:
+        objects: radiance times alpha, and alpha, of a rectangle of the image.
+        corner: its first row and column.
     """
     arguments = (frame, ratio, objects, corner, _srgb_table(), encoded)
     parallel_for(lambda start, stop: compose_rows(*arguments, start, stop), len(ratio))

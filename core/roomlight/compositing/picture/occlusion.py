@@ -89,9 +89,10 @@ def visibility(
 ) -> Float32[np.ndarray, "h w"]:
     """Return how far objects are visible, 0 hidden to 1 in front, at every pixel that they cover; 1 elsewhere.
 
-    object_depth_m:  z-depth of the objects; what is not finite or not above 0 is not covered.
-    guide:           the image, sRGB-encoded in [0, 1].
-    on_carrier:      real points that lie on the plane that an object stands on.
+    Args:
+        object_depth_m: z-depth of the objects; what is not finite or not above 0 is not covered.
+        guide: the image, sRGB-encoded in [0, 1].
+        on_carrier: real points that lie on the plane that an object stands on.
 
     Where depth is unknown and no decided pixel is near, objects are visible.
     """

@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import check_rigid, transform_points
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.errors import SceneError
 from roomlight.frame import MAX_POSITION_M, Frame
 
@@ -117,7 +117,7 @@ def place_at(
 
 
 def place_at_pixel(
-    geometry: SceneGeometry, frame: Frame, u: float, v: float, box: Box, *, yaw_degrees: float = 0.0
+    geometry: RoomGeometry, frame: Frame, u: float, v: float, box: Box, *, yaw_degrees: float = 0.0
 ) -> Placement:
     """Place an object on the surface that a pixel shows.
 
@@ -151,7 +151,7 @@ def place_at_pixel(
 
 
 def surface_at_pixel(
-    geometry: SceneGeometry, frame: Frame, u: float, v: float, *, radius_m: float = 0.1
+    geometry: RoomGeometry, frame: Frame, u: float, v: float, *, radius_m: float = 0.1
 ) -> tuple[Plane, SurfaceKind]:
     """Return the plane behind a pixel, fitted within `radius_m` of it; its point lies on the pixel's ray.
 
@@ -192,7 +192,7 @@ def surface_at_pixel(
     return Plane(origin + through * direction, normal), kind
 
 
-def support_below(geometry: SceneGeometry, placement: Placement, box: Box, *, within_m: float = 0.04) -> Plane | None:
+def support_below(geometry: RoomGeometry, placement: Placement, box: Box, *, within_m: float = 0.04) -> Plane | None:
     """Return the surface that a placed object stands on: within `within_m` of its bottom, facing along its y axis."""
     up = placement.object_to_world[:3, 1]
     base = transform_points(placement.object_to_world, box.anchor("base"))
@@ -302,7 +302,7 @@ def _depth_at(frame: Frame, u: float, v: float) -> float:
 
 
 def _patch(
-    geometry: SceneGeometry, frame: Frame, hit: Float[np.ndarray, "3"], radius_m: float
+    geometry: RoomGeometry, frame: Frame, hit: Float[np.ndarray, "3"], radius_m: float
 ) -> Float[np.ndarray, "n 3"]:
     """Return the known surface points within a radius of a point: the fused mesh's and the frame's own."""
     rows, columns = frame.depth_m.shape

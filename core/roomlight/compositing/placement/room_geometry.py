@@ -11,14 +11,13 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Int
 
 from roomlight.camera import Intrinsics, rigid_inverse
 from roomlight.compositing.kernels.depth_views import FREE, ON_SURFACE, DepthView, classify_points
 from roomlight.engine.session import Session
 from roomlight.engine.surface.mesh import FrameMesh
+from roomlight.rays import RayTree
 from roomlight.threads import parallel_for
 
 MARGIN_M: Final = 0.03
@@ -63,16 +62,15 @@ class Hits:
     normals: Float[np.ndarray, "n 3"]
 
 
-class SceneGeometry:
+class RoomGeometry:
     """The fused surfaces of a session."""
 
     def __init__(self) -> None:
         """Begin without surfaces; `update` adds those of a session."""
         self._pieces: list[_Piece] = []
         self._added: set[int] = set()
-        self._scene: EmbreeScene | None = None
-        self._faces: Int[np.ndarray, "n 3"] = np.zeros((0, 3), np.int32)
-        self._vertices: Float[np.ndarray, "v 3"] = np.zeros((0, 3), np.float32)
+        self._tree: RayTree | None = None
+        self._corners: Float[np.ndarray, "n 3 3"] = np.zeros((0, 3, 3), np.float32)
         self.version = 0
 
     @property
@@ -83,7 +81,8 @@ class SceneGeometry:
     def update(self, session: Session, *, latest: bool = True) -> bool:
         """Add the meshes that the session gained; return whether there were any.
 
-        latest:  also add the last frame if it is no keyframe.
+        Args:
+            latest: also add the last frame if it is no keyframe.
         """
         meshes = session.meshes
         if not latest and len(meshes) > session.keyframes:
@@ -111,7 +110,7 @@ class SceneGeometry:
         self._pieces.append(piece)
         if len(self._pieces) > MAX_PIECES:
             self._pieces.remove(min(self._pieces, key=lambda held: len(held.faces)))
-        self._scene = None
+        self._tree = None
         self.version += 1
 
     def points(self) -> Float[np.ndarray, "n 3"]:
@@ -131,23 +130,16 @@ class SceneGeometry:
 
     def cast(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """Cast rays with unit directions; surfaces are hit from both sides."""
-        count = len(origins)
-        distance, normals = np.full(count, np.inf, np.float32), np.zeros((count, 3), np.float32)
-        scene = self._built()
-        if scene is None or count == 0:
-            return Hits(distance, normals)
-        origins, directions = np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
-
-        def trace(start: int, stop: int) -> None:
-            found = scene.run(origins[start:stop], directions[start:stop], output=1)
-            hit = found["primID"] >= 0
-            distance[start:stop][hit] = found["tfar"][hit]
-            normals[start:stop][hit] = found["Ng"][hit]
-
-        parallel_for(trace, count, pieces_per_thread=1)
+        tree = self._built()
+        if tree is None or len(origins) == 0:
+            return Hits(np.full(len(origins), np.inf, np.float32), np.zeros((len(origins), 3), np.float32))
+        found = tree.trace(origins, directions)
+        a, b, c = (self._corners[found.face, corner] for corner in range(3))
+        normals = np.cross(b - a, c - a)
         normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
         normals *= -np.sign((normals * directions).sum(axis=1, keepdims=True))
-        return Hits(distance, normals)
+        normals[found.face < 0] = 0
+        return Hits(found.distance_m, normals.astype(np.float32))
 
     def depth_image(
         self,
@@ -166,15 +158,12 @@ class SceneGeometry:
         depth[wanted] = np.where(np.isfinite(found), found, np.float32(0))
         return depth
 
-    def _built(self) -> EmbreeScene | None:
-        if self._scene is None and self.triangles:
+    def _built(self) -> RayTree | None:
+        if self._tree is None and self.triangles:
             vertices, faces = self.mesh()
-            scene = EmbreeScene(robust=True)  # rays through vertices must not slip between triangles
-            EmbreeMesh(scene, vertices, faces)
-            # Embree builds its tree at the first ray, without a lock.
-            scene.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32), query="OCCLUDED")
-            self._scene = scene
-        return self._scene
+            self._corners = vertices[faces]
+            self._tree = RayTree(vertices, faces)  # robust: rays through vertices must not slip between triangles
+        return self._tree
 
 
 def _piece_of(index: int, mesh: FrameMesh) -> _Piece:

@@ -81,9 +81,10 @@ class MaterialSpec(_Model):
 class MotionKey(_Model):
     """The state of a motion at one time, relative to the object's place.
 
-    offset_m:       added to the place, world axes.
-    rotation_xyzw:  turns the object about its anchor, world axes.
-    scale:          of the object about its anchor.
+    Attributes:
+        offset_m: added to the place, world axes.
+        rotation_xyzw: turns the object about its anchor, world axes.
+        scale: of the object about its anchor.
     """
 
     at: Coordinate
@@ -101,9 +102,10 @@ class MotionKey(_Model):
 class Motion(_Model):
     """Keyframed motion: offsets and scales are interpolated linearly, rotations by slerp; held before and after.
 
-    unit:    of `at`: seconds since the first frame, or frame indices.
-    easing:  linear, or smooth: the speed is 0 at every key.
-    loop:    begin again after the last key.
+    Attributes:
+        unit: of `at`: seconds since the first frame, or frame indices.
+        easing: linear, or smooth: the speed is 0 at every key.
+        loop: begin again after the last key.
     """
 
     unit: Literal["seconds", "frames"] = "seconds"
@@ -141,17 +143,18 @@ class Motion(_Model):
 class ObjectSpec(_Model):
     """One object of a scene: a file or a shape, its size, its place and its motion.
 
-    name:         unique in the scene.
-    file:         glTF, GLB, OBJ or PLY, relative to the scene's file.
-    shape:        sphere, cube, plane, vase, chair or teapot, instead of a file.
-    up:           axis of the file that points up; z is turned to y, x stays.
-    size_m:       longest side of the bounding box; required for shapes, else the file's own metres.
-    material:     replaces the file's materials.
-    position:     world metres of the anchor; or
-    pose:         [4][4] rigid, object axes to world; or
-    pixel:        column and row in the frame of index `frame` (default: the first frame that is composited).
-    yaw_degrees:  about the surface's normal, with `position` or `pixel`.
-    anchor:       point of the object that is placed, with `position` or `pose`.
+    Attributes:
+        name: unique in the scene.
+        file: glTF, GLB, OBJ or PLY, relative to the scene's file.
+        shape: sphere, cube, plane, vase, chair or teapot, instead of a file.
+        up: axis of the file that points up; z is turned to y, x stays.
+        size_m: longest side of the bounding box; required for shapes, else the file's own metres.
+        material: replaces the file's materials.
+        position: world metres of the anchor; or
+        pose: [4][4] rigid, object axes to world; or
+        pixel: column and row in the frame of index `frame` (default: the first frame that is composited).
+        yaw_degrees: about the surface's normal, with `position` or `pixel`.
+        anchor: point of the object that is placed, with `position` or `pose`.
     """
 
     name: Annotated[str, Field(min_length=1, max_length=100)]

@@ -22,8 +22,9 @@ from roomlight.compositing.light.lighting import Environment, ProbeSet
 from roomlight.compositing.objects.materials import MaterialArrays, lobe_table
 from roomlight.compositing.objects.textures import TextureArrays
 from roomlight.compositing.rendering.denoise import denoise
-from roomlight.compositing.rendering.tracer import ObjectScene, Surfaces
+from roomlight.compositing.rendering.tracer import Surfaces, TracedObjects
 from roomlight.errors import OptionError
+from roomlight.rays import RayHits
 from roomlight.threads import parallel_for
 
 Quality = Literal["preview", "good", "final"]
@@ -122,12 +123,6 @@ class _Queue(NamedTuple):
     slot: Int32[np.ndarray, " n"]
 
 
-class _RayHits(NamedTuple):
-    face: Int32[np.ndarray, " n"]
-    u: Float32[np.ndarray, " n"]
-    v: Float32[np.ndarray, " n"]
-
-
 class _Film(NamedTuple):
     """A value for each sample, or, reduced, for each pixel; albedo and normal, for the denoiser, may have no rows."""
 
@@ -150,7 +145,7 @@ class _Settings(NamedTuple):
 
 
 def render_objects(
-    scene: ObjectScene,
+    scene: TracedObjects,
     camera: Intrinsics,
     camera_to_world: Float[np.ndarray, "4 4"],
     lights: ProbeSet,
@@ -228,7 +223,7 @@ def _checked_settings(quality: str | RenderSettings) -> RenderSettings:
     return quality
 
 
-def _pixels_around(scene: ObjectScene, camera: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> Int64[np.ndarray, " p"]:
+def _pixels_around(scene: TracedObjects, camera: Intrinsics, pose: Float[np.ndarray, "4 4"]) -> Int64[np.ndarray, " p"]:
     """Return the pixels, row by row, of the rectangles around the objects' projected boxes."""
     inverse = rigid_inverse(pose)
     mask = np.zeros((camera.height, camera.width), bool)
@@ -287,23 +282,26 @@ def _queue(count: int) -> _Queue:
     )
 
 
-def _camera_hits(scene: ObjectScene, view: _View, samples: int) -> tuple[_Paths, _RayHits]:
+def _camera_hits(scene: TracedObjects, view: _View, samples: int) -> tuple[_Paths, RayHits]:
     """Trace camera rays, `samples` a pixel."""
     count = len(view.column) * samples
     paths = _paths(count)
-    hits = _RayHits(np.empty(count, np.int32), np.empty(count, np.float32), np.empty(count, np.float32))
+    hits = RayHits(np.empty(count, np.int32), *(np.empty(count, np.float32) for _ in range(3)))
 
     def work(start: int, stop: int) -> None:
         rays = slice(start * samples, stop * samples)
         own = _Paths(*(column[rays] for column in paths))
         path_kernels.camera_rays(view.part(slice(start, stop)), samples, 0, own)
-        hits.face[rays], _, hits.u[rays], hits.v[rays] = scene.trace(own.origin, own.direction)
+        for column, part in zip(hits, scene.trace(own.origin, own.direction), strict=True):
+            column[rays] = part
 
     parallel_for(work, len(view.column), pieces_per_thread=2)
     return paths, hits
 
 
-def _preview(scene: ObjectScene, world: _World, lights: ProbeSet, view: _View, film: _Film, camera: Intrinsics) -> None:
+def _preview(
+    scene: TracedObjects, world: _World, lights: ProbeSet, view: _View, film: _Film, camera: Intrinsics
+) -> None:
     """Shade pixel centres, and several points of the pixels on outlines."""
     pixels = view.row * camera.width + view.column
     centres = view._replace(jitter=False)
@@ -318,12 +316,12 @@ def _preview(scene: ObjectScene, world: _World, lights: ProbeSet, view: _View, f
     ids = np.where(hits.face >= 0, scene.surfaces.object_id[hits.face], -1).reshape(-1, _EDGE_SAMPLES)
     mixed = (ids != film.object_id[pixels[chosen], None]).any(axis=1)  # the others stay as their centres are
     rays = np.repeat(mixed, _EDGE_SAMPLES)
-    paths, hits = _Paths(*(column[rays] for column in paths)), _RayHits(*(column[rays] for column in hits))
+    paths, hits = _Paths(*(column[rays] for column in paths)), RayHits(*(column[rays] for column in hits))
     found = _shaded(world, lights, part.part(np.flatnonzero(mixed)), paths, hits)
     _store(film, pixels[chosen[mixed]], _reduced(found, _EDGE_SAMPLES, extra=False))
 
 
-def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: _RayHits) -> _Film:
+def _shaded(world: _World, lights: ProbeSet, view: _View, paths: _Paths, hits: RayHits) -> _Film:
     found = _film(len(paths.slot), extra=False)
     mips = lights.prefiltered
     parallel_for(lambda begin, end: shade_hits(world, mips, view, paths, hits, found, begin, end), len(paths.slot))
@@ -340,7 +338,7 @@ def _on_outline(object_id: Int32[np.ndarray, "h w"], view: _View) -> Bool[np.nda
 
 
 def _sampled(
-    scene: ObjectScene,
+    scene: TracedObjects,
     world: _World,
     view: _View,
     film: _Film,
@@ -378,7 +376,7 @@ def _sampled(
 
 
 def _traced(
-    scene: ObjectScene,
+    scene: TracedObjects,
     world: _World,
     view: _View,
     settings: RenderSettings,
@@ -393,9 +391,9 @@ def _traced(
     offset_m, live = scene.offset_m(), count
     brightest = _BRIGHTEST_CAUSTIC * float(world.light.radiance.mean())
     for depth in range(settings.bounces + 1):
-        face, _, u, v = scene.trace(paths.origin[:live], paths.direction[:live])
+        hits = scene.trace(paths.origin[:live], paths.direction[:live])
         step = _Settings(samples, first, depth, settings.bounces, background is not None, offset_m, brightest)
-        live, shadows, escaped = path_kernels.bounce(world, view, paths, live, _RayHits(face, u, v), film, queues, step)
+        live, shadows, escaped = path_kernels.bounce(world, view, paths, live, hits, film, queues, step)
         shadow, escape = queues
         if shadows:
             blocked = scene.blocked(shadow.origin[:shadows], shadow.direction[:shadows])

@@ -13,7 +13,7 @@ from jaxtyping import Bool, Float, Float32
 
 from roomlight.compositing.kernels.shadows import SurfaceGrid
 from roomlight.compositing.light.lighting import LightSampler
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.conventions import LUMINANCE, panorama_directions, panorama_solid_angles
 
 _CONE: Final = float(np.cos(np.radians(8.0)))
@@ -64,13 +64,14 @@ def lamp_seen(
     lamp: Lamp,
     grid: SurfaceGrid,
     wanted: Bool[np.ndarray, "h w"],
-    room: SceneGeometry,
+    room: RoomGeometry,
     position: Float[np.ndarray, "3"],
 ) -> Float32[np.ndarray, "h w"]:
     """Return 1 where surfaces see the lamp, 0 where the room's geometry hides it; 1 also where nothing is known.
 
-    wanted:    pixels to test.
-    position:  the object's, which sees the lamp.
+    Args:
+        wanted: pixels to test.
+        position: the object's, which sees the lamp.
     """
     seen = np.ones(wanted.shape, np.float32)
     tested = wanted & (grid.normals @ lamp.direction > _LEAST_COSINE)

@@ -38,11 +38,11 @@ from roomlight.compositing.light.lighting import LightSampler
 from roomlight.compositing.picture.crop import CropCamera
 from roomlight.compositing.picture.occlusion import depth_edges
 from roomlight.compositing.placement.places import Plane
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.compositing.rendering.room_shade import Lamp, lamp_of, lamp_seen
-from roomlight.compositing.rendering.tracer import ObjectScene
+from roomlight.compositing.rendering.tracer import TracedObjects
 from roomlight.conventions import direction_to_uv, panorama_directions
-from roomlight.threads import parallel_for, thread_count
+from roomlight.threads import parallel_for
 
 TILE: Final = 4
 """Side of the tiles whose pixels use different subsets of the samples."""
@@ -114,13 +114,13 @@ class Caster:
         room: real surfaces that may hide the strongest lamp; None: they hide nothing.
     """
 
-    scene: ObjectScene
+    scene: TracedObjects
     spheres: Float32[np.ndarray, "k 4"]
     object_ids: Int[np.ndarray, " k"]
     light: LightSampler
     casting: LightSampler
     support: Plane | None = None
-    room: SceneGeometry | None = None
+    room: RoomGeometry | None = None
 
 
 def surface_grid(
@@ -238,7 +238,8 @@ def light_samples(light: LightSampler, count: int, *, toward: Float[np.ndarray, 
     A fifth of the directions is drawn without regard to luminance, so that the light around a strong lamp is sampled
     too.
 
-    toward:  normal of the surface that most points lie on: its cosine is sampled too.
+    Args:
+        toward: normal of the surface that most points lie on: its cosine is sampled too.
     """
     key = count, b"" if toward is None else toward.astype(np.float32).tobytes()
     if (held := light.kept.get(key)) is not None:
@@ -322,10 +323,11 @@ def _light_change(caster: Caster, receivers: Receivers, quality: ShadowQuality, 
         if quality.bounces:
             rays = _rays((stop - start) * quality.bounces * len(spheres), 1)
             met = _first(rays, object_rays(receivers, spheres, lift, numbers, reach, rays, start, stop))
-            face, distance_m, _, _ = caster.scene.trace(met.origin, met.direction)
-            add_bounced(met, face, distance_m, caster.object_ids, looks, levels, ground, bounced)
+            hits = caster.scene.trace(met.origin, met.direction)
+            add_bounced(met, hits.face, hits.distance_m, caster.object_ids, looks, levels, ground, bounced)
 
-    _in_blocks(work, count, max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres))))
+    most = max(1, _BLOCK_RAYS // max(samples, quality.bounces * len(spheres)))
+    parallel_for(work, count, pieces_per_thread=2, most=most)
     # with the lamp also where the room hides it: on a surface wrongly taken for shaded, glow would be a bright spot
     irradiance = _at_least_seen(irradiance, receivers.normals, caster)
     variance = squares - (blocked @ _THIRDS) ** 2 / np.float32(samples)
@@ -364,29 +366,17 @@ def _first(rays: Rays, count: int) -> Rays:
     return Rays(*(column[:count] for column in rays))
 
 
-def _in_blocks(work: Callable[[int, int], object], count: int, size: int) -> None:
-    """Call work(start, stop) for blocks of at most `size`, and at least two for each thread."""
-    blocks = max(-(-count // size), min(2 * thread_count(), count))
-    bounds = [count * block // blocks for block in range(blocks + 1)]
-
-    def run(start: int, stop: int) -> None:
-        for block in range(start, stop):
-            work(bounds[block], bounds[block + 1])
-
-    parallel_for(run, blocks)
-
-
-def _opacity(scene: ObjectScene, rays: Rays) -> Float32[np.ndarray, " n"]:
+def _opacity(scene: TracedObjects, rays: Rays) -> Float32[np.ndarray, " n"]:
     """Return the share of light that the first object along each ray takes: glass and openings let light through."""
     table = scene.materials
     clear = (1 - table.transmission * table.base.mean(axis=1)) * table.opacity
     if (clear > 0.999).all():
         return scene.blocked(rays.origin, rays.direction).astype(np.float32)
-    face, _, _, _ = scene.trace(rays.origin, rays.direction)
+    face = scene.trace(rays.origin, rays.direction).face
     return np.where(face >= 0, clear[scene.surfaces.material[face]], np.float32(0)).astype(np.float32)
 
 
-def _looks(scene: ObjectScene, levels: int) -> Looks:
+def _looks(scene: TracedObjects, levels: int) -> Looks:
     """Return the objects' surfaces as matte surfaces around them are lit by them."""
     table = scene.materials
     means = scene.texture_means()

@@ -1,13 +1,11 @@
 """Virtual objects in the world as one Embree tree, and the rays traced through it. World metres, y up."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from copy import copy
 from functools import cached_property
 from typing import Final, NamedTuple
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh as EmbreeMesh
-from embreex.rtcore_scene import EmbreeScene
 from jaxtyping import Bool, Float, Float32, Int32
 
 from roomlight.camera import rigid_inverse
@@ -17,15 +15,13 @@ from roomlight.compositing.objects.textures import TextureArrays
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.conventions import panorama_directions
 from roomlight.errors import ObjectError
-from roomlight.threads import parallel_for
+from roomlight.rays import RayHits, RayTree
 
 MAX_TRIANGLES: Final = 2_000_000
 """Most triangles of a scene: about 500 MB for the tree and the tables."""
 _RIGID: Final = 1e-6
-_BLOCK: Final = 1 << 15
-"""Rays a call from one thread."""
 _OPEN_TESTS: Final = 200_000_000
-"""Most tests of a corner against a plane for `ObjectScene.is_open`: 0.1 s; a sphere of 14,000 triangles."""
+"""Most tests of a corner against a plane for `TracedObjects.is_open`: 0.1 s; a sphere of 14,000 triangles."""
 _EVERYWHERE: Final = panorama_directions(12).reshape(-1, 3).T.astype(np.float32)
 """Directions in which the farthest corners are tested first; most planes have one of them above."""
 _NOWHERE: Final = np.zeros(3, np.float32)
@@ -80,7 +76,7 @@ class _Shift(NamedTuple):
     offset_m: Float32[np.ndarray, "3"]
 
 
-class ObjectScene:
+class TracedObjects:
     """Objects with their tree; safe to use from several threads, and worth keeping while the objects rest.
 
     Attributes:
@@ -113,20 +109,17 @@ class ObjectScene:
         self._bounds.setflags(write=False)
         self.surfaces, materials = _flatten(self.objects)
         self.materials, self.textures = material_arrays(materials)
-        self._tree = EmbreeScene(robust=True)
-        vertices, faces = _indexed(self.objects)
-        EmbreeMesh(self._tree, vertices, faces)
-        # The tree is built in the first query, unlocked: ask once before threads do.
-        self._tree.run(np.zeros((1, 3), np.float32), np.array([[0, 1, 0]], np.float32), query="OCCLUDED")
+        self._tree = RayTree(*_indexed(self.objects))
         self._shift: _Shift | None = None
-        self._base: ObjectScene = self
+        self._base: TracedObjects = self
 
-    def moved(self, transform: Float[np.ndarray, "4 4"]) -> "ObjectScene":
+    def moved(self, transform: Float[np.ndarray, "4 4"]) -> "TracedObjects":
         """Return the scene with all objects moved together by a rigid transform; the tree is shared, not built anew.
 
         Rays are moved to the tree instead. For 7,000 triangles this takes 0.3 ms, a new scene 12 ms.
 
-        transform:  from the world of the scene's own objects, also if this scene is moved already.
+        Args:
+            transform: from the world of the scene's own objects, also if this scene is moved already.
 
         Raises:
             ValueError: The transform is not rigid.
@@ -215,27 +208,17 @@ class ObjectScene:
 
     def intersect(self, origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]) -> Hits:
         """Find the nearest surface along each ray (unit directions)."""
-        begin, along = (np.ascontiguousarray(rays, np.float32) for rays in (origins, directions))
-        count = len(begin)
-        face, distance = np.full(count, -1, np.int32), np.full(count, np.inf, np.float32)
-        barycentrics = np.zeros((count, 2), np.float32)
-
-        def work(start: int, stop: int) -> None:
-            found = self.trace(begin[start:stop], along[start:stop])
-            face[start:stop], distance[start:stop] = found[0], found[1]
-            barycentrics[start:stop, 0], barycentrics[start:stop, 1] = found[2], found[3]
-
-        _in_blocks(work, count)
-        missed = face < 0
-        distance[missed] = np.inf
+        found = self._tree.trace(*self._at_tree(*_as_rays(origins, directions)))
+        missed = found.face < 0
+        barycentrics = np.stack([found.u, found.v], axis=1)
         barycentrics[missed] = 0
-        a, b, c = (self.surfaces.corners[face, corner] for corner in range(3))
+        a, b, c = (self.surfaces.corners[found.face, corner] for corner in range(3))
         normal = np.cross(b - a, c - a)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), np.float32(1e-30))
         normal[missed] = 0
-        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[face])
-        part = np.where(missed, np.int32(-1), self.surfaces.part[face])
-        return Hits(distance, object_id, part, face, barycentrics, normal)
+        object_id = np.where(missed, np.int32(-1), self.surfaces.object_id[found.face])
+        part = np.where(missed, np.int32(-1), self.surfaces.part[found.face])
+        return Hits(found.distance_m, object_id, part, found.face, barycentrics, normal)
 
     def occluded(
         self,
@@ -244,28 +227,11 @@ class ObjectScene:
         reach_m: Float[np.ndarray, " n"] | float = np.inf,
     ) -> Bool[np.ndarray, " n"]:
         """Return whether each ray meets a surface within its reach in metres; panes and cut-outs block as well."""
-        begin, along = (np.ascontiguousarray(rays, np.float32) for rays in (origins, directions))
-        count = len(begin)
-        reach = np.minimum(np.broadcast_to(np.asarray(reach_m, np.float32), (count,)), np.float32(1e30))
-        out = np.zeros(count, bool)
+        return self._tree.blocked(*self._at_tree(*_as_rays(origins, directions)), reach_m)
 
-        def work(start: int, stop: int) -> None:
-            out[start:stop] = self.blocked(begin[start:stop], along[start:stop], reach[start:stop].copy())
-
-        _in_blocks(work, count)
-        return out
-
-    def trace(
-        self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]
-    ) -> tuple[
-        Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, " n"]
-    ]:
-        """Trace a block of rays in this thread; returns face (-1: none), distance, and two barycentrics."""
-        if len(origins) == 0:
-            nothing = np.zeros(0, np.float32)
-            return np.zeros(0, np.int32), nothing, nothing, nothing
-        found = self._tree.run(*self._at_tree(origins, directions), output=1)
-        return found["primID"], found["tfar"], found["u"], found["v"]
+    def trace(self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]) -> RayHits:
+        """Trace a block of rays in this thread."""
+        return self._tree.trace_here(*self._at_tree(origins, directions))
 
     def blocked(
         self,
@@ -273,13 +239,8 @@ class ObjectScene:
         directions: Float32[np.ndarray, "n 3"],
         reach_m: Float32[np.ndarray, " n"] | None = None,
     ) -> Bool[np.ndarray, " n"]:
-        """Trace a block of shadow rays in this thread; `reach_m` is overwritten."""
-        if len(origins) == 0:
-            return np.zeros(0, bool)
-        begin, along = self._at_tree(origins, directions)
-        if reach_m is None:
-            return self._tree.run(begin, along, query="OCCLUDED") >= 0
-        return self._tree.run(begin, along, dists=reach_m, query="OCCLUDED") >= 0
+        """Trace a block of shadow rays in this thread."""
+        return self._tree.blocked_here(*self._at_tree(origins, directions), reach_m)
 
     def _at_tree(
         self, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"]
@@ -300,6 +261,12 @@ def _turned(
     out = np.empty(vectors.shape, np.float32)
     turn_vectors(vectors.reshape(-1, 3), rotation, offset, out.reshape(-1, 3), 0, out.size // 3)
     return out
+
+
+def _as_rays(
+    origins: Float[np.ndarray, "n 3"], directions: Float[np.ndarray, "n 3"]
+) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
+    return np.ascontiguousarray(origins, np.float32), np.ascontiguousarray(directions, np.float32)
 
 
 def _indexed(objects: Sequence[VirtualObject]) -> tuple[Float32[np.ndarray, "n 3"], Int32[np.ndarray, "f 3"]]:
@@ -336,13 +303,3 @@ def _flatten(objects: Sequence[VirtualObject]) -> tuple[Surfaces, list[Material]
     if not bent:
         joined = joined._replace(tangents=np.zeros((1, 3, 4), np.float32))
     return joined, materials
-
-
-def _in_blocks(work: Callable[[int, int], object], count: int) -> None:
-    blocks = -(-count // _BLOCK)
-
-    def run(start: int, stop: int) -> None:
-        for block in range(start, stop):
-            work(block * _BLOCK, min((block + 1) * _BLOCK, count))
-
-    parallel_for(run, blocks)

@@ -11,13 +11,14 @@ import numpy as np
 from jaxtyping import Float32, Float64
 from numba import njit
 
+from roomlight.kernels.common import mixed
 from roomlight_generator.panoramas.kernels.shell_views import (
     nearest,
     place,
     radiance_at,
     shade_at,
 )
-from roomlight_generator.transport.kernels.common import JIT, PHI1, PHI2, cosine_direction, fraction, mixed, unit
+from roomlight_generator.transport.kernels.common import JIT, PHI1, PHI2, cosine_direction, fraction, unit
 
 OFF_M = 2e-3
 """Rays start this far off a surface."""

@@ -3,9 +3,8 @@
 from typing import Final
 
 import numpy as np
-from embreex.mesh_construction import TriangleMesh
-from embreex.rtcore_scene import EmbreeScene
 
+from roomlight.rays import RayTree
 from roomlight_generator.rooms.scene import Mesh
 
 _GRID: Final = 11
@@ -33,11 +32,8 @@ def measure_top_m(mesh: Mesh, *, listed_m: float | None) -> float | None:
     x, z = np.meshgrid(low[0] + along * (high[0] - low[0]), low[2] + along * (high[2] - low[2]))
     origins = np.stack([x.ravel(), np.full(x.size, high[1] + 0.1), z.ravel()], 1).astype(np.float32)
     down = np.broadcast_to(np.array([0, -1, 0], np.float32), origins.shape).copy()
-    scene = EmbreeScene()
-    TriangleMesh(scene, np.ascontiguousarray(mesh.vertices, np.float32), np.ascontiguousarray(mesh.faces, np.int32))
-    found = scene.run(origins, down, query="INTERSECT", output=True)
-    hit = np.asarray(found["primID"]) >= 0
-    heights = np.where(hit, high[1] + 0.1 - np.asarray(found["tfar"]), -1.0)
+    found = RayTree(mesh.vertices, mesh.faces).trace(origins, down)
+    heights = np.where(found.face >= 0, high[1] + 0.1 - found.distance_m, -1.0)
     common = max(heights, key=lambda height: float((abs(heights - height) < _LEVEL_M).mean()))
     for level, least in ((listed_m, _LISTED_FLAT), (float(common), _FLAT)):
         if level is None or level < _LOW_M:

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""What every kernel uses: hashed random numbers, frames about a normal, keys of directions, the coat's tables.
+"""What every kernel uses: random numbers of hashes, keys of directions, the coat's lobe and its tables.
 
 Directions and points that are passed on their own are tuples (x, y, z) in world axes, y up, metres.
 """
@@ -10,26 +10,18 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import mixed, tangents
+from roomlight.kernels.microfacets import dielectric, distribution, masking
+
 ALLOCATING: dict[str, Any] = {"nogil": True, "cache": True, "fastmath": True, "error_model": "numpy"}
 """For kernels that make arrays of their own."""
 JIT: dict[str, Any] = {**ALLOCATING, "_nrt": False}
 """For all others: with reference counting on, each call counts a reference to every array argument, 5 ns each."""
 
-_G1 = np.uint64(0x9E3779B97F4A7C15)
-_G2 = np.uint64(0xBF58476D1CE4E5B9)
-_G3 = np.uint64(0x94D049BB133111EB)
 PHI1 = 0.7548776662466927  # R2 sequence (Roberts): 1 / plastic number, and its square
 PHI2 = 0.5698402909980532
+COAT_INDEX = 1.5
 LEAST_COSINE = 0.02  # between the viewer and a shading normal that leans away from it
-
-
-@njit(**JIT)
-def mixed(value):
-    """Hash to 64 bits (splitmix64's finaliser)."""
-    x = np.uint64(value) + _G1
-    x = (x ^ (x >> np.uint64(30))) * _G2
-    x = (x ^ (x >> np.uint64(27))) * _G3
-    return x ^ (x >> np.uint64(31))
 
 
 @njit(**JIT)
@@ -42,15 +34,6 @@ def unit(value):
 def fraction(value):
     """Return the fractional part of a number that is not negative."""
     return value - np.floor(value)
-
-
-@njit(**JIT)
-def tangents(x, y, z):
-    """Return two unit vectors at right angles to a unit vector (Duff et al. 2017)."""
-    sign = 1.0 if z >= 0 else -1.0
-    a = -1.0 / (sign + z)
-    b = x * y * a
-    return 1 + sign * x * x * a, sign * b, -sign * x, b, sign + y * y * a, -y
 
 
 @njit(**JIT)
@@ -115,23 +98,6 @@ def in_row(row, alpha):
 
 
 @njit(**JIT)
-def fresnel(cosine):
-    """Return the reflectance of a dielectric of index 1.5, seen from outside."""
-    sine_sq = (1 - cosine * cosine) / 2.25
-    inner = math.sqrt(max(1 - sine_sq, 0.0))
-    parallel = (1.5 * cosine - inner) / (1.5 * cosine + inner)
-    perpendicular = (cosine - 1.5 * inner) / (cosine + 1.5 * inner)
-    return (parallel * parallel + perpendicular * perpendicular) / 2
-
-
-@njit(**JIT)
-def unmasked(cosine, alpha):
-    """Return Smith's masking term G1."""
-    c_sq = cosine * cosine
-    return 2 / (1 + math.sqrt(1 + alpha * alpha * (1 - c_sq) / c_sq))
-
-
-@njit(**JIT)
 def lobe(normal, view, light, alpha):
     """Return the lobe's BRDF times the light's cosine, and its density by visible normals, for a light direction."""
     nx, ny, nz = normal
@@ -147,12 +113,9 @@ def lobe(normal, view, light, alpha):
         return 0.0, 0.0
     cos_h = min((nx * hx + ny * hy + nz * hz) / length, 1.0)
     toward = max((vx * hx + vy * hy + vz * hz) / length, 0.0)
-    a_sq = alpha * alpha
-    root = cos_h * cos_h * (a_sq - 1) + 1
-    spread = a_sq / (math.pi * root * root)
-    mask = unmasked(cos_v, alpha)
-    value = spread * fresnel(toward) * mask * unmasked(cos_l, alpha) / (4 * cos_v)
-    return value, mask * spread / (4 * cos_v)
+    reflectance, _ = dielectric(toward, COAT_INDEX)
+    density = distribution(cos_h, alpha) * masking(cos_v, alpha) / (4 * cos_v)
+    return density * reflectance * masking(cos_l, alpha), density
 
 
 @njit(**JIT)

@@ -10,17 +10,8 @@ import math
 import numpy as np
 from numba import njit
 
-from roomlight_generator.transport.kernels.common import (
-    JIT,
-    PHI1,
-    PHI2,
-    cosine_direction,
-    fraction,
-    in_table,
-    mixed,
-    tangents,
-    unit,
-)
+from roomlight.kernels.common import mixed, tangents
+from roomlight_generator.transport.kernels.common import JIT, PHI1, PHI2, cosine_direction, fraction, in_table, unit
 from roomlight_generator.transport.kernels.lights import estimates
 
 LEAST_SEEN = 40  # 255ths: a light that a patch never saw may still shine on surfaces that the patch sees

@@ -10,17 +10,17 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import mixed, tangents
+from roomlight.kernels.microfacets import dielectric
 from roomlight_generator.transport.kernels.common import (
+    COAT_INDEX,
     JIT,
     LEAST_COSINE,
     PHI1,
     PHI2,
     fraction,
-    fresnel,
     lobe,
-    mixed,
     sky_radiance,
-    tangents,
     unit,
 )
 from roomlight_generator.transport.kernels.lights import (
@@ -273,7 +273,7 @@ def pane_rays(geometry, ends, out):
         dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
         gx, gy, gz = face_normal(corner, dx, dy, dz)
         slope = dx * gx + dy * gy + dz * gz
-        f = fresnel(min(-slope, 1.0))
+        f, _ = dielectric(min(-slope, 1.0), COAT_INDEX)
         share[i] = 2 * f / (1 + f)
         mirrored[i, 0], mirrored[i, 1], mirrored[i, 2] = dx - 2 * slope * gx, dy - 2 * slope * gy, dz - 2 * slope * gz
         s, t = u[i], v[i]

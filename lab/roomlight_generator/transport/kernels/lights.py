@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import mixed, tangents
 from roomlight_generator.transport.kernels.common import (
     JIT,
     LEAST_COSINE,
@@ -22,9 +23,7 @@ from roomlight_generator.transport.kernels.common import (
     fraction,
     in_table,
     lobe,
-    mixed,
     sky_radiance,
-    tangents,
     unit,
 )
 

@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from roomlight.kernels.common import mixed
 from roomlight_generator.transport.kernels.common import (
     JIT,
     PHI1,
@@ -20,7 +21,6 @@ from roomlight_generator.transport.kernels.common import (
     fraction,
     in_row,
     in_table,
-    mixed,
     sky_radiance,
     slot_of,
     unit,

@@ -14,7 +14,7 @@ from roomlight.compositing.placement.places import (
     place_by_pose,
     support_below,
 )
-from roomlight.compositing.placement.room_geometry import SceneGeometry
+from roomlight.compositing.placement.room_geometry import RoomGeometry
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.errors import SceneError
 from rooms import BoxRoom, camera_at
@@ -36,7 +36,7 @@ def view(pitch_degrees, noise_m=0.0):
     if noise_m:
         noise = np.random.default_rng(3).normal(0, noise_m, frame.depth_m.shape).astype(np.float32)
         frame = replace(frame, depth_m=frame.depth_m + noise)
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     geometry.add(0, FrameMesh(frame))
     return frame, geometry
 
@@ -97,7 +97,7 @@ def test_a_pixel_without_surface_is_refused():
     frame, _ = view(-35)
     blind = replace(frame, depth_m=np.zeros_like(frame.depth_m))
     with pytest.raises(SceneError, match=r"no surface is known behind 100,50.*choose another pixel or give a position"):
-        place_at_pixel(SceneGeometry(), blind, 100.0, 50.0, BOX)
+        place_at_pixel(RoomGeometry(), blind, 100.0, 50.0, BOX)
 
 
 @pytest.mark.parametrize(("u", "v"), [(-1.0, 5.0), (320.0, 5.0), (5.0, 240.0), (float("nan"), 5.0)])

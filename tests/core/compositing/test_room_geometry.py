@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from roomlight.camera import transform_points
-from roomlight.compositing.placement.room_geometry import MAX_PIECES, SceneGeometry
+from roomlight.compositing.placement.room_geometry import MAX_PIECES, RoomGeometry
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.engine.surface.mesh import FrameMesh
 from rooms import BoxRoom, camera_at, pan
@@ -21,7 +21,7 @@ def cast_at(geometry, frame):
 
 
 def test_fused_depth_is_the_rooms():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     for index, frame in enumerate(pan(BLOCKED, 6, step_degrees=8)):
         geometry.add(index, FrameMesh(frame))
     frame = pan(BLOCKED, 1, start_degrees=17)[0]
@@ -34,7 +34,7 @@ def test_fused_depth_is_the_rooms():
 
 
 def test_what_a_later_frame_sees_through_is_removed():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     geometry.add(0, FrameMesh(BLOCKED.frame(POSE)))
     before, _ = cast_at(geometry, BLOCKED.frame(POSE))
     geometry.add(1, FrameMesh(ROOM.frame(POSE)))  # the block was taken away
@@ -48,7 +48,7 @@ def test_what_a_later_frame_sees_through_is_removed():
 
 
 def test_the_same_view_adds_hardly_a_triangle():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     geometry.add(0, FrameMesh(ROOM.frame(POSE)))
     first = geometry.triangles
     geometry.add(1, FrameMesh(ROOM.frame(POSE)))
@@ -56,7 +56,7 @@ def test_the_same_view_adds_hardly_a_triangle():
 
 
 def test_a_closer_view_replaces_the_coarse_triangles():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     geometry.add(0, FrameMesh(ROOM.frame(camera_at((0, 1.5, 2.3)))))
     geometry.add(1, FrameMesh(ROOM.frame(camera_at((0, 1.5, -1.3)))))
     point = np.array([[0.0, 1.5, -2.5]], np.float32)
@@ -70,7 +70,7 @@ def test_completed_depth_is_no_surface():
     frame.depth_m[40:80, 60:100] = 0
     session = Session(SessionOptions(model="classical", height=16))
     session.push(frame)
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     assert geometry.update(session)
     assert not geometry.update(session)
     fused, _ = cast_at(geometry, frame)
@@ -79,7 +79,7 @@ def test_completed_depth_is_no_surface():
 
 
 def test_hits_face_the_ray():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     geometry.add(0, FrameMesh(ROOM.frame(POSE)))
     direction = transform_points(POSE, np.array([0.0, 0, -1])) - POSE[:3, 3]
     for origin, along in ((POSE[:3, 3], direction), (POSE[:3, 3] + 20 * direction, -direction)):
@@ -88,12 +88,12 @@ def test_hits_face_the_ray():
 
 
 def test_without_frames_nothing_is_hit():
-    hits = SceneGeometry().cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
+    hits = RoomGeometry().cast(np.zeros((2, 3), np.float32), np.eye(3, dtype=np.float32)[:2])
     assert np.isinf(hits.distance_m).all()
 
 
 def test_the_number_of_pieces_is_bounded():
-    geometry = SceneGeometry()
+    geometry = RoomGeometry()
     frame = ROOM.frame(POSE, width=16, height=12)
     for index in range(MAX_PIECES + 3):
         geometry.add(index, FrameMesh(frame))
