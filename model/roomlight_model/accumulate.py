@@ -14,7 +14,8 @@ from jaxtyping import Float
 from torch import Tensor
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.panorama.blend import DARK, FILL_COLOUR, HIGHER, NOISE
+from roomlight.engine.kernels.blend import HIGHER, NOISE
+from roomlight.engine.panorama.blend import DARK, FILL_COLOUR
 
 
 class Panorama(NamedTuple):

@@ -7,7 +7,8 @@ holds for the type of processor that compiled it; another one compiles again at 
 import os
 import sys
 
-from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight_server.answers import composites, light_forms
 
 

@@ -9,7 +9,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight.engine.session import WORKING_SIZE
+from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.errors import FrameError, WireError
 from roomlight.frame import Frame
 from roomlight.wire.decoding import decode_frame

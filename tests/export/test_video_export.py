@@ -9,7 +9,8 @@ import torch
 from recordings import BoxRecordings
 from roomlight.engine.networks.graphs import load_graphs
 from roomlight.engine.networks.units import mean_colour
-from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session, SessionOptions
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_exported
 from roomlight_export.inputs import room_volume

@@ -8,8 +8,8 @@ import torch
 from recordings import BoxRecordings
 from roomlight.conventions import linear_to_srgb8, srgb8_to_linear
 from roomlight.dataset.recording import GLASS
-from roomlight.engine.network_backend import NetworkBackend
-from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.training.batches import Batch, collate
 from roomlight_model.training.examples import example_of, read_example
 from tiny_stages import SHAPE
@@ -95,8 +95,8 @@ def test_several_frames_are_fused_as_in_the_serving_engine():
     assert session.grid is not None
     batch = collate([whole], volume_shape=session.grid.shape, panorama_height=60)
     np.testing.assert_allclose(batch.lower_m[0], session.grid.lower_m, atol=1e-6)
-    assert isinstance(session._backend, NetworkBackend)
-    np.testing.assert_array_equal(batch.volume[0].numpy(), session._backend._volume)
+    assert session._room is not None
+    np.testing.assert_array_equal(batch.volume[0].numpy(), vars(session._room.volume)["_mean"])
     seen = ((batch.mask > 0) | (batch.kept > 0))[0, :, 0].numpy()
     for handle, mask in zip(handles, seen, strict=True):
         np.testing.assert_array_equal(mask, session.light(handle).observed > 0)

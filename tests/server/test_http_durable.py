@@ -192,7 +192,7 @@ def _other_weights(path):
 
 
 def _other_version(path):
-    path.write_bytes(path.read_bytes().replace(b"RLSTATE1", b"RLSTATE9", 1))
+    path.write_bytes(path.read_bytes().replace(b"RLSTATE2", b"RLSTATE9", 1))
 
 
 @pytest.mark.parametrize(
@@ -376,7 +376,7 @@ def test_sessions_on_disk_are_listed(saved, tmp_path):
 def test_a_damaged_file_is_not_listed(saved, tmp_path):
     folder = copied(saved[0], tmp_path / "state")
     state = next((folder / "sessions").glob("*/state"))
-    for damage in (b"", b"RLSTATE1", state.read_bytes()[:60], b"x" * 100):
+    for damage in (b"", b"RLSTATE2", state.read_bytes()[:60], b"x" * 100):
         state.write_bytes(damage)
         with server_on(folder) as server:
             assert server.call("GET", "/v1/sessions").json["sessions"] == []

@@ -4,7 +4,8 @@ from pathlib import Path
 
 from rich.markup import escape
 
-from roomlight.engine.session import choose_graphs, warm_up
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import warm_up
 from roomlight_cli.console import out as terminal
 from roomlight_cli.console import print_notes, say
 from roomlight_cli.photo import Photo, PhotoLight, PhotoOptions, PhotoPoints, light_photo, read_photo

@@ -9,7 +9,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import Position
-from roomlight.engine.session import WORKING_SIZE, Session
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session
 from roomlight.frame import Frame
 from roomlight.spheres import view_toward
 from roomlight_cli.probe_notes import position_text

@@ -1,18 +1,20 @@
 """The engine: a stream of frames in, light at any point out.
 
-Start at `session.Session`; everything else serves it. Modules in the order in which a frame passes them:
+Start at `session.Session`; everything else serves it. In the order in which a frame passes:
 
-    session            frames in, light out; tracked probes
-    clipping           radiance of clipped pixels
-    volume             the lighting volume's frame, and its initialisation from one frame
-    backend            what a lighting model does for a session (an interface)
-    classical_backend  the model without networks; fusion averages the frames' volumes
-    network_backend    the model on ONNX graphs; graphs and providers load and run them, runtime imports ONNX Runtime
-    sglv               the spherical Gaussian lighting volume, and its ray tracing at a point
-    mesh               the frame's depth as a textured mesh, and its panorama at a point
-    blend              a probe's panorama: how a frame's details enter it; fill completes what was not observed
-    keyframes          frames that are kept for positions requested later
-    memory             bytes that a session takes
+    session       frames in, light out; tracked probes
+    preparation   the frame at working size, its depth completed, its clipped light restored (networks.clipping)
+    room          what exists from the first frame on: lighting volume, keyframes, last mesh
+    volume        the volume's grid and its initialisation from a frame, fusion, the SGLV and its ray tracing
+    models        the lighting models: classical, and the paper's networks, single view or recurrent
+    networks      ONNX graphs: loading, providers, the network for clipped light
+    surface       the frame's textured mesh, keyframes, frames of other exposure
+    probe         a tracked position: render, view, blend, lights
+    panorama      a probe's panorama: blending, fill, lights from frame to frame, panels for networks
+    observations  when one observation of a surface gives way to another
+    state         sessions on disk
+    kernels       compiled loops
+    memory        bytes that a session takes
 
 Units: metres; world y up; linear relative RGB (`roomlight.conventions`).
 """

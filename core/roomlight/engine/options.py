@@ -1,4 +1,4 @@
-"""Options of a session, and the size at which it works."""
+"""Options of a session."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,9 +17,6 @@ ModelName = Literal["auto", "classical", "single", "video"]
 
 HEDGE: Final = 0.5
 """Default of `SessionOptions.hedge`: 0.65 lowers log-L2 by 1 % and raises the glossy sphere's error by 8 %."""
-WORKING_SIZE: Final = (320, 240)
-"""Frames are reduced to this size (width, height; swapped for upright images), the paper's: eight pixels for one of a
-panorama of 120 rows."""
 
 
 @dataclass(frozen=True)
@@ -30,7 +27,8 @@ class SessionOptions:
         model: classical (no networks), single or video (the paper's networks), or auto: the form of `weights`, and
             without `weights` classical.
         weights: A model folder of `roomlight export`, instead of the weights inside the package.
-        hedge: Share of the classical fill in the light that networks infer; see `network_backend`.
+        hedge: Share of the classical fill in the light that networks infer; see
+            `roomlight.engine.models.network_probe`.
         parts: A folder with the model folders `clipping` and `objects`, instead of those inside the package.
         provider: Where the networks run; auto: OpenVINO if it is installed and supported, else the CPU.
         height: Panorama height in pixels; the width is twice that.

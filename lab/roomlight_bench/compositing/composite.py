@@ -22,7 +22,8 @@ from roomlight.compositing.picture.stage_clock import StageClock
 from roomlight.compositing.placement.scene import AtPosition, Motion, SceneObject
 from roomlight.compositing.rendering.denoise import denoiser_name
 from roomlight.conventions import linear_to_srgb, srgb8_to_linear
-from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions, warm_up
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
 from roomlight.errors import OptionError
 from roomlight.frame import Frame

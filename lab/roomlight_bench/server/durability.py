@@ -25,7 +25,8 @@ from rich.table import Table
 from roomlight import sample_capture
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
-from roomlight.engine.session import WORKING_SIZE, Session, SessionOptions
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ServerError
 from roomlight.placement import point_in_view
 from roomlight.rules import check_options

@@ -19,8 +19,9 @@ from annotated_types import Ge, Interval
 
 from roomlight.captures import CaptureOptions, open_capture
 from roomlight.conventions import Position
-from roomlight.engine.session import WORKING_SIZE, SessionOptions
+from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.engine.session import Session as Engine
+from roomlight.engine.session import SessionOptions
 from roomlight.frame import Frame
 from roomlight.placement import point_in_view
 from roomlight.rules import check_options

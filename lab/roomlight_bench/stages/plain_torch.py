@@ -15,7 +15,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.camera import rigid_inverse
-from roomlight.engine.panorama.blend import CLOSER_M, PanoramaState
+from roomlight.engine.observations import CLOSER_M
+from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Far, Sglv
 from roomlight.frame import Frame

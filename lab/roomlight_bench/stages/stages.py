@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import panorama_directions
-from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.models.classical import ClassicalVolume
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, accumulate_reference, filled_detail
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
@@ -147,12 +147,12 @@ def _volume_stage(grid: VolumeGrid, frame: Frame) -> BenchStage:
 
 
 def _march_stages(grid: VolumeGrid, frames: list[Frame], size: RoomSize) -> list[BenchStage]:
-    backend = ClassicalBackend()
-    backend.start(grid)
+    classical = ClassicalVolume(grid)
     for frame in frames:
-        initial_volume(grid, frame, out=backend.volume_buffer())
-        backend.update()
-    sparse = backend.update()
+        initial_volume(grid, frame, out=classical.volume)
+        classical.update()
+    classical.update()
+    sparse = classical.sglv
     dense = network_like(grid, sparse)
     return [
         _march_stage("ray tracing, network-like volume", dense, size, far="boundary", paper_ms=22.0),

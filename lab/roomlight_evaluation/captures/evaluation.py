@@ -14,7 +14,8 @@ from jaxtyping import Float
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position
-from roomlight.engine.session import SessionOptions, choose_graphs
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import SessionOptions
 from roomlight.errors import CaptureError, ModelError, OptionError
 from roomlight.frame import Frame
 from roomlight.metrics import METRICS, SphereScorer, energy_ratio, ldr_l2, log_l2, smoothness

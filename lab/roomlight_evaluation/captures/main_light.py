@@ -26,7 +26,8 @@ from jaxtyping import Float
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import LUMINANCE, Position, panorama_rays, panorama_solid_angles
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.files import write_json
 from roomlight.light.cube import CubeMap
 from roomlight.light.main_light import main_light

@@ -16,7 +16,8 @@ import numpy as np
 from rich.table import Table
 
 from roomlight.captures import CaptureOptions
-from roomlight.engine.session import SessionOptions, choose_graphs
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import SessionOptions
 from roomlight.files import write_json
 from roomlight_evaluation.baselines import WarpAndFill
 from roomlight_evaluation.captures.estimators import EngineEstimator, Estimator

@@ -19,9 +19,10 @@ from jaxtyping import Bool, Float
 
 from roomlight.captures import Capture, CaptureOptions, open_capture
 from roomlight.conventions import Position, direction_to_uv, panorama_solid_angles
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
-from roomlight.engine.options import WORKING_SIZE
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.preparation import WORKING_SIZE
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, OptionError
 from roomlight.files import write_json
 from roomlight.frame import Frame

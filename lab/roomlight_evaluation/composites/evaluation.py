@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import SceneError
 from roomlight.files import write_atomic
 from roomlight_evaluation.composites.files import kept_scene

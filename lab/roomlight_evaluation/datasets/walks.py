@@ -15,8 +15,9 @@ from jaxtyping import Float
 from roomlight.conventions import Position
 from roomlight.dataset.arkit_depth import arkit_like
 from roomlight.dataset.recording import Recording
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError
 from roomlight.frame import Frame
 from roomlight_evaluation.baselines import MeanColour, WarpAndFill

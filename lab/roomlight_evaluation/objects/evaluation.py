@@ -19,8 +19,9 @@ from roomlight.conventions import Position
 from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import CaptureError, FrameError
 from roomlight.files import write_atomic
 from roomlight.frame import Frame

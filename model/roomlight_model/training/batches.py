@@ -15,7 +15,8 @@ from torch import Tensor
 from roomlight.depth import complete_depth
 from roomlight.engine.networks.clipping import shipped_clipping
 from roomlight.engine.panorama.blend import PanoramaState, accumulate, farthest_depth_m, filled_detail
-from roomlight.engine.surface.bracket import restored, update_keyframes
+from roomlight.engine.preparation import PreparedFrame
+from roomlight.engine.surface.bracket import update_keyframes
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.volume.fusion import FusedVolume
 from roomlight.engine.volume.grid import VolumeGrid, clipping_buffer, initial_volume
@@ -112,13 +113,13 @@ def restored_frames(example: Example) -> list[Frame]:
     Clipped pixels are taken from earlier frames of shorter exposure, as if all of these were keyframes; the shipped
     network estimates the others.
     """
-    model = shipped_clipping("cpu")
-    frames = [restored(example.frame, example.depth_m, model=model)]
+    clipping = shipped_clipping("cpu")
+    frames = [PreparedFrame.of(example.frame, example.depth_m, clipping=clipping).frame]
     meshes: list[FrameMesh] = []
     for frame in example.later:
         meshes.append(FrameMesh(frames[-1]))
         update_keyframes(meshes[-1], meshes[:-1])
-        frames.append(restored(frame, complete_depth(frame.depth_m), meshes, model=model))
+        frames.append(PreparedFrame.of(frame, complete_depth(frame.depth_m), meshes, clipping=clipping).frame)
     return frames
 
 

@@ -21,9 +21,10 @@ from torch.nn import functional
 from roomlight.compositing.light.object_light import OBJECT_PANELS, object_panels
 from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.dataset.loader import Dataset
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.options import ModelName
 from roomlight.engine.panorama.panels import BRIGHTEST, HEIGHT
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import DatasetError, FrameError, ModelError
 from roomlight.spheres import DIFFUSE_ALBEDO, GLOSSY_ALBEDO
 from roomlight_model.checkpoint import Checkpoint

@@ -12,7 +12,7 @@ from pydantic_settings import BaseSettings, NoDecode, SettingsConfigDict
 
 from roomlight.compositing.objects.limits import ObjectLimits
 from roomlight.engine.networks.providers import Provider
-from roomlight.engine.session import ModelName
+from roomlight.engine.options import ModelName
 from roomlight.engine.surface.keyframes import DEFAULT_KEYFRAMES
 from roomlight.errors import ServerError
 from roomlight.wire.frame_message import FrameLimits, rule_text

@@ -7,7 +7,7 @@ waiting in the queue: then it is decoded when the engine takes it.
 import hashlib
 from dataclasses import dataclass
 
-from roomlight.engine.session import WORKING_SIZE
+from roomlight.engine.preparation import WORKING_SIZE
 from roomlight.errors import WireError
 from roomlight.frame import Frame
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse

@@ -16,8 +16,10 @@ from functools import partial
 from typing import Final, ParamSpec, TypeVar
 
 from roomlight.engine.memory import release_free_memory
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import LightingGraphs
-from roomlight.engine.session import ModelName, SessionOptions, choose_graphs, warm_up
+from roomlight.engine.options import ModelName
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.threads import pausing
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.settings import ServerSettings

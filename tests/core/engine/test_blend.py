@@ -8,8 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import (
-    CLOSER_M,
     DARK,
     FILL_COLOUR,
     UNSEEN_DEPTH,

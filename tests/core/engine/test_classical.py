@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from roomlight.engine.classical_backend import ClassicalBackend
+from roomlight.engine.models.classical import ClassicalVolume
+from roomlight.engine.models.interface import Rendered
 from roomlight.engine.panorama.blend import PanoramaState, accumulate
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.grid import VolumeGrid, initial_volume
@@ -15,65 +16,56 @@ FRAME = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
 GRID = VolumeGrid.from_frame(FRAME, shape=(16, 15, 21))
 
 
-def _started():
-    backend = ClassicalBackend()
-    backend.start(GRID)
-    return backend
+def _put(classical, *, colour, alpha, empty=0.0):
+    classical.volume[:3], classical.volume[3], classical.volume[4] = alpha * colour, alpha, empty
+    return _updated(classical)
 
 
-def _put(backend, *, colour, alpha, empty=0.0):
-    volume = backend.volume_buffer()
-    volume[:3], volume[3], volume[4] = alpha * colour, alpha, empty
-    return backend.update()
+def _updated(classical):
+    classical.update()
+    return classical.sglv
 
 
 def test_one_frame_is_its_own_volume():
-    backend = _started()
-    volume = initial_volume(GRID, FRAME, out=backend.volume_buffer()).copy()
-    sglv = backend.update()
+    classical = ClassicalVolume(GRID)
+    volume = initial_volume(GRID, FRAME, out=classical.volume).copy()
+    sglv = _updated(classical)
     np.testing.assert_allclose(sglv.alpha, volume[3], atol=1e-6)
     np.testing.assert_allclose(np.moveaxis(sglv.lobes[..., :3], -1, 0) * volume[3], volume[:3], atol=1e-5)
     assert (sglv.lobes[..., 3:] == 0).all()
 
 
 def test_the_same_frame_again_changes_nothing():
-    backend = _started()
-    initial_volume(GRID, FRAME, out=backend.volume_buffer())
-    first = backend.update()
+    classical = ClassicalVolume(GRID)
+    initial_volume(GRID, FRAME, out=classical.volume)
+    first = _updated(classical)
     alpha, lobes = first.alpha.copy(), first.lobes.copy()
-    again = [backend.update() for _ in range(3)][-1]
+    again = [_updated(classical) for _ in range(3)][-1]
     np.testing.assert_allclose(again.alpha, alpha, atol=1e-6)
     np.testing.assert_allclose(again.lobes, lobes, atol=1e-5)
 
 
 def test_alpha_is_averaged_over_observers_and_colour_by_alpha():
-    backend = _started()
-    _put(backend, colour=1.0, alpha=1.0)
-    _put(backend, colour=4.0, alpha=0.5)
-    _put(backend, colour=9.0, alpha=0.0)  # not observed: does not count
-    sglv = _put(backend, colour=9.0, alpha=0.0, empty=-1.0)  # observed as empty: counts
+    classical = ClassicalVolume(GRID)
+    _put(classical, colour=1.0, alpha=1.0)
+    _put(classical, colour=4.0, alpha=0.5)
+    _put(classical, colour=9.0, alpha=0.0)  # not observed: does not count
+    sglv = _put(classical, colour=9.0, alpha=0.0, empty=-1.0)  # observed as empty: counts
     assert sglv.alpha[0, 0, 0] == pytest.approx((1 + 0.5 + 0) / 3)
     assert sglv.lobes[0, 0, 0, :3] == pytest.approx([(1 + 4 * 0.5) / 1.5] * 3)
 
 
-def _estimate(backend, state, partial, position):
-    rendered, transmittance = render_panorama(backend.update(), position, height=32, far=backend.far)
-    return backend.estimate(
-        backend.new_probe(),
-        state,
-        rendered=rendered,
-        transmittance=transmittance,
-        partial=partial,
-        depth_max_m=GRID.depth_max_m,
-    )
+def _estimate(classical, state, partial, position):
+    rendered = Rendered(*render_panorama(_updated(classical), position, height=32, far=classical.far))
+    return classical.new_probe().estimate(state, rendered, partial, depth_max_m=GRID.depth_max_m)
 
 
 def test_hdr_is_complete_and_details_have_weight_one_where_seen():
-    backend = _started()
-    initial_volume(GRID, FRAME, out=backend.volume_buffer())
+    classical = ClassicalVolume(GRID)
+    initial_volume(GRID, FRAME, out=classical.volume)
     position = (0.1, 1.2, -0.8)
     partial = FrameMesh(FRAME).render_panorama(np.array(position), height=32)
-    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, position)
+    estimate = _estimate(classical, PanoramaState.fresh(32, GRID.depth_max_m), partial, position)
     assert (estimate.weight == partial.mask).all()
     assert estimate.hdr.min() > 0
     # the fill is a convex combination of observed values: no value leaves their range
@@ -84,12 +76,12 @@ def test_hdr_is_complete_and_details_have_weight_one_where_seen():
 def test_a_uniform_room_gives_uniform_light():
     grey = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
     grey.image[:] = 0.4
-    backend = _started()
-    initial_volume(GRID, grey, out=backend.volume_buffer())
+    classical = ClassicalVolume(GRID)
+    initial_volume(GRID, grey, out=classical.volume)
     position = (0.1, 1.2, -0.8)
     partial = FrameMesh(grey).render_panorama(np.array(position), height=32)
     state = PanoramaState.fresh(32, GRID.depth_max_m)
-    estimate = _estimate(backend, state, partial, position)
+    estimate = _estimate(classical, state, partial, position)
     # Colour and opacity are interpolated separately (equation 1), so that the volume darkens where opaque voxels
     # meet empty black ones; with a weight of a tenth, 2.2 % remain in the fill.
     np.testing.assert_allclose(estimate.hdr, 0.4, rtol=0.03)
@@ -105,20 +97,20 @@ def test_a_uniform_room_gives_uniform_light():
 
 
 def test_nothing_observed_gives_no_light_and_no_error():
-    backend = _started()
+    classical = ClassicalVolume(GRID)
     frame = ROOM.frame(camera_at((0.3, 1.4, 0.2)), width=80, height=60)
     frame.depth_m[:] = 0
     partial = FrameMesh(frame).render_panorama(np.zeros(3), height=32)
-    estimate = _estimate(backend, PanoramaState.fresh(32, GRID.depth_max_m), partial, (0.0, 1.0, 0.0))
+    estimate = _estimate(classical, PanoramaState.fresh(32, GRID.depth_max_m), partial, (0.0, 1.0, 0.0))
     assert (estimate.hdr == 0).all()
     assert (estimate.weight == 0).all()
 
 
 def test_unobserved_light_does_not_jump():
     """The fill of the first frame is taken fully, that of a later frame by half."""
-    backend = _started()
-    state, memory = PanoramaState.fresh(16, 3.0), backend.new_probe()
-    rendered, open_sky = np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32)
+    classical = ClassicalVolume(GRID)
+    state, probe = PanoramaState.fresh(16, 3.0), classical.new_probe()
+    rendered = Rendered(np.zeros((16, 32, 3), np.float32), np.ones((16, 32), np.float32))
     mask = np.zeros((16, 32), bool)
     mask[4:8, 4:8] = True
 
@@ -126,8 +118,7 @@ def test_unobserved_light_does_not_jump():
         radiance = np.where(mask[..., None], np.float32(value), np.float32(0)) * np.ones(3, np.float32)
         depth = np.where(mask, np.float32(1), np.float32(0))
         partial = PartialPanorama(radiance, mask, depth)
-        arguments = {"rendered": rendered, "transmittance": open_sky, "partial": partial, "depth_max_m": 3.0}
-        estimate = backend.estimate(memory, state, **arguments)
+        estimate = probe.estimate(state, rendered, partial, depth_max_m=3.0)
         accumulate(state, hdr=estimate.hdr, detail=radiance, detail_depth_m=depth, weight=estimate.weight)
         return estimate.hdr[12, 20, 0]
 

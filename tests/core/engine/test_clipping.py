@@ -15,7 +15,6 @@ from roomlight.engine.networks.clipping import (
     ClippingModel,
     Placement,
     clipping_planes,
-    restore_clipped,
     shipped_clipping,
     white_of,
 )
@@ -174,14 +173,12 @@ class Forbidden(ClippingModel):
 
 
 def test_a_frame_without_clipped_pixels_is_not_estimated(frame):
-    result = restore_clipped(frame, np.full_like(frame.depth_m, 2.0), model=Forbidden())
-    assert result.image is frame.image
-    assert (result.depth_m == 2.0).all()
+    assert Forbidden().restore(frame, frame.depth_m) is frame
 
 
 def test_the_network_changes_saturated_channels_alone(frame, shipped):
     marked = clipped(frame)
-    result = restore_clipped(marked, frame.depth_m, model=shipped)
+    result = shipped.restore(marked, frame.depth_m)
     saturated = marked.clipped[..., None] & (marked.image >= 0.95 * white_of(marked))
     assert 0 < saturated[marked.clipped].mean() < 1
     assert (result.image[~saturated] == marked.image[~saturated]).all()
@@ -193,7 +190,7 @@ def test_estimates_are_never_below_the_measured_value(frame, tmp_path):
     folder = write_part(tmp_path / "clipping", "clipping", constant=-1.5)  # the least that the network says
     dark = ClippingModel(load_part(folder, "clipping", provider="cpu"))
     marked = clipped(frame)
-    assert (restore_clipped(marked, frame.depth_m, model=dark).image == marked.image).all()
+    assert (dark.restore(marked, frame.depth_m).image == marked.image).all()
 
 
 def test_a_higher_bound_of_another_exposure_is_kept(frame, five_times_white):
@@ -202,7 +199,7 @@ def test_a_higher_bound_of_another_exposure_is_kept(frame, five_times_white):
     image = marked.image.copy()
     row, column = np.argwhere(marked.clipped)[0]
     image[row, column] = 7.0
-    result = restore_clipped(replace(marked, image=image), frame.depth_m, model=five_times_white)
+    result = five_times_white.restore(replace(marked, image=image), frame.depth_m)
     assert result.image[row, column] == pytest.approx(7.0)
     others = marked.clipped & (image.max(-1) < 1)
     assert result.image[others].max() == pytest.approx(5 * WHITE, rel=1e-5)
@@ -210,8 +207,8 @@ def test_a_higher_bound_of_another_exposure_is_kept(frame, five_times_white):
 
 def test_estimates_are_in_units_of_the_frames_white(frame, shipped):
     marked = clipped(frame)
-    once = restore_clipped(marked, frame.depth_m, model=shipped).image
-    brighter = restore_clipped(replace(marked, image=marked.image * 8), frame.depth_m, model=shipped).image
+    once = shipped.restore(marked, frame.depth_m).image
+    brighter = shipped.restore(replace(marked, image=marked.image * 8), frame.depth_m).image
     assert brighter == pytest.approx(8 * once, rel=1e-3)
 
 
@@ -234,14 +231,14 @@ def test_depth_of_any_size_serves_the_network(depth_size, shipped):
     frame = BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=240, height=180)
     small = replace(clipped(frame), depth_m=BoxRoom().frame(camera_at((0, 1.4, 1.5)), width=240, height=180,
                                                             depth_size=depth_size).depth_m)  # fmt: skip
-    result = restore_clipped(small, small.depth_m, model=shipped)
+    result = shipped.restore(small, small.depth_m)
     assert np.isfinite(result.image).all()
 
 
 def test_a_frame_that_is_clipped_everywhere_is_finite(frame, shipped):
     white = replace(frame, image=np.ones_like(frame.image), clipped=np.ones_like(frame.clipped))
     for depth in (frame.depth_m, np.zeros_like(frame.depth_m)):
-        result = restore_clipped(replace(white, depth_m=depth), depth, model=shipped).image
+        result = shipped.restore(replace(white, depth_m=depth), depth).image
         assert np.isfinite(result).all()
         assert result.min() >= 1
 
@@ -259,7 +256,7 @@ def test_clipped_light_of_rooms_is_nearer_to_the_truth_than_twice_white(shipped)
         twice = np.maximum(frame.image, np.float32(2 * white_of(frame)))[where]
         constant, learned = (
             np.square(np.log1p(estimate) - np.log1p(truth)).mean()
-            for estimate in (twice, restore_clipped(frame, depth_m, model=shipped).image[where])
+            for estimate in (twice, shipped.restore(frame, depth_m).image[where])
         )
         assert learned < constant
 
@@ -270,6 +267,6 @@ def test_a_large_lamp_comes_out_brighter_than_a_spot(shipped):
     def estimated(radius_m):
         frame = BoxRoom(lamp=((0.5, 2.2, -2.5), radius_m)).frame(camera_at((0, 1.4, 1.0), pitch_degrees=10))
         marked = replace(frame, image=np.minimum(frame.image, 1), clipped=frame.image.max(-1) >= 1)
-        return float(np.median(restore_clipped(marked, frame.depth_m, model=shipped).image[marked.clipped]))
+        return float(np.median(shipped.restore(marked, frame.depth_m).image[marked.clipped]))
 
     assert 1 <= estimated(0.15) < estimated(0.4) < estimated(0.7)

@@ -10,10 +10,11 @@ import onnxruntime as ort
 import pytest
 from onnx import TensorProto, helper
 
-from roomlight.engine import session as session_module
+from roomlight.engine.models import choosing
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks import providers
 from roomlight.engine.networks.graphs import Graph, load_graphs
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, OptionError
 
 FORMS_ASKED = ("single", "video", "auto")
@@ -144,7 +145,7 @@ def test_shipped_video_weights_serve_every_form(folder, monkeypatch):
     _edit(folder, card={"steps": 1000})
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "video")
-    monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
+    monkeypatch.setattr(choosing, "SHIPPED", folder.parent / "shipped")
     forms = {model: _chosen_form(model, provider="cpu") for model in ("single", "video")}
     assert forms == {"single": "single", "video": "video"}
     assert choose_graphs(SessionOptions(model="auto")) is None
@@ -154,7 +155,7 @@ def test_shipped_single_weights_serve_all_but_video(folder, monkeypatch):
     _edit(folder, card={"steps": 1000}, form="single")
     (folder.parent / "shipped").mkdir()
     folder.rename(folder.parent / "shipped" / "single")
-    monkeypatch.setattr(session_module, "SHIPPED", folder.parent / "shipped")
+    monkeypatch.setattr(choosing, "SHIPPED", folder.parent / "shipped")
     assert _chosen_form("single", provider="cpu") == "single"
     assert choose_graphs(SessionOptions(model="auto")) is None
     assert choose_graphs(SessionOptions(model="classical")) is None

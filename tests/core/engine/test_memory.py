@@ -23,7 +23,10 @@ def arrays_in(thing):
         return [thing.colour, thing.opacity, thing.count, thing.clipping]
     if isinstance(thing, list | tuple):
         return [array for item in thing for array in arrays_in(item)]
-    return arrays_in(thing.arrays) if hasattr(thing, "arrays") else []
+    for name in ("arrays", "steps"):  # of bound graphs
+        if hasattr(thing, name):
+            return arrays_in(getattr(thing, name))
+    return []
 
 
 def held_by(thing):
@@ -41,7 +44,12 @@ def pushed(options):
 
 def test_the_classical_models_volume():
     session = pushed(SessionOptions(model="classical", height=16))
-    assert Footprint.of(None, 16).volume == held_by(session._backend)
+    assert Footprint.of(None, 16).volume == held_by(volume_of(session))
+
+
+def volume_of(session):
+    assert session._room is not None
+    return session._room.volume
 
 
 @pytest.mark.parametrize("form", ["single", "video"])
@@ -49,9 +57,9 @@ def test_the_networks_volume_and_probe(tiny_video, form):
     graphs = replace(load_graphs(tiny_video[1]), form=form)
     session = pushed(SessionOptions(model=form, weights=tiny_video[1], height=32))
     footprint = Footprint.of(graphs, 32)
-    assert footprint.volume == held_by(session._backend)
+    assert footprint.volume == held_by(volume_of(session))
     probe = session._probes[0]
-    assert footprint.probe == held_by(probe.memory) + held_by(probe.state)
+    assert footprint.probe == held_by(probe.estimator) + held_by(probe.panorama)
 
 
 @pytest.mark.parametrize(("started", "expected"), [(False, 300), (True, 300 + 1000 + 3 * KEYFRAME_BYTES)])

@@ -6,9 +6,12 @@ import numpy as np
 import pytest
 import torch
 
-from roomlight.engine.network_backend import NetworkBackend, _ProbeNetworks, hedged
+from roomlight.engine.models.interface import Rendered
+from roomlight.engine.models.network_probe import hedged
+from roomlight.engine.models.network_volume import NetworkModel
 from roomlight.engine.networks.graphs import load_graphs
-from roomlight.engine.panorama.blend import CLOSER_M, PanoramaState, filled_detail
+from roomlight.engine.observations import CLOSER_M
+from roomlight.engine.panorama.blend import PanoramaState, filled_detail
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
 from roomlight.engine.volume.fusion import FusedVolume
@@ -136,20 +139,16 @@ def test_single_view_is_unchanged_by_a_repeated_frame(tiny_video):
 
 
 def test_single_view_inference_moves_half_way(graphs):
-    backend = NetworkBackend(dataclasses.replace(graphs, form="single"))
-    backend.start(GRID)
-    memory, random, shape = backend.new_probe(), np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
+    probe = NetworkModel(dataclasses.replace(graphs, form="single")).begin(GRID).new_probe()
+    random, shape = np.random.default_rng(2), (HEIGHT, 2 * HEIGHT)
     mask = random.random(shape) < 0.5
     seen = PartialPanorama(
         random.random((*shape, 3), np.float32) * mask[..., None], mask, mask * random.uniform(1, 2, shape).astype("f4")
     )
     state = PanoramaState.fresh(HEIGHT, GRID.depth_max_m)
     state.radiance[:] = random.uniform(0, 3, (*shape, 3))
-    given = {
-        "rendered": random.uniform(0, 3, (*shape, 3)).astype(np.float32),
-        "transmittance": np.zeros(shape, np.float32), "partial": seen, "depth_max_m": GRID.depth_max_m,
-    }  # fmt: skip
-    first, second = (backend.estimate(memory, state, **given) for _ in range(2))
+    rendered = Rendered(random.uniform(0, 3, (*shape, 3)).astype(np.float32), np.zeros(shape, np.float32))
+    first, second = (probe.estimate(state, rendered, seen, depth_max_m=GRID.depth_max_m) for _ in range(2))
     np.testing.assert_allclose(second.hdr, (first.hdr + state.radiance) / 2, rtol=1e-5)
     np.testing.assert_array_equal(second.weight, first.weight)
 
@@ -235,11 +234,8 @@ def test_streaming_again_gives_the_same_bits(tiny_video, form):
 @pytest.mark.parametrize("form", ["single", "video"])
 def test_finer_panoramas_are_sampled_without_mixing_surfaces(graphs, form):
     """Blocks of 3 x 3 with one surface in the middle and others around: the weight is that of the middle one's."""
-    backend = NetworkBackend(dataclasses.replace(graphs, form=form))
-    backend.start(GRID)
-    coarse, fine = backend.new_probe(), backend.new_probe()
-    assert isinstance(coarse, _ProbeNetworks)
-    assert isinstance(fine, _ProbeNetworks)
+    volume = NetworkModel(dataclasses.replace(graphs, form=form)).begin(GRID)
+    coarse, fine = volume.new_probe(), volume.new_probe()
     random, shape = np.random.default_rng(0), (HEIGHT, 2 * HEIGHT)
     for _ in range(3):
         mask = random.random(shape) < 0.6
@@ -300,13 +296,13 @@ def test_a_late_probe_gets_light_from_the_keyframes(tiny_video):
 
 
 def test_state_stays_in_the_same_buffers(graphs):
-    backend = NetworkBackend(graphs)
-    backend.start(GRID)
+    recurrent = NetworkModel(graphs).begin(GRID)
     given, alphas, lobes = set(), [], []
     for frame in [*FRAMES, *FRAMES]:
-        given.add(backend.volume_buffer().ctypes.data)
-        initial_volume(GRID, frame, out=backend.volume_buffer())
-        sglv = backend.update()
+        given.add(recurrent.volume.ctypes.data)
+        initial_volume(GRID, frame, out=recurrent.volume)
+        recurrent.update()
+        sglv = recurrent.sglv
         alphas.append(sglv.alpha.ctypes.data)
         lobes.append(sglv.lobes.ctypes.data)
     assert len(given) == 1
@@ -317,13 +313,14 @@ def test_state_stays_in_the_same_buffers(graphs):
 
 
 def test_the_volume_before_is_kept_while_the_next_is_written(graphs):
-    backend = NetworkBackend(graphs)
-    backend.start(GRID)
-    initial_volume(GRID, FRAMES[0], out=backend.volume_buffer())
-    first = backend.update()
+    recurrent = NetworkModel(graphs).begin(GRID)
+    initial_volume(GRID, FRAMES[0], out=recurrent.volume)
+    recurrent.update()
+    first = recurrent.sglv
     kept = first.alpha.copy()
-    initial_volume(GRID, FRAMES[1], out=backend.volume_buffer())
-    second = backend.update()
+    initial_volume(GRID, FRAMES[1], out=recurrent.volume)
+    recurrent.update()
+    second = recurrent.sglv
     np.testing.assert_array_equal(first.alpha, kept)
     assert (second.alpha != kept).any()
 
@@ -331,4 +328,4 @@ def test_the_volume_before_is_kept_while_the_next_is_written(graphs):
 def test_graphs_for_another_volume_are_refused(graphs):
     other = VolumeGrid.from_frame(ROOM.frame(camera_at((0, 1.5, 0)), width=80, height=60), shape=(16, 16, 16))
     with pytest.raises(ModelError, match=r"\(16, 15, 21\).*\(16, 16, 16\)"):
-        NetworkBackend(graphs).start(other)
+        NetworkModel(graphs).begin(other)

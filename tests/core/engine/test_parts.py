@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from part_models import write_part
-from roomlight.engine.networks.clipping import ClippingModel, restore_clipped, shipped_clipping
+from roomlight.engine.networks.clipping import ClippingModel, shipped_clipping
 from roomlight.engine.networks.graphs import SHIPPED, load_graphs, load_part, read_description
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import ModelError, ProbeError
@@ -82,7 +82,7 @@ def test_a_graph_of_another_size_is_refused_when_it_runs(tmp_path):
     model = ClippingModel(load_part(folder, "clipping", provider="cpu"))
     (frame,) = clipped_frames(1)
     with pytest.raises(ModelError, match=r"graph clipping has \['panels'\], the engine gives \['planes'\]"):
-        restore_clipped(frame, frame.depth_m, model=model)
+        model.restore(frame, frame.depth_m)
 
 
 def test_the_shipped_clipping_network_states_its_origin():
@@ -98,9 +98,9 @@ def test_the_shipped_clipping_network_states_its_origin():
 def test_threads_share_the_network_and_get_the_same():
     model = shipped_clipping("cpu")
     frames = clipped_frames(8)
-    alone = [restore_clipped(frame, frame.depth_m, model=model).image for frame in frames]
+    alone = [model.restore(frame, frame.depth_m).image for frame in frames]
     with ThreadPoolExecutor(4) as pool:
-        together = list(pool.map(lambda frame: restore_clipped(frame, frame.depth_m, model=model).image, frames * 3))
+        together = list(pool.map(lambda frame: model.restore(frame, frame.depth_m).image, frames * 3))
     for index, image in enumerate(together):
         assert np.array_equal(image, alone[index % 8])
 

@@ -12,7 +12,9 @@ from roomlight.engine.kernels.blend import accumulate_rows
 from roomlight.engine.kernels.bracket import take_radiance
 from roomlight.engine.kernels.march import march_rays
 from roomlight.engine.kernels.volume_init import initialise_slices
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.models import choosing
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.errors import FrameError, ModelError, ProbeError
 from rooms import BoxRoom, camera_at, pan, rotation_about_y
 
@@ -291,13 +293,13 @@ def test_large_frames_are_brought_to_the_working_size():
 
 @pytest.mark.parametrize("model", ["single", "video"])
 def test_networks_without_weights_are_refused_by_name(model, monkeypatch, tmp_path):
-    monkeypatch.setattr(session_module, "SHIPPED", tmp_path)
+    monkeypatch.setattr(choosing, "SHIPPED", tmp_path)
     with pytest.raises(ModelError, match=rf'model="{model}": .* no trained weights'):
         Session(SessionOptions(model=model))
 
 
 def test_auto_without_weights_is_classical(monkeypatch, tmp_path):
-    monkeypatch.setattr(session_module, "SHIPPED", tmp_path)
+    monkeypatch.setattr(choosing, "SHIPPED", tmp_path)
     assert choose_graphs(SessionOptions(model="auto")) is None
     assert Session(SessionOptions()).model == "classical"
 

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from roomlight.captures import open_capture
+from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.networks.graphs import SHIPPED
-from roomlight.engine.session import Session, SessionOptions, choose_graphs
+from roomlight.engine.session import Session, SessionOptions
 from roomlight.metrics import log_l2
 from roomlight.sample import sample_capture
 from roomlight.spheres import SphereRenderer, view_toward

@@ -9,7 +9,8 @@ from rich.console import Console
 from typer.testing import CliRunner
 
 from recordings import BoxRecordings
-from roomlight.engine.session import SessionOptions, choose_graphs
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import SessionOptions
 from roomlight.errors import DatasetError, ModelError, OptionError
 from roomlight.metrics import log_l2
 from roomlight_cli.console import print_table

@@ -8,7 +8,8 @@ import typer
 from annotated_types import Ge
 
 from roomlight.captures import CaptureOptions
-from roomlight.engine.session import ModelName, SessionOptions, warm_up
+from roomlight.engine.options import ModelName
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight_cli.console import print_tables, say
 from roomlight_cli.options import Without

@@ -8,7 +8,8 @@ from annotated_types import Ge, Interval
 
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Split
-from roomlight.engine.session import SessionOptions, choose_graphs, warm_up
+from roomlight.engine.models.choosing import choose_graphs
+from roomlight.engine.session import SessionOptions, warm_up
 from roomlight.errors import OptionError
 from roomlight.files import write_atomic, write_json
 from roomlight_cli.console import err, print_tables, say

@@ -3,9 +3,9 @@
 A small network estimates it from the frame, its depth and its pose (`ClippingModel`; `roomlight_model` trains it on
 frames whose true radiance is known). Radiance is in units of the frame's own white.
 
-Cost of `restore_clipped` for a frame of 320 x 240 pixels that has clipped ones: 16 to 18 ms of processor time, 6 to 7
-times the stage `volume` (2.5 ms); the planes are 4 ms of it, the network 11 ms, which two cores share.
-It is part of the stage `prepare` of `FrameReport.stage_ms`.
+Cost of `ClippingModel.restore` for a frame of 320 x 240 pixels that has clipped ones: 16 to 18 ms of processor time, 6
+to 7 times the stage `volume` (2.5 ms); the planes are 4 ms of it, the network 11 ms, which two cores share. It is part
+of the stage `prepare` of `FrameReport.stage_ms`.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 from jaxtyping import Float, Float32
 
+from roomlight.conventions import LUMINANCE
 from roomlight.engine.networks.graphs import SHIPPED, Graph, load_part
 from roomlight.engine.networks.providers import Provider
 from roomlight.frame import Frame
@@ -57,10 +58,33 @@ class ClippingModel:
         self._graph = graph
         self.digest = graph.digest
 
+    def restore(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Frame:
+        """Estimate the radiance of the clipped pixels of a frame, and state in `guessed` what the estimate added.
+
+        Channels that did not saturate keep their value. An estimate is never below the measured value, which is a lower
+        bound. A frame without clipped pixels is returned as it is.
+
+        Args:
+            frame: With the sensor's depth (0 = unknown).
+            depth_m: Its completed depth.
+        """
+        if not frame.clipped.any():
+            return frame
+        white = white_of(frame)
+        where = np.flatnonzero(frame.clipped)
+        measured = frame.image.reshape(-1, 3)[where]
+        estimate = np.exp(self.log_radiance(frame, depth_m).reshape(-1, 3)[where]) * np.float32(white)
+        saturated = measured >= np.float32(_SATURATED) * white
+        image = frame.image.copy()
+        image.reshape(-1, 3)[where] = np.where(saturated, np.maximum(estimate, measured), measured)
+        return replace(frame, image=image, guessed=np.einsum("hwc,c->hw", image - frame.image, LUMINANCE))
+
     def log_radiance(self, frame: Frame, depth_m: Float[np.ndarray, "dh dw"]) -> Float32[np.ndarray, "h w 3"]:
         """Estimate the logarithm of each pixel's radiance in units of the frame's white, if it is clipped.
 
-        `frame.depth_m` is the sensor's depth (0 = unknown), `depth_m` the completed one.
+        Args:
+            frame: With the sensor's depth (0 = unknown).
+            depth_m: Its completed depth.
         """
         planes = clipping_planes(frame, depth_m)
         outputs = self._graph.new_outputs()
@@ -79,24 +103,6 @@ def shipped_clipping(provider: Provider = "auto", folder: Path = SHIPPED / "clip
         ModelError: the weights are missing or damaged.
     """
     return ClippingModel(load_part(folder, "clipping", provider=provider))
-
-
-def restore_clipped(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], *, model: ClippingModel) -> Frame:
-    """Estimate the radiance of the clipped pixels of a frame; the returned frame has the depth `depth_m`.
-
-    Channels that did not saturate keep their value. The network's estimate is never below the measured value, which is
-    a lower bound. A frame without clipped pixels keeps its image.
-    """
-    if not frame.clipped.any():
-        return replace(frame, depth_m=depth_m)
-    white = white_of(frame)
-    where = np.flatnonzero(frame.clipped)
-    measured = frame.image.reshape(-1, 3)[where]
-    estimate = np.exp(model.log_radiance(frame, depth_m).reshape(-1, 3)[where]) * np.float32(white)
-    saturated = measured >= np.float32(_SATURATED) * white
-    image = frame.image.copy()
-    image.reshape(-1, 3)[where] = np.where(saturated, np.maximum(estimate, measured), measured)
-    return replace(frame, image=image, depth_m=depth_m)
 
 
 _SATURATED: Final = 0.95

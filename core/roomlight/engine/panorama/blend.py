@@ -33,19 +33,16 @@ from roomlight.engine.kernels.blend import (
     CHANGED,
     CHANGED_FRAMES,
     DIFFERS,
-    HIGHER,
     LEAST_CHANGE,
-    NOISE,
     SAME_VIEW,
     DetailArrays,
     StateArrays,
     accumulate_rows,
     compare_rows,
 )
+from roomlight.engine.observations import CLOSER_M, better_share
 from roomlight.engine.panorama.fill import fill_unknown
 
-CLOSER_M: Final = 0.25
-"""A newly observed surface replaces an earlier one only if it is this much closer (the paper's value)."""
 FILL_COLOUR: Final = 0.75
 """Share of the fill's colour in the radiance inferred beyond the mesh. At 0, 0.75, 1 the angular error of a matte
 sphere's colour is 6.14, 6.12, 6.28 degrees on 160 test rooms and 8.0, 6.8, 6.5 on three captures of other authors;
@@ -192,25 +189,6 @@ def _extremes(
     highest = np.where(seen, np.where(clipped > 0, _UNBOUNDED, luminance), zero)
     around = _neighbourhood(len(luminance))
     return cv2.erode(lowest, around), cv2.dilate(highest, around), cv2.dilate(np.where(seen, bound, zero), around)
-
-
-def better_share(
-    clipped: Float[np.ndarray, "*n"],
-    bound: Float[np.ndarray, "*n"],
-    new_clipped: Float[np.ndarray, "*n"],
-    new_bound: Float[np.ndarray, "*n"],
-) -> Float[np.ndarray, "*n"]:
-    """Return how much of a clipped observation a new one of the same surface replaces, 0 to 1.
-
-    An observation is the share of it that was clipped and a lower bound of its luminance (the luminance itself where
-    the share is 0). The new one replaces all if it shows a higher white: its bound exceeds bound / clipped, which is at
-    least the white of the old exposure. Otherwise it replaces as much as is less clipped in it, unless it is darker
-    than the old bound: then it shows another surface (a pose is off by a pixel), or a reflection that is gone.
-    """
-    with np.errstate(divide="ignore", invalid="ignore"):
-        less = np.where(new_bound >= bound * (1 - NOISE * clipped), (clipped - new_clipped) / clipped, 0)
-    share = np.where(new_bound * clipped > HIGHER * bound, 1, np.maximum(less, 0))
-    return np.where(clipped > 0, share, 0).astype(np.float32)
 
 
 def latest_detail(

@@ -28,7 +28,7 @@ SAME_LIGHT_DEG: Final = 30.0
 MAX_TURN_DEG: Final = 10.0
 """Per frame: half a turn takes 18 frames, 0.6 s at 30 frames a second."""
 FOLLOW: Final = 0.5
-"""Share of a change taken over at each frame, as for inferred radiance (`roomlight.engine.backend.FILL_UPDATE`)."""
+"""Share of a change taken over at each frame, as for inferred radiance (`FILL_UPDATE` of the models)."""
 DROP_FRAMES: Final = 6
 """A light that was not found for so many frames has 1.6 % of its strength."""
 CHALLENGE_RATIO: Final = 1.3

@@ -15,7 +15,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 from roomlight import __version__
 from roomlight.conventions import Position
 from roomlight.depth import UnknownDepth
-from roomlight.engine.backend import Arrays
+from roomlight.engine.models.interface import Arrays
 from roomlight.engine.networks.providers import Provider
 from roomlight.engine.options import ModelName, SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
@@ -127,7 +127,7 @@ class SavedSession:
             last_index=values.last_index,
             next_handle=values.next_handle,
             grid=grid,
-            backend=_under("backend", self.arrays),
+            volume=_under("volume", self.arrays),
             pending=values.pending,
             probes=tuple(self._probe(one) for one in values.probes),
             keyframes=tuple(kept["keyframe"]),
@@ -152,7 +152,7 @@ class SavedSession:
 
 def records_of_snapshot(snapshot: SessionSnapshot, *, elsewhere: Collection[int] = ()) -> list[Record]:
     """Return the records of a snapshot; `elsewhere`: indices of kept frames whose bases are stored elsewhere."""
-    arrays: Arrays = {f"backend/{name}": array for name, array in snapshot.backend.items()}
+    arrays: Arrays = {f"volume/{name}": array for name, array in snapshot.volume.items()}
     for probe in snapshot.probes:
         arrays |= {f"probe/{probe.handle}/panorama/{name}": getattr(probe.panorama, name) for name in _PLANES}
         arrays |= {f"probe/{probe.handle}/memory/{name}": array for name, array in probe.memory.items()}

@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from roomlight.camera import Intrinsics
-from roomlight.depth import complete_depth, without_unseen
-from roomlight.engine.backend import Arrays
-from roomlight.engine.options import WORKING_SIZE, SessionOptions
+from roomlight.engine.models.interface import Arrays
+from roomlight.engine.options import SessionOptions
+from roomlight.engine.preparation import at_working_size
 from roomlight.engine.state.snapshot import KeptFrame
 from roomlight.engine.surface.mesh import FrameMesh, MeshGrid
 from roomlight.engine.surface.texture import Texture
@@ -24,11 +24,9 @@ from roomlight.frame import Frame
 
 def base_of_frame(frame: Frame, options: SessionOptions) -> FrameMesh:
     """Make the base from a frame as it was pushed to a session with these options."""
-    frame = frame.resized(*WORKING_SIZE)
-    depth_m = complete_depth(frame.depth_m) if options.unknown_depth == "rim" else frame.depth_m
-    depth_m = without_unseen(depth_m, frame.seen)
-    mesh = FrameMesh(replace(frame, depth_m=depth_m), sensor_depth_m=frame.depth_m)
-    mesh.texture = Texture(frame.image)
+    measured, depth_m = at_working_size(frame, options.unknown_depth)
+    mesh = FrameMesh(replace(measured, depth_m=depth_m), sensor_depth_m=measured.depth_m)
+    mesh.texture = Texture(measured.image)
     return mesh
 
 

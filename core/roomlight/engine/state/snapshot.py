@@ -7,13 +7,14 @@ a session replaces their textures and never writes into them.
 from dataclasses import dataclass
 
 from roomlight.conventions import Position
-from roomlight.engine.backend import Arrays
+from roomlight.engine.models.interface import Arrays
 from roomlight.engine.options import SessionOptions
 from roomlight.engine.panorama.blend import PanoramaState
 from roomlight.engine.panorama.light_tracking import LightTracker
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.surface.texture import Texture
 from roomlight.engine.volume.grid import VolumeGrid
+from roomlight.errors import StateError
 
 
 @dataclass(frozen=True)
@@ -23,6 +24,11 @@ class KeptFrame:
     index: int
     mesh: FrameMesh
     texture: Texture
+
+    @classmethod
+    def of(cls, index: int, mesh: FrameMesh) -> "KeptFrame":
+        """Return the frame with the texture that the mesh has now."""
+        return cls(index, mesh, mesh.texture)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,7 @@ class SessionSnapshot:
         last_index: index of the last frame; `NO_FRAME` before the first.
         next_handle: of the next tracked probe.
         grid: pose and size of the volume; None before the first frame.
-        backend: the model's state; empty before the first frame.
+        volume: the model's 3D state; empty before the first frame.
         pending: positions tracked before the first frame, by handle.
         probes: the tracked probes, in the order of their handles in the session.
         keyframes: in order of time.
@@ -60,7 +66,7 @@ class SessionSnapshot:
     last_index: int
     next_handle: int
     grid: VolumeGrid | None
-    backend: Arrays
+    volume: Arrays
     pending: dict[int, Position]
     probes: tuple[ProbeSnapshot, ...]
     keyframes: tuple[KeptFrame, ...]
@@ -70,3 +76,20 @@ class SessionSnapshot:
     def kept(self) -> tuple[KeptFrame, ...]:
         """The keyframes, and the last frame if it is no keyframe."""
         return self.keyframes if self.latest is None else (*self.keyframes, self.latest)
+
+    def check(self, options: SessionOptions, networks: dict[str, str]) -> None:
+        """Check that a session with these options and networks can continue from the snapshot.
+
+        Raises:
+            StateError: The options or the weights differ from the saved ones.
+        """
+        for name in ("hedge", "height", "keyframes", "unknown_depth"):
+            saved, given = getattr(self.options, name), getattr(options, name)
+            if saved != given:
+                raise StateError(f"the session was saved with {name}={saved!r}, not {given!r}")
+        for name, given in networks.items():
+            saved = self.networks.get(name)
+            if saved != given:
+                what = {"model": "the model", "weights": "weights", "clipping": "a network for clipped pixels"}[name]
+                shown = [(digest or "none")[:16] for digest in (saved or "", given)]
+                raise StateError(f"the session was saved with {what} {shown[0]}, and here is {shown[1]}")

@@ -2,10 +2,10 @@
 
 A phone changes its exposure all the time, and the frames of a session are in one unit. An observation of a surface is
 its radiance, whether it was clipped, and a lower bound of its luminance: the image as measured, 1 / exposure where it
-was clipped. It gives way to one that knows more (`roomlight.engine.panorama.blend.better_share`), in three places:
+was clipped. It gives way to one that knows more (`roomlight.engine.observations.better_share`), in three places:
 
-- a frame takes the radiance of its clipped pixels from the keyframes, before clipped light is estimated (`restored`),
-  so that its mesh and volume hold it;
+- a frame takes the radiance of its clipped pixels from the keyframes, before clipped light is estimated
+  (`take_clipped_light`), so that its mesh and volume hold it;
 - each keyframe takes that of its own clipped pixels from the new frame (`update_keyframes`): later probes see it;
 - a probe's panorama and the voxels of the mean volume replace their clipped observations.
 
@@ -23,8 +23,7 @@ from jaxtyping import Bool, Float, Int
 from roomlight.camera import Intrinsics, rigid_inverse, transform_points
 from roomlight.conventions import LUMINANCE
 from roomlight.engine.kernels.bracket import PointArrays, SourceArrays, take_radiance
-from roomlight.engine.networks.clipping import ClippingModel, restore_clipped
-from roomlight.engine.panorama.blend import CLOSER_M
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.surface.mesh import FrameMesh
 from roomlight.engine.surface.texture import Texture
 from roomlight.frame import Frame
@@ -37,26 +36,38 @@ MAX_PROJECTIONS: Final = 75_000
 the next frame of shorter exposure."""
 
 
-def restored(
-    frame: Frame,
-    depth_m: Float[np.ndarray, "dh dw"],
-    earlier: Iterable[FrameMesh] = (),
-    *,
-    model: ClippingModel,
-) -> Frame:
-    """Return the frame with the depth `depth_m`, its clipped pixels taken from earlier frames or else estimated.
+def take_clipped_light(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: Iterable[FrameMesh]) -> Frame:
+    """Return the frame with the radiance of its clipped pixels taken from earlier frames that show them.
 
-    frame:    as measured, with the sensor's depth.
-    depth_m:  its completed depth.
-    earlier:  meshes of earlier frames; of two that know as much, the later one counts.
-    model:    estimates what no frame shows.
+    Pixels that are clipped there too start from the highest white that clipped them.
+
+    Args:
+        frame: As measured.
+        depth_m: Its completed depth.
+        earlier: Meshes of earlier frames; of two that know as much, the later one counts.
     """
-    if not frame.clipped.any():
-        return replace(frame, depth_m=depth_m)
-    measured = _from_earlier(frame, depth_m, list(earlier))
-    result = restore_clipped(measured, depth_m, model=model)
-    guessed = np.einsum("hwc,c->hw", result.image - measured.image, LUMINANCE)
-    return replace(result, guessed=guessed)
+    where = np.flatnonzero(frame.clipped)
+    bound = frame.image.reshape(-1, 3)[where] @ LUMINANCE
+    sources = [mesh for mesh in reversed(list(earlier)) if _may_know(mesh, bound)]
+    if not sources:
+        return frame
+    depth_camera = frame.intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
+    local, known = _points(where, frame.intrinsics, depth_m, depth_camera)
+    where = where[known]
+    points = _clipped_points(local, frame.camera_to_world, frame.image.reshape(-1, 3)[where], bound[known])
+    left = MAX_PROJECTIONS
+    for source in sources:
+        pending = int(points.clipped.sum())
+        if pending == 0 or pending > left:
+            break
+        left -= pending
+        take_radiance(points, _source(source), np.float32(CLOSER_M))
+    image, clipped = frame.image.copy(), frame.clipped.copy()
+    # as measured: a source's own estimate is left out
+    measured = points.radiance * (points.bound / np.maximum(points.radiance @ LUMINANCE, 1e-12))[:, None]
+    image.reshape(-1, 3)[where] = np.where(points.clipped[:, None], measured, points.radiance)
+    clipped.reshape(-1)[where] = points.clipped
+    return replace(frame, image=image, clipped=clipped)
 
 
 def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh]) -> int:
@@ -79,31 +90,6 @@ def update_keyframes(mesh: FrameMesh, keyframes: Iterable[FrameMesh]) -> int:
             key.texture = _with_points(texture, where, points)
             taken += count
     return taken
-
-
-def _from_earlier(frame: Frame, depth_m: Float[np.ndarray, "dh dw"], earlier: list[FrameMesh]) -> Frame:
-    where = np.flatnonzero(frame.clipped)
-    bound = frame.image.reshape(-1, 3)[where] @ LUMINANCE
-    sources = [mesh for mesh in reversed(earlier) if _may_know(mesh, bound)]
-    if not sources:
-        return frame
-    depth_camera = frame.intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
-    local, known = _points(where, frame.intrinsics, depth_m, depth_camera)
-    where = where[known]
-    points = _clipped_points(local, frame.camera_to_world, frame.image.reshape(-1, 3)[where], bound[known])
-    left = MAX_PROJECTIONS
-    for source in sources:
-        pending = int(points.clipped.sum())
-        if pending == 0 or pending > left:
-            break
-        left -= pending
-        take_radiance(points, _source(source), np.float32(CLOSER_M))
-    image, clipped = frame.image.copy(), frame.clipped.copy()
-    # as measured: a source's own estimate is left out
-    measured = points.radiance * (points.bound / np.maximum(points.radiance @ LUMINANCE, 1e-12))[:, None]
-    image.reshape(-1, 3)[where] = np.where(points.clipped[:, None], measured, points.radiance)
-    clipped.reshape(-1)[where] = points.clipped
-    return replace(frame, image=image, clipped=clipped)
 
 
 def _clipped_points(

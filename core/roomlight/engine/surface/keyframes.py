@@ -4,7 +4,7 @@ Coverage is counted in cells of the volume (2 x 2 x 2 voxels) that hold a vertex
 outside the volume counts in the nearest cell of its outer layer.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Final
 
@@ -25,7 +25,7 @@ _CELL: Final = 2
 
 @dataclass(frozen=True)
 class Keyframe:
-    """A frame's mesh and the cells it covers."""
+    """A kept frame: its mesh and the cells that it covers."""
 
     index: int
     mesh: FrameMesh
@@ -47,6 +47,7 @@ class KeyframeStore:
         self.capacity = capacity
         self._counts = np.zeros(int(np.prod([-(-n // _CELL) for n in grid.shape])), np.int32)
         self._keyframes: list[Keyframe] = []
+        self._last: Keyframe | None = None  # if it is no keyframe
 
     def __len__(self) -> int:
         return len(self._keyframes)
@@ -55,27 +56,49 @@ class KeyframeStore:
         """Iterate in order of time over the keyframes as they are now; offers during the iteration do not change it."""
         return iter(tuple(self._keyframes))
 
+    @property
+    def last(self) -> Keyframe | None:
+        """The last frame, if it is no keyframe; it is kept until the next one."""
+        return self._last
+
+    def with_last(self) -> list[Keyframe]:
+        """Return the keyframes in order of time, then the last frame if it is no keyframe."""
+        return self._keyframes + ([] if self._last is None else [self._last])
+
     def offer(self, index: int, mesh: FrameMesh) -> bool:
         """Keep the frame if it shows enough new cells; return whether it was kept."""
-        cells = self._cells_of(mesh.vertices[mesh.known])
-        total = int(cells.sum())
-        if total == 0 or int((cells & (self._counts == 0)).sum()) < MIN_NEW_SHARE * total:
+        offered = self._keyframe(index, mesh)
+        self._last = offered
+        total = int(offered.cells.sum())
+        if total == 0 or int((offered.cells & (self._counts == 0)).sum()) < MIN_NEW_SHARE * total:
             return False
-        offered = Keyframe(index, mesh, cells)
-        self._keyframes.append(offered)
-        self._counts += cells
+        self._append(offered)
         if len(self._keyframes) > self.capacity:
             alone = [int((key.cells & (self._counts == 1)).sum()) for key in self._keyframes]
             dropped = self._keyframes.pop(int(np.argmin(alone)))
             self._counts -= dropped.cells
-            return dropped is not offered
+            if dropped is offered:
+                return False
+        self._last = None
         return True
 
-    def restore(self, index: int, mesh: FrameMesh) -> None:
-        """Add a frame that was kept before the state was saved."""
-        cells = self._cells_of(mesh.vertices[mesh.known])
-        self._keyframes.append(Keyframe(index, mesh, cells))
-        self._counts += cells
+    def restore(self, keyframes: Mapping[int, FrameMesh], last: tuple[int, FrameMesh] | None) -> None:
+        """Take over the frames of a saved state.
+
+        Args:
+            keyframes: Their meshes by frame index, in order of time.
+            last: Index and mesh of the last frame if it is no keyframe.
+        """
+        for index, mesh in keyframes.items():
+            self._append(self._keyframe(index, mesh))
+        self._last = None if last is None else self._keyframe(*last)
+
+    def _keyframe(self, index: int, mesh: FrameMesh) -> Keyframe:
+        return Keyframe(index, mesh, self._cells_of(mesh.vertices[mesh.known]))
+
+    def _append(self, keyframe: Keyframe) -> None:
+        self._keyframes.append(keyframe)
+        self._counts += keyframe.cells
 
     def covered_cells(self) -> int:
         """Return the number of cells that at least one keyframe shows."""

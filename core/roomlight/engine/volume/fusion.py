@@ -1,7 +1,7 @@
 """Fusion of the frames' initial volumes: the mean over the frames that observed a voxel.
 
 Clipped observations of a voxel are not averaged with better ones: of the sum so far and the new frame, the one that
-knows less takes the colour of the other (`roomlight.engine.panorama.blend.better_share`), whatever the order.
+knows less takes the colour of the other (`roomlight.engine.observations.better_share`), whatever the order.
 """
 
 from dataclasses import dataclass, fields
@@ -10,7 +10,7 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from roomlight.conventions import LUMINANCE
-from roomlight.engine.panorama.blend import better_share
+from roomlight.engine.observations import better_share
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,46 @@
+"""The lighting model that a session's options select."""
+
+from dataclasses import replace
+
+from roomlight.engine.models.classical import ClassicalModel
+from roomlight.engine.models.interface import LightingModel
+from roomlight.engine.models.network_volume import NetworkModel
+from roomlight.engine.networks.graphs import DESCRIPTION, SHIPPED, LightingGraphs, load_graphs
+from roomlight.engine.options import SessionOptions
+from roomlight.errors import ModelError, OptionError
+
+
+def choose_graphs(options: SessionOptions) -> LightingGraphs | None:
+    """Load the graphs that the options select; None for the classical model. Load once, share between sessions.
+
+    Raises:
+        OptionError: model="video" contradicts `weights`, which are single-view.
+        ModelError: The weights are missing, damaged or untrained, or the provider is not available.
+    """
+    if options.model == "classical" or (options.model == "auto" and options.weights is None):
+        return None
+    if options.weights is not None:
+        graphs = load_graphs(options.weights, provider=options.provider)
+        if options.model == "video" and graphs.form == "single":
+            raise OptionError(f'{options.weights}: holds single-view weights only; use model="single" or "auto"')
+        return replace(graphs, form="single") if options.model == "single" else graphs
+    # A video folder holds the single-view graphs too: its first frame needs them.
+    for folder in ("single", "video") if options.model == "single" else ("video",):
+        if (SHIPPED / folder / DESCRIPTION).is_file():
+            graphs = load_graphs(SHIPPED / folder, provider=options.provider)
+            return replace(graphs, form="single") if options.model == "single" else graphs
+    raise ModelError(
+        f'model="{options.model}": this version contains no trained weights for it; '
+        'set `weights` to a model directory (from `roomlight export`) or use model="classical"'
+    )
+
+
+def lighting_model(options: SessionOptions, graphs: LightingGraphs | None = None) -> LightingModel:
+    """Return the model of a session; `graphs` are those that the options select unless given.
+
+    Raises:
+        OptionError: The options contradict each other (see `choose_graphs`).
+        ModelError: The weights cannot be used (see `choose_graphs`).
+    """
+    graphs = graphs or choose_graphs(options)
+    return ClassicalModel() if graphs is None else NetworkModel(graphs, options.hedge)
