@@ -31,8 +31,8 @@ class Process:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self.lines.append(line)
-            if line.startswith("Serving on"):
-                self.port = int(line.split()[2].rsplit(":", 1)[1])
+            if '"event": "serving"' in line:
+                self.port = int(json.loads(line)["url"].rsplit(":", 1)[1])
             if '"event": "ready"' in line:
                 self._ready.set()
         self._ready.set()
@@ -65,9 +65,9 @@ class Process:
     def pid(self):
         return self._process.pid
 
-    def stop(self):
-        """Send SIGTERM; return the exit code."""
-        self._process.send_signal(signal.SIGTERM)
+    def stop(self, number=signal.SIGTERM):
+        """Send a signal; return the exit code."""
+        self._process.send_signal(number)
         code = self._process.wait(BOUND_S)
         self._reader.join(BOUND_S)
         return code

@@ -42,6 +42,7 @@ from roomlight_server.sessions.registry import Clock, Registry
 from roomlight_server.state.store import StateStore
 from roomlight_server.transport.auth import DOCS_ASSETS, LOOPBACK_HOSTS, AuthMiddleware, Tokens
 from roomlight_server.transport.guard import ConnectionGuard
+from roomlight_server.transport.security_headers import SecurityHeadersMiddleware
 from roomlight_server.transport.stop_middleware import StopMiddleware
 from roomlight_server.transport.watchdog import Watchdog
 from roomlight_server.work.workers import Workers
@@ -209,6 +210,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
         metrics=metrics,
         wrong_token_delay_s=settings.wrong_token_delay_s,
         guard=context.guard,
+        metrics_open=not settings.on_lan,  # anyone in the house could watch who is at home
     )
     if settings.allow_origins:
         app.add_middleware(
@@ -218,6 +220,7 @@ def _add_middleware(app: FastAPI, context: Context) -> None:
             allow_headers=_CORS_REQUEST_HEADERS,
             expose_headers=_CORS_ANSWER_HEADERS,
         )
+    app.add_middleware(SecurityHeadersMiddleware)
     app.add_middleware(StopMiddleware, stopping=lambda: context.registry.stopping)
     app.add_middleware(RequestIdMiddleware)  # answers of all others carry the id
 

@@ -10,8 +10,8 @@ import socket
 import ssl
 import sys
 import threading
-from collections.abc import Callable
-from contextlib import ExitStack
+from collections.abc import Callable, Generator
+from contextlib import ExitStack, contextmanager
 from typing import Any, Final
 
 import uvicorn
@@ -55,6 +55,21 @@ class GracefulServer(uvicorn.Server):
         super().__init__(config)
         self._when_stopping = when_stopping
 
+    @contextmanager
+    def capture_signals(self) -> Generator[None]:
+        """Stop at SIGHUP as at SIGTERM: the terminal is closed. It stays ignored below `nohup`."""
+        captured = threading.current_thread() is threading.main_thread()
+        if not captured or signal.getsignal(signal.SIGHUP) == signal.SIG_IGN:
+            with super().capture_signals():
+                yield
+            return
+        before = signal.signal(signal.SIGHUP, self.handle_exit)
+        try:
+            with super().capture_signals():
+                yield
+        finally:
+            signal.signal(signal.SIGHUP, before)
+
     async def startup(self, sockets: list[socket.socket] | None = None) -> None:
         """Listen; with a certificate, by `TlsListener`."""
         app: Any = self.config.app
@@ -83,7 +98,8 @@ class GracefulServer(uvicorn.Server):
         _log.info("stopping")
         loop = asyncio.get_running_loop()
         began_s = loop.time()
-        notice_s = context.settings.drain_s if signal.SIGTERM in self._captured_signals else 0.0
+        drains = {signal.SIGTERM, signal.SIGHUP} & set(self._captured_signals)
+        notice_s = context.settings.drain_s if drains else 0.0
         while loop.time() - began_s < notice_s or context.registry.frames_in_flight:
             if loop.time() - began_s >= max(notice_s, DRAIN_LIMIT_S) or self.force_exit:
                 break
@@ -218,6 +234,7 @@ def serve(settings: ServerSettings, *, listening: Callable[[str], object]) -> No
                 local = [sockets.enter_context(each) for each in _listen_locally(settings, bound)]
                 address = address_of(settings, bound)
                 context.public_url = address if settings.on_lan else None
+                _log.info("serving", extra={"url": address})
                 listening(address)
                 make_server(settings, app, when_stopping=_limit_stop).run(sockets=[bound, *local])
         finally:

@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import logging
 import shutil
 from pathlib import Path
 from typing import Any
@@ -160,7 +161,9 @@ def state(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path / "roomlight"
 
 
-def test_serving_the_network_prints_how_to_reach_it(monkeypatch, roomlight: RunCommand, state: Path):
+def test_serving_the_network_says_how_to_reach_it(monkeypatch, roomlight: RunCommand, state: Path, caplog):
+    caplog.set_level(logging.INFO, "roomlight.server")
+
     def serve(settings: Any, *, listening: Any) -> None:
         assert (settings.host, settings.port, settings.on_lan) == ("127.0.0.1", 8443, True)
         listening("https://127.0.0.1:8443")
@@ -169,10 +172,11 @@ def test_serving_the_network_prints_how_to_reach_it(monkeypatch, roomlight: RunC
     result = roomlight("serve", "--lan", "--host", "127.0.0.1", "--port", "8443")
     assert result.code == 0, result.err
     token = ensure_token(state)
-    assert f"On a phone: https://127.0.0.1:8443/phone#token={token}" in result.err
-    assert f"On this network: https://127.0.0.1:8443/#token={token}" in result.err
-    assert "Fingerprint (SHA-256) of the certificate: " in result.err
-    assert "█" not in result.err  # QR codes are for terminals
+    line = vars(caplog.records[-1])  # without a terminal there are lines of JSON only
+    assert line["phone"] == f"https://127.0.0.1:8443/phone#token={token}"
+    assert line["url"] == f"https://127.0.0.1:8443/#token={token}"
+    assert line["fingerprint"].count(":") == 31
+    assert result.err == ""
 
 
 @pytest.mark.usefixtures("state")
@@ -183,11 +187,12 @@ def test_a_terminal_shows_the_qr_code(monkeypatch, roomlight: RunCommand):
     assert "█▀▀" in result.err or "▄▄▄" in result.err
 
 
-def test_serving_the_network_keeps_configured_tokens(monkeypatch, roomlight: RunCommand, state: Path):
+def test_serving_the_network_keeps_configured_tokens(monkeypatch, roomlight: RunCommand, state: Path, caplog):
+    caplog.set_level(logging.INFO, "roomlight.server")
     monkeypatch.setenv("ROOMLIGHT_TOKENS", "a-token-of-sixteen-or-more")
     monkeypatch.setattr(serve_command, "run_server", lambda _, *, listening: listening("https://127.0.0.1:8443"))
-    result = roomlight("serve", "--lan", "--host", "127.0.0.1")
-    assert "/phone#token=a-token-of-sixteen-or-more" in result.err
+    assert roomlight("serve", "--lan", "--host", "127.0.0.1").code == 0
+    assert vars(caplog.records[-1])["phone"].endswith("/phone#token=a-token-of-sixteen-or-more")
     assert not (state / "lan-token").exists()
     assert (state / "lan-key.pem").exists()
 

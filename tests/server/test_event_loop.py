@@ -7,7 +7,7 @@ from importlib import import_module
 
 from fastapi.routing import APIRoute
 
-import roomlight_server
+from roomlight_server import routes
 from roomlight_server.answers.parts_response import PartsResponse
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
@@ -18,19 +18,19 @@ def calls_of(dependant):
     return [dependant.call, *(call for each in dependant.dependencies for call in calls_of(each))]
 
 
-def routes():
+def api_routes():
     """Return the routes of the server: its routers', and the application's own."""
-    names = [each.name for each in pkgutil.iter_modules(roomlight_server.__path__) if each.name.endswith("_routes")]
-    routers = [import_module(f"roomlight_server.{name}").router for name in names]
-    found = [route for router in (create_app(ServerSettings()), *routers) for route in router.routes]
+    modules = [import_module(f"{routes.__name__}.{each.name}") for each in pkgutil.iter_modules(routes.__path__)]
+    routers = [create_app(ServerSettings()), *(module.router for module in modules if hasattr(module, "router"))]
+    found = [route for router in routers for route in router.routes]
     return [route for route in found if isinstance(route, APIRoute)]
 
 
 def test_no_request_waits_for_a_thread_of_the_framework():
     """Two dependencies that were not async took each request to a thread pool and back, twice."""
-    paths = {route.path for route in routes()}
+    paths = {route.path for route in api_routes()}
     assert {"/v1/sessions/{session_id}/frames/{index}", "/v1/sessions/{session_id}/probes", "/readyz"} <= paths
-    for route in routes():
+    for route in api_routes():
         for call in calls_of(route.dependant):
             assert inspect.iscoroutinefunction(call) or inspect.isasyncgenfunction(call), (route.path, call)
 

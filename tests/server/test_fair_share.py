@@ -36,10 +36,10 @@ class Jobs:
         self.order: list[str] = []
         self.tasks: list[asyncio.Task[None]] = []
 
-    async def add(self, name, seconds, *, owner="a", session="s", gate=None):
+    async def add(self, name, seconds, *, owner="a", session="s", gate=None, order=0):
         async def job():
             current_flow.set(Flow(owner, session))
-            async with self._share.slot():
+            async with self._share.slot(order):
                 self.order.append(name)
                 if gate is not None:
                     await gate.wait()
@@ -67,6 +67,21 @@ def test_the_owner_with_the_least_time_is_served(clock):
 
     order = asyncio.run(scenario())
     assert order == ["a0", "b0", "b1", "b2", "b3", "a1", "a2", "a3"]
+
+
+def test_a_lower_order_comes_first_until_the_others_lose_patience(clock):
+    async def scenario():
+        jobs, gate = Jobs(FairShare(1, clock=clock), clock), asyncio.Event()
+        await jobs.add("final0", 1.0, gate=gate, order=1)
+        await jobs.add("final1", 1.0, order=1, owner="c")
+        for number in range(3):
+            await jobs.add(f"preview{number}", 9.5, owner="b")
+        gate.set()
+        await jobs.run()
+        return jobs.order
+
+    # after 1 + 2 * 9.5 s the second final has waited for 20 s, and its owner has used less
+    assert asyncio.run(scenario()) == ["final0", "preview0", "preview1", "final1", "preview2"]
 
 
 def test_the_session_with_the_least_time_is_served(clock):

@@ -1,6 +1,7 @@
 """Who is answered: the `Host` of all paths, wrong tokens, and the warning of a server that is open to all pages."""
 
 import asyncio
+import socket
 
 import pytest
 
@@ -10,6 +11,12 @@ from roomlight_server.base.settings import ServerSettings
 from roomlight_server.transport import auth
 
 TOKEN = "a-token-of-sixteen-or-more"
+
+
+@pytest.fixture(scope="module")
+def server():
+    with RunningServer() as running:
+        yield running
 
 
 @pytest.mark.parametrize(
@@ -68,3 +75,31 @@ def test_all_origins_without_a_token_is_warned_about(monkeypatch, capfd, tokens,
     monkeypatch.setattr(serving, "GracefulServer", Stopped)
     serving.serve(ServerSettings(port=0, allow_origins=("*",), tokens=tokens), listening=lambda _: None)
     assert ("any web page" in capfd.readouterr().err) is warns
+
+
+@pytest.mark.parametrize("hosts", [b"", b"Host: localhost\r\nHost: localhost\r\n"], ids=["none", "two"])
+@pytest.mark.parametrize("path", [b"/healthz", b"/v1/sessions"])
+def test_a_request_has_exactly_one_host(server, path, hosts):
+    """Both were answered with 200; caches and proxies in front do not agree on the host then (RFC 9112)."""
+    with socket.create_connection(("127.0.0.1", server.port), timeout=60) as connection:
+        connection.sendall(b"GET " + path + b" HTTP/1.1\r\n" + hosts + b"Connection: close\r\n\r\n")
+        with connection.makefile("rb") as answer:
+            text = answer.read().decode()
+    assert text.startswith("HTTP/1.1 400 ")
+    assert "exactly one header Host" in text
+
+
+def test_answers_cannot_be_framed_and_pages_have_a_policy(server):
+    docs, missing = server.call("GET", "/docs").headers, server.call("GET", "/v1/sessions/none").headers
+    assert "script-src 'self'" in docs["content-security-policy"]
+    assert missing["content-security-policy"] == "default-src 'none'; frame-ancestors 'none'"
+    for headers in (docs, missing):
+        assert "frame-ancestors 'none'" in headers["content-security-policy"]
+        assert headers["x-frame-options"] == "DENY"
+        assert headers["x-content-type-options"] == "nosniff"
+
+
+def test_the_metrics_need_a_token_on_the_local_network():
+    with RunningServer(tokens=(TOKEN,), on_lan=True) as server:
+        assert server.call("GET", "/metrics").status == 401
+        assert server.call("GET", "/metrics", token=TOKEN).status == 200

@@ -1,18 +1,25 @@
 """Images that take long to decode, and decoders that die: each costs one frame, over a real socket."""
 
+import fcntl
 import json
 import os
+import re
+import resource
 import signal
+import struct
+import termios
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from slow_images import jpeg_of_scans, png_of_texts
 
-from http_servers import SMALL, RunningServer, box_shot, header_of, parts_of
+from http_servers import SMALL, InThread, RunningServer, box_shot, header_of, parts_of
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import pack
 from roomlight_server.work import decode_processes
+from roomlight_server.work.decode_worker import MAX_MEMORY_BYTES
 
 
 def colour_frame(encoding, data, width=48, height=36):
@@ -58,32 +65,84 @@ def test_a_frame_beyond_the_time_limit_is_rejected(caplog):
     assert [r.getMessage() for r in caplog.records].count("decoding process killed") == 1
 
 
-def test_a_decoder_that_dies_is_replaced(monkeypatch):
-    with RunningServer(decode_threads=1) as server:
+@pytest.fixture
+def one_decoder():
+    with RunningServer(decode_threads=1, decode_timeout_s=60) as server:
         server.open()
         assert server.push(0, colour_frame("jpeg", jpeg())).json["status"] == "processed"
-        (process,) = server.app.state.context.workers.decode_processes._idle
-        os.kill(process._process.pid, signal.SIGKILL)
-        process._process.wait()
-        assert server.push(1, colour_frame("jpeg", jpeg())).json["status"] == "processed"
-        with monkeypatch.context() as patched:
-            patched.setattr(decode_processes._Process, "request", lambda *_: _raise(OSError("ended")))
-            answer = server.push(2, colour_frame("jpeg", jpeg()))
-            assert (answer.status, answer.json["rule"]) == (422, "the decoder crashed")
-        assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
+        (pid,) = server.app.state.context.workers.decode_processes.pids
+        yield server, pid
+
+
+def test_a_frame_whose_decoder_is_killed_is_decoded_by_another(one_decoder, caplog):
+    """It was refused with 422, as if its image had ended the decoder."""
+    server, pid = one_decoder
+    os.kill(pid, signal.SIGSTOP)
+    push = InThread(server.push, 1, colour_frame("jpeg", jpeg(800, 600), 800, 600))
+    while not is_reading(pid):
+        pass
+    os.kill(pid, signal.SIGKILL)
+    assert push.result().json["status"] == "processed"
+    assert [vars(r)["reason"] for r in caplog.records] == ["the decoder crashed"]
+    (other,) = server.app.state.context.workers.decode_processes.pids
+    os.kill(other, signal.SIGKILL)  # while it is idle
+    assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
+
+
+def is_reading(pid):
+    """Whether something waits in the pipe of a process's standard input."""
+    with Path(f"/proc/{pid}/fd/0").open("rb", buffering=0) as pipe:
+        return struct.unpack("i", fcntl.ioctl(pipe, termios.FIONREAD, bytes(4)))[0] > 0
+
+
+def test_an_image_that_crashes_the_decoder_is_rejected(one_decoder, monkeypatch):
+    server, _ = one_decoder
+    with monkeypatch.context() as patched:
+        patched.setattr(decode_processes._Process, "request", lambda *_: _raise(OSError("ended")))
+        answer = server.push(2, colour_frame("jpeg", jpeg()))
+        assert (answer.status, answer.json["rule"]) == (422, "the decoder crashed")
+    assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
+
+
+def test_a_decoder_that_does_not_read_is_killed():
+    """Writing to a stopped decoder had no deadline: a frame waited for 60 s."""
+    with RunningServer(decode_threads=1, decode_timeout_s=0.5) as server:
+        server.open()
+        processes = server.app.state.context.workers.decode_processes
+        processes.start(1)
+        while server.push(0, colour_frame("jpeg", jpeg())).status != 200:
+            pass  # a process that still starts may take more than this limit
+        for pid in processes.pids:
+            os.kill(pid, signal.SIGSTOP)
+        answer = server.push(1, colour_frame("jpeg", jpeg(800, 600), 800, 600))
+        assert (answer.status, answer.json["rule"]) == (422, "must decode within 0.5 s")
 
 
 def _raise(error):
     raise error
 
 
+def test_a_decoding_process_has_a_limit_on_memory(one_decoder):
+    """A GLB of 31 MiB took 3.3 GB, and its memory was charged with 33 MB."""
+    server, pid = one_decoder
+    assert resource.prlimit(pid, resource.RLIMIT_AS) == (MAX_MEMORY_BYTES, MAX_MEMORY_BYTES)
+    status = Path(f"/proc/{pid}/status").read_text("utf-8")
+    now = 1024 * int(re.search(r"VmSize:\s+(\d+) kB", status)[1])
+    resource.prlimit(pid, resource.RLIMIT_AS, (now + 2**24, MAX_MEMORY_BYTES))
+    answer = server.push(1, colour_frame("jpeg", jpeg(4000, 3000), 4000, 3000))
+    assert (answer.status, answer.json["rule"]) == (422, "must decode within the memory of a decoding process")
+    assert server.push(1, colour_frame("jpeg", jpeg())).json["status"] == "processed"
+
+
 def test_the_processes_end_with_the_server():
     with RunningServer() as server:
         server.open()
         assert server.push(0, colour_frame("jpeg", jpeg())).json["status"] == "processed"
-        processes = [each._process for each in server.app.state.context.workers.decode_processes._all]
-    assert processes
-    assert all(process.returncode is not None for process in processes)
+        pids = server.app.state.context.workers.decode_processes.pids
+    assert pids
+    for pid in pids:
+        with pytest.raises(ProcessLookupError):
+            os.kill(pid, 0)
 
 
 def test_an_image_has_the_same_light_from_thread_and_process(monkeypatch):

@@ -14,6 +14,7 @@ from roomlight.errors import ServerError
 from roomlight_server.app import create_app
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.state import session_folder, store
+from roomlight_server.state.ages import SavedAges
 
 YAWS = (0, 12, 24, 36, 48, 60)
 PROBE = {"position": [0.2, 1.2, -0.5]}
@@ -383,16 +384,66 @@ def test_a_damaged_file_is_not_listed(saved, tmp_path):
 
 
 def test_saved_sessions_expire(saved, tmp_path):
-    folder = copied(saved[0], tmp_path / "state")
+    folder, now_s = copied(saved[0], tmp_path / "state"), [1000.0]
     state = next((folder / "sessions").glob("*/state"))
-    os.utime(state, (time.time() - 90, time.time() - 90))
     (folder / "another file").write_text("not ours")
-    with server_on(folder, state_expiry_s=60.0) as server:
+    (folder / "sessions" / "link").symlink_to(tmp_path)
+    with server_on(folder, clock=lambda: now_s[0], state_expiry_s=60.0) as server:
         for _ in range(TRIES):
+            if (folder / "ages.json").exists():
+                now_s[0] += 0.1
             if not state.parent.exists():
                 break
+            assert server.call("GET", "/healthz").status == 200
+        assert now_s[0] > 1060.0
         assert server.call("GET", "/v1/sessions/room").status == 404
     assert (folder / "another file").exists()
+    assert (folder / "sessions" / "link").is_symlink()
+
+
+def test_ages_count_the_time_of_servers_alone(tmp_path):
+    now_s = 1000.0
+    ages = SavedAges(tmp_path / "ages.json", lambda: now_s)
+    assert ages.advance({"a": "1", "b": "1", "c": "1"}, ()) == {"a": 0.0, "b": 0.0, "c": 0.0}
+    now_s += 60
+    assert ages.advance({"a": "1", "b": "2", "c": "1"}, {"c"}) == {"a": 60.0, "b": 0.0, "c": 0.0}
+    now_s = 5.0  # another server: the machine was off for a year
+    ages = SavedAges(tmp_path / "ages.json", lambda: now_s)
+    now_s += 10
+    assert ages.advance({"a": "1", "b": "2"}, ()) == {"a": 70.0, "b": 10.0}
+    for damaged in ("", "[]", '{"a": 1}', '{"a": ["1", "x"]}'):
+        (tmp_path / "ages.json").write_text(damaged)
+        assert SavedAges(tmp_path / "ages.json", lambda: now_s).advance({"a": "1"}, ()) == {"a": 0.0}
+
+
+def test_a_clock_on_the_wall_that_is_ahead_erases_nothing(saved, tmp_path):
+    """A clock two days ahead erased all sessions 1.5 s after the start."""
+    folder = copied(saved[0], tmp_path / "state")
+    state = next((folder / "sessions").glob("*/state"))
+    os.utime(state, (time.time() - 172_800, time.time() - 172_800))
+    with server_on(folder, state_expiry_s=60.0) as server:
+        for _ in range(TRIES):
+            assert server.call("GET", "/healthz").status == 200
+            if (folder / "ages.json").exists():
+                break
+        assert server.state()["frames"]["accepted"] > 0
+
+
+def test_the_folder_of_a_session_is_not_followed_if_it_is_a_link(saved, tmp_path):
+    """A linked folder was followed, and files in it that the session did not name were removed."""
+    folder = copied(saved[0], tmp_path / "state")
+    session = next((folder / "sessions").glob("*"))
+    elsewhere = tmp_path / "elsewhere"
+    session.rename(elsewhere)
+    (elsewhere / "notes.txt").write_text("not ours")
+    session.symlink_to(elsewhere)
+    with server_on(folder) as server:
+        assert server.call("GET", "/v1/sessions").json["sessions"] == []
+        assert server.call("GET", "/v1/sessions/room").kind == "state-refused"
+        assert server.call("DELETE", "/v1/sessions/room").status == 204
+        assert not session.exists()
+    assert (elsewhere / "notes.txt").exists()
+    assert (elsewhere / "state").exists()
 
 
 def test_a_waiting_frame_is_left_to_the_client(tmp_path, monkeypatch):

@@ -227,6 +227,56 @@ def test_a_composite_ends_when_its_client_is_gone(monkeypatch):
         assert server.push(1, frame(1)).json["status"] == "processed"  # it waited for the composite
 
 
+BALL = {"shape": "sphere", "size_m": 0.2, "position": [0.2, 1.2, -0.2]}
+
+
+@pytest.fixture
+def long_finals(monkeypatch):
+    """Composites of the quality final run until the event is set; `running` says that one has begun."""
+    running, end, original = threading.Event(), threading.Event(), composite_routes.make
+
+    def make(engine, shot, scene, quality):
+        if quality == "final":
+            running.set()
+            while not end.is_set():
+                parallel_for(one_piece, 1)
+        return original(engine, shot, scene, quality)
+
+    monkeypatch.setattr(composite_routes, "make", make)
+    yield running, end
+    end.set()
+
+
+def test_previews_and_frames_do_not_wait_for_a_final_composite(long_finals):
+    """Finals of one token took a neighbour's preview 26 s and its frames 26 s."""
+    running, end = long_finals
+    with RunningServer(tokens=(A, B)) as server:
+        for token in (A, B):
+            server.open(token=token)
+            server.push(0, token=token)
+        final = {"objects": [BALL], "quality": "final"}
+        path = "/v1/sessions/room/composite"
+        held = InThread(server.call, "POST", path, final, token=A)
+        assert running.wait(60)
+        assert server.call("POST", path, {"objects": [BALL]}, token=B).status == 200
+        for token in (A, B):  # its own frames too: it works on a copy
+            assert server.push(1, frame(1), token=token).json["status"] == "processed"
+        end.set()
+        answer = held.result()
+        assert (answer.status, answer.headers["roomlight-frame"]) == (200, "0")
+
+
+@pytest.mark.usefixtures("long_finals")
+def test_a_composite_has_a_deadline():
+    with RunningServer(composite_timeout_s=0.5) as server:
+        server.open()
+        server.push(0)
+        answer = server.call("POST", "/v1/sessions/room/composite", {"objects": [BALL], "quality": "final"})
+        assert (answer.status, answer.kind) == (503, "composite-late")
+        assert "in 0.5 s, its waiting included" in answer.json["rule"]
+        assert server.push(1, frame(1)).json["status"] == "processed"
+
+
 def test_slow_decoding_of_one_owner_leaves_a_thread(monkeypatch):
     """Two frames that took seconds to decode held the frames of all others."""
     held, work = threading.Semaphore(0), live_session.decode_to_size

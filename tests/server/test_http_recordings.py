@@ -15,6 +15,7 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.recordings import player as recording_player
 from roomlight_server.recordings import store as recording_store
 from roomlight_server.recordings.files import MAX_PIECE_BYTES, RecordingFiles, append, check_path
+from server_processes import Process
 
 TOKEN, OTHER = "a-token-of-sixteen-or-more", "another-token-of-sixteen"
 URL = "/v1/recordings"
@@ -384,3 +385,21 @@ def test_pages_of_allowed_origins_can_upload(tmp_path):
         assert server.call("OPTIONS", f"{URL}/r-0/files/a", headers=asked).status == 200
         answer = server.call("GET", URL, headers={"Origin": "https://room.example"})
         assert "Upload-Offset" in answer.headers["access-control-expose-headers"]
+
+
+@pytest.mark.slow
+def test_uploads_of_a_killed_server_are_removed_by_the_next(tmp_path, caplog):
+    """Pictures of a room stayed in the folder for temporary files for ever."""
+    (tmp_path / "roomlight-recordings-link").symlink_to(tmp_path / "mine")
+    (tmp_path / "mine").mkdir()
+    with Process(ROOMLIGHT_RECORDINGS_FOLDER=str(tmp_path)) as killed:
+        announced = {"name": "room", "bytes": 4, "files": 1}
+        status, recording = killed.call("POST", "/v1/recordings", announced)
+        assert status == 201
+        (upload,) = tmp_path.glob(f"*/{recording['id']}")
+        with RunningServer(recordings_folder=tmp_path):
+            assert upload.is_dir()  # its server lives
+    with RunningServer(recordings_folder=tmp_path):
+        assert [each.name for each in tmp_path.iterdir() if not each.is_symlink()] == ["mine"]
+    assert (tmp_path / "roomlight-recordings-link").is_symlink()
+    assert "uploads of a server that was killed are removed" in [each.getMessage() for each in caplog.records]

@@ -29,7 +29,9 @@ def stream(server, name, outcomes, processed):
 
 
 @pytest.mark.slow
-def test_a_stop_under_load_drains_saves_and_ends(tmp_path):
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP], ids=["SIGTERM", "SIGHUP"])
+def test_a_stop_under_load_drains_saves_and_ends(tmp_path, number):
+    """SIGHUP, when the terminal was closed, ended the server without saving."""
     names = [f"room-{number}" for number in range(SESSIONS)]
     outcomes = {name: [] for name in names}
     processed = threading.Semaphore(0)
@@ -40,10 +42,10 @@ def test_a_stop_under_load_drains_saves_and_ends(tmp_path):
         late = [InThread(server.call, "POST", f"/v1/sessions/{name}/probes", LATE) for name in names * 2]
         for _ in range(5 * SESSIONS):
             assert processed.acquire(timeout=BOUND_S)
-        assert server.stop() in (0, -signal.SIGTERM)
+        assert server.stop(number) in (0, -number)
         for each in (*streams, *late):
             each.result()
-        log = [json.loads(line) for line in server.lines if not line.startswith("Serving on")]
+        log = [json.loads(line) for line in server.lines]
     assert [line["event"] for line in log].count("stopping") == 1
     assert [line for line in log if "traceback" in line] == []
     for found in outcomes.values():
@@ -84,7 +86,8 @@ def test_a_request_that_the_stop_ends_is_told_so(monkeypatch, caplog):
 
 @pytest.mark.slow
 def test_a_stop_that_hangs_is_ended_at_its_limit():
-    hang = "import time; from roomlight_server import registry, serving; serving.STOP_S = 0.5\n"
+    hang = "import time; from roomlight_server import serving; from roomlight_server.sessions import registry\n"
+    hang += "serving.STOP_S = 0.5\n"
     hang += "registry.Registry.close = lambda self: time.sleep(10**6)"
     with Process(code=hang) as server:
         assert server.stop() == 1

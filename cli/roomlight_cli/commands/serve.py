@@ -1,5 +1,6 @@
 """`roomlight serve`: the session server, from flags and `ROOMLIGHT_*` environment variables."""
 
+import logging
 from typing import Annotated, Any, Final
 
 import typer
@@ -69,7 +70,7 @@ def serve(
     if ray:
         if lan:
             raise typer.BadParameter("--ray cannot be used with --lan; use --host, --token-file, --tls-cert, --tls-key")
-        serve_on_ray(load_settings(**settings), replicas=replicas, listening=_print_address)
+        serve_on_ray(load_settings(**settings), replicas=replicas, listening=_announce)
         return
     if not lan:
         run_server(load_settings(**settings), listening=_print_address)
@@ -87,15 +88,25 @@ def serve(
 
 
 def _print_address(address: str) -> None:
+    """Print the address on a terminal; elsewhere all lines are the log's, which are JSON."""
+    if err.is_terminal:
+        _announce(address)
+
+
+def _announce(address: str) -> None:
     err.print(f"Serving on {address} (documentation at /docs); stop with Ctrl-C", soft_wrap=True, markup=False)
 
 
 def _print_lan(address: str, settings: ServerSettings) -> None:
-    """Print the addresses, the fingerprint of the certificate, and on a terminal the QR code for a phone."""
+    """Print addresses, the fingerprint of the certificate and the QR code for a phone; elsewhere, log them."""
     token = settings.tokens[0]
     phone = phone_url(address, token)
-    if err.is_terminal:
-        err.file.write(qr_text(phone))
+    if not err.is_terminal:
+        shown = None if settings.tls_cert is None else fingerprint(settings.tls_cert)
+        fields = {"url": f"{address}/#token={token}", "phone": phone, "fingerprint": shown}
+        logging.getLogger("roomlight.server").info("on this network", extra=fields)
+        return
+    err.file.write(qr_text(phone))
     lines = [f"On this network: {address}/#token={token}", f"On a phone: {phone}"]
     if settings.tls_cert is not None:
         lines.append(f"Fingerprint (SHA-256) of the certificate: {fingerprint(settings.tls_cert)}")

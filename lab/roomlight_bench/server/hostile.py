@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from collections.abc import Generator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -43,6 +44,8 @@ PENDING_BYTES: Final = 2**29
 PROCESS_BYTES: Final = 512 * 2**20
 """Allowance for what is not counted: the heap of the process, frames being decoded, threads and decoding processes."""
 _RSS_EVERY_S: Final = 0.25
+_SETTLE_S: Final = 1.0
+"""Time after an attack until memory is read: ended sessions return theirs by then."""
 
 
 @dataclass(frozen=True)
@@ -140,8 +143,10 @@ def _measure(server: ServerProcess, load: Load, attack: str, token: str) -> Atta
                 await session.close()
             return outcome, done
 
+    before = server.resident_bytes() or 0
     with _watching_memory(server) as sizes:
         outcome, done = asyncio.run(run())
+    time.sleep(_SETTLE_S)
     return AttackRow(
         attack=attack,
         seconds=seconds,
@@ -150,6 +155,8 @@ def _measure(server: ServerProcess, load: Load, attack: str, token: str) -> Atta
         frame=Latencies.of(outcome.frame_ms),
         light=Latencies.of(outcome.light_ms),
         rss_bytes=max(sizes, default=0),
+        rss_before_bytes=before,
+        rss_after_bytes=server.resident_bytes() or 0,
         requests=done.get("requests", 0),
         answers=done.get("answers", {}),
     )

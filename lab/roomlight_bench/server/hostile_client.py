@@ -16,6 +16,7 @@ import zlib
 from collections import Counter
 from collections.abc import Awaitable, Callable, Coroutine, Iterable
 from contextlib import suppress
+from functools import partial
 from typing import Any, Final
 
 import cv2
@@ -30,6 +31,7 @@ from roomlight.wire.frame_encoding import pack_frame
 from roomlight.wire.frame_header import FrameHeader
 from roomlight.wire.frame_message import FrameLimits, pack, parse
 from roomlight.wire.light_message import MEDIA_TYPE
+from roomlight_bench.server.hostile_floods import FLOODS, SLOW_BYTES_PER_S, flood, interleaved_glb
 
 ADDRESS: Final = "127.0.0.2"
 IDLE_ADDRESSES: Final = tuple(f"127.0.0.{last}" for last in range(2, 12))
@@ -186,6 +188,29 @@ class Hostile:
                         self.requests += 1
             await asyncio.sleep(0.1)
 
+    async def flood(self, name: str, bytes_per_s: float | None) -> None:
+        """Send a flood of `hostile_floods` on one connection after the other."""
+        await self._open("flood")
+        await flood(self._connect, name, token=self._token, bytes_per_s=bytes_per_s, count=self._count)
+
+    async def glb_bombs(self) -> None:
+        """Upload objects of 31 MiB whose 25 accessors share one view."""
+        body = interleaved_glb()
+        while True:
+            await self._call("POST", "/v1/objects", body, {"Content-Type": "model/gltf-binary"})
+
+    async def final_composites(self) -> None:
+        """Request composites of the quality `final`, with a glass sphere, in four sessions."""
+        place = {"shape": "sphere", "size_m": 0.3, "position": self._point, "material": {"kind": "glass"}}
+        body = json.dumps({"objects": [place], "quality": "final"}).encode()
+
+        async def repeat(session: str) -> None:
+            await self._fill(session, 120)
+            while True:
+                await self._call("POST", f"/v1/sessions/{session}/composite", body, _JSON)
+
+        await self._all(repeat(f"final{number}") for number in range(4))
+
     async def many_sessions(self) -> None:
         """Open 10,000 sessions."""
 
@@ -278,6 +303,13 @@ ATTACKS: Final[dict[str, tuple[str, Callable[[Hostile], Awaitable[None]]]]] = {
     "tall-probes": ("16 probes of 512 rows, frames without a pause", Hostile.tall_probes),
     "unread-messages": ("15,000 messages without reading the answers", Hostile.unread_messages),
     "many-sessions": ("10,000 sessions, eight at a time", Hostile.many_sessions),
+    "glb-bombs": ("GLB of 31 MiB, 25 accessors on one view", Hostile.glb_bombs),
+    "final-composites": ("`final` composites in four sessions", Hostile.final_composites),
+    **{
+        f"{name}{suffix}": (f"{kind.text}{words}", partial(Hostile.flood, name=name, bytes_per_s=rate))
+        for name, kind in FLOODS.items()
+        for suffix, words, rate in (("", "", None), ("-slow", f", {SLOW_BYTES_PER_S // 1000} kB/s", SLOW_BYTES_PER_S))
+    },
 }
 """The attacks by name, each with what it does."""
 

@@ -13,6 +13,8 @@ from roomlight_bench.server.server_report import Latencies
 
 KEPT_SHARE: Final = 0.8
 """Least share of its frames that a neighbour keeps, compared with the neighbour alone in the same run."""
+GROWN: Final = 1.2
+"""Limit on the memory after an attack, relative to before."""
 P99_MS: Final = 1000.0
 """Limit on the response time of the neighbour's frames."""
 
@@ -29,6 +31,8 @@ class AttackRow:
         frame: Response times of the neighbour's frames.
         light: Response times of the neighbour's light.
         rss_bytes: Largest resident memory of the server's process.
+        rss_before_bytes: Resident memory before.
+        rss_after_bytes: Resident memory after, when its sessions have ended.
         requests: Requests or messages of the hostile client.
         answers: Its answers by status; `closed` counts connections closed without one.
     """
@@ -40,6 +44,8 @@ class AttackRow:
     frame: Latencies
     light: Latencies
     rss_bytes: int
+    rss_before_bytes: int
+    rss_after_bytes: int
     requests: int
     answers: dict[str, int]
 
@@ -86,6 +92,8 @@ class HostileReport:
             kept, p99_ms = self.kept(row), row.frame.p99_ms
             found.append(Criterion(f"{row.attack}: keeps {KEPT_SHARE:.0%}", kept, KEPT_SHARE, kept >= KEPT_SHARE))
             slowest = float("inf") if p99_ms is None else p99_ms
+            grown = row.rss_after_bytes / max(1, row.rss_before_bytes)
+            found.append(Criterion(f"{row.attack}: memory returns", grown, GROWN, grown <= GROWN))
             found.append(Criterion(f"{row.attack}: p99 under {P99_MS:g} ms", slowest, P99_MS, slowest < P99_MS))
         most, bound = max(row.rss_bytes for row in (self.alone, *self.attacks)) / 1e6, self.rss_bound_bytes / 1e6
         found.append(Criterion(f"memory under {bound:.0f} MB", most, bound, most <= bound))

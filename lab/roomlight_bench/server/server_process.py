@@ -108,7 +108,7 @@ class ServerProcess:
         assert self._process.stderr is not None
         for line in self._process.stderr:
             self._log.append(line.decode(errors="replace").rstrip())
-            found = re.search(r"Serving on http://127\.0\.0\.1:(\d+)", self._log[-1])
+            found = re.search(r'"url": "http://127\.0\.0\.1:(\d+)"', self._log[-1])
             if found is not None:
                 self.port = int(found[1])
                 self._port_known.set()

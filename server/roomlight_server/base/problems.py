@@ -72,6 +72,7 @@ TITLES: Final[Mapping[str, tuple[int, str]]] = {
     "too-many-connections": (503, "Connection limit reached"),
     "session-moved": (503, "Another server owns the session"),
     "state-unavailable": (503, "Saved session cannot be read or removed now"),
+    "composite-late": (503, "Composite was not made in time"),
     "stopping": (503, "Server is stopping"),
 }
 """Status and title of each kind of problem; the kind is the end of the problem's `type`."""

@@ -84,6 +84,7 @@ class ServerSettings(BaseSettings):
         object_expiry_s: An object that is not used for this time is deleted.
         object_timeout_s: Time limit for decoding an object; then its process is killed and the object is rejected.
         composite_threads: Composites made at once, in different sessions.
+        composite_timeout_s: Time limit of a composite, its waiting included.
         max_owner_sessions: Sessions of one token. Default: all, or half of them if there are several tokens.
         max_owner_session_bytes: Memory that the sessions of one token may reach. Default: 384 MiB for each session.
         max_owner_probes: Named probes of one token, in all sessions.
@@ -150,6 +151,7 @@ class ServerSettings(BaseSettings):
     object_expiry_s: Annotated[float, Field(gt=0, le=1e7)] = 3600.0
     object_timeout_s: Annotated[float, Field(gt=0, le=600)] = 20.0
     composite_threads: Annotated[int, Field(ge=1, le=64)] = 1
+    composite_timeout_s: Annotated[float, Field(gt=0, le=3600)] = 120.0
     max_owner_sessions: Annotated[int | None, Field(ge=1)] = None
     max_owner_session_bytes: Annotated[int | None, Field(ge=2**20)] = None
     max_owner_probes: Annotated[int, Field(ge=1)] = 256

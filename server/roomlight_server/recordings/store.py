@@ -4,7 +4,6 @@ import asyncio
 import logging
 import secrets
 import shutil
-import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Final, Literal
@@ -15,6 +14,7 @@ from roomlight_server.base.problems import ProblemError
 from roomlight_server.base.request_context import Flow, current_flow
 from roomlight_server.base.settings import ServerSettings
 from roomlight_server.recordings.files import RecordingFiles
+from roomlight_server.recordings.locked_folder import LockedFolder, remove_left_folders
 from roomlight_server.recordings.player import Player
 from roomlight_server.sessions.registry import Registry
 
@@ -61,7 +61,8 @@ class RecordingStore:
         """Create an empty store; its folder is made with the first recording."""
         self._settings, self._registry, self._clock = settings, registry, clock
         self._held: dict[str, HeldRecording] = {}
-        self._root: Path | None = None
+        self._root: LockedFolder | None = None
+        remove_left_folders(settings.recordings_folder)
 
     def add(self, owner: str, announced: RecordingRequest) -> Recording:
         """Begin an upload.
@@ -204,14 +205,13 @@ class RecordingStore:
             await self.stop(held)
         self._held.clear()
         if self._root is not None:
-            shutil.rmtree(self._root, ignore_errors=True)
+            self._root.remove()
             self._root = None
 
     def _folder(self) -> Path:
         if self._root is None:
-            parent = self._settings.recordings_folder
-            self._root = Path(tempfile.mkdtemp(prefix="roomlight-recordings-", dir=parent))
-        return self._root
+            self._root = LockedFolder(self._settings.recordings_folder)
+        return self._root.path
 
 
 def _announced(recordings: Iterable[HeldRecording]) -> int:

@@ -80,8 +80,15 @@ def play(folder: Path, fps: float | None, output: BinaryIO) -> None:
                 text["view"] = None
         write(output, text, body)
         sent += 1
-    reasons = [f"{each.file}: {each.reason}" for each in capture.skipped[:3]]
+    reasons = [_without(folder, f"{each.file}: {each.reason}") for each in capture.skipped[:3]]
     write(output, {"end": True, "unreadable": len(capture.skipped) + unusable, "reasons": reasons})
+
+
+def _without(folder: Path, text: str) -> str:
+    """Return a text without the place of the upload on the server; paths in it are those of the client."""
+    for place in {str(folder), str(folder.resolve())}:
+        text = text.replace(f"{place}{os.sep}", "").replace(place, "the recording")
+    return text
 
 
 def main(arguments: list[str]) -> None:
@@ -98,7 +105,7 @@ def main(arguments: list[str]) -> None:
     except BrokenPipeError:
         pass  # the server has stopped the replay
     except (RoomLightError, OSError, ValueError) as error:
-        write(output, {"problem": str(error).replace(f"{folder}{os.sep}", "")[:1000]})
+        write(output, {"problem": _without(folder, str(error))[:1000]})
     except MemoryError:
         write(output, {"problem": f"reading it needs more than {MAX_MEMORY_BYTES} bytes of memory"})
 

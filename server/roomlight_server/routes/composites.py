@@ -1,5 +1,6 @@
 """Route of composites: the last frame of a session with virtual objects in it."""
 
+import asyncio
 import json
 import logging
 import time
@@ -54,6 +55,7 @@ _EXAMPLES: Final[dict[str, Any]] = {
     | documented(
         *(*BODY_PROBLEMS, "unauthorized", "session-not-found", "session-failed", "session-closed", "object-not-found"),
         *("no-frame", "invalid", "bad-place", "composite-running", "owner-busy", "engine-failed", "server-busy"),
+        "composite-late",
     ),
 )
 async def composite(
@@ -66,8 +68,8 @@ async def composite(
 ) -> Response:
     """Return the last processed frame with objects in it: lit by the room, with shadows, behind real things in front.
 
-    Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait while
-    a composite is made; those of other sessions do not.
+    Frames are reduced to fit into 1920 x 1440 pixels, 1280 x 960 for good and final. Frames of this session wait for
+    a preview, not for other qualities. Previews come first; the others give way to them and to frames.
     """
     return await until_gone(request, _composite(live, context, owner, held, body))
 
@@ -83,7 +85,14 @@ async def _composite(
         scene = scene_of(body, files, frame.intrinsics.width / lens.width)
         start_s = time.perf_counter()
         try:
-            made = await live.composite(lambda engine: make(engine, frame, scene, body.quality))
+            async with asyncio.timeout(context.settings.composite_timeout_s):
+                made = await live.composite(
+                    lambda engine: make(engine, frame, scene, body.quality), preview=body.quality == "preview"
+                )
+        except TimeoutError as error:
+            rule = f"must be made in {context.settings.composite_timeout_s:g} s, its waiting included"
+            detail = f"the composite {rule}; choose preview or good, smaller objects, or retry later"
+            raise ProblemError("composite-late", detail, rule=rule, retry_after_s=10) from error
         except (SceneError, ObjectError, ProbeError) as error:
             raise ProblemError("bad-place", str(error), field="objects", rule=str(error)) from error
         except ProblemError:

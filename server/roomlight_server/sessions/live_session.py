@@ -265,14 +265,28 @@ class LiveSession:
         except WireError as error:
             raise ProblemError.from_wire(error) from error
 
-    async def composite(self, work: Callable[[Session], _R]) -> _R:
-        """Run work on the engine on a compositing thread; frames of this session wait, those of others do not.
+    async def composite(self, work: Callable[[Session], _R], *, preview: bool) -> _R:
+        """Run work on the engine on a compositing thread.
+
+        Args:
+            work: Called with the engine, or with a copy of it.
+            preview: A preview comes before other composites, and frames of this session wait for it. Others work on a
+                copy of the engine, so that no frame waits for them, and give way to previews and frames.
 
         Raises:
             ProblemError: The session has ended.
         """
-        async with self._workers.composite_slot(), self._access.engine_lock:
-            return await self._workers.run_in_composite_pool(work, self._access.live())
+        workers = self._workers
+        if preview:
+            async with workers.composite_slot(), self._access.engine_lock:
+                return await workers.run_in_composite_pool(work, self._access.live())
+        async with workers.composite_slot(order=1):
+            async with self._access.engine_lock:
+                engine = self._access.live()
+                snapshot = await workers.run_in_composite_pool(engine.snapshot)
+            graphs = await workers.graphs_of(engine.options.model)
+            engine = await workers.run_in_composite_pool(Session.from_snapshot, snapshot, engine.options, graphs=graphs)
+            return await workers.run_in_background(work, engine)
 
     @property
     def latest(self) -> LatestFrame | None:

@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from roomlight.engine.state.records import read_first_records
 from roomlight.errors import StateError
 from roomlight_server.state.live_state import SavedValues
-from roomlight_server.state.session_folder import STATE
+from roomlight_server.state.session_folder import STATE, session_folders
 
 _RECORDS: Final = 2  # values of the server, values of the engine
 
@@ -45,9 +45,7 @@ class SavedList:
         A file whose first records are damaged or of another version is left out: it does not say whose it is.
         """
         heads: list[SavedHead] = []
-        folders: list[Path] = []
-        with contextlib.suppress(OSError):  # the directory cannot be read: nothing is listed
-            folders = list(self._root.iterdir())
+        folders = session_folders(self._root)
         for folder in folders:
             with contextlib.suppress(OSError):  # it was erased in the meantime, or is not complete yet
                 changed_s = self._read(folder)

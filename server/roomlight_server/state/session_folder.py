@@ -21,7 +21,7 @@ from roomlight.engine.state.kept_frames import base_arrays, base_of, base_values
 from roomlight.engine.state.records import Record, array_records, arrays_of, pack_records, unpack_records
 from roomlight.engine.state.snapshot import KeptFrame
 from roomlight.engine.surface.mesh import FrameMesh
-from roomlight.errors import StateError, WireError
+from roomlight.errors import OutputError, StateError, WireError
 from roomlight.files import write_durable
 from roomlight.wire.frame_message import FrameLimits, FrameMessage, parse
 from roomlight_server.state.journal import MAX_MESSAGE_BYTES, body_of
@@ -73,6 +73,8 @@ def write_session(
         OutputError: A file cannot be written; the state that was there is unchanged.
     """
     folder.mkdir(mode=0o700, exist_ok=True)
+    if folder.is_symlink():
+        raise OutputError(f"{folder}: is a link; remove it, so that the session is saved in the state directory")
     named = {kept.index: _base(folder, kept, messages, bases) for kept in live.snapshot.keyframes}
     latest, records, elsewhere = None, list[Record](), set(named)
     if live.latest is not None:
@@ -125,6 +127,8 @@ def read_session(folder: Path, owner: str, name: str) -> Reading:
         StateError: A file is damaged, missing, of another version, or belongs to another session.
     """
     source = f"saved state of session {name}"
+    if folder.is_symlink():
+        raise StateError(f"{source}: its folder is a link, which is not followed")
     try:
         return _read(folder, owner, name, source)
     except (KeyError, ValueError, IndexError, TypeError, WireError) as error:
@@ -169,12 +173,22 @@ def _pixels(data: bytes, source: str) -> FrameMesh:
     return base_of(records[0].values, arrays_of(records, source))
 
 
+def session_folders(root: Path) -> list[Path]:
+    """Return the folders of all saved sessions; links are not followed. Empty if the directory cannot be read."""
+    with contextlib.suppress(OSError):
+        return [folder for folder in root.iterdir() if folder.is_dir() and not folder.is_symlink()]
+    return []
+
+
 def erase(folder: Path) -> None:
     """Remove a session from the disk; the state first, so that half of a session is never restored.
 
     Raises:
         OSError: A file cannot be removed.
     """
+    if folder.is_symlink():  # what it leads to is not ours
+        folder.unlink(missing_ok=True)
+        return
     (folder / STATE).unlink(missing_ok=True)
     with contextlib.suppress(FileNotFoundError):
         shutil.rmtree(folder)

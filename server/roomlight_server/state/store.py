@@ -21,12 +21,21 @@ from roomlight.errors import OutputError, ServerError, StateError
 from roomlight.wire.messages import SessionRequest
 from roomlight_server.base.metrics import Metrics
 from roomlight_server.base.problems import ProblemError
+from roomlight_server.state.ages import SavedAges
 from roomlight_server.state.fence import Fence, LeaseLostError
 from roomlight_server.state.journal import Journal
 from roomlight_server.state.lease import SessionLease
 from roomlight_server.state.listing import SavedHead, SavedList
 from roomlight_server.state.live_state import LiveState, SavedValues
-from roomlight_server.state.session_folder import STATE, Reading, Written, erase, read_session, write_session
+from roomlight_server.state.session_folder import (
+    STATE,
+    Reading,
+    Written,
+    erase,
+    read_session,
+    session_folders,
+    write_session,
+)
 
 _log = logging.getLogger("roomlight.server")
 _R = TypeVar("_R")
@@ -91,6 +100,7 @@ class StateStore:
         # other servers touch what they have open once in a period
         self._expiry_s = max(expiry_s, 3 * _EXPIRY_PERIOD_S) if shared else expiry_s
         self._list = SavedList(self._root)
+        self._ages = SavedAges(root / "ages.json", clock)
         self._period_s = interval_s / SAVES_PER_INTERVAL
         self.tick_s = min(0.25, self._period_s / 4)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="state")
@@ -319,20 +329,21 @@ class StateStore:
         self._release(live)
 
     def _erase_expired(self, open_folders: set[str]) -> None:
-        limit = time.time() - self._expiry_s
-        folders: list[Path] = []
-        with contextlib.suppress(OSError):  # the directory cannot be read: next time
-            folders = list(self._root.iterdir())
+        folders = session_folders(self._root)
+        for folder in folders if self._fence is not None else ():
+            if folder.name in open_folders:
+                with contextlib.suppress(OSError):
+                    os.utime(folder / STATE)  # other servers do not know that it is open
+        versions = {folder.name: _version(folder) for folder in folders}
+        ages_s = self._ages.advance(versions, open_folders)
         for folder in folders:
             # it was erased or restored in the meantime, or cannot be removed: next time
             with contextlib.suppress(OSError, OutputError, LeaseLostError):
-                if folder.name in open_folders and self._fence is not None:
-                    os.utime(folder / STATE)  # other servers do not know that it is open
-                elif folder.is_dir() and folder.name not in open_folders and _used_s(folder) < limit:
+                if ages_s[folder.name] > self._expiry_s and _version(folder) == versions[folder.name]:
                     self._erase_one(folder)
                     _log.info("a saved session has expired")
-        if self._fence is not None:
-            self._fence.forget(limit, open_folders | {folder.name for folder in folders})
+        if self._fence is not None:  # records of sessions that are gone
+            self._fence.forget(time.time() - self._expiry_s, open_folders | {folder.name for folder in folders})
 
     def _erase_one(self, folder: Path) -> None:
         if self._fence is None:
@@ -359,10 +370,14 @@ def digest_of_owner(owner: str) -> str:
     return hashlib.sha256(f"roomlight owner {owner}".encode()).hexdigest()
 
 
-def _used_s(folder: Path) -> float:
-    """Return the time of the last use of a saved session, in seconds of the wall clock."""
+def _version(folder: Path) -> str:
+    """Return what changes when a saved session is written or touched."""
     state = folder / STATE
-    return (state if state.exists() else folder).stat().st_mtime
+    try:
+        stat = (state if state.exists() else folder).stat()
+    except OSError:  # it was erased in the meantime
+        return ""
+    return f"{stat.st_ino}-{stat.st_mtime_ns}"
 
 
 def _locked(root: Path, sessions: Path, shared: bool) -> int:

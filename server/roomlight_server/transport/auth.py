@@ -21,7 +21,8 @@ _log = logging.getLogger("roomlight.server")
 
 PROBE_PATHS: Final = ("/healthz", "/readyz")
 """Paths that are answered for every `Host`: a load balancer calls them by address."""
-OPEN_PATHS: Final = (*PROBE_PATHS, "/metrics", "/openapi.json", "/docs", "/", "/phone")
+METRICS_PATH: Final = "/metrics"
+OPEN_PATHS: Final = (*PROBE_PATHS, METRICS_PATH, "/openapi.json", "/docs", "/", "/phone")
 DOCS_ASSETS: Final = "/docs-assets"
 PAGE_ASSETS: Final = "/assets"
 """Paths that need no token: their answers contain nothing about any room."""
@@ -67,6 +68,7 @@ class AuthMiddleware:
         metrics: Metrics,
         wrong_token_delay_s: float,
         guard: ConnectionGuard,
+        metrics_open: bool,
     ) -> None:
         """Wrap an application.
 
@@ -79,18 +81,23 @@ class AuthMiddleware:
             metrics: Count requests without a valid token.
             wrong_token_delay_s: Time after which a request with a wrong token is answered.
             guard: Counts unsent answers by owner.
+            metrics_open: Whether `/metrics` needs no token.
         """
-        self._guard = guard
+        self._guard, self._metrics_open = guard, metrics_open
         self._metrics, self._wrong_token_delay_s = metrics, wrong_token_delay_s
         self._app, self._tokens, self._origins, self._hosts = app, tokens, origins, hosts
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Handle an ASGI connection."""
-        if scope["type"] not in ("http", "websocket") or scope["path"] in PROBE_PATHS:
+        if scope["type"] not in ("http", "websocket"):
             await self._app(scope, receive, send)
             return
         headers = Headers(scope=scope)
-        problem = self._check(scope, headers)
+        problem = _host_problem(scope, headers)
+        if problem is None and scope["path"] in PROBE_PATHS:
+            await self._app(scope, receive, send)
+            return
+        problem = problem or self._check(scope, headers)
         if problem is None:
             self._count_for_owner(scope)
             await self._app(scope, receive, send)
@@ -109,7 +116,7 @@ class AuthMiddleware:
             rule = f"must be one of {', '.join(self._hosts)}"
             detail = f"the server does not answer for the host {host[:100]!r}; add it to allow_hosts if it is yours"
             return ProblemError("forbidden-origin", detail, field="Host", value=host, rule=rule)
-        if _is_open(scope["path"]):
+        if _is_open(scope["path"]) and (self._metrics_open or scope["path"] != METRICS_PATH):
             return None
         if origin is not None and not self._allowed(origin, host):
             return ProblemError("forbidden-origin", f"{origin[:100]} is not in allow_origins", field="Origin")
@@ -141,6 +148,15 @@ class AuthMiddleware:
 
     def _allowed(self, origin: str, host: str) -> bool:
         return "*" in self._origins or origin in self._origins or origin.partition("://")[2] == host
+
+
+def _host_problem(scope: Scope, headers: Headers) -> ProblemError | None:
+    """Return the problem of a request of HTTP/1.1 without exactly one `Host` (RFC 9112, section 3.2)."""
+    hosts = headers.getlist("host")
+    if len(hosts) == 1 or (scope["http_version"] == "1.0" and not hosts):
+        return None
+    rule = "a request must have exactly one header Host"
+    return ProblemError("bad-request", f"{len(hosts)} headers Host: {rule}", field="Host", value=hosts, rule=rule)
 
 
 def _host_name(host: str) -> str | None:

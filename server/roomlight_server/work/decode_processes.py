@@ -38,7 +38,12 @@ class _Process:
     def __init__(self) -> None:
         command = [sys.executable, "-P", "-m", "roomlight_server.work.decode_worker"]
         self._process = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, bufsize=0)
+        os.set_blocking(self._pipe(self._process.stdin).fileno(), False)
         self._ready = False
+
+    @property
+    def pid(self) -> int:
+        return self._process.pid
 
     @property
     def is_alive(self) -> bool:
@@ -58,12 +63,9 @@ class _Process:
         if not self._ready:
             self._read(len(READY), time.monotonic() + _START_S)
             self._ready = True
-        requests = self._pipe(self._process.stdin)
-        for part in (head, body):
-            view = memoryview(part)
-            while view:
-                view = view[requests.write(view) or 0 :]
         deadline = time.monotonic() + timeout_s
+        for part in (head, body):
+            self._write(part, deadline)
         text_bytes, data_bytes = RESULT.unpack(self._read(RESULT.size, deadline))
         if text_bytes + data_bytes > _MAX_RESULT_BYTES:
             raise OSError("the result is too large")
@@ -86,20 +88,31 @@ class _Process:
         assert pipe is not None
         return pipe
 
+    def _write(self, data: bytes, deadline: float) -> None:
+        descriptor, view = self._pipe(self._process.stdin).fileno(), memoryview(data)
+        while view:
+            _wait(descriptor, select.POLLOUT, deadline)
+            view = view[os.write(descriptor, view) :]
+
     def _read(self, size: int, deadline: float) -> bytearray:
         descriptor = self._pipe(self._process.stdout).fileno()
-        poll = select.poll()
-        poll.register(descriptor, select.POLLIN)
         parts: list[bytes] = []
         while size:
-            if not poll.poll(max(0.0, deadline - time.monotonic()) * 1000):
-                raise _DeadlineError
+            _wait(descriptor, select.POLLIN, deadline)
             part = os.read(descriptor, size)
             if not part:
                 raise OSError("the process has ended")
             parts.append(part)
             size -= len(part)
         return bytearray().join(parts)
+
+
+def _wait(descriptor: int, event: int, deadline: float) -> None:
+    """Wait until a pipe can be used, or has ended. Raises _DeadlineError."""
+    poll = select.poll()
+    poll.register(descriptor, event)
+    if not poll.poll(max(0.0, deadline - time.monotonic()) * 1000):
+        raise _DeadlineError
 
 
 class DecodeProcesses:
@@ -112,6 +125,12 @@ class DecodeProcesses:
         self._idle: list[_Process] = []
         self._all: set[_Process] = set()
         self._stopped = False
+
+    @property
+    def pids(self) -> list[int]:
+        """Ids of the processes that are not in use, and then of those that are."""
+        with self._lock:
+            return [process.pid for process in (*self._idle, *self._all.difference(self._idle))]
 
     def start(self, count: int) -> None:
         """Start processes, without waiting, so that the first frames need not wait for it."""
@@ -173,17 +192,22 @@ class DecodeProcesses:
         """Return the result of one request. Raises _KilledError if the process took too long or has ended."""
         text = json.dumps(arguments).encode()
         head = REQUEST.pack(len(text), len(body), int(timeout_s) + 10) + text
-        process = self._acquire()
-        try:
-            result = process.request(head, body, timeout_s)
-        except (_DeadlineError, OSError) as error:
-            rule = f"must decode within {timeout_s:g} s" if isinstance(error, _DeadlineError) else "the decoder crashed"
-            self._replace(process)
-            fields = {"work": arguments["work"], "bytes": len(body), "reason": rule}
-            _log.warning("decoding process killed", extra=fields)
-            raise _KilledError(rule) from error
-        self._release(process)
-        return result
+        for last in (False, True):  # a process may have been killed for another reason: another one tries again
+            process = self._acquire()
+            try:
+                result = process.request(head, body, timeout_s)
+            except (_DeadlineError, OSError) as error:
+                late = isinstance(error, _DeadlineError)
+                rule = f"must decode within {timeout_s:g} s" if late else "the decoder crashed"
+                self._replace(process)
+                fields = {"work": arguments["work"], "bytes": len(body), "reason": rule}
+                _log.warning("decoding process killed", extra=fields)
+                if late or last or self._stopped:
+                    raise _KilledError(rule) from error
+            else:
+                self._release(process)
+                return result
+        raise AssertionError("unreachable")
 
     def _acquire(self) -> _Process:
         with self._lock:

@@ -20,6 +20,8 @@ from roomlight_server.base.request_context import Flow, current_flow
 SLICE_S: Final = 0.15
 """Time for which a job keeps its slot although another is ahead of it. A frame of the default options takes less, so
 that frames of many sessions are finished one after the other."""
+PATIENCE_S: Final = 20.0
+"""Time after which a job that waits is no longer behind jobs of a lower order."""
 MAX_PAUSED: Final = 8
 """Jobs that may be paused at once; each holds a thread and its intermediate data."""
 _FORGET_AFTER: Final = 1024
@@ -71,6 +73,8 @@ class Turn:
     flow: Flow
     number: int
     share: "FairShare"
+    order: int = 0
+    asked_s: float = 0.0
     granted: "asyncio.Future[None]" = field(default_factory=lambda: asyncio.get_running_loop().create_future())
     since_s: float = 0.0
     _abandoned: bool = False
@@ -123,24 +127,31 @@ class FairShare:
         self._closed = False
 
     @property
+    def busy(self) -> bool:
+        """Whether a job runs or waits."""
+        return bool(self._running or self._waiting)
+
+    @property
     def waiting(self) -> int:
         """Number of jobs that wait for a slot."""
         return len(self._waiting)
 
     @asynccontextmanager
-    async def slot(self) -> AsyncGenerator[Turn]:
-        """Wait for a slot and hold it inside the context; the time counts for the current flow."""
+    async def slot(self, order: int = 0) -> AsyncGenerator[Turn]:
+        """Wait for a slot and hold it inside the context; the time counts for the current flow.
+
+        Jobs of a lower `order` come first, until the others have waited for `PATIENCE_S`.
+        """
         self._count += 1
-        turn = Turn(current_flow.get(), self._count, self)
+        turn = Turn(current_flow.get(), self._count, self, order, self._clock())
         if len(self._sessions) > _FORGET_AFTER:
             self._sessions = {owner: kept for owner, kept in self._sessions.items() if kept.are_active}
         sessions = self._sessions.setdefault(turn.flow.owner, _Accounts())
         self._owners.enter(turn.flow.owner)
         sessions.enter(turn.flow.session)
-        asked_s = self._clock()
         try:
             await self._wait(turn)
-            self._waited(self._clock() - asked_s)
+            self._waited(self._clock() - turn.asked_s)
             try:
                 yield turn
             finally:
@@ -231,6 +242,7 @@ class FairShare:
     def _may_start(self, turn: Turn) -> bool:
         return self._running.get(turn.flow.owner, 0) < self._per_owner
 
-    def _key(self, turn: Turn) -> tuple[float, float, int]:
+    def _key(self, turn: Turn) -> tuple[int, float, float, int]:
         owner, session = turn.flow
-        return self._owners.used_s(owner), self._sessions[owner].used_s(session), turn.number
+        order = turn.order if self._clock() - turn.asked_s < PATIENCE_S else 0
+        return order, self._owners.used_s(owner), self._sessions[owner].used_s(session), turn.number

@@ -30,6 +30,8 @@ _P = ParamSpec("_P")
 _R = TypeVar("_R")
 _engine_turn: ContextVar[Turn] = ContextVar("engine_turn")
 _composite_turn: ContextVar[Turn] = ContextVar("composite_turn")
+GIVE_WAY_S: Final = 0.5
+"""Time for which each loop of a composite waits for frames: it goes on beside them when the engine is never free."""
 STOP_S: Final = 1.0
 """Time for running work to end when the server stops."""
 
@@ -49,7 +51,7 @@ class Workers:
         self._engine = pool("engine", settings.engine_threads + MAX_PAUSED)  # a paused job keeps its thread
         self._decode = pool("decode", settings.decode_threads)
         self._encode = pool("encode", settings.encode_threads)
-        self._composite = pool("composite", settings.composite_threads)
+        self._composite = pool("composite", settings.composite_threads + MAX_PAUSED)
 
         def share(pool: str, slots: int, slots_per_owner: int | None = None) -> FairShare:
             waited = metrics.queue_seconds.labels(pool).observe
@@ -155,9 +157,12 @@ class Workers:
         return await self._run_to_end(self._engine, run, cancelled=turn.abandon)
 
     @asynccontextmanager
-    async def composite_slot(self) -> AsyncGenerator[None]:
-        """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately."""
-        async with self._composite_share.slot() as turn:
+    async def composite_slot(self, order: int = 0) -> AsyncGenerator[None]:
+        """Wait for a free compositing thread; inside the context, `run_in_composite_pool` starts immediately.
+
+        `order`: lower ones come first.
+        """
+        async with self._composite_share.slot(order) as turn:
             token = _composite_turn.set(turn)
             try:
                 yield
@@ -167,12 +172,30 @@ class Workers:
     async def run_in_composite_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Run on a compositing thread; requires a `composite_slot`. If the caller is cancelled, it ends soon."""
         turn = _composite_turn.get()
+        return await self._run_composite(turn, turn.check, lambda: work(*args, **kwargs))
 
+    async def run_in_background(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
+        """Run as `run_in_composite_pool`; between its loops the work gives way to composites ahead, and to frames."""
+        turn = _composite_turn.get()
+
+        def pause() -> None:
+            turn.pause()
+            self._give_way_to_frames()
+
+        return await self._run_composite(turn, pause, lambda: work(*args, **kwargs))
+
+    async def _run_composite(self, turn: Turn, pause: Callable[[], None], work: Callable[[], _R]) -> _R:
         def run() -> _R:
-            with pausing(turn.check):
-                return work(*args, **kwargs)
+            with pausing(pause):
+                return work()
 
         return await self._run_to_end(self._composite, run, cancelled=turn.abandon)
+
+    def _give_way_to_frames(self) -> None:
+        """Wait on a compositing thread while frames are processed, at most `GIVE_WAY_S`."""
+        until_s = time.monotonic() + GIVE_WAY_S
+        while self._engine_share.busy and not self._stopped and time.monotonic() < until_s:
+            time.sleep(0.005)
 
     async def run_in_decode_pool(self, work: Callable[_P, _R], *args: _P.args, **kwargs: _P.kwargs) -> _R:
         """Wait for a decoding thread and run on it."""

@@ -54,7 +54,7 @@ def test_roomlight_serve_writes_no_telemetry_file(home):
     command = [sys.executable, "-c", "from roomlight_cli.main import main; main()", "serve", "--port", "0"]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True, env=os.environ | {"COLUMNS": "200"}) as server:
         assert server.stderr is not None
-        assert any(line.startswith("Serving on") for line in server.stderr)
+        assert any('"event": "serving"' in line for line in server.stderr)
         server.terminate()
         server.communicate(timeout=200)
     assert telemetry_files(home) == []

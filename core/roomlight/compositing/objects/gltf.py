@@ -262,13 +262,12 @@ def _decoded(
         if index not in places:
             accessor = gltf.accessors[index]
             source = accessor.bufferView or 0
-            stride = gltf.bufferViews[source].byteStride
             item = _BYTES[accessor.componentType] * _COMPONENTS[accessor.type]
-            size = (stride or item) * (accessor.count - 1) + item
-            view: dict[str, int] = {"buffer": 0, "byteOffset": len(content), "byteLength": size}
-            if stride is not None:
-                view["byteStride"] = stride
-            content.extend(views[source][accessor.byteOffset : accessor.byteOffset + size])
+            stride = gltf.bufferViews[source].byteStride or item
+            view: dict[str, int] = {"buffer": 0, "byteOffset": len(content), "byteLength": item * accessor.count}
+            # without what is between the values: accessors that share a view would copy all of it each
+            values = np.ndarray((accessor.count, item), np.uint8, views[source], accessor.byteOffset, (stride, 1))
+            content.extend(values.tobytes())
             content.extend(b"\0" * (-len(content) % 4))
             places[index] = len(tree["accessors"])
             tree["accessors"].append(

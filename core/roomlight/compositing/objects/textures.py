@@ -1,6 +1,6 @@
 """Textures of virtual objects: 16-bit linear RGBA texels, repeated outside [0, 1]; row 0 is v = 0, as in glTF."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, NamedTuple
 
@@ -13,6 +13,8 @@ from roomlight.errors import ObjectError
 
 MAX_TEXTURE_SIZE: Final = 2048
 """Wider or higher textures are reduced to this by area: an object rarely covers more pixels of a frame."""
+
+_ROWS: Final = 128
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,14 +34,12 @@ class Texture:
     @classmethod
     def from_srgb8(cls, image: UInt8[np.ndarray, "h w c"]) -> "Texture":
         """Make a texture from 8-bit sRGB (c = 3) or sRGB with linear alpha (c = 4): base colour, emission."""
-        linear = srgb8_to_linear(image[..., :3])
-        return cls.from_linear(np.concatenate([linear, _alpha(image)], axis=-1))
+        return cls.from_linear(_rgba(image, srgb8_to_linear))
 
     @classmethod
     def from_linear8(cls, image: UInt8[np.ndarray, "h w c"]) -> "Texture":
         """Make a texture from 8-bit linear values (c = 3 or 4): metallic-roughness and normal maps."""
-        linear = image[..., :3].astype(np.float32) / np.float32(255)
-        return cls.from_linear(np.concatenate([linear, _alpha(image)], axis=-1))
+        return cls.from_linear(_rgba(image, _linear))
 
     @classmethod
     def from_linear(cls, image: Float[np.ndarray, "h w c"]) -> "Texture":
@@ -75,7 +75,16 @@ def texture_arrays(textures: Sequence[Texture]) -> TextureArrays:
     )
 
 
-def _alpha(image: UInt8[np.ndarray, "h w c"]) -> Float[np.ndarray, "h w 1"]:
-    if image.shape[2] == 4:
-        return image[..., 3:].astype(np.float32) / np.float32(255)
-    return np.ones((*image.shape[:2], 1), np.float32)
+def _linear(image: UInt8[np.ndarray, "..."]) -> Float[np.ndarray, "..."]:
+    return image.astype(np.float32) / np.float32(255)
+
+
+def _rgba(image: UInt8[np.ndarray, "h w c"], to_linear: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Return linear RGBA (h, w, 4); alpha is 1 without an alpha channel. A block of rows at a time saves memory."""
+    rgba = np.ones((*image.shape[:2], 4), np.float32)
+    for start in range(0, len(image), _ROWS):
+        rows, block = image[start : start + _ROWS], rgba[start : start + _ROWS]
+        block[..., :3] = to_linear(rows[..., :3])
+        if image.shape[2] == 4:
+            block[..., 3] = _linear(rows[..., 3])
+    return rgba
