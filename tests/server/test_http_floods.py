@@ -107,7 +107,7 @@ def test_requests_that_wait_are_all_answered_in_order(connection):
 
 def test_a_body_of_small_chunks_is_read(connection):
     """100 bytes a chunk is small, and still a client that streams."""
-    body = json.dumps({"mode": "classical"}).encode() + b" " * 60_000
+    body = json.dumps({"model": "classical"}).encode() + b" " * 60_000
     pieces = [body[at : at + 100] for at in range(0, len(body), 100)]
     head = b"PUT /v1/sessions/room HTTP/1.1\r\nHost: localhost\r\nContent-Type: application/json\r\n"
     chunks = b"".join(b"%x\r\n%s\r\n" % (len(piece), piece) for piece in pieces)
