@@ -83,7 +83,7 @@ def test_a_frame_whose_decoder_is_killed_is_decoded_by_another(one_decoder, capl
         pass
     os.kill(pid, signal.SIGKILL)
     assert push.result().json["status"] == "processed"
-    assert [vars(r)["reason"] for r in caplog.records] == ["the decoder crashed"]
+    assert [vars(r)["reason"] for r in caplog.records if "reason" in vars(r)] == ["the decoder crashed"]
     (other,) = server.app.state.context.workers.decode_processes.pids
     os.kill(other, signal.SIGKILL)  # while it is idle
     assert server.push(2, colour_frame("jpeg", jpeg())).json["status"] == "processed"
