@@ -37,7 +37,7 @@ def _modules() -> list[str]:
     return names
 
 
-install_import_hook(_modules(), "beartype.beartype")
+install_import_hook(_modules(), "shape_checks.checked_when_called")
 
 
 @pytest.fixture(scope="session")
