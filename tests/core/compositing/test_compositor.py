@@ -126,6 +126,7 @@ def test_noise_of_depth_hardly_reaches_the_picture(session):
     assert rest_variance([one.image for one in made[3:]], near) < (1.0 / 255) ** 2  # under one step of 8 bits
 
 
+@pytest.mark.slow
 def test_shadows_keep_still_under_a_moving_camera(session):
     compositor = Compositor(session, [BALL], quality="preview")
     frames = [view(1.0 * index, index, (0.2 + 0.01 * index, 1.4, 1.4)) for index in range(5)]
@@ -141,6 +142,7 @@ def test_shadows_keep_still_under_a_moving_camera(session):
     assert moving < 0.01**2  # a standard deviation of 1 % of the light
 
 
+@pytest.mark.slow
 def test_a_moving_object_changes_without_steps(session):
     motion = Motion.model_validate({"unit": "frames", "keys": [{"at": 0}, {"at": 30, "offset_m": [-0.9, 0, 0.6]}]})
     compositor = Compositor(session, [replace(BALL, motion=motion)], quality="preview")

@@ -92,6 +92,7 @@ def test_without_frames_nothing_is_hit():
     assert np.isinf(hits.distance_m).all()
 
 
+@pytest.mark.slow
 def test_the_number_of_pieces_is_bounded():
     geometry = RoomGeometry()
     frame = ROOM.frame(POSE, width=16, height=12)

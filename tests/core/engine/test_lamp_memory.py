@@ -14,7 +14,7 @@ PROBE = (0.2, 1.1, 0.3)
 LAMP = ((0.3, 1.5, -2.5), 0.45)
 HEIGHT = 60
 HAS_VIDEO = (SHIPPED / "video" / DESCRIPTION).is_file()
-MODELS = ["classical", "single", *(["video"] if HAS_VIDEO else [])]
+MODELS = ["classical", *(pytest.param(name, marks=pytest.mark.slow) for name in ("single", "video")[: 1 + HAS_VIDEO])]
 
 
 def dim_room(radiance: float) -> BoxRoom:

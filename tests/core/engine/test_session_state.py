@@ -71,7 +71,9 @@ def saved(tmp_path_factory):
 
 
 @pytest.mark.parametrize("model", ["classical", "single", "video"])
-@pytest.mark.parametrize("at", [0, 1, 2, 6, 7])
+@pytest.mark.parametrize(
+    "at", [0, *(pytest.param(at, marks=pytest.mark.slow) for at in (1, 2)), 6, pytest.param(7, marks=pytest.mark.slow)]
+)
 def test_a_loaded_session_goes_on_with_the_same_bits(tiny_video, tmp_path, model, at):
     options = _options(model, tiny_video)
     whole = Session(options)

@@ -62,6 +62,7 @@ def scores():
     return scored([next(iter(capture))], capture.probes)
 
 
+@pytest.mark.slow
 def test_a_walk_keeps_the_accuracy_of_the_first_frames():
     """Every tenth frame of the sample's walk, which ends at another wall: without memory each replaces the others.
 

@@ -11,6 +11,7 @@ from roomlight_bench.compositing.report import PartTimes
 SIZE = CompositeSize(width=64, height=48, depth=(32, 24), keyframes=3, panorama_height=16)
 
 
+@pytest.mark.slow
 def test_every_part_of_every_preset_is_reported():
     report = run_composite(frames=1, size=SIZE)
     names = [held.name for held in objects()]

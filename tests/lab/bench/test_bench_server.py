@@ -42,6 +42,7 @@ def ordered(latencies: Latencies) -> bool:
     return len(known) == 4 and known[0] > 0 and known == sorted(known)
 
 
+@pytest.mark.slow
 def test_every_row_is_complete_and_consistent(report, progress):
     assert report.model == "classical"
     assert len(report.start_ready_ms) == 1 + len(TINY.sessions)
@@ -71,6 +72,7 @@ def test_every_row_is_complete_and_consistent(report, progress):
     assert any("2 sessions" in text for text in progress)
 
 
+@pytest.mark.slow
 def test_frames_are_lost_or_processed(report):
     for row in report.load:
         due = round(TINY.seconds * TINY.fps) * row.sessions
@@ -78,6 +80,7 @@ def test_frames_are_lost_or_processed(report):
         assert row.held_fps * TINY.seconds * row.sessions <= row.frame.count + 1e-6
 
 
+@pytest.mark.slow
 def test_the_tables_show_every_row_uncut(report):
     console = Console(width=60, force_terminal=False)
     with console.capture() as capture:
@@ -90,6 +93,7 @@ def test_the_tables_show_every_row_uncut(report):
         assert criterion.demand in printed
 
 
+@pytest.mark.slow
 def test_the_json_holds_everything(report):
     values = json.loads(json.dumps(report.to_json()))
     assert values["load"][0]["frame"]["p99_ms"] == report.load[0].frame.p99_ms
@@ -97,6 +101,7 @@ def test_the_json_holds_everything(report):
     assert len(values["criteria"]) == 2 + len(TINY.sessions)
 
 
+@pytest.mark.slow
 def test_criteria_are_judged_by_their_limits(report):
     slow = replace(report.overhead[0], engine_ms=10.0, decoded_ms=10.0, http_ms=11.6)
     stuck = replace(report.load[0], health=Latencies.of([1.0, 60.0, 60.0]))

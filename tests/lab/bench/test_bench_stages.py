@@ -49,6 +49,7 @@ def row(name: str, *, ours: float, reference: float | None = None, torch: float 
     return StageRow(name, Timing(ours, 2 * ours, 3), timing(reference), timing(torch), None, None, "", {})
 
 
+@pytest.mark.slow
 def test_every_stage_has_its_times_and_work(report: StagesReport):
     names = [row.name for row in report.rows]
     assert set(OWN_STAGES) <= set(names)
@@ -69,6 +70,7 @@ def test_untrained_networks_are_exported_without_weights():
     assert any(stage.name.startswith("blending network") and stage.torch is not None for stage in report.rows)
 
 
+@pytest.mark.slow
 def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
     by_name = {stage.name: stage for stage in report.rows}
     for name in ("volume initialisation", "ray tracing, network-like volume", "ray tracing, classical volume"):
@@ -79,10 +81,12 @@ def test_ours_the_reference_and_pytorch_agree(report: StagesReport):
     assert by_name["partial-mesh panorama"].differences["reference"] < 1e-4
 
 
+@pytest.mark.slow
 def test_a_report_survives_json(report: StagesReport):
     assert StagesReport.from_json(json.loads(json.dumps(report.to_json()))) == report
 
 
+@pytest.mark.slow
 def test_the_table_names_every_stage_and_every_criterion(report: StagesReport):
     console = Console(width=300, record=True, file=None, quiet=False, force_terminal=False)
     with console.capture() as capture:
@@ -151,6 +155,7 @@ def test_implementations_are_timed_interleaved():
     assert progress[-1] == "timing, round 3 of 3"
 
 
+@pytest.mark.slow
 def test_operations_of_networks_are_counted_by_layer(report: StagesReport):
     """The 2D GRU's convolutions: 3 x 3, gates 2C to 2C and candidate 2C to C, at a half and an eighth of the size."""
     row = next(row for row in report.rows if row.name.startswith("2D GRU"))

@@ -147,6 +147,7 @@ def test_spots_are_small_and_bright_in_rows():
     assert len(glare) > 2 * len(found)
 
 
+@pytest.mark.slow
 def test_the_second_rooms_window_lets_daylight_in():
     openings = [
         (built, opening)

@@ -79,6 +79,7 @@ def difference(first, second):
     return float(np.abs(smooth[0] - smooth[1]).mean())
 
 
+@pytest.mark.slow
 def test_precise_views_have_no_blotches():
     scene = lamp_behind_a_screen()
 
@@ -92,6 +93,7 @@ def test_precise_views_have_no_blotches():
     assert blotches(precise=True) < 0.75 * blotches(precise=False)  # 0.62: the patches' own light has noise too
 
 
+@pytest.mark.slow
 def test_a_pair_shares_its_noise():
     """An object out of sight behind the camera hardly changes the light: what differs is noise."""
     scene, mesh = lamp_behind_a_screen(), block(GREY, centre=(1.7, 0.1, 1.7))
