@@ -6,6 +6,7 @@ import torch
 
 from recordings import BoxRecordings
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.reference import accumulate_reference
 from roomlight.engine.panorama import blend as serving
 from roomlight.engine.session import Session, SessionOptions
 from roomlight_model.accumulate import (
@@ -42,7 +43,7 @@ def planes(array):
     return torch.from_numpy(np.atleast_3d(array).transpose(2, 0, 1)[None].copy())
 
 
-@pytest.mark.parametrize("kernel", [serving.accumulate, serving.accumulate_reference])
+@pytest.mark.parametrize("kernel", [serving.accumulate, accumulate_reference])
 def test_agrees_with_serving(kernel):
     """Six frames from nothing seen. Tolerance: both are float32, the kernel with fast-math reordering."""
     kept = serving.PanoramaState.fresh(HEIGHT, DEPTH_MAX_M)
@@ -125,11 +126,11 @@ def test_constant_light_changes_nothing_in_serving(monkeypatch):
     """Hence training needs no twin of the rule for changed light: a walk in a box room, at changing exposure."""
     taken = []
 
-    def counted(state, found, rule=serving._taken):
+    def counted(state, found, rule=serving.replaced_by_change):
         taken.append(rule(state, found))
         return taken[-1]
 
-    monkeypatch.setattr(serving, "_taken", counted)
+    monkeypatch.setattr(serving, "replaced_by_change", counted)
     session = Session(SessionOptions(model="classical", height=60))
     recording = BoxRecordings(1).read(0, frames=range(0, 31, 2))
     for position in recording.probe_positions:

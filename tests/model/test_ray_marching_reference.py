@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from roomlight.engine.kernels.reference import render_rays_reference as reference_rays
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import Sglv
 from roomlight.engine.volume.sglv import render_rays as serve_rays
-from roomlight.engine.volume.sglv import render_rays_reference as reference_rays
 from roomlight_model.config import ModelConfig, SGConfig
 from roomlight_model.networks import SingleModel
 from roomlight_model.ray_marching_reference import render_rays

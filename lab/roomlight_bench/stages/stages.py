@@ -9,12 +9,13 @@ import numpy as np
 from jaxtyping import Float
 
 from roomlight.conventions import panorama_directions
+from roomlight.engine.kernels.reference import accumulate_reference, initial_volume_reference, render_rays_reference
 from roomlight.engine.models.classical import ClassicalVolume
-from roomlight.engine.panorama.blend import PanoramaState, accumulate, accumulate_reference, filled_detail
+from roomlight.engine.panorama.blend import PanoramaState, accumulate, filled_detail
 from roomlight.engine.session import Session, SessionOptions, warm_up
 from roomlight.engine.surface.mesh import FrameMesh, PartialPanorama
-from roomlight.engine.volume.grid import VolumeGrid, initial_volume, initial_volume_reference
-from roomlight.engine.volume.sglv import Far, Sglv, render_rays, render_rays_reference
+from roomlight.engine.volume.grid import VolumeGrid, initial_volume
+from roomlight.engine.volume.sglv import Far, Sglv, render_rays
 from roomlight.errors import OptionError
 from roomlight.frame import Frame
 from roomlight_bench.stages import plain_torch

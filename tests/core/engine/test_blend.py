@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.conventions import LUMINANCE
+from roomlight.engine.kernels.reference import accumulate_reference
 from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.blend import (
     DARK,
@@ -15,7 +16,6 @@ from roomlight.engine.panorama.blend import (
     UNSEEN_DEPTH,
     PanoramaState,
     accumulate,
-    accumulate_reference,
     farthest_depth_m,
     fill_in,
 )

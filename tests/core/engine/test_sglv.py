@@ -10,13 +10,13 @@ from hypothesis import strategies as st
 from jaxtyping import Float
 
 from roomlight.conventions import panorama_directions
+from roomlight.engine.kernels.reference import render_rays_reference
 from roomlight.engine.volume.grid import VolumeGrid
 from roomlight.engine.volume.sglv import (
     Sglv,
     check_position,
     render_panorama,
     render_rays,
-    render_rays_reference,
 )
 from roomlight.errors import ProbeError
 from rooms import camera_at, rotation_about_y

@@ -8,12 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomlight.camera import rigid_inverse
+from roomlight.engine.kernels.reference import initial_volume_reference
 from roomlight.engine.volume.grid import (
     DEPTH_MAX_FLOOR_M,
     VOLUME_SHAPE,
     VolumeGrid,
     initial_volume,
-    initial_volume_reference,
 )
 from roomlight.errors import FrameError
 from roomlight.frame import Frame

@@ -1,1 +1,1 @@
-"""Compiled kernels. Each has a readable reference in NumPy elsewhere in the package, and a test that compares them."""
+"""Compiled kernels. `reference` has a readable twin of each, and tests compare them."""

@@ -1,7 +1,7 @@
 # pyright: reportMissingParameterType=false
 """Accumulation of one probe's panorama, in place.
 
-Readable reference: `roomlight.engine.panorama.blend.accumulate_reference`.
+Readable twin: `reference.accumulate_reference`.
 """
 
 from typing import Final, NamedTuple

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""SGLV ray marching; readable reference: `roomlight.engine.volume.sglv.render_rays_reference`.
+"""SGLV ray marching; readable twin: `reference.render_rays_reference`.
 
 One thread, 28,800 rays of 38 samples through a volume that a network could have made (alpha about 0.03
 everywhere): 35 ms as a plain loop over samples and channels, 17 ms in this form; through the sparse classical

@@ -1,6 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Volume initialisation, slice by slice along z; readable reference:
-`roomlight.engine.volume.grid.initial_volume_reference`."""
+"""Volume initialisation, slice by slice along z; readable twin: `reference.initial_volume_reference`."""
 
 from typing import NamedTuple
 

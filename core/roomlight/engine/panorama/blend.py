@@ -25,22 +25,17 @@ import cv2
 import numpy as np
 from jaxtyping import Bool, Float, UInt8
 
-from roomlight.conventions import LUMINANCE, panorama_directions, panorama_rays, panorama_solid_angles
+from roomlight.conventions import LUMINANCE, panorama_rays, panorama_solid_angles
 from roomlight.engine.kernels.blend import (
-    AGREES,
-    APART,
     BEGINS,
-    CHANGED,
     CHANGED_FRAMES,
     DIFFERS,
-    LEAST_CHANGE,
-    SAME_VIEW,
     DetailArrays,
     StateArrays,
     accumulate_rows,
     compare_rows,
 )
-from roomlight.engine.observations import CLOSER_M, better_share
+from roomlight.engine.observations import CLOSER_M
 from roomlight.engine.panorama.fill import fill_unknown
 
 FILL_COLOUR: Final = 0.75
@@ -53,7 +48,8 @@ AROUND_DEG: Final = 3.0
 """Neighbourhood of a pixel in which a change must show: an edge that moves across it moves by twice as much between two
 frames that agree with the old and with the new light, more than a camera at the same place makes it."""
 _UNBOUNDED: Final = np.float32(1e30)
-_AT_PROBE: Final = np.zeros(3, np.float32)
+AT_PROBE: Final = np.zeros(3, np.float32)
+"""A camera at the probe."""
 UNSEEN_DEPTH: Final = 4.0
 """In units of D_max; the volume's diagonal is 3.2 D_max."""
 
@@ -121,7 +117,7 @@ def accumulate(
     weight: Float[np.ndarray, "h w"],
     detail_clipped: Float[np.ndarray, "h w"] | None = None,
     detail_guessed: Float[np.ndarray, "h w"] | None = None,
-    camera: Float[np.ndarray, "3"] = _AT_PROBE,
+    camera: Float[np.ndarray, "3"] = AT_PROBE,
 ) -> None:
     """Blend one frame into the state, in place.
 
@@ -142,22 +138,22 @@ def accumulate(
     assert clipped is not None
     assert guessed is not None
     kept = StateArrays(*(getattr(state, one.name) for one in fields(state)))
-    around = _extremes(detail, clipped, guessed, weight=weight)
+    around = extremes_around(detail, clipped, guessed, weight=weight)
     place = np.asarray(camera, np.float32)
     shown = DetailArrays(detail, detail_depth_m, clipped, guessed, weight, *around, place)
     height, closer_m = state.seen.shape[0], np.float32(CLOSER_M)
-    found = np.empty(state.seen.shape, np.uint8)
+    comparison = np.empty(state.seen.shape, np.uint8)
     # One thread: both 0.1 ms for 120 x 240, more on a pool.
-    compare_rows(kept, shown, panorama_rays(height), closer_m, found, 0, height)
-    accumulate_rows(kept, hdr, shown, _taken(state, found), closer_m, 0, height)
+    compare_rows(kept, shown, panorama_rays(height), closer_m, comparison, 0, height)
+    accumulate_rows(kept, hdr, shown, replaced_by_change(state, comparison), closer_m, 0, height)
 
 
-def _taken(state: PanoramaState, found: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
+def replaced_by_change(state: PanoramaState, comparison: UInt8[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
     """Count the frames that show other light; return where it replaces what was accumulated."""
-    differs = found >= DIFFERS
+    differs = comparison >= DIFFERS
     if not differs.any():
         return differs
-    begins = cv2.dilate((found == BEGINS).astype(np.uint8), _neighbourhood(len(found))) > 0
+    begins = cv2.dilate((comparison == BEGINS).astype(np.uint8), _neighbourhood(len(comparison))) > 0
     counts = differs & (begins | (state.changed > 0))
     state.changed[differs] = np.where(counts, state.changed + 1, 0)[differs]
     taken = counts & (state.changed >= CHANGED_FRAMES)
@@ -171,7 +167,7 @@ def _neighbourhood(height: int) -> UInt8[np.ndarray, "k k"]:
     return np.ones((2 * radius + 1, 2 * radius + 1), np.uint8)
 
 
-def _extremes(
+def extremes_around(
     detail: Float[np.ndarray, "h w 3"],
     clipped: Float[np.ndarray, "h w"],
     guessed: Float[np.ndarray, "h w"],
@@ -238,45 +234,3 @@ def fill_in(
     colour = (ldr + np.float32(DARK)) / ((ldr @ LUMINANCE)[..., None] + np.float32(DARK))
     coloured = mixed + np.float32(FILL_COLOUR) * ((mixed @ LUMINANCE)[..., None] * colour - mixed)
     return np.where(mask[..., None], hdr, coloured)
-
-
-def accumulate_reference(
-    state: PanoramaState,
-    *,
-    hdr: Float[np.ndarray, "h w 3"],
-    detail: Float[np.ndarray, "h w 3"],
-    detail_depth_m: Float[np.ndarray, "h w"],
-    weight: Float[np.ndarray, "h w"],
-    detail_clipped: Float[np.ndarray, "h w"] | None = None,
-    detail_guessed: Float[np.ndarray, "h w"] | None = None,
-    camera: Float[np.ndarray, "3"] = _AT_PROBE,
-) -> None:
-    """Compute `accumulate` in NumPy, equation by equation: its readable reference."""
-    clipped = np.zeros_like(weight) if detail_clipped is None else detail_clipped
-    guessed = np.zeros_like(weight) if detail_guessed is None else detail_guessed
-    blend = np.maximum(weight - ~state.is_closer(detail_depth_m), 0)
-    bound, new_bound = state.radiance @ LUMINANCE - state.guessed, detail @ LUMINANCE - guessed
-    better = better_share(state.clipped, bound, clipped, new_bound) * np.minimum(weight, 1)
-    same = (abs(state.depth_m - detail_depth_m) < CLOSER_M) & (weight > 0) & (state.seen > 0)
-    blend = np.where(same, np.maximum(blend, better), blend)
-    lowest, highest, brightest = _extremes(detail, clipped, guessed, weight=weight)
-    shown = state.radiance @ LUMINANCE
-    differs = same & ((lowest > CHANGED * shown + LEAST_CHANGE) | (CHANGED * highest + LEAST_CHANGE < bound))
-    confirmed = (CHANGED * lowest + LEAST_CHANGE >= bound) & (brightest <= CHANGED * shown + LEAST_CHANGE)
-    point = panorama_directions(len(weight)) * detail_depth_m[..., None]
-    before, now = state.viewed_from - point, camera - point
-    lengths = np.linalg.norm(before, axis=-1) * np.linalg.norm(now, axis=-1)
-    near = (before * now).sum(axis=-1) >= SAME_VIEW * lengths
-    state.changed[same & ~differs] = 0
-    taken = _taken(state, np.where(differs, np.where(near, BEGINS, DIFFERS), np.where(same, AGREES, APART)))
-    fresh = (weight > 0) & state.is_closer(detail_depth_m)
-    state.viewed_from[fresh | taken | (same & ~differs & confirmed)] = camera
-    blend = np.where(taken, np.minimum(weight, 1), blend)
-    known = np.where(taken, 0, state.seen)[..., None]
-    for forgotten in (state.clipped, state.guessed):
-        forgotten[taken] = 0
-    held = (1 - known) * hdr + known * state.radiance
-    state.radiance[:] = blend[..., None] * detail + (1 - blend[..., None]) * held
-    for kept, new in ((state.depth_m, detail_depth_m), (state.clipped, clipped), (state.guessed, guessed)):
-        kept[:] = blend * new + (1 - blend) * kept
-    state.seen[:] = np.minimum(state.seen + blend, 1)

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import Final
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
 from roomlight.camera import rigid_inverse
 from roomlight.engine.kernels.volume_init import GridArrays, ViewArrays, initialise_slices
@@ -139,83 +139,3 @@ def clipping_buffer(grid: VolumeGrid, frame: Frame) -> Float[np.ndarray, "2 z y 
 def _clipping_planes(frame: Frame) -> Float[np.ndarray, "h w 2"]:
     guessed = np.zeros(frame.clipped.shape, np.float32) if frame.guessed is None else frame.guessed
     return np.stack([frame.clipped, guessed], axis=-1).astype(np.float32)
-
-
-def initial_volume_reference(
-    grid: VolumeGrid, frame: Frame, *, far_unknown: bool = True
-) -> Float[np.ndarray, "5 z y x"]:
-    """Compute `initial_volume` in NumPy, equation by equation: its readable reference."""
-    camera_from_volume = rigid_inverse(frame.camera_to_world) @ grid.volume_to_world
-    centres = grid.centres_m()
-    in_camera = centres @ camera_from_volume[:3, :3].T + camera_from_volume[:3, 3]
-    xy, depth_of_voxel = frame.intrinsics.project(in_camera)
-    size = np.array([frame.intrinsics.width, frame.intrinsics.height])
-    with np.errstate(invalid="ignore"):
-        seen = (depth_of_voxel > 0) & (xy >= 0).all(axis=-1) & (xy < size).all(axis=-1)
-    uv = (xy[seen] / size).astype(np.float64)
-    z = depth_of_voxel[seen]
-
-    depth, known_share = _bilinear_known(frame.depth_m, uv)
-    unknown = known_share < 0.5
-    camera_in_volume = rigid_inverse(camera_from_volume)[:3, 3]
-    far = _exit_depth(grid, camera_in_volume, centres[seen], z) - grid.edge_m
-    surface = np.where(unknown, far, depth)
-
-    v = grid.edge_m
-    in_front = 4 * ((z - surface) / v + 1)
-    behind = 4 * ((surface - z) / v + 5)
-    alpha = np.clip(np.where(surface > z, in_front, behind), 0, 1)
-    if not far_unknown:
-        alpha = np.where(unknown, 0, alpha)
-    empty = np.where(~unknown & ((surface - z) / v > 3), -1.0, 0.0)
-
-    volume = np.zeros((5, *grid.shape), np.float32)
-    volume[:3, seen] = (alpha[:, None] * _bilinear(frame.image, uv)).T
-    volume[3, seen] = alpha
-    volume[4, seen] = empty
-    return volume
-
-
-def _bilinear(image: Float[np.ndarray, "h w 3"], uv: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 3"]:
-    corners, weights = _corners(image.shape[1], image.shape[0], uv)
-    return sum(w[:, None] * image[row, column] for (row, column), w in zip(corners, weights, strict=True))  # pyright: ignore[reportReturnType]
-
-
-def _bilinear_known(
-    depth_m: Float[np.ndarray, "h w"], uv: Float[np.ndarray, "n 2"]
-) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """Interpolate depth bilinearly over the known samples only; return it with the known share of the weight."""
-    corners, weights = _corners(depth_m.shape[1], depth_m.shape[0], uv)
-    total, share = np.zeros(len(uv)), np.zeros(len(uv))
-    for (row, column), weight in zip(corners, weights, strict=True):
-        value = depth_m[row, column]
-        total += weight * value
-        share += weight * (value > 0)
-    return total / np.maximum(share, 1e-6), share
-
-
-def _corners(
-    width: int, height: int, uv: Float[np.ndarray, "n 2"]
-) -> tuple[list[tuple[Int[np.ndarray, " n"], Int[np.ndarray, " n"]]], list[Float[np.ndarray, " n"]]]:
-    """Return (row, column) of the four samples around each (u, v), and their bilinear weights."""
-    column = np.clip(uv[:, 0] * width - 0.5, 0, width - 1)
-    row = np.clip(uv[:, 1] * height - 0.5, 0, height - 1)
-    i0, j0 = column.astype(int), row.astype(int)
-    i1, j1 = np.minimum(i0 + 1, width - 1), np.minimum(j0 + 1, height - 1)
-    fi, fj = column - i0, row - j0
-    corners = [(j0, i0), (j0, i1), (j1, i0), (j1, i1)]
-    return corners, [(1 - fj) * (1 - fi), (1 - fj) * fi, fj * (1 - fi), fj * fi]
-
-
-def _exit_depth(
-    grid: VolumeGrid,
-    camera: Float[np.ndarray, "3"],
-    points: Float[np.ndarray, "n 3"],
-    depth: Float[np.ndarray, " n"],
-) -> Float[np.ndarray, " n"]:
-    """Return the z-depth at which the camera's ray through each point (volume frame) leaves the volume."""
-    direction = points - camera
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        wall = np.where(direction > 0, grid.upper_m, grid.lower_m)
-        reach = np.where(np.abs(direction) > 1e-9, (wall - camera) / direction, np.inf)
-    return depth * reach.min(axis=-1)
