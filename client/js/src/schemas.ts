@@ -452,6 +452,8 @@ export interface components {
                 number
             ];
             readonly bytes: number;
+            /** @default [] */
+            readonly notes: readonly string[];
         };
         /** @description The objects of a token, the memory that they take together, and its limit. */
         readonly ObjectList: {

@@ -31,12 +31,14 @@ class ObjectInfo(WireModel):
         triangles: number of triangles.
         size_m: sides of its bounding box in the file's own metres.
         bytes: memory that it takes on the server.
+        notes: what its file states and was left out or changed.
     """
 
     id: ObjectId
     triangles: int
     size_m: Annotated[list[FiniteNumber], Field(min_length=3, max_length=3)]
     bytes: int
+    notes: tuple[str, ...] = ()
 
 
 class ObjectList(WireModel):

@@ -14,6 +14,7 @@ from roomlight_server.base.settings import ServerSettings
 from roomlight_server.work.object_packing import object_bytes
 
 _log = logging.getLogger("roomlight.server")
+_MAX_NOTES = 50
 
 
 @dataclass
@@ -50,7 +51,8 @@ class ObjectStore:
         self.expire()
         low, high = held.bounds()
         size = object_bytes(held)
-        info = ObjectInfo(id=digest, triangles=held.triangles, size_m=(high - low).tolist(), bytes=size)
+        notes = tuple(str(note) for note in held.notes[:_MAX_NOTES])
+        info = ObjectInfo(id=digest, triangles=held.triangles, size_m=(high - low).tolist(), bytes=size, notes=notes)
         limit = self._settings.max_owner_object_bytes
         if self._bytes(owner) + size > limit:
             rule = f"at most {limit} bytes of objects for one token"

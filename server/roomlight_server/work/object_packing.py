@@ -1,6 +1,6 @@
 """Virtual objects as plain numbers, between a decoding process and the server."""
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +10,7 @@ from roomlight.compositing.objects.loading import load_object
 from roomlight.compositing.objects.materials import Material
 from roomlight.compositing.objects.textures import Texture
 from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
+from roomlight.notes import Note
 
 _TEXTURES: Final = tuple(field.name for field in fields(Material) if field.name.endswith("_texture"))
 _MESH: Final = (("vertices", "<f4", 3), ("normals", "<f4", 3), ("uvs", "<f4", 2), ("faces", "<i4", 3))
@@ -37,7 +38,8 @@ def pack_object(body: bytes, kind: str | None, limits: dict[str, int]) -> tuple[
         parts.append({"counts": counts, "tangents": mesh.tangents is not None, "material": values})
     arrays += [np.ascontiguousarray(texture.texels, "<u2") for texture in textures]
     sizes = [texture.texels.shape[:2] for texture in textures]
-    return {"parts": parts, "textures": sizes}, b"".join(array.tobytes() for array in arrays)
+    notes = [asdict(note) for note in held.notes]
+    return {"parts": parts, "textures": sizes, "notes": notes}, b"".join(array.tobytes() for array in arrays)
 
 
 def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
@@ -64,7 +66,8 @@ def unpack_object(text: dict[str, Any], data: bytearray) -> VirtualObject:
         meshes.append(TriangleMesh(**held, tangents=tangents))
     textures = [Texture(take("<u2", height, width, 4)) for height, width in text["textures"]]
     materials = [_material(part["material"], textures) for part in text["parts"]]
-    return VirtualObject("object", tuple(zip(meshes, materials, strict=True)))
+    notes = tuple(Note(**note) for note in text["notes"])
+    return VirtualObject("object", tuple(zip(meshes, materials, strict=True)), notes)
 
 
 def _material(values: dict[str, Any], textures: list[Texture]) -> Material:

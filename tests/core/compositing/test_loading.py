@@ -245,11 +245,17 @@ HOSTILE: dict[str, tuple[Callable[[GltfFile], object], str]] = {
     "external image": (lambda f: f.tree.update(images=[{"uri": "file:///a.png"}] * 4), "outside the file"),
     "huge count": (lambda f: f.tree["accessors"][0].update(count=2_000_000_000), "limited"),
     "count past the view": (lambda f: f.tree["accessors"][0].update(count=5), "values|end at byte"),
-    "negative offset": (lambda f: f.tree["accessors"][0].update(byteOffset=-4), "greater than or equal"),
+    "negative offset": (
+        lambda f: f.tree["accessors"][0].update(byteOffset=-4),
+        "byteOffset is -4; it must be at least 0",
+    ),
     "view past the buffer": (lambda f: f.tree["bufferViews"][0].update(byteOffset=10**9), "ends at byte"),
     "stride of nothing": (lambda f: f.tree["bufferViews"][4].update(byteStride=4), "byteStride"),
-    "count as text": (lambda f: f.tree["accessors"][0].update(count="4"), "integer"),
-    "sparse": (lambda f: f.tree["accessors"][0].update(sparse={"count": 1}), "sparse"),
+    "count as text": (
+        lambda f: f.tree["accessors"][0].update(count="four"),
+        "count is 'four'; it must be a whole number",
+    ),
+    "sparse": (lambda f: f.tree["accessors"][0].update(sparse={"count": 1}), "sparse.indices is missing"),
     "index past the vertices": (lambda f: f.content.__setitem__(slice(-12, -10), b"\xff\xff"), "points at"),
     "vertex not a number": (lambda f: _quad_positions(f, float("nan")), "finite"),
     "vertex at infinity": (lambda f: _quad_positions(f, float("inf")), "finite"),
@@ -262,16 +268,17 @@ HOSTILE: dict[str, tuple[Callable[[GltfFile], object], str]] = {
     "no such material": (lambda f: f.tree["meshes"][0]["primitives"][0].update(material=9), "material 9"),
     "no such texture": (lambda f: f.tree.update(textures=[]), "texture 0"),
     "no such scene": (lambda f: f.tree.update(scene=4), "scene 4"),
-    "second coordinates": (
-        lambda f: f.tree["materials"][0]["normalTexture"].update(texCoord=1),
-        "TEXCOORD_1",
+    "sparse index": (
+        lambda f: f.tree["accessors"][0].update(
+            sparse={"count": 1, "indices": {"bufferView": 1, "componentType": 5125}, "values": {"bufferView": 0}}
+        ),
+        "sparse index points at",
     ),
-    "required extension": (lambda f: f.tree.update(extensionsRequired=["KHR_draco_mesh_compression"]), "draco"),
-    "strip": (lambda f: f.tree["meshes"][0]["primitives"][0].update(mode=5), "mode 5"),
+    "required extension": (lambda f: f.tree.update(extensionsRequired=["EXT_meshopt_compression"]), "meshopt"),
     "points alone": (lambda f: f.tree["meshes"][0]["primitives"][0].update(mode=0), "no surface"),
-    "roughness of ten": (
-        lambda f: f.tree["materials"][0]["pbrMetallicRoughness"].update(roughnessFactor=10),
-        "less than or equal to 1",
+    "roughness as a list": (
+        lambda f: f.tree["materials"][0]["pbrMetallicRoughness"].update(roughnessFactor=[1]),
+        r"roughnessFactor is \[1\]; it must be a number",
     ),
     "version 1": (lambda f: f.tree.update(asset={"version": "1.0"}), "glTF 2"),
 }
@@ -319,7 +326,7 @@ def test_damaged_json_is_refused(text: bytes) -> None:
         (OBJ + b"f 1 2 9\n", "damaged|point at"),
         (OBJ + b"f 1 2 999999999\n", "damaged|point at"),
         (OBJ + b"f 0 1 2\n", "line 11"),
-        (OBJ + b"f -1 -2 -3\n", "line 11"),
+        (OBJ + b"f -1 -2 -9\n", "line 11"),
         (OBJ + b"f 1 2\n", "line 11"),
         (b"v 0 nan 0\n" + OBJ_FACE, "line 1"),
         (b"v 1e999 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "finite"),

@@ -3,23 +3,27 @@
 Files may come from strangers: what they declare is checked against `ObjectLimits` before memory is spent, and every
 failure is an `ObjectError`. Nothing outside the file is read: glTF's buffers and images must be inside it.
 
-| kind | read | not read |
+| kind | read | noted and not read |
 | --- | --- | --- |
-| GLB, glTF | triangles, node transforms, metallic-roughness materials with textures and normal maps, \
-KHR_materials_emissive_strength, _ior, _specular and _transmission (factors) | skins, animations, morph targets, \
-vertex colours, sparse accessors, Draco, texture transforms, samplers (textures repeat) |
-| OBJ | vertices, normals, texture coordinates, polygons | materials, groups, relative (negative) indices |
-| PLY | vertices, normals, faces; text and binary | colours |
+| GLB, glTF | triangles, strips and fans; node transforms and instances; skins and morph targets in their pose at \
+rest; normals, else flat; vertex colours; metallic-roughness and specular-glossiness materials with textures, texture \
+transforms and normal maps; KHR_materials_emissive_strength, _ior, _specular, _transmission and _unlit; quantised, \
+sparse and (extra `draco`) Draco-compressed meshes; PNG, JPEG, WebP, AVIF | animations, lamps, occlusion textures, \
+KTX2, clearcoat, sheen, volume and other layers |
+| OBJ | polygons, normals or smoothing groups, texture coordinates, vertex colours | materials, curves |
+| PLY | polygons, normals, texture coordinates, colours; text and binary | texture files |
 
-OBJ and PLY objects are grey and diffuse until `VirtualObject.with_material` gives them a material.
+Faces of OBJ and PLY files without normals shade smoothly where they meet at less than 40 degrees. Objects without
+colours are grey and diffuse until `VirtualObject.with_material` gives them a material.
 """
 
 from pathlib import Path
 from typing import Literal, get_args
 
-from roomlight.compositing.objects.gltf import read_gltf
+from roomlight.compositing.objects.gltf.reader import read_gltf
 from roomlight.compositing.objects.limits import ObjectLimits
-from roomlight.compositing.objects.mesh_files import read_obj, read_ply
+from roomlight.compositing.objects.obj import read_obj
+from roomlight.compositing.objects.ply import read_ply
 from roomlight.compositing.objects.virtual_object import VirtualObject
 from roomlight.errors import ObjectError
 
@@ -55,11 +59,9 @@ def load_object(
     found = kind or _kind(data, ending, label)
     if found not in get_args(ObjectKind):
         raise ObjectError(f"{label}: kind must be {', '.join(get_args(ObjectKind))}, got {found!r}")
-    if found in ("glb", "gltf"):
-        parts = read_gltf(data, label, limits)
-    else:
-        parts = (read_obj if found == "obj" else read_ply)(data, label, limits)
-    return VirtualObject(name or "object", parts)
+    readers = {"glb": read_gltf, "gltf": read_gltf, "obj": read_obj, "ply": read_ply}
+    parts, notes = readers[found](data, label, limits)
+    return VirtualObject(name or "object", parts, notes)
 
 
 def _read(path: Path, limits: ObjectLimits) -> bytes:
@@ -76,7 +78,7 @@ def _kind(data: bytes, ending: str, label: str) -> str:
         return "glb"
     if data[:4].rstrip() == b"ply":
         return "ply"
-    if data.lstrip()[:1] == b"{":
+    if data.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{":
         return "gltf"
     if ending in get_args(ObjectKind):
         return ending

@@ -27,6 +27,8 @@ from roomlight.errors import ObjectError
 
 Colour = tuple[float, float, float]
 """Linear RGB."""
+MAX_IOR = 1000.0
+"""Converters of materials write it for a surface that reflects everything: 0.996 at normal incidence."""
 
 
 @dataclass(frozen=True)
@@ -38,7 +40,7 @@ class Material:
         metallic: 0 is a dielectric, 1 a metal.
         roughness: Perceptual, alpha = roughness^2; below 0.02 the lobe is a perfect mirror.
         specular: Scales the lobe of a dielectric; 0 leaves a Lambertian surface.
-        ior: Index of refraction, 1 to 3.
+        ior: Index of refraction, 1 to `MAX_IOR`; glass has 1 to 3.
         transmission: Share of the surface that is smooth glass.
         opacity: Share of the surface that is there; rays pass straight through the rest.
         alpha_cutoff: If given, the surface is there where opacity x texture alpha reaches it, and nowhere else.
@@ -78,8 +80,8 @@ class Material:
         for name, value in shares.items():
             if not 0 <= value <= 1:
                 raise ObjectError(f"material: {name} must be from 0 to 1, got {value}")
-        if not 1 <= self.ior <= 3:
-            raise ObjectError(f"material: ior must be from 1 to 3, got {self.ior}")
+        if not 1 <= self.ior <= MAX_IOR:
+            raise ObjectError(f"material: ior must be from 1 to {MAX_IOR:g}, got {self.ior}")
         for value in (*self.emissive, abs(self.normal_scale)):
             if not 0 <= value <= 1e6:
                 raise ObjectError(f"material: emissive and normal_scale must be finite, at most 1e6, got {value}")

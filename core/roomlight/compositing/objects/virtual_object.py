@@ -8,6 +8,7 @@ from jaxtyping import Float, Float32, Int32, Integer
 
 from roomlight.compositing.objects.materials import Material
 from roomlight.errors import ObjectError
+from roomlight.notes import Note
 
 MAX_COORDINATE_M: Final = 1e5
 """Coordinates beyond this are refused: float32 resolves 8 mm there."""
@@ -123,12 +124,18 @@ class TriangleMesh:
 class VirtualObject:
     """A named object of one or more parts, each a mesh with its material.
 
+    Attributes:
+        name: The name.
+        parts: Meshes with their materials.
+        notes: What the object's file states and was left out or changed.
+
     Raises:
         ObjectError: There is no part.
     """
 
     name: str
     parts: tuple[tuple[TriangleMesh, Material], ...]
+    notes: tuple[Note, ...] = ()
 
     def __post_init__(self) -> None:
         if not self.parts:

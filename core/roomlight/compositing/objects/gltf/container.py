@@ -1,0 +1,126 @@
+"""The container of a glTF: the chunks of a GLB, its JSON, and the bytes of buffer views."""
+
+import base64
+import binascii
+import struct
+import urllib.parse
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from roomlight.compositing.objects.gltf.schema import Gltf
+from roomlight.errors import ObjectError
+
+Model = TypeVar("Model", bound=BaseModel)
+
+
+def split(data: bytes, name: str) -> tuple[bytes, bytes | None]:
+    """Return the JSON and the binary chunk of a GLB, or a glTF file's JSON. Bytes after the GLB's length are ignored.
+
+    Raises:
+        ObjectError: The GLB is truncated or of another version.
+    """
+    if data[:4] != b"glTF":
+        return data.removeprefix(b"\xef\xbb\xbf"), None
+    if len(data) < 20:
+        raise ObjectError(f"{name}: a GLB has 20 bytes of header, this file has {len(data)}")
+    version, length = struct.unpack_from("<II", data, 4)
+    if version != 2:
+        raise ObjectError(f"{name}: GLB version 2 is read, this is {version}")
+    if length > len(data):
+        raise ObjectError(f"{name}: the GLB declares {length} bytes, {len(data)} are there: it is truncated")
+    chunks: dict[bytes, bytes] = {}
+    offset = 12
+    while offset + 8 <= length:
+        size, kind = struct.unpack_from("<I4s", data, offset)
+        if offset + 8 + size > len(data):
+            raise ObjectError(f"{name}: the GLB's {kind!r} chunk declares {size} bytes and is truncated")
+        chunks.setdefault(kind, data[offset + 8 : offset + 8 + size])
+        offset += 8 + size + -size % 4
+    if b"JSON" not in chunks:
+        raise ObjectError(f"{name}: the GLB has no JSON chunk")
+    return chunks[b"JSON"].rstrip(b"\0 "), chunks.get(b"BIN\0")
+
+
+def json_size(text: bytes) -> int:
+    """Return the bytes of the JSON without embedded data URIs, which are long by nature."""
+    return len(text) - sum(len(piece) for piece in text.split(b'"') if piece[:5] == b"data:")
+
+
+def parsed(text: bytes, name: str, clamped: list[str]) -> Gltf:
+    """Parse and check the JSON; names of clamped values are added to `clamped`. Raises ObjectError."""
+    try:
+        gltf = Gltf.model_validate_json(text, context=clamped)
+    except ValidationError as error:
+        raise ObjectError(f"{name}: {explained(error, 'glTF')}") from None
+    if not gltf.asset.version.startswith("2."):
+        raise ObjectError(f"{name}: glTF 2 is read, this is version {gltf.asset.version[:20]!r}")
+    return gltf
+
+
+def extension(model: type[Model], owner: Any, key: str, label: str, clamped: list[str]) -> Model | None:
+    """Read an extension of an object; None if it has none of this name. Raises ObjectError."""
+    values = owner.extensions.get(key)
+    if values is None:
+        return None
+    try:
+        return model.model_validate(values, context=clamped)
+    except ValidationError as error:
+        raise ObjectError(f"{label}: {explained(error, key)}") from None
+
+
+def explained(error: ValidationError, what: str) -> str:
+    """Say in our words which value is not allowed."""
+    first = error.errors(include_url=False)[0]
+    where = ".".join(str(step) for step in first["loc"][:8])
+    kind, bounds = first["type"], first.get("ctx", {})
+    if kind in ("json_invalid", "recursion_loop"):
+        return f"its JSON is damaged ({str(bounds.get('error', ''))[:80]})"
+    if kind == "missing":
+        return f"{what} {where} is missing"
+    value = repr(first.get("input"))
+    shown = value if len(value) <= 60 else value[:57] + "..."
+    rules = {"ge": "at least", "gt": "above", "le": "at most", "lt": "below", "expected": "one of"}
+    allowed = [f"{word} {bounds[key]}" for key, word in rules.items() if key in bounds]
+    types = {"int": "a whole number", "float": "a number", "string": "a text", "list": "a list", "dict": "an object"}
+    expected = allowed or [word for key, word in types.items() if kind.startswith(key)] or ["another value"]
+    return f"{what} {where or 'JSON'} is {shown}; it must be {' and '.join(expected)}"
+
+
+def data_uri(uri: str, label: str) -> bytes:
+    """Decode a data URI. Raises ObjectError for any other address: nothing outside the file is read."""
+    head, comma, body = uri.partition(",")
+    if not head.startswith("data:") or not comma:
+        raise ObjectError(f"{label} is at {uri[:60]!r}, outside the file; export as one GLB file")
+    if not head.endswith(";base64"):
+        return urllib.parse.unquote_to_bytes(body)
+    try:
+        return base64.b64decode("".join(body.split()) + "=" * (-len(body) % 4), validate=True)
+    except (binascii.Error, ValueError) as error:
+        raise ObjectError(f"{label}: its base64 is damaged") from error
+
+
+def buffer_views(gltf: Gltf, binary: bytes | None, name: str) -> list[memoryview]:
+    """Return the bytes of each buffer view. Raises ObjectError."""
+    buffers: list[memoryview] = []
+    for index, buffer in enumerate(gltf.buffers):
+        if buffer.uri is not None:
+            content = data_uri(buffer.uri, f"{name}: buffer {index}")
+        elif index == 0 and binary is not None:
+            content = binary
+        elif "EXT_meshopt_compression" in buffer.extensions:
+            content = b""  # a fallback that is not there
+        else:
+            raise ObjectError(f"{name}: buffer {index} is not in the file; export as one GLB file")
+        if buffer.byteLength > len(content) + 3:  # some exporters count the padding
+            raise ObjectError(f"{name}: buffer {index} declares {buffer.byteLength} bytes, {len(content)} are there")
+        buffers.append(memoryview(content))
+    views: list[memoryview] = []
+    for index, view in enumerate(gltf.bufferViews):
+        if view.buffer >= len(buffers):
+            raise ObjectError(f"{name}: bufferViews.{index} names buffer {view.buffer} of {len(buffers)}")
+        end = view.byteOffset + view.byteLength
+        if end > len(buffers[view.buffer]):
+            raise ObjectError(f"{name}: bufferViews.{index} ends at byte {end} of {len(buffers[view.buffer])}")
+        views.append(buffers[view.buffer][view.byteOffset : end])
+    return views

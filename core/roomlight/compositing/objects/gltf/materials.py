@@ -1,0 +1,363 @@
+"""glTF's materials as `Material`: textures brought to one set of coordinates, extensions converted or noted."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from jaxtyping import Float, UInt8
+
+from roomlight.compositing.objects.gltf.container import extension
+from roomlight.compositing.objects.gltf.images import Images
+from roomlight.compositing.objects.gltf.schema import (
+    EmissiveStrength,
+    GltfMaterial,
+    Ior,
+    Specular,
+    SpecularGlossiness,
+    TextureInfo,
+    TextureTransform,
+    Transmission,
+)
+from roomlight.compositing.objects.materials import MAX_IOR, Colour, Material
+from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.conventions import LUMINANCE, srgb8_to_linear
+from roomlight.notes import Note
+
+_DIELECTRIC = 0.04
+_MAX_GLASS_IOR = 3.0
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A material and the texture coordinates that it reads.
+
+    Attributes:
+        material: The material.
+        uv_set: Number of the set of texture coordinates.
+        uv_transform: What its textures do to these coordinates, 2 x 3.
+        repeats: Whether all its textures repeat outside [0, 1].
+        notes: What was left out.
+    """
+
+    material: Material
+    uv_set: int = 0
+    uv_transform: tuple[tuple[float, float, float], tuple[float, float, float]] = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0))
+    repeats: bool = True
+    notes: tuple[Note, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class _Slot:
+    """One texture of a material: its pixels and the coordinates that it reads."""
+
+    key: str
+    pixels: UInt8[np.ndarray, "h w c"]
+    uv_set: int
+    transform: Float[np.ndarray, "3 3"]
+    repeats: bool
+
+
+class MaterialReader:
+    """Makes the materials of one file."""
+
+    def __init__(self, images: Images, clamped: list[str]) -> None:
+        self._images, self._clamped = images, clamped
+        self._textures: dict[tuple[int, str], tuple[np.ndarray, Texture]] = {}
+
+    def surface(self, one: GltfMaterial, label: str) -> Surface:
+        """Convert a material. Raises ObjectError."""
+        notes: list[Note] = []
+        base = one.pbrMetallicRoughness
+        glossy = extension(SpecularGlossiness, one, "KHR_materials_pbrSpecularGlossiness", label, self._clamped)
+        slots = {
+            "base": self._slot(
+                base.baseColorTexture if glossy is None else glossy.diffuseTexture, label, "base", notes
+            ),
+            "rough": self._slot(
+                base.metallicRoughnessTexture if glossy is None else glossy.specularGlossinessTexture,
+                label,
+                "rough",
+                notes,
+            ),
+            "normal": self._slot(one.normalTexture, label, "normal", notes),
+            "emissive": self._slot(one.emissiveTexture, label, "emissive", notes),
+        }
+        uv_set, transform = _common([slots[key] for key in ("base", "normal", "rough", "emissive")])
+        pixels, means = {}, {}
+        for key, slot in slots.items():
+            pixels[key], means[key] = _brought(slot, uv_set, transform, label, notes)
+        material = self._factors(one, label, notes)
+        if glossy is not None:
+            material = self._from_glossy(material, glossy, pixels, means)
+        else:
+            material = self._from_metallic(material, one, pixels, means)
+        material = self._rest(material, one, pixels, means)
+        if "KHR_materials_unlit" in one.extensions:
+            material = _unlit(material)
+        if one.occlusionTexture is not None:
+            notes.append(
+                Note(f"{label}.occlusionTexture", "the object shades itself by ray tracing instead", "nothing to do")
+            )
+        rows = transform[:2].tolist()
+        return Surface(
+            material,
+            uv_set,
+            ((rows[0][0], rows[0][1], rows[0][2]), (rows[1][0], rows[1][1], rows[1][2])),
+            all(slot is None or slot.repeats for slot in slots.values()),
+            tuple(notes),
+        )
+
+    def _slot(self, info: TextureInfo | None, label: str, key: str, notes: list[Note]) -> _Slot | None:
+        if info is None:
+            return None
+        where = f"{label}, {key} texture"
+        pixels = self._images.pixels(info.index, where)
+        if pixels is None:
+            notes.append(Note(f"{where}: its KTX2 image", "the factor alone is used", "export it as PNG, JPEG or WebP"))
+            return None
+        moved = extension(TextureTransform, info, "KHR_texture_transform", where, self._clamped) or TextureTransform()
+        uv_set = info.texCoord if moved.texCoord is None else moved.texCoord
+        return _Slot(key, pixels, uv_set, _matrix(moved), self._images.repeats(info.index))
+
+    def _mean(self, info: TextureInfo | None, label: str, notes: list[Note]) -> Float[np.ndarray, "4"]:
+        """Return the mean of a texture that is read as a factor; linear RGB, and alpha."""
+        pixels = None if info is None else self._images.pixels(info.index, label)
+        if pixels is None:
+            return np.ones(4)
+        notes.append(Note(label, "its mean is used everywhere", "bake it into the base colour if it matters"))
+        alpha = float(pixels[..., 3].mean() / 255) if pixels.shape[2] == 4 else 1.0
+        return np.array([*(srgb8_to_linear(pixels[..., :3]).mean(axis=(0, 1))), alpha])
+
+    def _factors(self, one: GltfMaterial, label: str, notes: list[Note]) -> Material:
+        """Return the material of what the extensions state, before base colour and textures."""
+        clear = extension(Transmission, one, "KHR_materials_transmission", label, self._clamped) or Transmission()
+        ior = extension(Ior, one, "KHR_materials_ior", label, self._clamped) or Ior()
+        specular = extension(Specular, one, "KHR_materials_specular", label, self._clamped) or Specular()
+        strength = extension(EmissiveStrength, one, "KHR_materials_emissive_strength", label, self._clamped)
+        glow = 1.0 if strength is None else strength.emissiveStrength
+        transmission = clear.transmissionFactor
+        if clear.transmissionTexture is not None:
+            transmission *= float(self._mean(clear.transmissionTexture, f"{label}.transmissionTexture", notes)[0])
+        share = specular.specularFactor * float(
+            self._mean(specular.specularTexture, f"{label}.specularTexture", notes)[3]
+        )
+        tint = self._mean(specular.specularColorTexture, f"{label}.specularColorTexture", notes)[:3]
+        colour = tint * np.array(specular.specularColorFactor)
+        red, green, blue = (min(channel * glow, 1e6) for channel in one.emissiveFactor)
+        material = Material(
+            specular=share,
+            transmission=transmission,
+            emissive=(red, green, blue),
+            alpha_cutoff=min(one.alphaCutoff, 1.0) if one.alphaMode == "MASK" else None,
+        )
+        return _with_reflectance(material, ior.ior, colour, label, notes)
+
+    def _from_metallic(
+        self, material: Material, one: GltfMaterial, pixels: dict[str, np.ndarray | None], means: dict[str, np.ndarray]
+    ) -> Material:
+        base = one.pbrMetallicRoughness
+        red, green, blue, alpha = np.array(base.baseColorFactor) * means["base"]
+        metallic = base.metallicFactor * float(means["rough"][2])
+        return replace(
+            material,
+            base_colour=(float(red), float(green), float(blue)),
+            metallic=metallic,
+            roughness=base.roughnessFactor * float(means["rough"][1]),
+            opacity=1.0 if one.alphaMode == "OPAQUE" else float(alpha),
+            base_colour_texture=self._texture(pixels["base"], "opaque" if one.alphaMode == "OPAQUE" else "colour"),
+            metallic_roughness_texture=self._texture(pixels["rough"], "values"),
+        )
+
+    def _from_glossy(
+        self,
+        material: Material,
+        glossy: SpecularGlossiness,
+        pixels: dict[str, np.ndarray | None],
+        means: dict[str, np.ndarray],
+    ) -> Material:
+        """Convert specular-glossiness, texel by texel where it has textures."""
+        diffuse, alpha = np.array(glossy.diffuseFactor[:3]), glossy.diffuseFactor[3]
+        specular, gloss = np.array(glossy.specularFactor), glossy.glossinessFactor
+        if pixels["base"] is None and pixels["rough"] is None:
+            base, metallic = metal_of(diffuse * means["base"][:3], specular * means["rough"][:3])
+            red, green, blue = base.tolist()
+            roughness = 1 - gloss * float(means["rough"][3])
+            opacity = alpha * float(means["base"][3])
+            return replace(
+                material,
+                base_colour=(red, green, blue),
+                metallic=float(metallic),
+                roughness=roughness,
+                opacity=opacity if material.alpha_cutoff is not None or opacity < 1 else 1.0,
+            )
+        size = max((one.shape[:2] for one in pixels.values() if one is not None), key=lambda one: one[0] * one[1])
+        colours, alphas = _planes(pixels["base"], size, means["base"])
+        speculars, glosses = _planes(pixels["rough"], size, means["rough"])
+        base, metallic = metal_of(colours * diffuse, speculars * specular)
+        values = np.stack([np.zeros(size), 1 - gloss * glosses, metallic], axis=-1)
+        return replace(
+            material,
+            base_colour=(1.0, 1.0, 1.0),
+            metallic=1.0,
+            roughness=1.0,
+            opacity=alpha,
+            base_colour_texture=Texture.from_linear(np.dstack([base, alphas]).astype(np.float32)),
+            metallic_roughness_texture=Texture.from_linear(values.astype(np.float32)),
+        )
+
+    def _rest(
+        self, material: Material, one: GltfMaterial, pixels: dict[str, np.ndarray | None], means: dict[str, np.ndarray]
+    ) -> Material:
+        red, green, blue = (
+            float(glow * mean) for glow, mean in zip(material.emissive, means["emissive"], strict=False)
+        )
+        return replace(
+            material,
+            emissive=(red, green, blue),
+            emissive_texture=self._texture(pixels["emissive"], "colour"),
+            normal_texture=self._texture(pixels["normal"], "values"),
+            normal_scale=1.0 if one.normalTexture is None else one.normalTexture.scale,
+        )
+
+    def _texture(self, pixels: UInt8[np.ndarray, "h w c"] | None, use: str) -> Texture | None:
+        """Make a texture of colour, of colour that ignores alpha, or of values; equal ones are one object."""
+        if pixels is None:
+            return None
+        key = id(pixels), use
+        if key not in self._textures:  # the pixels are kept, so that their id stays theirs
+            if use == "values":
+                made = Texture.from_linear8(pixels)
+            else:
+                made = Texture.from_srgb8(pixels[..., :3] if use == "opaque" else pixels)
+            self._textures[key] = pixels, made
+        return self._textures[key][1]
+
+
+def metal_of(
+    diffuse: Float[np.ndarray, "*n 3"], specular: Float[np.ndarray, "*n 3"]
+) -> tuple[Float[np.ndarray, "*n 3"], Float[np.ndarray, "*n"]]:
+    """Convert diffuse and specular reflectance to base colour and metallic: Khronos' conversion.
+
+    The metallic share m solves: the brightness of the base that the diffuse part asks for is that which the specular
+    part asks for, where a dielectric reflects 0.04.
+    """
+    weights = np.array([0.299, 0.587, 0.114])
+    diffuse_light = np.sqrt((diffuse**2 * weights).sum(axis=-1))
+    specular_light = np.sqrt((specular**2 * weights).sum(axis=-1))
+    left = 1 - specular.max(axis=-1)
+    b = diffuse_light * left / (1 - _DIELECTRIC) + specular_light - 2 * _DIELECTRIC
+    c = _DIELECTRIC - specular_light
+    root = np.sqrt(np.maximum(b * b - 4 * _DIELECTRIC * c, 0))
+    metallic = np.where(specular_light < _DIELECTRIC, 0.0, np.clip((root - b) / (2 * _DIELECTRIC), 0, 1))
+    m = metallic[..., None]
+    of_diffuse = diffuse * (left[..., None] / (1 - _DIELECTRIC)) / np.maximum(1 - m, 1e-6)
+    of_specular = (specular - _DIELECTRIC * (1 - m)) / np.maximum(m, 1e-6)
+    return np.clip(of_diffuse + (of_specular - of_diffuse) * m * m, 0, 1), metallic
+
+
+def _with_reflectance(
+    material: Material, ior: float, colour: Float[np.ndarray, "3"], label: str, notes: list[Note]
+) -> Material:
+    """Set the index of refraction whose reflectance is that of `ior` times the specular colour."""
+    full = ((ior - 1) / (ior + 1)) ** 2  # 1 for an ior of 0, as its extension says
+    reflectance = np.minimum(full * colour, 1.0)
+    if (colour == 1).all() and 1 <= ior <= (MAX_IOR if material.transmission == 0 else _MAX_GLASS_IOR):
+        return replace(material, ior=ior)
+    if material.transmission > 0:
+        if not 1 <= ior <= _MAX_GLASS_IOR:
+            notes.append(
+                Note(f"{label}: an ior of {ior:g} with transmission", "it is a mirror", "use 1 to 3 for glass")
+            )
+            return replace(material, transmission=0.0, ior=MAX_IOR)
+        return replace(material, ior=ior)
+    if reflectance.max() - reflectance.min() > 0.02:
+        notes.append(
+            Note(f"{label}: its coloured reflection", "the reflection is grey", "use metallic for coloured reflections")
+        )
+    mean = min(float(LUMINANCE @ reflectance), ((MAX_IOR - 1) / (MAX_IOR + 1)) ** 2)
+    root = math.sqrt(mean)
+    return replace(material, ior=min(max((1 + root) / (1 - root), 1.0), MAX_IOR))
+
+
+def _unlit(material: Material) -> Material:
+    """Return a surface that emits its base colour and reflects nothing."""
+    black: Colour = (0.0, 0.0, 0.0)
+    return replace(
+        material,
+        base_colour=black,
+        metallic=0.0,
+        specular=0.0,
+        transmission=0.0,
+        emissive=material.base_colour,
+        emissive_texture=material.base_colour_texture,
+        # its alpha still cuts the surface out
+        metallic_roughness_texture=None,
+        normal_texture=None,
+    )
+
+
+def _matrix(transform: TextureTransform) -> Float[np.ndarray, "3 3"]:
+    """Return T R S of KHR_texture_transform; the rotation is counter-clockwise with v down."""
+    c, s = math.cos(transform.rotation), math.sin(transform.rotation)
+    (x, y), (u, v) = transform.offset, transform.scale
+    return np.array([[c * u, s * v, x], [-s * u, c * v, y], [0, 0, 1]])
+
+
+def _common(slots: Sequence[_Slot | None]) -> tuple[int, Float[np.ndarray, "3 3"]]:
+    """Return set and transform of the first texture: the mesh has one set of coordinates."""
+    for slot in slots:
+        if slot is not None:
+            return slot.uv_set, slot.transform
+    return 0, np.eye(3)
+
+
+def _brought(
+    slot: _Slot | None, uv_set: int, transform: Float[np.ndarray, "3 3"], label: str, notes: list[Note]
+) -> tuple[UInt8[np.ndarray, "h w c"] | None, Float[np.ndarray, "4"]]:
+    """Return a texture in the common coordinates, and factors: where it cannot be brought there, its mean."""
+    if slot is None:
+        return None, np.ones(4)
+    if slot.uv_set == uv_set and np.allclose(slot.transform, transform, atol=1e-6):
+        return slot.pixels, np.ones(4)
+    if slot.uv_set == uv_set and abs(np.linalg.det(transform)) > 1e-9:
+        relative = slot.transform @ np.linalg.inv(transform)
+        if np.abs(relative[:2, :2] - np.rint(relative[:2, :2])).max() < 1e-3:  # both repeat with the unit square
+            return _resampled(slot.pixels, relative), np.ones(4)
+    notes.append(
+        Note(
+            f"{label}, {slot.key} texture: coordinates other than the first texture's",
+            "the surface is plain there" if slot.key == "normal" else "its mean is used everywhere",
+            "bake the material's textures onto one set of coordinates",
+        )
+    )
+    if slot.key == "normal":
+        return None, np.ones(4)
+    linear = slot.pixels[..., :3] / 255.0 if slot.key == "rough" else srgb8_to_linear(slot.pixels[..., :3])
+    alpha = slot.pixels[..., 3].mean() / 255 if slot.pixels.shape[2] == 4 else 1.0
+    return None, np.array([*linear.mean(axis=(0, 1)), alpha])
+
+
+def _resampled(pixels: UInt8[np.ndarray, "h w c"], relative: Float[np.ndarray, "3 3"]) -> UInt8[np.ndarray, "h2 w2 c"]:
+    """Return the texture as the common coordinates read it, with as many texels as it repeats."""
+    height, width = pixels.shape[:2]
+    times = np.maximum(np.abs(relative[:2, :2]).max(axis=0), 1)
+    columns = int(min(MAX_TEXTURE_SIZE, width * times[0]))
+    rows = int(min(MAX_TEXTURE_SIZE, height * times[1]))
+    u, v = np.meshgrid((np.arange(columns) + 0.5) / columns, (np.arange(rows) + 0.5) / rows)
+    source_u = (relative[0, 0] * u + relative[0, 1] * v + relative[0, 2]) % 1.0
+    source_v = (relative[1, 0] * u + relative[1, 1] * v + relative[1, 2]) % 1.0
+    at = [(coordinate * size - 0.5).astype(np.float32) for coordinate, size in ((source_u, width), (source_v, height))]
+    return cv2.remap(pixels, at[0], at[1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+
+
+def _planes(
+    pixels: UInt8[np.ndarray, "h w c"] | None, size: tuple[int, int], mean: Float[np.ndarray, "4"]
+) -> tuple[Float[np.ndarray, "h w 3"], Float[np.ndarray, "h w"]]:
+    """Return linear RGB and alpha at a size; without pixels the mean."""
+    if pixels is None:
+        return np.broadcast_to(mean[:3], (*size, 3)), np.broadcast_to(mean[3], size)
+    whole = cv2.resize(pixels, (size[1], size[0]), interpolation=cv2.INTER_LINEAR)
+    alpha = whole[..., 3] / 255.0 if whole.shape[2] == 4 else np.ones(size)
+    return srgb8_to_linear(np.ascontiguousarray(whole[..., :3])).astype(np.float64), alpha

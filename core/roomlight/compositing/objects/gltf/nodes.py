@@ -1,0 +1,122 @@
+"""Nodes of a glTF: where its meshes stand, with instances and the pose of skins."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from roomlight.compositing.objects.gltf.accessors import Accessors
+from roomlight.compositing.objects.gltf.schema import Gltf, Node
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.errors import ObjectError
+
+_INSTANCING = "EXT_mesh_gpu_instancing"
+
+
+@dataclass(frozen=True, eq=False)
+class Placed:
+    """A mesh with its transform to the root, its skin's joint matrices, and the weights of its morph targets."""
+
+    mesh: int
+    transform: Float[np.ndarray, "4 4"]
+    joints: Float[np.ndarray, "j 4 4"] | None
+    weights: tuple[float, ...]
+
+
+def placed_meshes(gltf: Gltf, accessors: Accessors, name: str, limits: ObjectLimits) -> list[Placed]:
+    """Walk the scene's nodes; returns each placed mesh. Raises ObjectError."""
+    limits.check("nodes", len(gltf.nodes), name)
+    if gltf.scenes and gltf.scene >= len(gltf.scenes):
+        raise ObjectError(f"{name}: scene {gltf.scene} of {len(gltf.scenes)} does not exist")
+    children = {child for node in gltf.nodes for child in node.children}
+    roots = gltf.scenes[gltf.scene].nodes if gltf.scenes else sorted(set(range(len(gltf.nodes))) - children)
+    transforms = _transforms(gltf, roots, name, limits)
+    placed: list[Placed] = []
+    for index, transform in transforms.items():
+        node = gltf.nodes[index]
+        if node.mesh is None:
+            continue
+        if node.mesh >= len(gltf.meshes):
+            raise ObjectError(f"{name}: node {index} names mesh {node.mesh} of {len(gltf.meshes)}")
+        weights = tuple(node.weights or gltf.meshes[node.mesh].weights)
+        joints = None
+        if node.skin is not None:
+            joints = _joint_matrices(gltf, accessors, node.skin, transforms, f"{name}: skin {node.skin}")
+        for instance in _instances(node, accessors, f"{name}: node {index}", limits):
+            placed.append(Placed(node.mesh, transform @ instance, joints, weights))
+    return placed
+
+
+def _transforms(gltf: Gltf, roots: list[int], name: str, limits: ObjectLimits) -> dict[int, Float[np.ndarray, "4 4"]]:
+    """Return the transform to the root of each node of the scene, in order."""
+    queue = [(root, np.eye(4), 1) for root in reversed(roots)]
+    found: dict[int, np.ndarray] = {}
+    while queue:
+        index, above, depth = queue.pop()
+        if index >= len(gltf.nodes):
+            raise ObjectError(f"{name}: node {index} of {len(gltf.nodes)} does not exist")
+        if index in found:
+            raise ObjectError(f"{name}: node {index} has two parents or is its own; nodes must form trees")
+        limits.check("node_depth", depth, name)
+        node = gltf.nodes[index]
+        found[index] = above @ _local(node)
+        queue.extend((child, found[index], depth + 1) for child in reversed(node.children))
+    return found
+
+
+def _local(node: Node) -> Float[np.ndarray, "4 4"]:
+    if node.matrix is not None:
+        return np.array(node.matrix, np.float64).reshape(4, 4).T
+    return _composed(np.array(node.translation), np.array(node.rotation), np.array(node.scale))
+
+
+def _composed(
+    translation: Float[np.ndarray, "3"], rotation: Float[np.ndarray, "4"], scale: Float[np.ndarray, "3"]
+) -> Float[np.ndarray, "4 4"]:
+    x, y, z, w = rotation / max(float(np.linalg.norm(rotation)), 1e-12)
+    transform = np.eye(4)
+    transform[:3, :3] = [
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ]
+    transform[:3, :3] *= scale
+    transform[:3, 3] = translation
+    return transform
+
+
+def _instances(node: Node, accessors: Accessors, label: str, limits: ObjectLimits) -> list[Float[np.ndarray, "4 4"]]:
+    """Return the transforms of EXT_mesh_gpu_instancing, or the identity alone."""
+    attributes = node.extensions.get(_INSTANCING, {}).get("attributes") if node.extensions else None
+    if not isinstance(attributes, dict) or not attributes:
+        return [np.eye(4)]
+    defaults = {"TRANSLATION": ("VEC3", [0.0] * 3), "ROTATION": ("VEC4", [0.0, 0, 0, 1]), "SCALE": ("VEC3", [1.0] * 3)}
+    given = {key: index for key, index in attributes.items() if key in defaults and isinstance(index, int)}
+    if not given:
+        return [np.eye(4)]
+    count = accessors.declared(next(iter(given.values())), label).count
+    limits.check("parts", count, label)
+    values = {
+        key: accessors.floats(given[key], kind, count, f"{label}: {key}")
+        if key in given
+        else np.tile(value, (count, 1))
+        for key, (kind, value) in defaults.items()
+    }
+    rows = zip(values["TRANSLATION"], values["ROTATION"], values["SCALE"], strict=True)
+    return [_composed(*(np.asarray(value, np.float64) for value in row)) for row in rows]
+
+
+def _joint_matrices(
+    gltf: Gltf, accessors: Accessors, index: int, transforms: dict[int, Float[np.ndarray, "4 4"]], label: str
+) -> Float[np.ndarray, "j 4 4"]:
+    """Return what each joint does to a vertex, in the pose of the nodes: glTF ignores the mesh's own node."""
+    if index >= len(gltf.skins):
+        raise ObjectError(f"{label} of {len(gltf.skins)} does not exist")
+    skin = gltf.skins[index]
+    if not skin.joints or any(joint not in transforms for joint in skin.joints):
+        raise ObjectError(f"{label}: a joint is not a node of the scene")
+    matrices = np.stack([transforms[joint] for joint in skin.joints])
+    if skin.inverseBindMatrices is None:
+        return matrices
+    binds = accessors.floats(skin.inverseBindMatrices, "MAT4", len(skin.joints), f"{label}: inverseBindMatrices")
+    return matrices @ binds.astype(np.float64).reshape(-1, 4, 4).transpose(0, 2, 1)

@@ -1,0 +1,312 @@
+"""Read GLB and glTF files: primitives of the scene's nodes as meshes with materials.
+
+Normals that a primitive does not state are flat (glTF 3.7.2.1). Skins are posed by their joints, morph targets by their
+default weights. What is left out is noted.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from jaxtyping import Float, Float32, Int64
+
+from roomlight.compositing.objects.gltf.accessors import Accessors
+from roomlight.compositing.objects.gltf.container import buffer_views, json_size, parsed, split
+from roomlight.compositing.objects.gltf.draco import DRACO, decode_draco, draco_available
+from roomlight.compositing.objects.gltf.images import Images
+from roomlight.compositing.objects.gltf.materials import MaterialReader, Surface
+from roomlight.compositing.objects.gltf.nodes import Placed, placed_meshes
+from roomlight.compositing.objects.gltf.schema import Gltf, Primitive
+from roomlight.compositing.objects.limits import ObjectLimits
+from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.shading import shaded_mesh, with_vertex_colours
+from roomlight.compositing.objects.virtual_object import TriangleMesh
+from roomlight.errors import ObjectError
+from roomlight.notes import Note, distinct
+
+Parts = tuple[tuple[TriangleMesh, Material], ...]
+
+SUPPORTED_EXTENSIONS: Final = frozenset(
+    {
+        *("KHR_materials_transmission", "KHR_materials_ior", "KHR_materials_specular", "KHR_materials_unlit"),
+        *("KHR_materials_emissive_strength", "KHR_materials_pbrSpecularGlossiness", "KHR_texture_transform"),
+        *("KHR_mesh_quantization", "EXT_mesh_gpu_instancing", "EXT_texture_webp", "EXT_texture_avif", DRACO),
+    }
+)
+_LOOKS: Final = ("KHR_materials_", "EXT_materials_", "KHR_texture_", "EXT_texture_", "KHR_lights_", "EXT_lights_")
+_HARMLESS: Final = ("KHR_xmp", "KHR_animation", "EXT_structural", "EXT_mesh_features", "KHR_audio", "KHR_interactivity")
+_EFFECTS: Final = {
+    "KHR_materials_clearcoat": "the coat's highlights are missing",
+    "KHR_materials_sheen": "cloth has no soft rim",
+    "KHR_materials_volume": "glass is tinted at its surfaces, not by its depth",
+    "KHR_materials_iridescence": "there are no colours of thin films",
+    "KHR_materials_anisotropy": "highlights are round",
+    "KHR_materials_dispersion": "glass does not split colours",
+    "KHR_materials_diffuse_transmission": "thin surfaces let no light through",
+    "KHR_materials_variants": "the first variant is shown",
+    "KHR_texture_basisu": "textures without a PNG or JPEG are missing",
+    "KHR_lights_punctual": "its lamps give no light",
+}
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+
+
+@dataclass(frozen=True, eq=False)
+class _Arrays:
+    """The values of a primitive."""
+
+    points: Float32[np.ndarray, "n 3"]
+    faces: Int64[np.ndarray, "f 3"]
+    normals: Float32[np.ndarray, "n 3"] | None
+    tangents: Float32[np.ndarray, "n 4"] | None
+    uvs: Float32[np.ndarray, "n 2"] | None
+    colours: Float32[np.ndarray, "n 4"] | None
+
+
+def read_gltf(data: bytes, name: str, limits: ObjectLimits) -> tuple[Parts, tuple[Note, ...]]:
+    """Read a GLB or glTF file; see `roomlight.compositing.objects.loading`. Raises ObjectError."""
+    text, binary = split(data, name)
+    limits.check("json_bytes", json_size(text), name)
+    clamped: list[str] = []
+    gltf = parsed(text, name, clamped)
+    notes = _extension_notes(gltf, name)
+    views = buffer_views(gltf, binary, name)
+    accessors = Accessors(gltf, views)
+    placed = placed_meshes(gltf, accessors, name, limits)
+    reader = _PrimitiveReader(gltf, accessors, views, name)
+    reader.check_amounts(placed, limits)
+    limits.check("materials", len(gltf.materials), name)
+    materials = MaterialReader(Images(gltf, views, name, limits), clamped)
+    surfaces: dict[int, Surface] = {}
+    parts: list[tuple[TriangleMesh, Material]] = []
+    for one in placed:
+        for index in reader.drawn(one.mesh):
+            label = f"{name}: mesh {one.mesh}, primitive {index}"
+            primitive = gltf.meshes[one.mesh].primitives[index]
+            if primitive.material >= len(gltf.materials):
+                raise ObjectError(f"{label}: material {primitive.material} of {len(gltf.materials)} does not exist")
+            if primitive.material not in surfaces:
+                number = primitive.material
+                surfaces[number] = (
+                    materials.surface(gltf.materials[number], f"{name}: materials.{number}")
+                    if number >= 0
+                    else Surface(Material(base_colour=(1.0, 1.0, 1.0), metallic=1.0))
+                )
+            surface = surfaces[primitive.material]
+            try:
+                mesh, material, more = reader.part(one, primitive, surface, label)
+            except ObjectError as error:
+                message = str(error)
+                raise ObjectError(message if message.startswith(name) else f"{label}: {message}") from error
+            parts.append((mesh, material))
+            notes.extend(more)
+    for surface in surfaces.values():
+        notes.extend(surface.notes)
+    if clamped:
+        notes.append(Note(f"{name}: {', '.join(clamped[:4])}", "clamped to 0 to 1", "nothing to do if it looks right"))
+    return tuple(parts), distinct(notes)
+
+
+def _extension_notes(gltf: Gltf, name: str) -> list[Note]:
+    """Refuse what geometry needs and is not read; note what only looks need."""
+    for key in sorted(set(gltf.extensionsRequired) - SUPPORTED_EXTENSIONS):
+        if not key.startswith((*_LOOKS, *_HARMLESS)):
+            raise ObjectError(f"{name}: needs the extension {key[:60]!r}, which is not read; export without it")
+    if DRACO in gltf.extensionsRequired and not draco_available():
+        raise ObjectError(f"{name}: needs {DRACO}: pip install 'roomlight[draco]', or export without compression")
+    notes: list[Note] = []
+    for key in sorted(set(gltf.extensionsUsed) - SUPPORTED_EXTENSIONS):
+        if key.startswith(_HARMLESS):
+            continue
+        effect = _EFFECTS.get(key, "it is not read")
+        notes.append(Note(f"{name}: the extension {key[:60]}", effect, "bake it into the base material if it matters"))
+    if gltf.animations:
+        notes.append(
+            Note(f"{name}: its animations", "the object stands in its pose at rest", "export the pose you want")
+        )
+    if len(gltf.scenes) > 1:
+        notes.append(Note(f"{name}: {len(gltf.scenes)} scenes", f"scene {gltf.scene} is shown", "export one scene"))
+    return notes
+
+
+class _PrimitiveReader:
+    """Decodes primitives; one of several nodes is decoded once."""
+
+    def __init__(self, gltf: Gltf, accessors: Accessors, views: list[memoryview], name: str) -> None:
+        self._gltf, self._accessors, self._views, self._name = gltf, accessors, views, name
+        self._decoded: dict[tuple[int, int], _Arrays] = {}
+
+    def drawn(self, mesh: int) -> list[int]:
+        """Return the primitives of a mesh that have a surface; points, lines and empty ones have none."""
+        return [
+            index
+            for index, one in enumerate(self._gltf.meshes[mesh].primitives)
+            if one.mode >= _TRIANGLES and "POSITION" in one.attributes and self._corners(one, mesh) >= 3
+        ]
+
+    def check_amounts(self, placed: list[Placed], limits: ObjectLimits) -> None:
+        """Refuse more parts, vertices and triangles than the limits, and none. Raises ObjectError."""
+        parts = vertices = triangles = 0
+        amounts: dict[int, tuple[int, int, int]] = {}
+        for one in placed:
+            if one.mesh not in amounts:
+                drawn = [self._gltf.meshes[one.mesh].primitives[index] for index in self.drawn(one.mesh)]
+                label = f"{self._name}: mesh {one.mesh}"
+                points = [self._accessors.declared(each.attributes["POSITION"], label).count for each in drawn]
+                corners = [self._corners(each, one.mesh) for each in drawn]
+                faces = [n // 3 if each.mode == _TRIANGLES else n - 2 for each, n in zip(drawn, corners, strict=True)]
+                amounts[one.mesh] = len(drawn), sum(points), sum(faces)
+            amount = amounts[one.mesh]
+            parts, vertices, triangles = parts + amount[0], vertices + amount[1], triangles + amount[2]
+        if parts == 0:
+            raise ObjectError(
+                f"{self._name}: no node of the scene has a mesh of triangles; there is no surface to light"
+            )
+        limits.check("parts", parts, self._name)
+        limits.check("vertices", vertices, self._name)
+        limits.check("triangles", triangles, self._name)
+
+    def part(
+        self, placed: Placed, one: Primitive, surface: Surface, label: str
+    ) -> tuple[TriangleMesh, Material, list[Note]]:
+        """Return a primitive as it stands in the scene, with its material. Raises ObjectError."""
+        arrays = self._arrays(one, surface, label)
+        points, normals = self._morphed(arrays, one, placed.weights, label)
+        transform, notes = placed.transform, list[Note]()
+        if placed.joints is not None:
+            blended = self._blended(one, placed.joints, len(points), label)
+            points = np.einsum("nij,nj->ni", blended[:, :3, :3], points) + blended[:, :3, 3]
+            normals = None if normals is None else _skinned_normals(blended, normals)
+            transform = np.eye(4)
+        uvs = arrays.uvs
+        if uvs is not None and not surface.repeats and (uvs.min() < -0.01 or uvs.max() > 1.01):
+            notes.append(
+                Note(
+                    f"{label}: a texture that is clamped or mirrored outside 0 to 1", "it repeats", "keep uv in 0 to 1"
+                )
+            )
+        points = points.astype(np.float32)
+        if normals is None:
+            # the corners' colours follow their vertices through the split
+            mesh, colours = _flat(points, arrays)
+        else:
+            mesh, colours = TriangleMesh.build(points, arrays.faces, normals=normals, uvs=uvs), arrays.colours
+            if arrays.tangents is not None:
+                tangents = np.clip(arrays.tangents, -1, 1)
+                mesh = TriangleMesh(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces, tangents)
+        material = surface.material
+        if colours is not None:
+            mesh, material, kept = with_vertex_colours(mesh, colours, material)
+            if not kept:
+                notes.append(
+                    Note(f"{label}: its vertex colours", "their mean tints the textures", "bake them into the texture")
+                )
+        return mesh.transformed(transform), material, notes
+
+    def _corners(self, one: Primitive, mesh: int) -> int:
+        index = one.attributes.get("POSITION") if one.indices is None else one.indices
+        return self._accessors.declared(index, f"{self._name}: mesh {mesh}").count
+
+    def _arrays(self, one: Primitive, surface: Surface, label: str) -> _Arrays:
+        key = id(one), surface.uv_set
+        if key in self._decoded:
+            return self._decoded[key]
+        count = self._accessors.declared(one.attributes["POSITION"], f"{label}: POSITION").count
+        packed = decode_draco(one, self._views, count, label)
+        read = self._accessors.floats
+
+        def values(attribute: str, kind: str | tuple[str, ...]) -> Float32[np.ndarray, "n c"] | None:
+            if packed is not None and attribute in packed:
+                return packed[attribute]
+            if attribute not in one.attributes:
+                return None
+            return read(one.attributes[attribute], kind, count, f"{label}: {attribute}")
+
+        points = values("POSITION", "VEC3")
+        assert points is not None
+        normals, tangents = values("NORMAL", "VEC3"), values("TANGENT", "VEC4")
+        if normals is not None and not np.isfinite(normals).all():
+            raise ObjectError(f"{label}: a normal is not a finite number")
+        uvs = values(f"TEXCOORD_{surface.uv_set}", "VEC2")
+        if uvs is not None:
+            transform = np.array(surface.uv_transform)
+            uvs = (uvs @ transform[:, :2].T + transform[:, 2]).astype(np.float32)
+        colours = values("COLOR_0", ("VEC3", "VEC4"))
+        if colours is not None:
+            opaque = np.ones((count, 1), np.float32)
+            colours = np.clip(np.nan_to_num(np.concatenate([colours, opaque], axis=1)[:, :4]), 0, 1)
+        faces = packed["faces"].astype(np.int64) if packed is not None else self._faces(one, count, label)
+        if len(faces) and int(faces.max()) >= count:
+            raise ObjectError(f"{label}: an index points at vertex {int(faces.max())} of {count}")
+        self._decoded[key] = _Arrays(points, faces, normals, tangents, uvs, colours)
+        return self._decoded[key]
+
+    def _faces(self, one: Primitive, count: int, label: str) -> Int64[np.ndarray, "f 3"]:
+        if one.indices is None:
+            corners = np.arange(count)
+        else:
+            corners = self._accessors.integers(one.indices, "SCALAR", f"{label}: indices")[:, 0].astype(np.int64)
+        if one.mode == _TRIANGLES:
+            return corners[: len(corners) // 3 * 3].reshape(-1, 3)  # viewers leave out an incomplete triangle
+        if one.mode == _FAN:
+            first = np.full(len(corners) - 2, corners[0])
+            return np.stack([first, corners[1:-1], corners[2:]], axis=1)
+        strip = np.stack([corners[:-2], corners[1:-1], corners[2:]], axis=1)
+        strip[1::2] = strip[1::2][:, [1, 0, 2]]
+        distinct_corners = (strip[:, 0] != strip[:, 1]) & (strip[:, 1] != strip[:, 2]) & (strip[:, 0] != strip[:, 2])
+        return strip[distinct_corners]
+
+    def _morphed(
+        self, arrays: _Arrays, one: Primitive, weights: tuple[float, ...], label: str
+    ) -> tuple[Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"] | None]:
+        points, normals = arrays.points.astype(np.float64), arrays.normals
+        for weight, target in zip(weights, one.targets, strict=False):
+            for key in ("POSITION", "NORMAL") if weight else ():
+                if key not in target:
+                    continue
+                change = weight * self._accessors.floats(target[key], "VEC3", len(points), f"{label}: target {key}")
+                if key == "POSITION":
+                    points = points + change
+                elif normals is not None:
+                    normals = normals + change
+        return points, normals
+
+    def _blended(
+        self, one: Primitive, joints: Float[np.ndarray, "j 4 4"], count: int, label: str
+    ) -> Float[np.ndarray, "n 4 4"]:
+        """Return what the joints do to each vertex."""
+        total, share = np.zeros((count, 4, 4)), np.zeros(count)
+        for index in range(8):
+            if f"JOINTS_{index}" not in one.attributes or f"WEIGHTS_{index}" not in one.attributes:
+                break
+            which = self._accessors.integers(one.attributes[f"JOINTS_{index}"], "VEC4", f"{label}: joints")
+            weights = self._accessors.floats(one.attributes[f"WEIGHTS_{index}"], "VEC4", count, f"{label}: weights")
+            if which.shape != weights.shape or int(which.max(initial=0)) >= len(joints):
+                raise ObjectError(f"{label}: a vertex names joint {int(which.max(initial=0))} of {len(joints)}")
+            for corner in range(4):
+                total += weights[:, corner, None, None] * joints[which[:, corner].astype(np.int64)]
+                share += weights[:, corner]
+        if not np.isfinite(total).all() or not (share > 0).all():
+            raise ObjectError(f"{label}: a vertex of a skin has no joint")
+        return total / share[:, None, None]
+
+
+def _flat(
+    points: Float32[np.ndarray, "n 3"], arrays: _Arrays
+) -> tuple[TriangleMesh, Float32[np.ndarray, "m 4"] | None]:
+    """Give each triangle its own corners and normal. Raises ObjectError."""
+    if arrays.colours is None:
+        return shaded_mesh(points, arrays.faces, uvs=arrays.uvs, crease_deg=0.0), None
+    corners = arrays.faces.reshape(-1)
+    uvs = None if arrays.uvs is None else arrays.uvs[corners]
+    split_points, faces = points[corners], np.arange(len(corners)).reshape(-1, 3)
+    # on split corners the smooth normal is the face's
+    return TriangleMesh.build(split_points, faces, uvs=uvs), arrays.colours[corners]
+
+
+def _skinned_normals(
+    blended: Float[np.ndarray, "n 4 4"], normals: Float[np.ndarray, "n 3"]
+) -> Float[np.ndarray, "n 3"]:
+    """Turn normals by the cofactors, which exist where a joint flattens too."""
+    m = blended[:, :3, :3]
+    cofactors = np.stack([np.cross(m[:, 1], m[:, 2]), np.cross(m[:, 2], m[:, 0]), np.cross(m[:, 0], m[:, 1])], axis=1)
+    return np.einsum("nij,nj->ni", cofactors, normals)

@@ -1,0 +1,101 @@
+"""Meshes from what files hold: normals that are not stated, and colours at vertices as texels."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float, Float32, Int32, Int64
+
+from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.polygons import CREASE_DEG, corner_normals, row_keys
+from roomlight.compositing.objects.textures import MAX_TEXTURE_SIZE, Texture
+from roomlight.compositing.objects.virtual_object import TriangleMesh
+
+_SAME = 1 / 512
+_TEXELS = 16
+
+
+def shaded_mesh(
+    points: Float[np.ndarray, "n 3"],
+    faces: Int64[np.ndarray, "f 3"],
+    *,
+    uvs: Float[np.ndarray, "n 2"] | None = None,
+    crease_deg: float = CREASE_DEG,
+    groups: Int32[np.ndarray, " f"] | None = None,
+) -> TriangleMesh:
+    """Make a mesh whose file states no normals; see `roomlight.compositing.objects.polygons.corner_normals`.
+
+    Raises:
+        ObjectError: As `TriangleMesh`.
+    """
+    texture = np.zeros((len(points), 2), np.float32) if uvs is None else uvs.astype(np.float32)
+    TriangleMesh.build(points, faces, uvs=texture)  # checks indices and coordinates before they are used
+    normals = corner_normals(points, faces, crease_deg=crease_deg, groups=groups)
+    corners = faces.reshape(-1)
+    return joined_corners(points[corners], texture[corners], normals, None)[0]
+
+
+def joined_corners(
+    points: Float[np.ndarray, "c 3"],
+    uvs: Float[np.ndarray, "c 2"],
+    normals: Float[np.ndarray, "c 3"],
+    colours: Float[np.ndarray, "c 4"] | None,
+) -> tuple[TriangleMesh, Float32[np.ndarray, "n 4"] | None]:
+    """Make a mesh from the corners of its triangles in order; corners that are alike share a vertex.
+
+    Raises:
+        ObjectError: As `TriangleMesh`.
+    """
+    columns = [points, uvs, normals] + ([] if colours is None else [colours])
+    rows = np.concatenate([np.asarray(column, np.float32) for column in columns], axis=1)
+    _, first, index = np.unique(row_keys(rows), return_index=True, return_inverse=True)
+    in_order = np.argsort(first)
+    rank = np.empty(len(first), np.int64)
+    rank[in_order] = np.arange(len(first))
+    kept = rows[first[in_order]]
+    mesh = TriangleMesh.build(kept[:, :3], rank[index].reshape(-1, 3), normals=kept[:, 5:8], uvs=kept[:, 3:5])
+    return mesh, None if colours is None else kept[:, 8:]
+
+
+def with_vertex_colours(
+    mesh: TriangleMesh, colours: Float32[np.ndarray, "n 4"], material: Material
+) -> tuple[TriangleMesh, Material, bool]:
+    """Multiply a material by linear colours at the vertices.
+
+    One colour goes into the factors. Others become texels, a square for each triangle that bilinear filtering reads as
+    the triangle's linear interpolation; squares are as fine as `MAX_TEXTURE_SIZE` allows, because texels beyond the
+    diagonal are clipped to 0 to 1. A material that has textures keeps them, with the mean colour.
+
+    Returns:
+        The mesh, its material, and whether all colours are kept.
+    """
+    used = colours[mesh.faces.reshape(-1)]
+    mean = used.mean(axis=0)
+    count = len(mesh.faces)
+    across = math.ceil(math.sqrt(count))
+    texels = min(_TEXELS, MAX_TEXTURE_SIZE // across)
+    textured = (material.base_colour_texture, material.metallic_roughness_texture, material.normal_texture)
+    uniform = bool(np.abs(used - mean).max() < _SAME)
+    if uniform or any(one is not None for one in textured) or texels < 2:
+        return mesh, _tinted(material, mean), uniform
+    steps = np.arange(texels, dtype=np.float32) / np.float32(texels - 1)
+    b, c = np.meshgrid(steps, steps)
+    weights = np.stack([1 - b - c, b, c], axis=-1)  # of the corners, at each texel
+    column, row = np.arange(count) % across, np.arange(count) // across
+    tiles = np.zeros((across * across, texels, texels, 4), np.float32)
+    tiles[:count] = np.einsum("vuk,fkc->fvuc", weights, used.reshape(count, 3, 4))
+    side = across * texels
+    image = tiles.reshape(across, across, texels, texels, 4).transpose(0, 2, 1, 3, 4).reshape(side, side, 4)
+    places = np.array([[0.5, 0.5], [texels - 0.5, 0.5], [0.5, texels - 0.5]])  # centres of the tile's corner texels
+    uvs = (np.stack([column, row], axis=1)[:, None] * texels + places) / side
+    at = mesh.faces.reshape(-1)
+    corners = np.arange(3 * count, dtype=np.int32).reshape(-1, 3)
+    split = TriangleMesh(mesh.vertices[at], mesh.normals[at], uvs.reshape(-1, 2).astype(np.float32), corners)
+    return split, replace(material, base_colour_texture=Texture.from_linear(image)), True
+
+
+def _tinted(material: Material, colour: Float32[np.ndarray, "4"]) -> Material:
+    red, green, blue = (
+        min(1.0, base * float(tint)) for base, tint in zip(material.base_colour, colour[:3], strict=True)
+    )
+    return replace(material, base_colour=(red, green, blue), opacity=min(1.0, material.opacity * float(colour[3])))

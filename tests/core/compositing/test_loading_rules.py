@@ -1,0 +1,507 @@
+"""Objects are read as viewers read them: shading, polygons, colours, extensions, lenient files; the rest is noted."""
+
+import io
+import json
+import struct
+
+import cv2
+import numpy as np
+import pytest
+from gltf_files import QUAD, QUAD_FACES, QUAD_UVS, GltfFile, packed, textured_quad
+from PIL import Image
+
+from roomlight.compositing.objects.gltf.materials import metal_of
+from roomlight.compositing.objects.loading import load_object
+from roomlight.compositing.objects.materials import Material
+from roomlight.compositing.objects.polygons import ear_clipped
+from roomlight.compositing.objects.textures import Texture
+from roomlight.compositing.objects.virtual_object import TriangleMesh, VirtualObject
+from roomlight.errors import ObjectError
+
+CUBE = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], np.float32)
+CUBE_QUADS = [[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]]
+CUBE_FACES = [corner for a, b, c, d in CUBE_QUADS for corner in ([a, b, c], [a, c, d])]
+L_SHAPE = [[0, 0, 0], [2, 0, 0], [2, 0, -1], [1, 0, -1], [1, 0, -2], [0, 0, -2]]
+
+
+def area(one: VirtualObject) -> float:
+    return sum(0.5 * float(np.linalg.norm(normals_of(mesh), axis=1).sum()) for mesh, _ in one.parts)
+
+
+def normals_of(mesh: TriangleMesh) -> np.ndarray:
+    a, b, c = (mesh.vertices[mesh.faces[:, corner]].astype(np.float64) for corner in range(3))
+    return np.cross(b - a, c - a)
+
+
+def bend_deg(one: VirtualObject) -> float:
+    """The largest angle between a corner's normal and its face's."""
+    ((mesh, _),) = one.parts
+    unit = normals_of(mesh) / np.linalg.norm(normals_of(mesh), axis=1, keepdims=True)
+    return float(np.degrees(np.arccos(np.clip((mesh.normals[mesh.faces] * unit[:, None]).sum(-1), -1, 1))).max())
+
+
+def cube_gltf(material: dict | None = None, **extra: object) -> GltfFile:
+    file = GltfFile()
+    number = None if material is None else file.material(**material)
+    file.node(mesh=file.mesh(CUBE, CUBE_FACES, material=number))
+    file.tree.update(extra)
+    return file
+
+
+def ply(vertices: np.ndarray, polygons: list[list[int]], kind: str, extra: str = "", rows: list | None = None) -> bytes:
+    """A PLY of polygons; `extra` is a property line of the vertices with `rows` of its values."""
+    endings = {"ascii": "ascii 1.0", "<": "binary_little_endian 1.0", ">": "binary_big_endian 1.0"}
+    head = f"ply\nformat {endings[kind]}\ncomment made\nelement vertex {len(vertices)}\n"
+    head += "property float x\nproperty float y\nproperty float z\n" + extra
+    head += f"element face {len(polygons)}\nproperty list uchar uint vertex_indices\nend_header\n"
+    if kind == "ascii":
+        lines = [" ".join(map(str, [*v.tolist(), *(rows[i] if rows else [])])) for i, v in enumerate(vertices)]
+        lines += [" ".join(map(str, [len(one), *one])) for one in polygons]
+        return (head + "\n".join(lines) + "\n").encode()
+    body = b"".join(
+        np.asarray(v, kind + "f4").tobytes() + (bytes(rows[i]) if rows else b"") for i, v in enumerate(vertices)
+    )
+    body += b"".join(bytes([len(one)]) + np.array(one, kind + "u4").tobytes() for one in polygons)
+    return head.encode() + body
+
+
+# Shading and polygons
+
+
+def test_gltf_without_normals_is_flat() -> None:
+    assert bend_deg(load_object(cube_gltf().glb())) < 0.01
+    coloured = cube_gltf()
+    attributes = coloured.tree["meshes"][0]["primitives"][0]["attributes"]
+    attributes["COLOR_0"] = coloured.accessor(np.linspace(0, 1, 24, dtype=np.float32).reshape(8, 3), "VEC3", 5126)
+    assert bend_deg(load_object(coloured.glb())) < 0.01
+
+
+def obj_of(vertices: np.ndarray, faces: list[list[int]], before: str = "") -> bytes:
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [before]
+    return "\n".join([*lines, *("f " + " ".join(str(i + 1) for i in face) for face in faces)]).encode()
+
+
+def sphere(steps: int) -> tuple[np.ndarray, list[list[int]]]:
+    turns, tilts = np.meshgrid(
+        np.linspace(0, 2 * np.pi, 2 * steps + 1)[:-1], np.linspace(0.05, np.pi - 0.05, steps + 1)
+    )
+    points = np.stack([np.sin(tilts) * np.cos(turns), np.cos(tilts), np.sin(tilts) * np.sin(turns)], axis=-1)
+    across = 2 * steps
+    quads = [
+        [
+            row * across + column,
+            row * across + (column + 1) % across,
+            (row + 1) * across + (column + 1) % across,
+            (row + 1) * across + column,
+        ]
+        for row in range(steps)
+        for column in range(across)
+    ]
+    return points.reshape(-1, 3), quads
+
+
+@pytest.mark.parametrize("kind", ["obj", "ascii", "<", ">"])
+def test_cubes_are_sharp_and_scans_are_smooth(kind: str) -> None:
+    for (points, quads), sharp in (((CUBE, CUBE_QUADS), True), (sphere(10), False)):
+        data = obj_of(points, quads) if kind == "obj" else ply(np.asarray(points), quads, kind)
+        one = load_object(data, "obj" if kind == "obj" else None)
+        if sharp:
+            assert bend_deg(one) < 0.01
+            assert area(one) == pytest.approx(6)
+        else:
+            ((mesh, _),) = one.parts
+            outward = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1, keepdims=True)
+            assert np.abs((mesh.normals * outward).sum(1)).min() > np.cos(np.radians(10))  # the open rims
+
+
+def test_smoothing_groups_decide_in_obj() -> None:
+    assert bend_deg(load_object(obj_of(CUBE, CUBE_QUADS, "s 1"), "obj")) == pytest.approx(54.7, abs=12)
+    points, quads = sphere(10)
+    assert bend_deg(load_object(obj_of(points, quads, "s off"), "obj")) < 2  # quads bend a little
+
+
+@pytest.mark.parametrize("start", range(6))
+@pytest.mark.parametrize("way", [1, -1])
+def test_concave_polygons_are_cut_within_their_outline(start: int, way: int) -> None:
+    outline = list(np.roll(range(6), start))[::way]
+    data = obj_of(np.array(L_SHAPE), [outline])
+    assert area(load_object(data, "obj")) == pytest.approx(3)
+    for kind in ("ascii", "<"):
+        assert area(load_object(ply(np.array(L_SHAPE), [outline], kind))) == pytest.approx(3)
+    normal = normals_of(load_object(data, "obj").parts[0][0]).sum(0)
+    assert normal[1] * way > 0
+
+
+def test_ears_of_a_star() -> None:
+    angle = np.arange(20) * np.pi / 10
+    radius = np.where(np.arange(20) % 2, 0.4, 1.0)
+    star = np.stack([radius * np.cos(angle), np.zeros(20), -radius * np.sin(angle)], axis=1)
+    triangles = star[ear_clipped(star)]
+    areas = 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    assert areas.sum() == pytest.approx(0.5 * 20 * 0.4 * np.sin(np.pi / 10))
+    concave = np.array([[0, 0, 0], [2, 0, 0.0], [0.5, 0, -0.5], [0, 0, -2]])
+    data = obj_of(concave, [[3, 0, 1, 2]])
+    assert area(load_object(data, "obj")) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("kind", ["ascii", "<", ">"])
+def test_ply_of_quads_and_triangles_with_colours(kind: str) -> None:
+    points = np.array([*QUAD, [2, 0, 0], [3, 0, 0]])
+    extra = "property uchar red\nproperty uchar green\nproperty uchar blue\n"
+    one = load_object(ply(points, [[0, 1, 2, 3], [1, 4, 2], [4, 5, 2]], kind, extra, [[255, 0, 0]] * 6))
+    assert area(one) == pytest.approx(2.0)
+    ((_, material),) = one.parts
+    assert material.base_colour == pytest.approx((1, 0, 0))
+
+
+def test_ply_with_windows_line_ends_edges_and_corner_coordinates() -> None:
+    head = b"ply\r\nformat ascii 1.0\r\ncomment TextureFile a.png\r\nelement vertex 3\r\n"
+    head += b"property double x\r\nproperty double y\r\nproperty double z\r\nelement face 1\r\n"
+    head += b"property list uchar int vertex_index\r\nproperty list uchar float texcoord\r\n"
+    head += b"element edge 1\r\nproperty int vertex1\r\nproperty int vertex2\r\nend_header\r\n"
+    one = load_object(head + b"0 0 0\r\n1 0 0\r\n0 1 0\r\n3 0 1 2 6 0 0 1 0 0 1\r\n0 1\r\n")
+    ((mesh, _),) = one.parts
+    np.testing.assert_allclose(mesh.uvs, [[0, 1], [1, 1], [0, 0]])
+    assert "a.png" in one.notes[0].left_out
+
+
+def test_obj_of_spreadsheets_and_scanners() -> None:
+    """A byte order mark, Windows line ends, tabs, negative indices, colours and a continued line."""
+    text = "\ufeffmtllib a.mtl\r\nv\t0 0 0 1 0 0\r\nv 1 0 0 1 0 0\r\nv 1 1 0 1 0 0\r\nv 0 1 0 1 0 0\r\n"
+    text += "f -4 -3 \\\r\n -2 -1\r\n"
+    one = load_object(text.encode(), "obj")
+    assert area(one) == pytest.approx(1)
+    assert one.parts[0][1].base_colour == pytest.approx((1, 0, 0))
+    assert "a.mtl" in one.notes[0].left_out
+
+
+# Vertex colours
+
+
+def test_vertex_colours_interpolate_as_triangles_do() -> None:
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES, normals=[[0, 0, 1]] * 4)
+    colours = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 1]], np.float32)
+    file.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = file.accessor(colours, "VEC3", 5126)
+    file.node(mesh=mesh)
+    ((made, material),) = load_object(file.glb()).parts
+    assert material.base_colour_texture is not None
+    texels = material.base_colour_texture.texels[..., :3] / 65535
+    for face, original in zip(made.faces, QUAD_FACES, strict=True):
+        for weights in ([1, 0, 0], [0, 0, 1], [0.2, 0.3, 0.5], [0.4, 0.4, 0.2]):
+            u, v = np.array(weights) @ made.uvs[face]
+            found = bilinear(texels, u, v)
+            np.testing.assert_allclose(found, np.array(weights) @ colours[original], atol=0.02)
+
+
+def bilinear(texels: np.ndarray, u: float, v: float) -> np.ndarray:
+    x, y = u * texels.shape[1] - 0.5, v * texels.shape[0] - 0.5
+    i, j = int(np.floor(x)), int(np.floor(y))
+    p, q = x - i, y - j
+    a, b = texels[j, i % texels.shape[1]], texels[j, (i + 1) % texels.shape[1]]
+    c, d = (
+        texels[(j + 1) % texels.shape[0], i % texels.shape[1]],
+        texels[(j + 1) % texels.shape[0], (i + 1) % texels.shape[1]],
+    )
+    return a * (1 - p) * (1 - q) + b * p * (1 - q) + c * (1 - p) * q + d * p * q
+
+
+def test_one_vertex_colour_is_a_factor_and_several_on_a_texture_are_noted() -> None:
+    for colours, noted in ((np.full((4, 4), 32767, np.uint16), False), (np.eye(4, dtype=np.float32), True)):
+        file = textured_quad()
+        accessor = file.accessor(colours, "VEC4", 5126 if noted else 5123)
+        file.tree["accessors"][accessor]["normalized"] = not noted
+        file.tree["meshes"][0]["primitives"][0]["attributes"]["COLOR_0"] = accessor
+        one = load_object(file.glb())
+        tint = np.eye(3)[[0, 1, 2, 0, 2]].sum(0) / 6 if noted else np.full(3, 0.5)  # corners of two triangles
+        assert one.parts[0][1].base_colour == pytest.approx(tint * [1, 0.5, 0.25], abs=1e-3)
+        assert any("vertex colours" in note.left_out for note in one.notes) == noted
+
+
+# Materials
+
+
+def material_of(material: dict, **extra: object) -> tuple[Material, VirtualObject]:
+    one = load_object(cube_gltf(material, **extra).glb())
+    return one.parts[0][1], one
+
+
+def test_specular_glossiness_is_converted() -> None:
+    glossy = {"diffuseFactor": [0.1, 0.2, 0.7, 1], "specularFactor": [0.04, 0.04, 0.04], "glossinessFactor": 0.3}
+    plastic, _ = material_of({"extensions": {"KHR_materials_pbrSpecularGlossiness": glossy}})
+    assert plastic.base_colour == pytest.approx((0.1, 0.2, 0.7))
+    assert (plastic.metallic, plastic.roughness) == (0, pytest.approx(0.7))
+    gold = {"diffuseFactor": [0, 0, 0, 1], "specularFactor": [1, 0.77, 0.34], "glossinessFactor": 1}
+    metal, _ = material_of({"extensions": {"KHR_materials_pbrSpecularGlossiness": gold}})
+    assert metal.metallic == pytest.approx(1, abs=0.01)
+    assert metal.base_colour == pytest.approx((1, 0.77, 0.34), abs=0.02)
+
+
+def test_specular_glossiness_with_textures_is_converted_by_texel() -> None:
+    file = GltfFile()
+    diffuse = np.zeros((4, 4, 3), np.uint8)
+    diffuse[:, :2] = (40, 80, 200)
+    specular = np.full((4, 4, 4), 57, np.uint8)  # sRGB of 0.04
+    specular[:, 2:, :3], specular[..., 3] = 255, 51
+    glossy = {
+        "diffuseTexture": {"index": file.image(diffuse)},
+        "specularGlossinessTexture": {"index": file.image(specular)},
+    }
+    number = file.material(extensions={"KHR_materials_pbrSpecularGlossiness": glossy})
+    file.node(mesh=file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, material=number))
+    ((_, material),) = load_object(file.glb()).parts
+    assert material.base_colour_texture is not None
+    assert material.metallic_roughness_texture is not None
+    base, values = material.base_colour_texture.texels / 65535, material.metallic_roughness_texture.texels / 65535
+    np.testing.assert_allclose(base[0, 0, :3], Texture.from_srgb8(diffuse).texels[0, 0, :3] / 65535, atol=0.01)
+    np.testing.assert_allclose(base[0, 3, :3], 1, atol=0.01)
+    np.testing.assert_allclose(values[0, [0, 3], 2], [0, 1], atol=0.02)
+    np.testing.assert_allclose(values[..., 1], 0.8, atol=0.01)
+
+
+def test_converted_metals_reflect_what_was_stated() -> None:
+    rng = np.random.default_rng(0)
+    specular = np.array([[0.9, 0.6, 0.3], [0.5, 0.5, 0.5], [0.04, 0.04, 0.04]])
+    base, metallic = metal_of(np.zeros((3, 3)), specular)
+    reflected = 0.04 * (1 - metallic[:, None]) + base * metallic[:, None]
+    np.testing.assert_allclose(reflected, specular, atol=0.06)
+    base, metallic = metal_of(rng.uniform(0, 1, (50, 3)), rng.uniform(0, 1, (50, 3)))
+    assert ((base >= 0) & (base <= 1)).all()
+    assert ((metallic >= 0) & (metallic <= 1)).all()
+
+
+@pytest.mark.parametrize(
+    ("ior", "colour", "reflectance"),
+    [
+        (0, 0.04, 0.04),
+        (1000, 0.04, 0.04),
+        (1000, 1.0, 0.996),
+        (0, 1.0, 0.996),
+        (1.5, 1.0, 0.04),
+        (1.5, 0.25, 0.01),
+        (2.4, 1, 0.1696),
+    ],
+)
+def test_reflectance_at_normal_incidence(ior: float, colour: float, reflectance: float) -> None:
+    specular = {"specularColorFactor": [colour] * 3}
+    material, _ = material_of({"extensions": {"KHR_materials_ior": {"ior": ior}, "KHR_materials_specular": specular}})
+    assert ((material.ior - 1) / (material.ior + 1)) ** 2 == pytest.approx(reflectance, rel=0.01)
+
+
+def test_unlit_surfaces_emit_their_colour() -> None:
+    file = GltfFile()
+    surface = {
+        "baseColorFactor": [0.5, 0.25, 1, 1],
+        "baseColorTexture": {"index": file.image(np.full((2, 2, 3), 255, np.uint8))},
+    }
+    number = file.material(pbrMetallicRoughness=surface, extensions={"KHR_materials_unlit": {}})
+    file.node(mesh=file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, material=number))
+    ((_, material),) = load_object(file.glb()).parts
+    assert material.emissive == (0.5, 0.25, 1)
+    assert material.emissive_texture is material.base_colour_texture
+    assert material.base_colour == (0, 0, 0)
+    assert material.specular == 0
+
+
+def test_texture_transforms_move_the_coordinates() -> None:
+    file = textured_quad()
+    pbr = file.tree["materials"][0]["pbrMetallicRoughness"]
+    moved = {"offset": [0.5, 0.25], "scale": [0.5, 2.0], "rotation": float(np.pi / 2)}
+    for info in (
+        pbr["baseColorTexture"],
+        pbr["metallicRoughnessTexture"],
+        *(file.tree["materials"][0][k] for k in ("normalTexture", "emissiveTexture")),
+    ):
+        info["extensions"] = {"KHR_texture_transform": moved}
+    one = load_object(file.glb())
+    uvs = np.array(QUAD_UVS, np.float64) * [0.5, 2.0]
+    np.testing.assert_allclose(one.parts[0][0].uvs, np.stack([uvs[:, 1] + 0.5, -uvs[:, 0] + 0.25], axis=1), atol=1e-6)
+    assert one.notes == ()
+
+
+def test_textures_of_other_coordinates_are_resampled_or_replaced_by_their_mean() -> None:
+    rng = np.random.default_rng(3)
+    colour, glow = (cv2.resize(rng.integers(0, 255, (3, 3, 3), np.uint8), (16, 16)) for _ in range(2))
+    for transform, kept in (({"scale": [2, 3]}, True), ({"scale": [0.5, 0.5]}, False), ({"texCoord": 1}, False)):
+        file = GltfFile()
+        moved = {"index": file.image(glow), "extensions": {"KHR_texture_transform": transform}}
+        number = file.material(
+            pbrMetallicRoughness={"baseColorTexture": {"index": file.image(colour)}},
+            emissiveTexture=moved,
+            emissiveFactor=[1, 1, 1],
+        )
+        file.node(mesh=file.mesh(QUAD, QUAD_FACES, uvs=QUAD_UVS, material=number))
+        one = load_object(file.glb())
+        ((_, material),) = one.parts
+        original = Texture.from_srgb8(glow).texels[..., :3] / 65535
+        if kept:
+            assert material.emissive_texture is not None
+            texels = material.emissive_texture.texels[..., :3] / 65535
+            for u, v in rng.uniform(0, 1, (20, 2)):
+                np.testing.assert_allclose(
+                    bilinear(texels, u, v), bilinear(original, (2 * u) % 1, (3 * v) % 1), atol=0.1
+                )
+            assert one.notes == ()
+        else:
+            assert material.emissive_texture is None
+            np.testing.assert_allclose(material.emissive, original.mean(axis=(0, 1)), atol=2e-3)
+            assert "emissive texture" in one.notes[0].left_out
+
+
+def test_webp_is_read_and_ktx2_is_noted() -> None:
+    file = textured_quad()
+    stream = io.BytesIO()
+    Image.fromarray(np.full((8, 8, 3), 200, np.uint8)).save(stream, "WEBP", lossless=True)
+    file.tree["images"].append({"bufferView": file.view(stream.getvalue()), "mimeType": "image/webp"})
+    file.tree["textures"][0] = {"extensions": {"EXT_texture_webp": {"source": len(file.tree["images"]) - 1}}}
+    texture = load_object(file.glb()).parts[0][1].base_colour_texture
+    assert texture is not None
+    assert texture.texels[0, 0, 0] == Texture.from_srgb8(np.full((1, 1, 3), 200, np.uint8)).texels[0, 0, 0]
+    file.tree["textures"][0] = {"extensions": {"KHR_texture_basisu": {"source": 0}}}
+    one = load_object(file.glb())
+    assert one.parts[0][1].base_colour_texture is None
+    assert any("KTX2" in note.left_out for note in one.notes)
+
+
+# Pose
+
+
+def test_skins_stand_in_the_pose_of_their_joints() -> None:
+    file = GltfFile()
+    mesh = file.mesh(CUBE, CUBE_FACES, normals=CUBE - 0.5)
+    attributes = file.tree["meshes"][0]["primitives"][0]["attributes"]
+    attributes["JOINTS_0"] = file.accessor(np.zeros((8, 4), np.uint8), "VEC4", 5121)
+    attributes["WEIGHTS_0"] = file.accessor(np.tile(np.array([1, 0, 0, 0], np.float32), (8, 1)), "VEC4", 5126)
+    bind = np.diag([100.0, 100, 100, 1]).astype(np.float32).T.reshape(1, 16)
+    file.tree["skins"] = [{"joints": [1], "inverseBindMatrices": file.accessor(bind, "MAT4", 5126)}]
+    file.node(mesh=mesh, skin=0, scale=[7, 7, 7])  # a skinned mesh ignores its own node
+    file.node(scale=[0.01, 0.01, 0.01], translation=[0, 5, 0])
+    one = load_object(file.glb())
+    np.testing.assert_allclose(one.bounds(), [[0, 5, 0], [1, 6, 1]], atol=1e-5)
+    unit = (CUBE - 0.5) / np.linalg.norm(CUBE - 0.5, axis=1, keepdims=True)
+    np.testing.assert_allclose(one.parts[0][0].normals, unit, atol=1e-5)
+    attributes["JOINTS_0"] = file.accessor(np.full((8, 4), 3, np.uint8), "VEC4", 5121)
+    file.tree["buffers"] = []
+    with pytest.raises(ObjectError, match="joint 3 of 1"):
+        load_object(file.glb())
+
+
+def test_morph_targets_and_instances_and_strips() -> None:
+    file = cube_gltf()
+    primitive = file.tree["meshes"][0]["primitives"][0]
+    primitive["targets"] = [{"POSITION": file.accessor(np.full((8, 3), 2, np.float32), "VEC3", 5126)}]
+    file.tree["meshes"][0]["weights"] = [0.5]
+    np.testing.assert_allclose(load_object(file.glb()).bounds(), [[1, 1, 1], [2, 2, 2]])
+    file = GltfFile()
+    mesh = file.mesh(QUAD, [[0, 1, 3], [2, 2, 2]])
+    file.tree["meshes"][0]["primitives"][0]["mode"] = 5
+    places = file.accessor(np.array([[0, 0, 0], [5, 0, 0]], np.float32), "VEC3", 5126)
+    file.node(mesh=mesh, extensions={"EXT_mesh_gpu_instancing": {"attributes": {"TRANSLATION": places}}})
+    one = load_object(file.glb())
+    assert len(one.parts) == 2
+    assert area(one) == pytest.approx(2)
+    assert normals_of(one.parts[0][0])[:, 2].min() > 0  # every other triangle of a strip turns round
+    np.testing.assert_allclose(one.bounds()[1], [6, 1, 0])
+
+
+def test_sparse_and_quantised_accessors() -> None:
+    file = GltfFile()
+    mesh = file.mesh(np.zeros((4, 3)), QUAD_FACES)
+    where = file.view(np.array([1, 2, 3], np.uint8).tobytes())
+    values = file.view(np.array(QUAD[1:], np.float32).tobytes())
+    file.tree["accessors"][0].pop("bufferView")
+    file.tree["accessors"][0]["sparse"] = {
+        "count": 3,
+        "indices": {"bufferView": where, "componentType": 5121},
+        "values": {"bufferView": values},
+    }
+    file.node(mesh=mesh)
+    assert area(load_object(file.glb())) == pytest.approx(1)
+    file = GltfFile()
+    mesh = file.mesh(QUAD, QUAD_FACES)
+    packed_points = np.zeros((4, 4), np.int8)
+    packed_points[:, :3] = np.array(QUAD) * 127
+    view = file.view(packed_points.tobytes(), byteStride=4)
+    file.tree["accessors"][0].update(bufferView=view, componentType=5120, normalized=True)
+    file.node(mesh=mesh)
+    assert area(load_object(file.glb())) == pytest.approx(1)
+
+
+def test_draco_meshes_are_read() -> None:
+    library = pytest.importorskip("DracoPy")
+    data = library.encode(np.asarray(CUBE, np.float64), np.asarray(CUBE_FACES, np.uint32), quantization_bits=14)
+    decoded = library.decode(data)
+    file = GltfFile()
+    stated = {"bufferView": file.view(data), "attributes": {"POSITION": decoded.attributes[0]["unique_id"]}}
+    file.tree["accessors"] = [{"componentType": 5126, "count": len(decoded.points), "type": "VEC3"}]
+    file.tree["accessors"].append({"componentType": 5125, "count": 36, "type": "SCALAR"})
+    primitive = {"attributes": {"POSITION": 0}, "indices": 1, "extensions": {"KHR_draco_mesh_compression": stated}}
+    file.tree["meshes"] = [{"primitives": [primitive]}]
+    file.tree["extensionsRequired"] = file.tree["extensionsUsed"] = ["KHR_draco_mesh_compression"]
+    file.node(mesh=0)
+    one = load_object(file.glb())
+    assert area(one) == pytest.approx(6, rel=1e-3)
+    assert bend_deg(one) < 0.1
+    file.content[8:40] = bytes(32)
+    with pytest.raises(ObjectError, match="Draco"):
+        load_object(packed(json.dumps(file.tree).encode(), bytes(file.content)))
+
+
+# Lenient files, and notes
+
+
+def test_what_others_read_is_read() -> None:
+    plain = cube_gltf().glb()
+    assert area(load_object(plain + b"\0\0\0\0")) == pytest.approx(6)
+    floats = cube_gltf()
+    floats.tree["accessors"][1]["count"] = 36.0
+    floats.tree["nodes"][0].update(camera=None, skin=None, extras={"a": 1})
+    assert area(load_object(floats.glb())) == pytest.approx(6)
+    empty = cube_gltf()
+    empty.tree["accessors"].append({"componentType": 5126, "count": 0, "type": "VEC3"})
+    empty.tree["meshes"].append({"primitives": [{"attributes": {"POSITION": 2}}]})
+    empty.node(mesh=1)
+    assert area(load_object(empty.glb())) == pytest.approx(6)
+    text = json.dumps({**cube_gltf().tree, "scene": 0}).encode()
+    padded = struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 4)
+    with pytest.raises(ObjectError, match="buffer"):  # the JSON with zeros after it is read; it has no binary chunk
+        load_object(padded + struct.pack("<I4s", len(text) + 4, b"JSON") + text + bytes(4))
+    with pytest.raises(ObjectError, match="truncated"):
+        load_object(plain[:-4])
+
+
+def test_factors_out_of_range_are_clamped_and_said() -> None:
+    material, one = material_of({"emissiveFactor": [2, 2, 2], "pbrMetallicRoughness": {"roughnessFactor": 10}})
+    assert material.emissive == (2, 2, 2)
+    assert material.roughness == 1
+    (note,) = one.notes
+    assert "roughnessFactor of 10" in note.left_out
+
+
+def test_what_is_not_read_is_listed() -> None:
+    material = {"extensions": {"KHR_materials_clearcoat": {"clearcoatFactor": 1}}}
+    used = ["KHR_materials_clearcoat", "KHR_materials_made_up", "KHR_xmp_json_ld"]
+    _, one = material_of(material, extensionsUsed=used, extensionsRequired=used[:1], animations=[{}])
+    listed = " ".join(note.left_out for note in one.notes)
+    for word in ("clearcoat", "made_up", "animations"):
+        assert word in listed
+    assert "xmp" not in listed
+    file = textured_quad()
+    file.tree["samplers"] = [{"wrapS": 33071}]
+    file.tree["textures"][0]["sampler"] = 0
+    assert load_object(file.glb()).notes == ()
+    file.content[:] = bytes(file.content)
+    uvs = file.tree["accessors"][file.tree["meshes"][0]["primitives"][0]["attributes"]["TEXCOORD_0"]]["bufferView"]
+    start = file.tree["bufferViews"][uvs]["byteOffset"]
+    file.content[start : start + 4] = np.float32(1.5).tobytes()
+    (note,) = load_object(file.glb()).notes
+    assert "clamped or mirrored" in note.left_out
+
+
+def test_no_message_is_pydantics() -> None:
+    for change in ({"count": -1}, {"count": 3.5}, {"type": "VEC9"}, {"count": [3]}, {"byteOffset": "x"}):
+        file = cube_gltf()
+        file.tree["accessors"][0].update(change)
+        with pytest.raises(ObjectError, match=r"glTF accessors\.0\.\w+ is .*; it must be") as raised:
+            load_object(file.glb())
+        assert "Input should" not in str(raised.value)
