@@ -16,7 +16,7 @@ from roomlight.dataset.folder import MANIFEST
 from roomlight.dataset.loader import Dataset
 from roomlight.engine.networks.graphs import SHIPPED
 from roomlight.errors import DatasetError, OptionError
-from roomlight_cli.datasets.generation import show_generation
+from roomlight_cli.generation import show_generation
 from roomlight_cli.progress import Progress
 from roomlight_export.exporting import export_checkpoint
 from roomlight_export.importing import load_weights
@@ -148,7 +148,11 @@ def _generation(recipe: Recipe, name: str, data: Path) -> GenerateOptions | None
         raise OptionError(f"{where}: there is no option {unknown[0]}")
     try:
         options = TypeAdapter(GenerateOptions).validate_json(json.dumps(dict(values)), strict=True)
-    except (ValidationError, DatasetError) as error:
+    except ValidationError as error:
+        first = error.errors()[0]
+        option = ".".join(str(part) for part in first["loc"])
+        raise OptionError(f"{where}: {option} is {first['input']!r}; {first['msg']}") from error
+    except DatasetError as error:
         raise OptionError(f"{where}: {error}") from error
     return options if options.panoramas is None else replace(options, panoramas=data / options.panoramas)
 

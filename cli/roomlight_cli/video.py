@@ -15,8 +15,8 @@ from av.container import OutputContainer
 from av.video.stream import VideoStream
 from jaxtyping import Float, UInt8
 
-from roomlight.drawing import LABEL_ROWS, Canvas
 from roomlight.errors import OptionError, OutputError
+from roomlight.imaging.drawing import LABEL_ROWS, Canvas
 from roomlight.spheres import Material, SphereRenderer
 
 MAX_PROBES: Final = 6

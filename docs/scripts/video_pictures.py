@@ -18,9 +18,9 @@ from roomlight.camera import Intrinsics, transform_points
 from roomlight.conventions import Position, linear_to_srgb8, srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import Recording
-from roomlight.drawing import HEADING, LABEL_ROWS, Canvas, text_width
 from roomlight.engine.session import Session, SessionOptions
 from roomlight.frame import Frame
+from roomlight.imaging.drawing import HEADING, LABEL_ROWS, Canvas, text_width
 from roomlight.metrics import log_l2, smoothness
 from roomlight.spheres import SphereRenderer, view_toward
 from roomlight_evaluation.captures.estimators import EngineEstimator

@@ -18,7 +18,7 @@ from roomlight.captures import open_capture
 from roomlight.dataset.shards import read_index
 from roomlight.images import encode_exr
 from roomlight_cli.commands import dataset as dataset_commands
-from roomlight_cli.datasets.generation import cost_text, show_generation
+from roomlight_cli.generation import cost_text, show_generation
 from roomlight_cli.progress import Progress
 from roomlight_generator.generate import GenerateReport, GenerationProgress
 
@@ -203,3 +203,10 @@ def test_a_folder_without_panoramas_is_an_error(run, tmp_path):
     result = run("generate", "--out", "x", "--sequences", "3", "--panoramas", str(tmp_path))
     assert result.code == 1
     assert "holds no panorama; put equirectangular HDR images there" in result.err
+
+
+def test_a_missing_path_tracer_is_named(run, monkeypatch):
+    monkeypatch.setattr(dataset_commands, "find_spec", lambda _: None)
+    result = run("check")
+    assert result.code == 1
+    assert "pip install mitsuba" in result.err

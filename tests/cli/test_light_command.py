@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 from PIL import ExifTags, Image
 
+from roomlight.captures.photo import DEFAULT_FOV_DEG, PhotoOptions, read_photo
 from roomlight.conventions import linear_to_srgb8
 from roomlight.engine.session import SessionOptions
 from roomlight.errors import FrameError, ImageError, OptionError, ProbeError
 from roomlight.images import read_panorama, write_exr
 from roomlight.imaging.exif import oriented
 from roomlight.placement import point_at_pixel
-from roomlight_cli.photo import DEFAULT_FOV_DEG, PhotoOptions, PhotoPoints, light_photo, read_photo
+from roomlight_cli.photo import PhotoPoints, light_photo
 from rooms import BoxRoom, camera_at
 
 pytestmark = pytest.mark.usefixtures("small_pictures")

@@ -1,6 +1,7 @@
 """Commands are made of dataclasses: flags, help, ranges and errors come from the fields."""
 
 from dataclasses import dataclass, field
+from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -20,6 +21,7 @@ from roomlight_cli.lazy import load_command
 from roomlight_cli.options import Check, Flag, Without, command_app, described
 from roomlight_server.base.settings import ServerSettings
 
+DOCS = Path(__file__).parents[2] / "docs"
 CALLS: list[tuple[object, ...]] = []
 
 
@@ -204,3 +206,15 @@ def test_every_setting_of_the_server_is_described():
     texts = described(ServerSettings, "Attributes")
     assert texts.keys() == ServerSettings.model_fields.keys()
     assert {name for names in FLAGS.values() for name in names} <= texts.keys()
+
+
+def test_tables_of_options_in_the_pages_are_made_of_docstrings():
+    spec = spec_from_file_location("option_tables", DOCS / "scripts" / "option_tables.py")
+    assert spec is not None
+    assert spec.loader is not None
+    tables = module_from_spec(spec)
+    spec.loader.exec_module(tables)
+    made = {path.name: tables.on_page_markdown(path.read_text()) for path in DOCS.glob("*.md")}
+    assert "| `--min-confidence` | 0 to 255 | Drop depth of lower confidence" in made["captures.md"]
+    assert "| `--state-interval-s` | 0.1 to 3,600 |" in made["server.md"]
+    assert not any("<!-- options" in page for page in made.values())

@@ -5,9 +5,9 @@ import numpy as np
 import pytest
 
 from roomlight.conventions import linear_to_srgb8
-from roomlight.drawing import BACKGROUND, Canvas, fitted
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
+from roomlight.imaging.drawing import BACKGROUND, Canvas, fitted
 from roomlight.spheres import SphereRenderer
 from roomlight_cli.replays.sheet import (
     InsertedObjects,

@@ -164,7 +164,7 @@ def test_wrong_commands_are_refused_before_any_work(
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("sequences = 6", "sequences = 0", "data lamps: 0 sequences"),
+        ("sequences = 6", "sequences = 0", "data lamps: sequences is 0; Input should be greater than or equal to 1"),
         ("sequences = 6", "rooms = 6", "data lamps: there is no option rooms"),
         ("sequences = 6", 'sequences = "6"', "data lamps: .*sequences"),
         ("steps = 3", 'start_from = "shipped/cats"', "stage run: start_from is 'shipped/cats', but there is no"),

@@ -4,11 +4,12 @@ from pathlib import Path
 
 from rich.markup import escape
 
+from roomlight.captures.photo import Photo, PhotoOptions, read_photo
 from roomlight.engine.models.choosing import choose_graphs
 from roomlight.engine.session import warm_up
 from roomlight_cli.console import out as terminal
 from roomlight_cli.console import print_notes, say
-from roomlight_cli.photo import Photo, PhotoLight, PhotoOptions, PhotoPoints, light_photo, read_photo
+from roomlight_cli.photo import PhotoLight, PhotoPoints, light_photo
 from roomlight_cli.probe_notes import percent, position_text, probe_warnings
 from roomlight_cli.progress import Progress
 from roomlight_cli.shared_options import LightOptions

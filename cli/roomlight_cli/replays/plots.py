@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from roomlight.drawing import HEADING, Canvas, Colour, text_width
+from roomlight.imaging.drawing import HEADING, Canvas, Colour, text_width
 
 _TITLE_ROWS: Final = 26
 _TICK_ROWS: Final = 24

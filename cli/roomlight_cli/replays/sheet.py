@@ -2,7 +2,7 @@
 
 On top is a frame with mirror spheres at the probes, and frames over time. Each probe has the last panorama, the ground
 truth beside it if there is one, panoramas with spheres over time, and plots. Spheres are seen from the same direction
-at all times, so that changes in them are changes of the light. Tone mapping is that of `roomlight.drawing`.
+at all times, so that changes in them are changes of the light. Tone mapping is that of `roomlight.imaging.drawing`.
 """
 
 from collections.abc import Sequence
@@ -14,8 +14,8 @@ import numpy as np
 from jaxtyping import Float, UInt8
 
 from roomlight.conventions import LUMINANCE, panorama_solid_angles
-from roomlight.drawing import BACKGROUND, HEADING, LABEL_ROWS, Canvas, Colour, text_width
 from roomlight.images import write_png
+from roomlight.imaging.drawing import BACKGROUND, HEADING, LABEL_ROWS, Canvas, Colour, text_width
 from roomlight.spheres import SphereRenderer
 from roomlight_cli.probe_notes import percent
 from roomlight_cli.replays.plots import Plot, Series, draw_plot

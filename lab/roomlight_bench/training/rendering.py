@@ -20,8 +20,8 @@ from jaxtyping import Float
 from rich import box
 from rich.table import Table
 
-from roomlight.drawing import Canvas
 from roomlight.images import write_png
+from roomlight.imaging.drawing import Canvas
 from roomlight.spheres import SphereRenderer
 from roomlight_bench.timing import ProgressCallback
 from roomlight_bench.training.sphere_sampling import SphereSampling

@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float, UInt8
 
-from roomlight.drawing import Canvas
 from roomlight.images import write_png
+from roomlight.imaging.drawing import Canvas
 from roomlight.spheres import SphereRenderer
 
 _TILE: Final = 240

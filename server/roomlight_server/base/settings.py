@@ -55,7 +55,8 @@ class ServerSettings(BaseSettings):
         state_dir: Folder in which sessions are saved, so that they survive a restart. Default: they are not saved.
         state_shared: Other servers use the state directory too; a session belongs to one of them at a time.
         state_interval_s: A change of a session is on disk after this many seconds at the latest.
-        state_expiry_s: Erase a saved session after this many seconds without a request.
+        state_expiry_s: Erase a saved session after this many seconds without a request; only time in which a server
+            runs counts, whatever its clock says.
         body_timeout_s: Time limit for receiving the body of a request.
         max_body_bytes: Largest frame in bytes.
         max_colour_pixels: Largest colour image of a frame.

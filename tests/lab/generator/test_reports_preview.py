@@ -5,11 +5,11 @@ import pytest
 
 import stub_rooms
 from roomlight.dataset.loader import Dataset
-from roomlight.drawing import BACKGROUND
 from roomlight.errors import OutputError
 from roomlight.images import read_colour
-from roomlight_cli.datasets.preview import caption, compose_preview, depth_colours, write_previews
+from roomlight.imaging.drawing import BACKGROUND
 from roomlight_generator.generate import GenerateOptions, generate
+from roomlight_generator.reports.preview import caption, compose_preview, depth_colours, write_previews
 
 
 def one(seed, **options):

@@ -1,24 +1,14 @@
-"""`roomlight dataset check`: the generator's light against a path tracer's, as a table and as pictures."""
+"""The generator's light against a path tracer's, as a table and as pictures."""
 
-from importlib.util import find_spec
-from pathlib import Path
-from typing import Annotated, Final
+from typing import Final
 
 import cv2
 import numpy as np
-from annotated_types import Ge
 from jaxtyping import Float, UInt8
-from rich import box
 from rich.console import Console
-from rich.table import Table
 
-from roomlight.dataset.recording import Split
-from roomlight.drawing import HEADING, LABEL, LABEL_ROWS, Canvas
-from roomlight.errors import DatasetError
-from roomlight.images import write_png
-from roomlight_cli import console
-from roomlight_cli.console import say
-from roomlight_cli.progress import Progress
+from roomlight.imaging.drawing import HEADING, LABEL, LABEL_ROWS, Canvas
+from roomlight_generator.reports.tables import figure_table
 from roomlight_generator.verification.check import (
     JUDGED_NOISE,
     CheckReport,
@@ -26,7 +16,6 @@ from roomlight_generator.verification.check import (
     RoomCheck,
     SurfaceDeviation,
     View,
-    check_rooms,
 )
 
 DIFFUSE_TARGET: Final = 0.05
@@ -39,48 +28,6 @@ _PROBE: Final = (480, 240)
 _MARGIN: Final = 12
 
 
-def check(
-    *,
-    rooms: Annotated[int, Ge(1)] = 12,
-    seed: Annotated[int, Ge(0)] = 0,
-    first: Annotated[int, Ge(0)] = 0,
-    split: Split = "train",
-    samples: Annotated[int, Ge(2)] = 64,
-    paths: Annotated[int, Ge(1000)] = 12_000_000,
-    furniture: Path | None = None,
-    out: Path | None = None,
-) -> None:
-    """Compare generated rooms with the path tracer Mitsuba: errors of frames and probes.
-
-    Args:
-        rooms: Number of rooms.
-        seed: The dataset's seed.
-        first: Number of the first room.
-        split: Which split's rooms.
-        samples: Paths per pixel of the reference's frame and probe.
-        paths: Most paths for the points of a room at which surfaces are compared.
-        furniture: A .sh3f library, or a cache of several; default: the installed libraries.
-        out: Folder for pictures: RoomLight, the reference, the signed error.
-    """
-    if find_spec("mitsuba") is None:
-        raise DatasetError("the check needs the path tracer Mitsuba: pip install mitsuba")
-    with Progress("comparing rooms") as progress:
-        progress.count(0, rooms)
-
-        def show(room: RoomCheck) -> None:
-            if out:
-                write_png(out / f"{room.name}.png", compose_check(room))
-            console.err.print(_line(room), soft_wrap=True, markup=False)
-            progress.advance()
-
-        report = check_rooms(
-            rooms, seed=seed, first=first, split=split, furniture=furniture, samples=samples, paths=paths, done=show
-        )
-    print_check(console.out, report)
-    if out:
-        say(f"Pictures: {out}")
-
-
 def print_check(terminal: Console, report: CheckReport) -> None:
     """Print errors of surfaces and probes, a row per room, and compare the means with the two targets.
 
@@ -91,13 +38,13 @@ def print_check(terminal: Console, report: CheckReport) -> None:
         ("Diffuse surfaces in frames", [room.diffuse for room in report.rooms], diffuse),
         ("Coated surfaces in frames", [room.coated for room in report.rooms], coated),
     ):
-        surfaces = _table(f"{title}: relative error in %", ("mean", "noise", "4x4", "noise", "rms", "bias"))
+        surfaces = figure_table(f"{title}: relative error in %", ("mean", "noise", "4x4", "noise", "rms", "bias"))
         for room, part in zip(report.rooms, parts, strict=True):
             surfaces.add_row(room.name, *_surface(part))
         surfaces.add_section()
         surfaces.add_row("all", *_surface(total))
         terminal.print(surfaces)
-    probes = _table(
+    probes = figure_table(
         "Probes: relative error of irradiance in %; seconds of computing; paths per point of the frames",
         ("mean", "noise", "bias", "log-L2", "RoomLight", "reference", "paths"),
     )
@@ -143,7 +90,7 @@ def compose_check(room: RoomCheck) -> UInt8[np.ndarray, "h w 3"]:
     width = 3 * (_TILE[0] + _MARGIN) + _MARGIN
     canvas = Canvas(width, 4 * LABEL_ROWS + _TILE[1] + _PROBE[1] + 3 * _MARGIN)
     lines = (
-        (_line(room), HEADING),
+        (describe_room(room), HEADING),
         (
             "Error: red where RoomLight is brighter, blue where it is darker, full colour at "
             f"{100 * _SHOWN_ERROR:.0f} %; dimmed at edges and on surfaces that are neither diffuse nor coated",
@@ -183,7 +130,8 @@ def _error_colours(view: View) -> Float[np.ndarray, "h w 3"]:
     return np.stack([red, 1 - np.abs(share), blue], -1).astype(np.float32)
 
 
-def _line(room: RoomCheck) -> str:
+def describe_room(room: RoomCheck) -> str:
+    """Return the errors of a room as a line."""
     parts = [f"{room.name}, {room.about}:"]
     for name, part in (("diffuse", room.diffuse), ("coated", room.coated)):
         if part is not None:
@@ -194,14 +142,6 @@ def _line(room: RoomCheck) -> str:
     irradiance, noise, bias, _ = _probe(room.probe)
     parts.append(f"probe {irradiance} % (noise {noise}), bias {bias}")
     return " ".join(parts)
-
-
-def _table(title: str, headings: tuple[str, ...]) -> Table:
-    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
-    table.add_column("", no_wrap=True)
-    for heading in headings:
-        table.add_column(heading, justify="right", no_wrap=True)
-    return table
 
 
 def _surface(part: SurfaceDeviation | None) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from jaxtyping import Float, UInt8, UInt16
 from roomlight.conventions import srgb8_to_linear
 from roomlight.dataset.loader import Dataset
 from roomlight.dataset.recording import GLASS, LIGHT, MIRROR, Recording
-from roomlight.drawing import HEADING, LABEL_ROWS, Canvas
 from roomlight.images import write_png
+from roomlight.imaging.drawing import HEADING, LABEL_ROWS, Canvas
 
 ProgressCallback = Callable[[int, int], None]
 """Called with (rooms drawn, rooms in all)."""

@@ -1,5 +1,6 @@
 """The statistics of a dataset as tables for a terminal."""
 
+from collections.abc import Sequence
 from typing import Final
 
 from rich import box
@@ -14,17 +15,19 @@ _LISTED: Final = 14
 """Most kinds listed per line; the JSON has all."""
 
 
+def figure_table(title: str, headings: Sequence[str]) -> Table:
+    """Return a table with names in the first column, and these columns of figures."""
+    table = Table(title=title, title_justify="left", box=box.SIMPLE_HEAD, padding=(0, 1))
+    table.add_column("", no_wrap=True)
+    for heading in headings:
+        table.add_column(heading, justify="right", no_wrap=True)
+    return table
+
+
 def print_stats(console: Console, stats: DatasetStats) -> None:
     """Print measures with their spread, counts by kind, and bytes by part."""
-    table = Table(
-        title=f"{stats.sequences} sequences, {stats.rooms} rooms",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1),
-    )
-    table.add_column("")
-    for heading in ("mean", "sd", "5 %", "median", "95 %"):
-        table.add_column(heading, justify="right", no_wrap=True)
+    title = f"{stats.sequences} sequences, {stats.rooms} rooms"
+    table = figure_table(title, ("mean", "sd", "5 %", "median", "95 %"))
     for name, spread in stats.spreads.items():
         table.add_row(name, *(_short(value) for value in _values(spread)))
     console.print(table)
@@ -41,16 +44,11 @@ def print_stats(console: Console, stats: DatasetStats) -> None:
 
 def print_light(console: Console, light: LightComparison) -> None:
     """Print the quartiles of each measure of light, generated beside real, and mark those that are alike."""
-    table = Table(
-        title=f"first frames of {light.sequences} sequences with their probes, views of {light.panoramas} panoramas\n"
+    table = figure_table(
+        f"first frames of {light.sequences} sequences with their probes, views of {light.panoramas} panoramas\n"
         "quartiles (25, 50, 75 %); the first frame's white is 1",
-        title_justify="left",
-        box=box.SIMPLE_HEAD,
-        padding=(0, 1),
+        ("generated", "real", "alike"),
     )
-    table.add_column("", no_wrap=True)
-    for heading in ("generated", "real", "alike"):
-        table.add_column(heading, justify="right", no_wrap=True)
     for row in light.rows:
         generated, real = (" ".join(_two_digits(value) for value in values) for values in (row.generated, row.real))
         table.add_row(row.name, generated, real, "yes" if row.alike else "no")

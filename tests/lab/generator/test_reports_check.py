@@ -1,14 +1,11 @@
-"""What `roomlight dataset check` prints and draws, for invented figures."""
+"""What the comparison with a path tracer prints and draws, for invented figures."""
 
 from io import StringIO
 
 import numpy as np
-import pytest
 from rich.console import Console
 
-from roomlight.errors import DatasetError
-from roomlight_cli.datasets import check as dataset_check
-from roomlight_cli.datasets.check import check, compose_check, print_check
+from roomlight_generator.reports.check import compose_check, print_check
 from roomlight_generator.sequences.surface_kinds import SurfaceKinds
 from roomlight_generator.verification.check import CheckReport, ProbeDeviation, RoomCheck, SurfaceDeviation, View
 from roomlight_generator.verification.deviation import Deviation
@@ -71,9 +68,3 @@ def test_the_picture_is_red_where_brighter_blue_where_darker() -> None:
     assert frame[2] < 50
     assert probe[2] > 200
     assert probe[0] < 50
-
-
-def test_a_missing_path_tracer_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dataset_check, "find_spec", lambda _: None)
-    with pytest.raises(DatasetError, match="pip install mitsuba"):
-        check()

@@ -1,1 +1,0 @@
-"""What `roomlight dataset` prints and draws."""

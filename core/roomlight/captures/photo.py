@@ -1,0 +1,171 @@
+"""One photograph with depth as a frame: no capture, no poses, no stream.
+
+The camera stands at the origin and is level: x right, y up, z backward, so that points in front of it have negative z.
+"Upright" is the photograph as viewers show it, rotated by its EXIF orientation.
+"""
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Final, Literal
+
+import numpy as np
+from annotated_types import Interval
+from jaxtyping import Float
+
+from roomlight.camera import Intrinsics
+from roomlight.captures.decoding import decode_depth_map
+from roomlight.errors import FrameError, OptionError
+from roomlight.frame import ASPECT_TOLERANCE, Frame, hidden
+from roomlight.images import decode_picture, exif_camera, read_bytes
+from roomlight.imaging.exif import oriented
+from roomlight.notes import Note
+from roomlight.rules import check_options
+
+DepthOrientation = Literal["auto", "upright", "stored"]
+"""Whether the depth map is upright as viewers show the photo, or has the photo's stored rows and columns."""
+FovSource = Literal["option", "exif", "default"]
+
+DEFAULT_FOV_DEG: Final = 60.0
+"""Horizontal field of view without any better knowledge: a phone's main camera held level has 65 to 70 degrees, upright
+about 52."""
+_FARTHEST_M: Final = 1000.0
+"""A median depth past this is in another unit."""
+
+
+@dataclass(frozen=True)
+class PhotoOptions:
+    """What the files of a photograph do not state.
+
+    Attributes:
+        fov_deg: Horizontal field of view of the upright photo in degrees. Default: by the focal length in its EXIF,
+            else 60.
+        depth_unit_m: Metres per stored unit of a PNG or .npy.
+        depth_orientation: For a photo that EXIF rotates: whether the depth is upright, as viewers show the photo, or
+            has its stored rows and columns. auto decides by the aspect.
+
+    Raises:
+        OptionError: A value is out of range.
+    """
+
+    fov_deg: Annotated[float, Interval(ge=5, le=150)] | None = None
+    depth_unit_m: Annotated[float, Interval(ge=1e-6, le=1000)] | None = None
+    depth_orientation: DepthOrientation = "auto"
+
+    def __post_init__(self) -> None:
+        check_options(self)
+
+
+@dataclass(frozen=True)
+class Photo:
+    """A photograph as a frame, and where its field of view came from.
+
+    Attributes:
+        frame: The upright photograph with its depth; the camera's pose is the identity.
+        fov_deg: Horizontal field of view of the upright photograph, in degrees.
+        fov_source: The caller's option, the photo's EXIF, or `DEFAULT_FOV_DEG`.
+        focal_35mm: EXIF's focal length in millimetres, equivalent on 36 x 24 mm film; None if not stated.
+        notes: What the file states and was not used.
+    """
+
+    frame: Frame
+    fov_deg: float
+    fov_source: FovSource
+    focal_35mm: float | None = None
+    notes: tuple[Note, ...] = ()
+
+
+def read_photo(image: Path, depth: Path, options: PhotoOptions | None = None) -> Photo:
+    """Read a photograph and its depth; both come out upright.
+
+    Args:
+        image: JPEG, PNG, or linear EXR. Its EXIF orientation is applied.
+        depth: A 16-bit PNG or integer .npy in millimetres, an EXR or float .npy in metres.
+        options: What the files do not state.
+
+    Raises:
+        ImageError: A file cannot be read.
+        FrameError: Depth and photo do not fit, or the depth is empty or in another unit.
+        OptionError: `depth_orientation` "auto" cannot decide, because the depth's aspect fits both orientations; or it
+            fits only the orientation that was not stated.
+    """
+    options = options or PhotoOptions()
+    data = read_bytes(image)
+    picture = decode_picture(data, str(image))
+    colour, exif = picture.image, exif_camera(data, str(image))
+    height, width = colour.shape[:2]
+    depth_m = _read_depth(depth, options.depth_unit_m)
+    depth_m = _upright_depth(depth_m, exif.orientation, (width, height), options.depth_orientation, str(depth))
+    fov_deg, source = options.fov_deg, "option"
+    if fov_deg is None:
+        fov_deg, source = exif.fov_deg(width, height), "exif"
+    if fov_deg is None:
+        fov_deg, source = DEFAULT_FOV_DEG, "default"
+    if picture.seen is not None:
+        colour, depth_m = hidden(colour, depth_m, picture.seen)
+    focal = 0.5 * width / math.tan(math.radians(fov_deg) / 2)
+    frame = Frame(
+        index=0,
+        image=colour,
+        clipped=picture.clipped,
+        seen=picture.seen,
+        depth_m=depth_m,
+        intrinsics=Intrinsics(focal, focal, width / 2, height / 2, width, height),
+        camera_to_world=np.eye(4),
+        source=str(image),
+    )
+    return Photo(frame, fov_deg, source, exif.focal_35mm, picture.notes)
+
+
+def _read_depth(path: Path, unit_m: float | None) -> Float[np.ndarray, "h w"]:
+    """Return the depth in metres as stored. Raises ImageError, and FrameError for empty or mis-scaled depth."""
+    data = read_bytes(path)
+    depth_m = decode_depth_map(data, str(path), unit_m=unit_m)
+    known = depth_m[depth_m > 0]
+    if known.size == 0:
+        raise FrameError(f"{path}: no pixel has a depth; the light cannot be placed in the room without it")
+    median_m = float(np.median(known))
+    if not 0.02 < median_m < _FARTHEST_M:
+        raise FrameError(
+            f"{path}: its median depth would be {median_m:.3g} m, which no room has; state the metres per stored unit "
+            f"as depth_unit_m (integers are taken for millimetres, floats for metres)"
+        )
+    return depth_m
+
+
+def _upright_depth(
+    depth_m: Float[np.ndarray, "h w"],
+    orientation: int,
+    photo_size: tuple[int, int],
+    depth_orientation: DepthOrientation,
+    name: str,
+) -> Float[np.ndarray, "uh uw"]:
+    """Rotate the depth as EXIF rotates the photo, if it is stored like the photo.
+
+    `orientation` is EXIF's, 1 to 8; `photo_size` is (width, height) of the upright photo. A depth map that fits
+    neither way is returned as it is, for `Frame` to refuse. Raises OptionError if "auto" cannot decide, or if the
+    depth fits only the other orientation.
+    """
+    if orientation == 1:
+        return depth_m
+    rotated = oriented(depth_m, orientation)
+    fits = {"upright": _same_aspect(depth_m, photo_size), "stored": _same_aspect(rotated, photo_size)}
+    if depth_orientation != "auto":
+        other = "stored" if depth_orientation == "upright" else "upright"
+        if fits[other] and not fits[depth_orientation]:
+            raise OptionError(
+                f"depth_orientation is {depth_orientation}; the aspect of {name} fits the photo only as {other}"
+            )
+        return depth_m if depth_orientation == "upright" else rotated
+    if all(fits.values()):
+        raise OptionError(
+            f"{name}: the photo's EXIF orientation is {orientation}, and the depth's aspect does not show whether the "
+            "depth has it too; state depth_orientation as upright (as viewers show the photo) or stored"
+        )
+    return rotated if fits["stored"] else depth_m
+
+
+def _same_aspect(depth_m: Float[np.ndarray, "h w"], photo_size: tuple[int, int]) -> bool:
+    (height, width), (photo_width, photo_height) = depth_m.shape, photo_size
+    aspect = photo_width / photo_height
+    return abs(width / height - aspect) <= ASPECT_TOLERANCE * aspect

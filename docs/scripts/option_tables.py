@@ -1,0 +1,45 @@
+"""Tables of options in the pages, made from docstrings when the pages are built (`hooks` in mkdocs.yml).
+
+A line `<!-- options: MODULE.CLASS name name ... -->` becomes a table of these fields, or of all without a name: flag,
+values and text, as `roomlight COMMAND --help` shows them.
+"""
+
+import re
+from importlib import import_module
+from typing import Any
+
+from pydantic_settings import BaseSettings
+
+from roomlight.rules import Rule, rules_of
+from roomlight_cli.options import CommandOptions, described
+
+_MARK = re.compile(r"^<!-- options: ([\w.]+)\.(\w+)((?:\s+\w+)*) -->$", re.MULTILINE)
+
+
+def on_page_markdown(markdown: str, **_: Any) -> str:
+    """Replace the marks of a page; called by mkdocs."""
+    return _MARK.sub(lambda mark: option_table(getattr(import_module(mark[1]), mark[2]), mark[3].split()), markdown)
+
+
+def option_table(options: type, names: list[str]) -> str:
+    """Return a table in Markdown of a dataclass's fields, or of settings'.
+
+    Raises:
+        KeyError: There is no such field, or it has no text.
+    """
+    texts = described(options, "Attributes")
+    if issubclass(options, BaseSettings):
+        fields = options.model_fields
+        rules = {name: Rule.of(field.annotation, field.metadata) for name, field in fields.items()}
+        defaults = {name: field.default for name, field in fields.items()}
+        flags = {name: "--" + name.replace("_", "-") for name in fields}
+    else:
+        command = CommandOptions()
+        command.add_dataclass(Rule(options), panel="")
+        rules, flags = rules_of(options), command.flags
+        defaults = {name: getattr(options, name, None) for name in rules}
+    rows = ["| Option | Values | Meaning |", "| --- | --- | --- |"]
+    for name in names or rules:
+        shown = "" if defaults[name] in (None, False, ()) else f"Default: `{defaults[name]}`."
+        rows.append(f"| `{flags[name]}` | {rules[name].text} | {texts[name]} {shown} |")
+    return "\n".join(rows)
