@@ -21,18 +21,18 @@ def digest(furniture: Path | None) -> str | None:
             return _digest_of({path.name: path for path in installed_libraries()})
         if root.is_file():
             return hashlib.sha256(root.read_bytes()).hexdigest()
-        found = _digest_of({str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()})
+        combined = _digest_of({str(path.relative_to(root)): path for path in root.rglob("*") if path.is_file()})
     except OSError as error:
         raise DatasetError(f"{root or 'furniture'}: cannot be read ({error.strerror or error})") from error
-    if found is None:
+    if combined is None:
         raise DatasetError(f"{root}: there is no such file, or no file in it; name a furniture library or cache")
-    return found
+    return combined
 
 
 def _digest_of(files: dict[str, Path]) -> str | None:
     if not files:
         return None
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for name, path in sorted(files.items()):
-        found.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
-    return found.hexdigest()
+        sha.update(f"{name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+    return sha.hexdigest()

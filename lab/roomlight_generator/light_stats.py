@@ -64,7 +64,7 @@ class LightRow:
     def alike(self) -> bool:
         """Whether each quartile is within `TOLERANCE` of the real one."""
         pairs = zip(self.generated, self.real, strict=True)
-        return all(abs(one - other) <= TOLERANCE * abs(other) for one, other in pairs)
+        return all(abs(generated - real) <= TOLERANCE * abs(real) for generated, real in pairs)
 
 
 @dataclass(frozen=True)
@@ -146,7 +146,7 @@ def panorama_light(
     phone's field of view (55 to 72 degrees across the long side of 4:3). Its exposure takes its 80th percentile to 0.43
     of white. A view that is black above its 80th percentile has no exposure and is left out.
     """
-    found: list[Measures] = []
+    measures: list[Measures] = []
     for _ in range(views):
         view = _crop(panorama, rng)
         level = float(np.percentile(view @ _LUMA, WHITE_PERCENTILE))
@@ -154,8 +154,8 @@ def panorama_light(
             continue
         scale = np.float32(WHITE_SHARE / level)
         clipped = (scale * view)[(scale * view).max(axis=-1) >= _CLIPPED]
-        found.append(measure_light(np.minimum(scale * view, 1), clipped, scale * panorama))
-    return found
+        measures.append(measure_light(np.minimum(scale * view, 1), clipped, scale * panorama))
+    return measures
 
 
 def compare_light(
@@ -182,11 +182,11 @@ def compare_light(
 
     def counted(measured: Iterable[list[Measures]]) -> Iterator[Measures]:
         nonlocal done
-        for one in measured:
+        for measures in measured:
             done += 1
             if progress:
                 progress(done, len(numbers) + len(files))
-            yield from one
+            yield from measures
 
     generated = list(counted(recording_light(dataset.read(number, frames=(0,))) for number in numbers))
     rng = np.random.default_rng(0)
@@ -200,7 +200,7 @@ def compare_measures(generated: Sequence[Measures], real: Sequence[Measures]) ->
 
 
 def _quartiles(measured: Sequence[Measures], name: str) -> tuple[float, float, float]:
-    values = np.array([one[name] for one in measured])
+    values = np.array([measures[name] for measures in measured])
     values = values[np.isfinite(values)]
     if not len(values):
         return np.nan, np.nan, np.nan

@@ -106,7 +106,7 @@ def measure(recording: Recording, sizes: dict[str, int]) -> SequenceStats:
         steps_degrees=np.degrees(np.arccos(np.clip(cosines, -1, 1))).tolist(),
         clipped=(recording.colour.max(axis=-1) >= CLIPPED_SRGB8).mean(axis=(1, 2)).tolist(),
         exposure_stops=float(np.log2(recording.exposure.max() / recording.exposure.min())),
-        median_depth_m=[float(np.median(one[one > 0])) for one in depth_m if (one > 0).any()],
+        median_depth_m=[float(np.median(depth[depth > 0])) for depth in depth_m if (depth > 0).any()],
         unknown_depth=float((recording.depth_mm == 0).mean()),
         range_stops=np.log2(np.maximum(brightest, _DARK) / medians).tolist(),
         range_999_stops=np.log2(np.maximum(near_white, _DARK) / medians).tolist(),
@@ -156,7 +156,7 @@ def collect(
     count = len(dataset) if limit is None else min(limit, len(dataset))
     numbers = sorted({round(k) for k in np.linspace(0, len(dataset) - 1, count).tolist()}) if count else []
 
-    def one(number: int) -> SequenceStats:
+    def measure_sequence(number: int) -> SequenceStats:
         files = dataset.files(number)
         sizes = part_sizes(files)
         sizes["tar"] = dataset.size_of(number) - sum(sizes.values())
@@ -164,7 +164,7 @@ def collect(
 
     measured: list[SequenceStats] = []
     with ThreadPoolExecutor(workers) as pool:
-        for stats in pool.map(one, numbers):
+        for stats in pool.map(measure_sequence, numbers):
             measured.append(stats)
             if progress:
                 progress(len(measured), len(numbers))

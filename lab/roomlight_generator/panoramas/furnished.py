@@ -101,7 +101,7 @@ class FurnishedLight:
         without = weight @ lights.power
         seen = self.tracer.visible(rays.origin[lit], rays.direction[lit], rays.distance[lit])
         weight.ravel()[lit[~seen]] = 0
-        found = weight @ lights.power
+        irradiance = weight @ lights.power
 
         rays = _rays(count * GATHER_RAYS)
         radiance = np.empty((count * GATHER_RAYS, 3), np.float32)
@@ -110,8 +110,8 @@ class FurnishedLight:
         without += scale * radiance.reshape(count, GATHER_RAYS, 3).sum(axis=1)
         hits = self.tracer.trace(rays.origin, rays.direction)
         radiance[(hits.face >= 0) & (hits.distance_m < rays.distance)] = self._bounce
-        found += scale * radiance.reshape(count, GATHER_RAYS, 3).sum(axis=1)
-        return found, without
+        irradiance += scale * radiance.reshape(count, GATHER_RAYS, 3).sum(axis=1)
+        return irradiance, without
 
     def _reflected_share(
         self, image: Float32[np.ndarray, "h w 3"], irradiance: Float32[np.ndarray, "n 3"], width: int
@@ -161,7 +161,7 @@ class FurnishedLight:
         key[:, 6] = self.tracer.geometry.item[points.face]
         key[:, 7] = round(1000 * cell_m)
         cells, index = np.unique(key.view("V16").ravel(), return_inverse=True)
-        names = [one.tobytes() for one in cells]
+        names = [cell.tobytes() for cell in cells]
         new = np.array([k for k, name in enumerate(names) if name not in self._cells], np.int64)
         if len(new):
             total = np.bincount(index, minlength=len(names))[:, None]
@@ -170,8 +170,8 @@ class FurnishedLight:
                 for part in (points.position, points.normal)
             )
             normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-            found, _ = self._irradiance(self._sources, position[new], normal[new])
-            for k, value in zip(new.tolist(), found, strict=True):
+            irradiance, _ = self._irradiance(self._sources, position[new], normal[new])
+            for k, value in zip(new.tolist(), irradiance, strict=True):
                 self._cells[names[k]] = value
         return np.stack([self._cells[name] for name in names])[index]
 
@@ -201,8 +201,8 @@ def _lights(shell: Shell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.n
     panorama = PanoramaArrays(
         np.zeros((2, 4, 3), np.float32), np.zeros((2, 4, 3), np.float32), bright.astype(np.uint8), shell.centre
     )
-    each = (radiance * angle[:, None]).astype(np.float32)
-    gather.light_samples(shell.arrays, panorama, pixels, each, position, normal, weighted, angle)
+    emitted = (radiance * angle[:, None]).astype(np.float32)
+    gather.light_samples(shell.arrays, panorama, pixels, emitted, position, normal, weighted, angle)
     return LightSamples(position, normal, weighted, angle)
 
 

@@ -97,7 +97,7 @@ def furnish(shell: Shell, catalogue: Catalogue, rng: np.random.Generator, *, spl
         roles = _AT_WALLS if at_wall else _IN_THE_ROOM
         chances = np.array(list(roles.values()))
         role = str(rng.choice(list(roles), p=chances / chances.sum()))
-        model = catalogue.choose(role, split, rng, fits=lambda one: one.height_m < shell.lowest_m - 0.1)
+        model = catalogue.choose(role, split, rng, fits=lambda candidate: candidate.height_m < shell.lowest_m - 0.1)
         if model is None or model.elevation_m > 0:
             continue
         for _ in range(_TRIES):
@@ -162,7 +162,7 @@ def _items(
             str(rng.choice(_ON_TOP)),
             split,
             rng,
-            fits=lambda one: one.width_m < 0.8 * model.width_m and one.depth_m < 0.8 * model.depth_m,
+            fits=lambda candidate: candidate.width_m < 0.8 * model.width_m and candidate.depth_m < 0.8 * model.depth_m,
         )
         if small is not None:
             spare = (np.array([model.width_m - small.width_m, model.depth_m - small.depth_m]) / 2) * 0.7
@@ -176,7 +176,7 @@ def _items(
 
 def _item(model: FurnitureModel, mesh: Mesh) -> Item:
     materials = tuple(
-        replace(one, mirror=0.0, albedo=_MIRROR_ALBEDO, texture=None) if one.mirror > 0 else one
-        for one in mesh.materials
+        replace(material, mirror=0.0, albedo=_MIRROR_ALBEDO, texture=None) if material.mirror > 0 else material
+        for material in mesh.materials
     )
     return Item(model.name, model.role, replace(mesh, materials=materials), model.attribution)

@@ -79,13 +79,13 @@ def digest(folder: Path) -> str:
     Raises:
         DatasetError: if one cannot be read.
     """
-    found = hashlib.sha256()
+    sha = hashlib.sha256()
     for path in panorama_files(folder):
         try:
-            found.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
+            sha.update(f"{path.name} {hashlib.sha256(path.read_bytes()).hexdigest()}\n".encode())
         except OSError as error:
             raise DatasetError(f"{path}: cannot be read ({error.strerror or error})") from error
-    return found.hexdigest()
+    return sha.hexdigest()
 
 
 @lru_cache(maxsize=8)

@@ -73,8 +73,8 @@ def build_room(index: int, *, seed: int, split: Split, catalogue: Catalogue) -> 
 
 
 def _choose_type(split: Split, rng: np.random.Generator) -> RoomType:
-    reserved = [one for one in ROOM_TYPES.values() if one.split == "test"]
-    unreserved = [one for one in ROOM_TYPES.values() if one.split == "train"]
+    reserved = [room_type for room_type in ROOM_TYPES.values() if room_type.split == "test"]
+    unreserved = [room_type for room_type in ROOM_TYPES.values() if room_type.split == "train"]
     types = reserved if split == "test" and rng.random() < _RESERVED_SHARE else unreserved
     return types[int(rng.integers(len(types)))]
 

@@ -1,6 +1,6 @@
 """Physically based colours: black-body light sources, and paints of a given reflectance.
 
-All colours are linear RGB (Rec. 709 primaries, D65 white) unless a name says sRGB; luminance is Rec. 709's Y.
+All colours are linear RGB (Rec. 709 primaries, D65 white); luminance is Rec. 709's Y.
 """
 
 from functools import lru_cache
@@ -9,7 +9,6 @@ from typing import Final
 import numpy as np
 from jaxtyping import Float
 
-from roomlight.conventions import linear_to_srgb, srgb_to_linear
 from roomlight_generator.rooms.scene import Rgb
 
 LUMINANCE: Final = np.array([0.2126, 0.7152, 0.0722])
@@ -94,14 +93,3 @@ def paint(reflectance: float | int, chroma: float | int = 0.0, hue: float | int 
     room = np.where(away > 0, _BRIGHTEST - grey, grey - _DARKEST) / np.maximum(np.abs(away), 1e-9)
     rgb = grey + away * min(1.0, max(0.0, float(room.min())))
     return float(rgb[0]), float(rgb[1]), float(rgb[2])
-
-
-def to_srgb(colour: Rgb) -> Float[np.ndarray, "3"]:
-    """Encode a linear colour as sRGB, 0 to 1, float32; textures are mixed in this encoding."""
-    return linear_to_srgb(np.array(colour, np.float32))
-
-
-def from_srgb(colour: Float[np.ndarray, "3"]) -> Rgb:
-    """Decode an sRGB colour (0 to 1) to linear RGB."""
-    linear = srgb_to_linear(np.asarray(colour, np.float32))
-    return float(linear[0]), float(linear[1]), float(linear[2])

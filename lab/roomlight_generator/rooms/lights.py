@@ -280,9 +280,9 @@ def _trace_bulb_occlusion(mesh: Mesh, bulbs: Float[np.ndarray, "n 3"]) -> tuple[
     ring = np.sqrt(1 - up**2)
     directions = np.stack([ring * np.cos(azimuth), up, ring * np.sin(azimuth)], 1).astype(np.float32)
     origins = np.repeat(bulbs.astype(np.float32), _RAYS_PER_BULB, axis=0)
-    found = RayTree(mesh.vertices, mesh.faces).trace(origins, np.tile(directions, (len(bulbs), 1))).face
-    met, counts = np.unique(mesh.face_materials[found[found >= 0]], return_counts=True)
-    return float((found < 0).mean()), {int(k): int(count) for k, count in zip(met, counts, strict=True)}
+    face = RayTree(mesh.vertices, mesh.faces).trace(origins, np.tile(directions, (len(bulbs), 1))).face
+    met, counts = np.unique(mesh.face_materials[face[face >= 0]], return_counts=True)
+    return float((face < 0).mean()), {int(k): int(count) for k, count in zip(met, counts, strict=True)}
 
 
 def _area_m2(mesh: Mesh, chosen: Bool[np.ndarray, " f"]) -> float:
@@ -344,7 +344,7 @@ def _accessory_lamps(
     A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or
     a conservatory. `only_second`: the second room has the only light, and it is bright.
     """
-    found: list[tuple[Item, str, tuple[float, float]]] = []
+    lamps: list[tuple[Item, str, tuple[float, float]]] = []
     units = [placement for placement in placements if placement.model.role == "wall_unit"]
     if units and rng.random() < (0.5 if night else 0.2):
         for placement in units:
@@ -352,7 +352,7 @@ def _accessory_lamps(
                 box(0.85 * placement.model.width_m, 0.012, 0.03), Material(name="strip", albedo=(0.8, 0.8, 0.8))
             )
             placed = strip.placed(placement.x, placement.y - 0.016, placement.z, degrees=placement.degrees)
-            found.append((Item("light strip", "wall_lamp", placed), "strip", (0.1, 0.8)))
+            lamps.append((Item("light strip", "wall_lamp", placed), "strip", (0.1, 0.8)))
     if shell.spots and (only_second or rng.random() < 0.65):
         x, z, _ = shell.spots[0]
         bright = only_second or rng.random() < _BRIGHT_SECOND_ROOM
@@ -360,8 +360,8 @@ def _accessory_lamps(
         lamp = with_material(shape, Material(name="globe", albedo=(0.8, 0.8, 0.8)))
         height = 2.2 if bright else min(2.0, shell.height_m - 0.3)
         item = Item("globe", "ceiling_lamp", lamp.placed(x, height, z))
-        found.append((item, "bright second room" if bright else "second room", _SECOND_ROOM_KLM[int(bright)]))
-    return found
+        lamps.append((item, "bright second room" if bright else "second room", _SECOND_ROOM_KLM[int(bright)]))
+    return lamps
 
 
 def _with_screens_on(item: Item, rng: np.random.Generator, sources: list[dict[str, Any]]) -> Item:

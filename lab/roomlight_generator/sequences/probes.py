@@ -73,7 +73,7 @@ def _candidates(
     points = transform_points(camera_to_world, (camera.rays() * depth_m[..., None]).astype(np.float64))
     resting = int(_CANDIDATES * _RESTING_SHARE)
     level = np.flatnonzero(_level(points, depth_m))
-    found: list[np.ndarray] = []
+    parts: list[np.ndarray] = []
     if len(level):
         # A layer that covers little of the picture is likelier: a table rather than the floor around it.
         altitude = points[..., 1].ravel()[level]
@@ -81,14 +81,14 @@ def _candidates(
         weight = 1 / np.sqrt(np.bincount(layer)[layer])
         base = points.reshape(-1, 3)[rng.choice(level, resting, p=weight / weight.sum())]
         lift = LIFT_M[0] + (LIFT_M[1] - LIFT_M[0]) * rng.random(resting) ** 1.5
-        found.append(base + lift[:, None] * [0.0, 1.0, 0.0])
-    in_mid_air = _CANDIDATES - sum(len(part) for part in found)
+        parts.append(base + lift[:, None] * [0.0, 1.0, 0.0])
+    in_mid_air = _CANDIDATES - sum(len(part) for part in parts)
     pixel = rng.integers(height * width, size=in_mid_air)
     surface_m = depth_m.ravel()[pixel]
     surface_m = np.where(surface_m > 0, surface_m, DISTANCE_M[1])
     depth = np.minimum(surface_m, DISTANCE_M[1]) * rng.uniform(0.3, 0.92, in_mid_air)
-    found.append(transform_points(camera_to_world, camera.rays().reshape(-1, 3)[pixel] * depth[:, None]))
-    return np.concatenate(found)
+    parts.append(transform_points(camera_to_world, camera.rays().reshape(-1, 3)[pixel] * depth[:, None]))
+    return np.concatenate(parts)
 
 
 def _level(points: Float[np.ndarray, "h w 3"], depth_m: Float[np.ndarray, "h w"]) -> Bool[np.ndarray, "h w"]:
@@ -154,9 +154,9 @@ def _spread(
     best, best_score = np.arange(count), -np.inf
     for _ in range(_CHOICES):
         chosen = rng.choice(len(points), count, replace=False, p=chance)
-        one, other = np.triu_indices(count, 1)
-        apart = np.linalg.norm(points[chosen[one]] - points[chosen[other]], axis=1)
-        spread = np.linalg.norm(place[chosen[one]] - place[chosen[other]], axis=1)
+        first, second = np.triu_indices(count, 1)
+        apart = np.linalg.norm(points[chosen[first]] - points[chosen[second]], axis=1)
+        spread = np.linalg.norm(place[chosen[first]] - place[chosen[second]], axis=1)
         score = np.minimum(apart / APART_M, 1).min(initial=1) * 4 + np.minimum(spread, 0.45).sum()
         if score > best_score:
             best, best_score = chosen, float(score)

@@ -43,7 +43,7 @@ def surface_kinds(tracer: Tracer, camera: Intrinsics, camera_to_world: Float[np.
     """Classify the pixels of a view by first hits: a pixel's middle and corners must lie on one flat surface."""
     height, width = camera.height, camera.width
     larger = Intrinsics(camera.fx, camera.fy, camera.cx + 0.5, camera.cy + 0.5, width + 1, height + 1)
-    middle, corner = (_first_hits(tracer, each, camera_to_world) for each in (camera, larger))
+    middle, corner = (_first_hits(tracer, intrinsics, camera_to_world) for intrinsics in (camera, larger))
     material, item, points, normals = middle
     alone = material >= 0
     for i, j in ((0, 0), (0, 1), (1, 0), (1, 1)):
@@ -65,12 +65,12 @@ def _first_hits(
     rays = camera.rays().reshape(-1, 3) @ camera_to_world[:3, :3].T
     rays = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).astype(np.float32)
     hits = tracer.trace(np.tile(camera_to_world[:3, 3].astype(np.float32), (len(rays), 1)), rays)
-    found = hits.face >= 0
-    material = np.where(found, tracer.geometry.material[hits.face], -1)
-    item = np.where(found, tracer.geometry.item[hits.face], -1)
+    hit = hits.face >= 0
+    material = np.where(hit, tracer.geometry.material[hits.face], -1)
+    item = np.where(hit, tracer.geometry.item[hits.face], -1)
     corners = tracer.geometry.corners[hits.face].astype(np.float64)
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
     shape = camera.height, camera.width
-    points = np.where(found[:, None], rays * hits.distance_m[:, None], 0.0)
+    points = np.where(hit[:, None], rays * hits.distance_m[:, None], 0.0)
     return material.reshape(shape), item.reshape(shape), points.reshape(*shape, 3), normals.reshape(*shape, 3)

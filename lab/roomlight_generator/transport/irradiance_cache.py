@@ -100,11 +100,6 @@ class IrradianceCache:
         """How many cells are filled."""
         return self._count
 
-    @property
-    def record_count(self) -> int:
-        """How many records of indirect light there are."""
-        return self._records.count
-
     def irradiance(
         self,
         position: Float32[np.ndarray, "n 3"],
@@ -223,8 +218,8 @@ class IrradianceCache:
             some = some._replace(stream=stream)
             gather_rays(light.lights, light.visibility, some, light.coat.through, sampling, scratch, sent)
             face, distance, radiance = self._seen(sent.origin, sent.direction, (first + start) * rays)
-            each = slice(start, start + len(stream))
-            gather_sum(sent, radiance, face, distance, rays, irradiance[each], clear[each])
+            rows = slice(start, start + len(stream))
+            gather_sum(sent, radiance, face, distance, rays, irradiance[rows], clear[rows])
         return irradiance, clear
 
     def _seen(

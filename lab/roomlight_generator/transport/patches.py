@@ -189,47 +189,47 @@ def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
     lit = _PatchSet(tracer, fineness)
     lit.visit(_seed_rays(tracer, light, seed))
     # The lights see only the lit part of a patch that is half in shadow: start over from what those patches see.
-    found = _PatchSet(tracer, fineness)
+    patches = _PatchSet(tracer, fineness)
     step = _RAYS_AT_ONCE // FIRST_RAYS
     for start in range(0, lit.count, step):
-        found.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
-    parts = [_linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed))]
+        patches.visit(_gather(tracer, light, lit, start, min(start + step, lit.count), FIRST_RAYS, seed).ends)
+    parts = [_linked(patches, _gather(tracer, light, patches, 0, 0, GATHER_RAYS, seed))]
     done = 0
     step = _RAYS_AT_ONCE // GATHER_RAYS
     for _ in range(MOST_WAVES):
-        stop = found.count
+        stop = patches.count
         if stop == done:
             break
         for start in range(done, stop, step):
-            rays = _gather(tracer, light, found, start, min(start + step, stop), GATHER_RAYS, seed)
-            parts.append(_linked(found, rays))
+            rays = _gather(tracer, light, patches, start, min(start + step, stop), GATHER_RAYS, seed)
+            parts.append(_linked(patches, rays))
         done = stop
     columns = tuple(np.concatenate(column) for column in zip(*parts, strict=True))
-    enclosed, changed = _drop_enclosed(tracer, light, found, done, seed)
+    enclosed, changed = _drop_enclosed(tracer, light, patches, done, seed)
     for start in range(0, len(changed), step):
         some = changed[start : start + step]
-        again = _linked(found, _gather(tracer, light, found, 0, 0, GATHER_RAYS, seed, some=some))
+        again = _linked(patches, _gather(tracer, light, patches, 0, 0, GATHER_RAYS, seed, some=some))
         for column, new in zip(columns, again, strict=True):
-            each = len(column) // done
-            column.reshape(done, each, *column.shape[1:])[some] = new.reshape(len(some), each, *new.shape[1:])
-    return _bounced(tracer, light, found, done, columns, enclosed, seed)
+            rays_each = len(column) // done
+            column.reshape(done, rays_each, *column.shape[1:])[some] = new.reshape(len(some), rays_each, *new.shape[1:])
+    return _bounced(tracer, light, patches, done, columns, enclosed, seed)
 
 
 def _drop_enclosed(
-    tracer: Tracer, light: DirectLight, found: _PatchSet, count: int, seed: int
+    tracer: Tracer, light: DirectLight, patches: _PatchSet, count: int, seed: int
 ) -> tuple[Bool[np.ndarray, " p"], Int32[np.ndarray, " c"]]:
     """Drop points inside of closed lamps from patches that also have points outside.
 
     Returns which patches are entirely inside, and those that lost points.
     """
     enclosed = np.zeros(count, bool)
-    near = found.table.values[found.table.keys >= 1 << 62]
+    near = patches.table.values[patches.table.keys >= 1 << 62]
     near = np.sort(near[near < count])
-    used = found.used[near]
+    used = patches.used[near]
     owner = np.repeat(np.arange(len(near)), used)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
     position, normal, geometric_normal = (
-        column[near[owner], place][:, None] for column in (found.position, found.normal, found.geometric_normal)
+        column[near[owner], place][:, None] for column in (patches.position, patches.normal, patches.geometric_normal)
     )
     points = len(owner)
     if not points:
@@ -257,9 +257,9 @@ def _drop_enclosed(
     last = np.cumsum(used)
     for which in changed.tolist():
         patch, kept = near[which], np.flatnonzero(keep[last[which] - used[which] : last[which]])
-        for column in (found.position, found.normal, found.geometric_normal, found.albedo):
+        for column in (patches.position, patches.normal, patches.geometric_normal, patches.albedo):
             column[patch, : len(kept)] = column[patch, kept]
-        found.used[patch] = len(kept)
+        patches.used[patch] = len(kept)
     return enclosed, near[changed]
 
 
@@ -291,13 +291,13 @@ class _Rays(NamedTuple):
 
     ends: Arrivals
     passed: Float32[np.ndarray, " n"]
-    each: int
+    per_patch: int
 
 
 def _gather(
     tracer: Tracer,
     light: DirectLight,
-    found: _PatchSet,
+    patches: _PatchSet,
     start: int,
     stop: int,
     rays: int,
@@ -309,11 +309,11 @@ def _gather(
     streams = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
     rows = slice(start, stop) if some is None else some
     points = PatchPoints(
-        found.position[rows],
-        found.normal[rows],
-        found.geometric_normal[rows],
-        found.used[rows],
-        tracer.materials.roughness[found.material[rows]],
+        patches.position[rows],
+        patches.normal[rows],
+        patches.geometric_normal[rows],
+        patches.used[rows],
+        tracer.materials.roughness[patches.material[rows]],
         streams,
     )
     sent = PatchRays.empty(len(streams) * rays)
@@ -321,33 +321,33 @@ def _gather(
     return _Rays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
 
 
-def _linked(found: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
+def _linked(patches: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
     """Return for each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
     patch the irradiance that comes from no patch, plain and as let through by its coat."""
     ends = rays.ends
-    target, cosine = found.visit(ends)
-    radiance = ends.radiance.reshape(-1, rays.each, 3)
-    through = rays.passed.reshape(-1, rays.each, 1)
-    scale = np.float32(np.pi / rays.each)
+    target, cosine = patches.visit(ends)
+    radiance = ends.radiance.reshape(-1, rays.per_patch, 3)
+    through = rays.passed.reshape(-1, rays.per_patch, 1)
+    scale = np.float32(np.pi / rays.per_patch)
     beside, beside_coated = radiance.sum(1) * scale, (radiance * through).sum(1) * scale
     return target, cosine, ends.factor, ends.distance_m, rays.passed, beside, beside_coated
 
 
-def _direct(tracer: Tracer, light: DirectLight, found: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
+def _direct(tracer: Tracer, light: DirectLight, patches: _PatchSet, visibility: LightVisibility, seed: int) -> Received:
     """Compute each patch's direct light, the mean over its points, in two rounds.
 
     The first only measures which lights each patch sees; the second samples by that. `light.visibility` holds the
     counts of both.
     """
     count = len(visibility.owner)
-    used = found.used[:count]
+    used = patches.used[:count]
     owner = np.repeat(np.arange(count, dtype=np.int32), used)
     place = np.arange(len(owner)) - np.repeat(np.cumsum(used) - used, used)
     points = Points(
-        found.position[owner, place],
-        found.normal[owner, place],
-        found.geometric_normal[owner, place],
-        tracer.materials.roughness[found.material[owner]],
+        patches.position[owner, place],
+        patches.normal[owner, place],
+        patches.geometric_normal[owner, place],
+        tracer.materials.roughness[patches.material[owner]],
         np.full(len(owner), -1, np.int32),
         np.arange(len(owner), dtype=np.int64),
     )
@@ -357,12 +357,14 @@ def _direct(tracer: Tracer, light: DirectLight, found: _PatchSet, visibility: Li
     light.received(first, candidates=8, picks=6, sun_picks=0, seed=seed + 6, on_rays=visibility.counting(owner[alone]))
     light.visibility = visibility.visibility()
     known = points._replace(row=owner)
-    each = light.received(known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=visibility.counting(owner))
+    received = light.received(
+        known, candidates=16, picks=8, sun_picks=2, seed=seed + 1, on_rays=visibility.counting(owner)
+    )
     light.visibility = visibility.visibility()
     weight = (1 / used[owner]).astype(np.float32)
     means = (
         np.stack([np.bincount(owner, part[:, k] * weight, count) for k in range(3)], 1).astype(np.float32)
-        for part in each
+        for part in received
     )
     return Received(*means)
 
@@ -370,7 +372,7 @@ def _direct(tracer: Tracer, light: DirectLight, found: _PatchSet, visibility: Li
 def _bounced(
     tracer: Tracer,
     light: DirectLight,
-    found: _PatchSet,
+    patches: _PatchSet,
     count: int,
     columns: tuple[np.ndarray, ...],
     enclosed: Bool[np.ndarray, " p"],
@@ -378,18 +380,18 @@ def _bounced(
 ) -> RoomCache:
     """Sum the bounces of light between the patches; columns are those of `_linked`."""
     materials, coat = tracer.materials, light.coat
-    material = found.material[:count].copy()
+    material = patches.material[:count].copy()
     alpha = materials.roughness[material]
-    point = np.arange(kernels.POINTS) < found.used[:count, None]
-    albedo = (found.albedo[:count] * point[..., None]).sum(1) / np.maximum(found.used[:count], 1)[:, None]
+    point = np.arange(kernels.POINTS) < patches.used[:count, None]
+    albedo = (patches.albedo[:count] * point[..., None]).sum(1) / np.maximum(patches.used[:count], 1)[:, None]
     visibility = LightVisibility(
-        found.position[:count],
-        found.used[:count],
-        found.material[:count],
+        patches.position[:count],
+        patches.used[:count],
+        patches.material[:count],
         lights=max(1, len(light.lights.start)),
         materials=len(materials.mirror),
     )
-    direct = _direct(tracer, light, found, visibility, seed)
+    direct = _direct(tracer, light, patches, visibility, seed)
     target, cosine, factor, distance, passed, beside, beside_coated = columns
     target[target >= count] = -1  # found by the last wave and never lit
     target[enclosed[target] & (distance > ENCLOSED_M)] = -1
@@ -413,14 +415,14 @@ def _bounced(
             break
         kernels.bounce(links, sent, GATHER_RAYS, gathered)
     solved = base, lobe, sun_base, sun_lobe, beside + bounced, beside_coated + bounced_coated
-    return _with_fallbacks(found, visibility, solved, enclosed)
+    return _with_fallbacks(patches, visibility, solved, enclosed)
 
 
 def _with_fallbacks(
-    found: _PatchSet, visibility: LightVisibility, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
+    patches: _PatchSet, visibility: LightVisibility, columns: tuple[np.ndarray, ...], enclosed: Bool[np.ndarray, " p"]
 ) -> RoomCache:
     """Append to the rows the means over wider cells and over materials, and a row of zeros."""
-    table, count, wide = found.table, len(visibility.owner), visibility.wide
+    table, count, wide = patches.table, len(visibility.owner), visibility.wide
     table.keys[table.values >= count] = -2  # of the last wave, unlit: -2 is neither a key nor an empty place
     tables: list[np.ndarray] = []
     for column in columns:
@@ -431,7 +433,7 @@ def _with_fallbacks(
     base, lobe, sun_base, sun_lobe, indirect, indirect_coated = tables
     coarse = visibility.coarse
     return RoomCache(
-        PatchTable(found.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
+        PatchTable(patches.fineness, table.keys, table.values, coarse.keys, coarse.values, count, count + wide),
         count,
         base,
         lobe,

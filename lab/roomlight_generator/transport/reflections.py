@@ -117,8 +117,8 @@ class Reflections:
         scratch = LightScratch.empty(len(light.lights.start), LOBE_CANDIDATES)
         written = glossy.lobe_lights(light.sources, lobe, light.visibility, sampling, scratch, shadow, totals)
         seen = tracer.visible(shadow.origin[:written], shadow.direction[:written], shadow.reach[:written])
-        found = np.zeros((len(at), 3), np.float32)
-        glossy.add_scattered(shadow, seen, written, found)
+        scattered = np.zeros((len(at), 3), np.float32)
+        glossy.add_scattered(shadow, seen, written, scattered)
         count = len(at) * LOBE_RAYS
         reflected = LobeRays(np.empty((count, 3), np.float32), np.empty(count, np.float32), np.empty(count, np.float32))
         glossy.lobe_rays(lobe, LOBE_RAYS, seed, reflected)
@@ -136,4 +136,4 @@ class Reflections:
         widening = np.repeat(alpha, LOBE_RAYS) * np.float32(LOBE_WIDENING)
         start = np.repeat(lobe.position, LOBE_RAYS, axis=0)
         radiance = self._seen(start, reflected.direction, width.astype(np.float32), widening, shares) * gain[:, None]
-        return found + radiance.reshape(-1, LOBE_RAYS, 3).mean(1)
+        return scattered + radiance.reshape(-1, LOBE_RAYS, 3).mean(1)

@@ -180,11 +180,13 @@ def _flatten(scene: Scene) -> tuple[Geometry, list[Material]]:
 def _material_table(materials: list[Material], texture_ids: list[int]) -> Materials:
     places = {identity: place for place, identity in enumerate(texture_ids)}
     return Materials(
-        albedo=np.array([one.albedo for one in materials], np.float32),
-        emission=np.array([one.emission for one in materials], np.float32),
-        roughness=np.array([one.roughness or 0.0 for one in materials], np.float32),
-        mirror=np.array([one.mirror for one in materials], np.float32),
-        texture=np.array([-1 if one.texture is None else places[id(one.texture)] for one in materials], np.int32),
+        albedo=np.array([material.albedo for material in materials], np.float32),
+        emission=np.array([material.emission for material in materials], np.float32),
+        roughness=np.array([material.roughness or 0.0 for material in materials], np.float32),
+        mirror=np.array([material.mirror for material in materials], np.float32),
+        texture=np.array(
+            [-1 if material.texture is None else places[id(material.texture)] for material in materials], np.int32
+        ),
     )
 
 
@@ -195,6 +197,6 @@ def _tree(corners: Float32[np.ndarray, "f 3 3"]) -> RayTree:
 def _trace(
     tree: RayTree, origins: Float32[np.ndarray, "n 3"], directions: Float32[np.ndarray, "n 3"], first: int
 ) -> Hits:
-    found = tree.trace(origins, directions)
-    face = np.where(found.face >= 0, found.face + np.int32(first), np.int32(-1)) if first else found.face
-    return Hits(face, found.u, found.v, np.minimum(found.distance_m, _MISSED_M))
+    hits = tree.trace(origins, directions)
+    face = np.where(hits.face >= 0, hits.face + np.int32(first), np.int32(-1)) if first else hits.face
+    return Hits(face, hits.u, hits.v, np.minimum(hits.distance_m, _MISSED_M))

@@ -167,10 +167,10 @@ def check_rooms(
         ImportError: if Mitsuba is not installed.
     """
     catalogue = catalogue_for(furniture)
-    found: list[RoomCheck] = []
+    checks: list[RoomCheck] = []
     left_out: list[str] = []
     index = first
-    while len(found) < rooms:
+    while len(checks) < rooms:
         room = build_room(index, seed=seed, split=split, catalogue=catalogue)
         tracer = Tracer(without_glass(room.scene))
         begin = time.perf_counter()
@@ -190,11 +190,11 @@ def check_rooms(
                 probe_height=PROBE_HEIGHT, solve_s=solve_s, name=room.name,
                 about=f"{room.room_type}, {_light(lit_room)}",
             )  # fmt: skip
-            found.append(check)
+            checks.append(check)
             if done:
                 done(check)
         index += 1
-    return CheckReport(tuple(found), tuple(left_out))
+    return CheckReport(tuple(checks), tuple(left_out))
 
 
 def check_view(
@@ -348,9 +348,9 @@ def _add_sun(
     uv = direction_to_uv(reference.sun_seen(position, samples=_SUN_SAMPLES))
     row = np.minimum((uv[:, 1] * height).astype(int), height - 1)
     column = np.minimum((uv[:, 0] * width).astype(int), width - 1)
-    each = np.array(scene.sky.sun.irradiance) / _SUN_SAMPLES / panorama_solid_angles(height)[row]
+    radiance = np.array(scene.sky.sun.irradiance) / _SUN_SAMPLES / panorama_solid_angles(height)[row]
     for half in halves:
-        np.add.at(half, (row, column), each.astype(np.float32))
+        np.add.at(half, (row, column), radiance.astype(np.float32))
 
 
 def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[np.ndarray, "n 2"]:
@@ -390,7 +390,7 @@ def _points(
 
 def _probe_deviation(view: View, frame: Float[np.ndarray, "h w 3"]) -> ProbeDeviation:
     normals = cube_normals()
-    ours, a, b = (luminance(irradiance(each, normals)) for each in (view.ours, *view.halves))
+    ours, a, b = (luminance(irradiance(panorama, normals)) for panorama in (view.ours, *view.halves))
     truth = np.maximum((a + b) / 2, 1e-12)
     shown = luminance(frame)
     scale = np.float32(0.18 / np.exp(np.log(np.maximum(shown, 1e-3 * shown.mean() + 1e-12)).mean()))

@@ -82,9 +82,9 @@ def usable_variant() -> str:
     """
     import drjit
 
-    found = drjit.has_backend(drjit.JitBackend.LLVM)
+    has_llvm = drjit.has_backend(drjit.JitBackend.LLVM)
     trial = [sys.executable, "-c", _TRIAL]
-    if found and subprocess.run(trial, capture_output=True, check=False, timeout=120).returncode == 0:
+    if has_llvm and subprocess.run(trial, capture_output=True, check=False, timeout=120).returncode == 0:
         return "llvm_ad_rgb"
     return "scalar_rgb"
 
@@ -137,8 +137,8 @@ class Reference:
                 d = d + (np.repeat(spread, paths, axis=0) * jitter).sum(1)
             d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
             o = np.repeat(origins, paths, axis=0).astype(np.float32)
-            found = self._paths(o, d, seed=int(rng.integers(2**31)))
-            total += found.reshape(count, paths, 3).sum(1)
+            radiance = self._paths(o, d, seed=int(rng.integers(2**31)))
+            total += radiance.reshape(count, paths, 3).sum(1)
         return (total / samples).astype(np.float32)
 
     def sun_seen(self, position: Float[np.ndarray, "3"], *, samples: int = 256) -> Float[np.ndarray, "n 3"]:
@@ -153,7 +153,9 @@ class Reference:
             blocked = np.asarray(self._scene.ray_test(ray), bool)
         else:
             start = mi.Point3f([float(value) for value in position])
-            blocked = np.array([self._scene.ray_test(mi.Ray3f(start, mi.Vector3f(each))) for each in toward.tolist()])
+            blocked = np.array(
+                [self._scene.ray_test(mi.Ray3f(start, mi.Vector3f(direction))) for direction in toward.tolist()]
+            )
         return toward[~blocked]
 
     def _aim_sun(self, toward: Float[np.ndarray, "3"]) -> None:
@@ -265,9 +267,9 @@ def _hidden(
     directions = sphere / np.linalg.norm(sphere, axis=-1, keepdims=True) + 1.001 * face_normals[:, None]
     directions /= np.linalg.norm(directions, axis=-1, keepdims=True)
     hits = tracer.trace(origins.reshape(-1, 3).astype(np.float32), directions.reshape(-1, 3).astype(np.float32))
-    found = hits.face >= 0
-    covered = (found & (hits.distance_m < _COVER_M)).reshape(shape).mean(1) > 0.5
-    own = found & (tracer.geometry.item[hits.face] == number)
+    hit = hits.face >= 0
+    covered = (hit & (hits.distance_m < _COVER_M)).reshape(shape).mean(1) > 0.5
+    own = hit & (tracer.geometry.item[hits.face] == number)
     return covered | bool(own.mean() > _CLOSED_SHARE)
 
 

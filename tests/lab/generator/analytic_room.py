@@ -22,8 +22,8 @@ def distances(size_m, boxes=()):
         d = np.where(np.abs(d) < 1e-12, 1e-12, d)
         nearest = np.maximum((low - o) / d, (high - o) / d).min(axis=1)
         for corner, far_corner in boxes:
-            one, other = (corner - o) / d, (far_corner - o) / d
-            enter, leave = np.minimum(one, other).max(axis=1), np.maximum(one, other).min(axis=1)
+            near, far = (corner - o) / d, (far_corner - o) / d
+            enter, leave = np.minimum(near, far).max(axis=1), np.maximum(near, far).min(axis=1)
             hit = (enter <= leave) & (leave > 0)
             nearest = np.where(hit, np.minimum(nearest, np.where(enter > 0, enter, leave)), nearest)
         return nearest.astype(np.float32)

@@ -123,7 +123,7 @@ class BoxCatalogue:
     ) -> FurnitureModel | None:
         if role in self.lacking:
             return None
-        fitting = [one for one in self.models[split].get(role, []) if fits is None or fits(one)]
+        fitting = [model for model in self.models[split].get(role, []) if fits is None or fits(model)]
         return fitting[int(rng.integers(len(fitting)))] if fitting else None
 
 
@@ -188,7 +188,7 @@ def random_shell(rng: np.random.Generator, area: float, aspect: float, *, kind: 
         slopes = ((normal, 1.6 * 1.2),)
         doors = {1}
         gaps = {index: _gaps(lengths[index], rng, door=index in doors) for index in (0, 1, 2)}
-        gaps = {index: one for index, one in gaps.items() if index == 1}
+        gaps = {index: gap for index, gap in gaps.items() if index == 1}
         return shell(corners, gaps, height, slopes, {0: 1.2, 2: 1.2, 3: 1.2})
     gaps = {index: _gaps(length, rng, door=index in doors) for index, length in enumerate(lengths)}
     spots = ((-1.5, depth / 2, 0.45),) if rng.random() < 0.5 else ()

@@ -63,12 +63,12 @@ def test_noise_of_the_reference_is_separated() -> None:
     rng = np.random.default_rng(1)
     truth = np.ones((20_000, 3))
     halves = 1 + 0.1 * rng.standard_normal((2, 20_000, 1)) * np.ones(3)
-    found = deviation(truth, halves)
-    assert found.noise == pytest.approx(0.0564, rel=0.03)
-    assert found.mean == pytest.approx(found.noise, rel=0.03)
+    measured = deviation(truth, halves)
+    assert measured.noise == pytest.approx(0.0564, rel=0.03)
+    assert measured.mean == pytest.approx(measured.noise, rel=0.03)
     shifted = deviation(1.1 * truth, halves)
     assert shifted.less_noise == pytest.approx(0.1, rel=0.1)
-    assert found.rms < 0.02  # of 20,000 points: one standard deviation is 0.9 %
+    assert measured.rms < 0.02  # of 20,000 points: one standard deviation is 0.9 %
     # Exact but for the noise of what it is divided by, which at 7 % adds an eighth.
     assert shifted.rms == pytest.approx(0.1125, rel=0.02)
     assert deviation(1.1 * truth, 1 + 0.2 * (halves - 1)).rms == pytest.approx(0.1, rel=0.01)
@@ -77,15 +77,15 @@ def test_noise_of_the_reference_is_separated() -> None:
 def test_a_black_points_error_is_bounded() -> None:
     halves = np.ones((2, 100, 3))
     halves[:, 0] = 0
-    found = deviation(np.ones((100, 3)), halves)
-    assert found.mean == pytest.approx(1 / 0.02 / 100, rel=0.02)
+    measured = deviation(np.ones((100, 3)), halves)
+    assert measured.mean == pytest.approx(1 / 0.02 / 100, rel=0.02)
     with pytest.raises(ValueError, match="no points"):
         deviation(np.ones((0, 3)), np.ones((2, 0, 3)))
 
 
 def test_pooled_figures_are_weighted_by_points() -> None:
-    one, other = np.ones((30, 3)), np.ones((10, 3))
-    parts = [deviation(1.1 * one, np.stack([one, one])), deviation(1.5 * other, np.stack([other, other]))]
+    first, second = np.ones((30, 3)), np.ones((10, 3))
+    parts = [deviation(1.1 * first, np.stack([first, first])), deviation(1.5 * second, np.stack([second, second]))]
     together = pooled(parts)
     assert together is not None
     assert together.points == 40
@@ -98,8 +98,8 @@ def test_irradiance_under_an_even_sky_is_pi_for_all_26_normals() -> None:
     normals = cube_normals()
     assert len(np.unique(normals.round(6), axis=0)) == 26
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
-    found = irradiance(np.ones((60, 120, 3), np.float32), normals)
-    np.testing.assert_allclose(found, np.pi, rtol=2e-3)
+    received = irradiance(np.ones((60, 120, 3), np.float32), normals)
+    np.testing.assert_allclose(received, np.pi, rtol=2e-3)
     above = np.where(panorama_directions(60)[..., 1:2] > 0, np.float32(1), np.float32(0)).repeat(3, axis=2)
     np.testing.assert_allclose(irradiance(above, np.array([[0.0, 1, 0], [0, -1, 0], [1, 0, 0]]))[:, 0],
                                [np.pi, 0, np.pi / 2], atol=5e-3)  # fmt: skip
@@ -164,11 +164,11 @@ def test_both_renderers_agree_in_a_small_room() -> None:
     assert room.frame.reference.shape == (32, 40, 3)
     report = CheckReport((room, replace(room, coated=None)), ())
     assert report.probe().irradiance == pytest.approx(room.probe.irradiance)
-    both, one = report.diffuse(), report.coated()
+    both, coated = report.diffuse(), report.coated()
     assert both is not None
-    assert one is not None
+    assert coated is not None
     assert both.pixels.points == 2 * room.diffuse.pixels.points
-    assert one.pixels.mean == pytest.approx(room.coated.pixels.mean)
+    assert coated.pixels.mean == pytest.approx(room.coated.pixels.mean)
 
 
 @pytest.mark.slow

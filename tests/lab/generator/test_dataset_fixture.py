@@ -64,5 +64,5 @@ def test_sequences_extract_to_captures(dataset, tmp_path):
 
 
 def test_statistics_count_rooms():
-    found = collect(Dataset(FOLDER))
-    assert found.sequences == found.rooms == sum(ROOMS.values())
+    stats = collect(Dataset(FOLDER))
+    assert stats.sequences == stats.rooms == sum(ROOMS.values())

@@ -79,7 +79,7 @@ def test_two_workers_make_the_same_bytes(undisturbed, tmp_path):
     reports = []
     generate(tmp_path / "two", options(), workers=2, progress=reports.append)
     assert bytes_of(tmp_path / "two") == bytes_of(undisturbed)
-    assert [one.finished for one in reports] == list(range(13))
+    assert [report.finished for report in reports] == list(range(13))
     assert reports[0].per_hour is None
     assert reports[-1].left_s == 0
     assert reports[-1].bytes == sum(Dataset(undisturbed).size_of(number) for number in range(12))
@@ -141,13 +141,13 @@ def test_a_failed_room_is_retried_the_same_way_each_time(tmp_path, steer):
     steer(fails={"1": 1})
     reports = []
     generate(tmp_path / "one", options(4), workers=1, progress=reports.append)
-    notes = [one.note for one in reports if one.note]
+    notes = [report.note for report in reports if report.note]
     assert len(notes) == 1
     assert (
         "room 1 of train, seed 7, attempt 1 of 3: ArithmeticError: no light reaches room 1 (stub_rooms.py" in notes[0]
     )
     made = [recording.facts["made"] for recording in Dataset(tmp_path / "one")]
-    assert [one["attempt"] for one in made] == [0, 0, 0, 1]
+    assert [attempt["attempt"] for attempt in made] == [0, 0, 0, 1]
     assert made[3]["room_seed"] > 1000
     generate(tmp_path / "other", options(3), workers=1)
     generate(tmp_path / "other", options(4), workers=1)
@@ -170,7 +170,7 @@ def test_a_worker_that_dies_is_replaced(undisturbed, tmp_path, steer):
     report = generate(tmp_path / "out", options(), workers=2, progress=reports.append)
     assert bytes_of(tmp_path / "out") == bytes_of(undisturbed)
     assert report.sequences == 12
-    notes = [one.note for one in reports if one.note]
+    notes = [update.note for update in reports if update.note]
     assert len(notes) == 3
     assert all("a worker died (signal 9)" in note for note in notes)
 

@@ -22,13 +22,13 @@ def first_view(seed: int):
 
 
 def place_in_views(seeds):
-    found = []
+    views = []
     for seed in seeds:
         rng, camera, pose, depth = first_view(seed)
         points = place_probes(ROOM, rng, intrinsics=camera, camera_to_world=pose, depth_m=depth)
         if points is not None:
-            found.append((camera, pose, depth, points))
-    return found
+            views.append((camera, pose, depth, points))
+    return views
 
 
 @pytest.fixture(scope="module")

@@ -62,11 +62,11 @@ def test_a_bulb_lights_the_floor_as_its_triangles_do() -> None:
     distance = np.linalg.norm(toward, axis=1)
     shown = np.maximum(-(toward * area).sum(1) / distance, 0)
     irradiance = (shown * toward[:, 1] / distance**3).sum()
-    found = radiance_toward(
+    radiance = radiance_toward(
         scene(bulb.placed(*at), floor), at + np.array([0.5, 0.2, 0]), at * np.array([1, 0, 1]), samples=2048
     )
     # The light's fraction that faces away is sampled in vain: a deviation of about 1 a path.
-    np.testing.assert_allclose(found, np.array([100, 50, 25]) * irradiance / np.pi, rtol=0.08)
+    np.testing.assert_allclose(radiance, np.array([100, 50, 25]) * irradiance / np.pi, rtol=0.08)
 
 
 def test_an_emitting_sheet_shines_to_both_sides_and_is_opaque() -> None:
@@ -113,8 +113,8 @@ def test_the_sun_lights_by_its_cosine_and_casts_soft_shadows() -> None:
     half_width = 0.02 * 3 / direction[1] ** 2  # of the penumbra, along z at least
     lit = 0.5 / np.pi * np.array([30, 20, 10]) * direction[1]
     for z, share in ((edge + 2 * half_width, 1.0), (edge - 2 * half_width, 0.0), (edge, 0.5)):
-        found = radiance_toward(traced, (1, 2, z - 1), (1.01, 0, z), samples=64)
-        np.testing.assert_allclose(found, share * lit, rtol=0.02, atol=0.2 * lit.max() * (share == 0.5))
+        radiance = radiance_toward(traced, (1, 2, z - 1), (1.01, 0, z), samples=64)
+        np.testing.assert_allclose(radiance, share * lit, rtol=0.02, atol=0.2 * lit.max() * (share == 0.5))
 
 
 def test_texture_rows_run_down() -> None:
@@ -133,8 +133,8 @@ def test_texture_rows_run_down() -> None:
 def test_a_texture_is_decoded_and_multiplied_by_the_albedo() -> None:
     grey = Texture(np.full((1, 1, 3), 188, np.uint8))  # 0.503 linear
     plate = with_material(rectangle((-1, 0, 1), (2, 0, 0), (0, 0, -2)), Material("plate", (0.8, 0.4, 0.2), grey))
-    found = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), (0.3, 2, 0.2), (0.31, 0, 0.17), samples=3000)
-    np.testing.assert_allclose(found, np.array([0.8, 0.4, 0.2]) * 0.5029, rtol=0.02)
+    radiance = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), (0.3, 2, 0.2), (0.31, 0, 0.17), samples=3000)
+    np.testing.assert_allclose(radiance, np.array([0.8, 0.4, 0.2]) * 0.5029, rtol=0.02)
 
 
 def test_a_mirror_reflects_what_is_in_front_of_it() -> None:
@@ -143,8 +143,8 @@ def test_a_mirror_reflects_what_is_in_front_of_it() -> None:
         rectangle((1, 0, 1), (1, 0, 0), (0, 2, 0)), Material("poster", (0.0, 0.0, 0.0), emission=(1.0, 2.0, 3.0))
     )
     # From (-1.5, 1, 1) by the mirror's point (0.03, 1.03) to (1.56, 1.06, 1).
-    found = radiance_toward(scene(mirror, poster), (-1.5, 1.0, 1.0), (0.03, 1.03, 0.0), samples=2)
-    np.testing.assert_allclose(found, [0.9, 1.8, 2.7], rtol=1e-4)
+    radiance = radiance_toward(scene(mirror, poster), (-1.5, 1.0, 1.0), (0.03, 1.03, 0.0), samples=2)
+    np.testing.assert_allclose(radiance, [0.9, 1.8, 2.7], rtol=1e-4)
 
 
 @pytest.mark.slow
@@ -158,13 +158,13 @@ def test_the_coat_equals_the_transports_tables(alpha: float, albedo: float, cosi
     )
     offset = np.array([np.sqrt(1 - cosine**2), cosine, 0])
     target = np.array([0.03, 0, 0.04])
-    found = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), target + offset, target, samples=3000)[0]
+    radiance = radiance_toward(scene(plate, sky=EVEN, openings=(ABOVE,)), target + offset, target, samples=3000)[0]
     table = coat_table()
     base = (
         albedo * in_row(table.scale, alpha) * in_table(table.through, alpha, cosine) * in_row(table.mean_through, alpha)
     )
-    assert found == pytest.approx(in_table(table.reflected, alpha, cosine) + base, rel=0.02, abs=0.003)
-    assert found < 1.01
+    assert radiance == pytest.approx(in_table(table.reflected, alpha, cosine) + base, rel=0.02, abs=0.003)
+    assert radiance < 1.01
 
 
 def test_panes_and_faces_without_area_are_left_out() -> None:

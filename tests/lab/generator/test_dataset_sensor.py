@@ -37,11 +37,11 @@ def test_clipped_pixels_keep_their_radiance_in_units_of_white():
     radiance[80:90, :10] = 1e6
     gains = np.array([1.5, 1.0, 0.8])
     shown = picture(radiance, multiplier=10.0, gains=gains)
-    found = clipped_radiance(radiance, shown, multiplier=10.0, gains=gains)
-    np.testing.assert_allclose(found[30, 45], (45.0, 5.0, 0.08), rtol=1e-3)
-    np.testing.assert_allclose(found[85, 5], np.array([1.0, 1 / 1.5, 0.8 / 1.5]) * 65504, rtol=1e-3)  # hue kept
-    np.testing.assert_array_equal((found > 0).any(axis=2), (shown >= 250).any(axis=2))
-    assert not found[60:75].any()
+    clipped = clipped_radiance(radiance, shown, multiplier=10.0, gains=gains)
+    np.testing.assert_allclose(clipped[30, 45], (45.0, 5.0, 0.08), rtol=1e-3)
+    np.testing.assert_allclose(clipped[85, 5], np.array([1.0, 1 / 1.5, 0.8 / 1.5]) * 65504, rtol=1e-3)  # hue kept
+    np.testing.assert_array_equal((clipped > 0).any(axis=2), (shown >= 250).any(axis=2))
+    assert not clipped[60:75].any()
 
 
 def test_more_than_white_is_white():

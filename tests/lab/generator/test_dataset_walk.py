@@ -115,9 +115,9 @@ def test_views_show_the_room(walks):
 
 
 def test_the_same_state_gives_the_same_walk_to_the_bit():
-    one, other = walk(ROOMS[0], 7)[0], walk(ROOMS[0], 7)[0]
-    np.testing.assert_array_equal(one, other)
-    assert not np.array_equal(one, walk(ROOMS[0], 8)[0])
+    first, second = walk(ROOMS[0], 7)[0], walk(ROOMS[0], 7)[0]
+    np.testing.assert_array_equal(first, second)
+    assert not np.array_equal(first, walk(ROOMS[0], 8)[0])
 
 
 def test_a_walk_has_the_requested_number_of_frames():

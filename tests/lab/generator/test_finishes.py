@@ -103,11 +103,11 @@ def test_walls_have_the_documented_proportions(count, tolerance):
 )
 def test_textures_of_the_library_are_on_a_third_of_the_floors(count, tolerance):
     mine = Texture(np.full((8, 8, 3), 90, np.uint8))
-    found = sum(
+    textured = sum(
         shell_finishes("bedroom", np.random.default_rng(k), floor_textures=(mine,)).room.floor.texture is mine
         for k in range(count)
     )
-    assert found / count == pytest.approx(0.35, abs=tolerance)
+    assert textured / count == pytest.approx(0.35, abs=tolerance)
 
 
 def test_textures_of_the_library_are_on_some_coloured_walls():

@@ -43,19 +43,19 @@ def test_packing_preserves_a_mesh_to_its_precision():
     data = pack_mesh(mesh, lambda texture: textures.append(texture) or len(textures) - 1)
     back = unpack_mesh(data, dict(enumerate(textures)), "lamp")
     order = np.argsort(mesh.face_materials, kind="stable")
-    for one, two, tolerance in zip(corners(mesh), corners(back), (2e-5, 0.02, 1e-4), strict=True):
-        np.testing.assert_allclose(two, one[order], atol=tolerance)
+    for original, restored, tolerance in zip(corners(mesh), corners(back), (2e-5, 0.02, 1e-4), strict=True):
+        np.testing.assert_allclose(restored, original[order], atol=tolerance)
     np.testing.assert_array_equal(back.face_materials, mesh.face_materials[order])
     assert back.materials == tuple(m for m in back.materials)
-    for one, two in zip(mesh.materials, back.materials, strict=True):
-        assert (one.name, one.texture, one.roughness, one.mirror, one.glass) == (
-            two.name,
-            two.texture,
-            two.roughness,
-            two.mirror,
-            two.glass,
+    for original, restored in zip(mesh.materials, back.materials, strict=True):
+        assert (original.name, original.texture, original.roughness, original.mirror, original.glass) == (
+            restored.name,
+            restored.texture,
+            restored.roughness,
+            restored.mirror,
+            restored.glass,
         )
-        assert two.albedo == pytest.approx(one.albedo)
+        assert restored.albedo == pytest.approx(original.albedo)
     np.testing.assert_allclose(np.linalg.norm(back.normals, axis=1), 1, atol=1e-5)
     assert len(data) < 0.35 * sum(part.nbytes for part in (mesh.vertices, mesh.normals, mesh.uvs, mesh.faces))
 
@@ -87,8 +87,8 @@ def written(path, count=3):
     for k in range(count):
         mesh = lamp(shared)
         lights = (LightSource(np.array([0.1, 0.5, k], np.float32), 0.06, (1.0, 0.5, 0.25)),)
-        one = model(f"m{k}", mesh, lights=lights, elevation_m=0.5, top_m=0.7 if k else None, attribution="Ann, CC0")
-        writer.add(one, mesh, (f"geometry {k}", "picture"))
+        stored = model(f"m{k}", mesh, lights=lights, elevation_m=0.5, top_m=0.7 if k else None, attribution="Ann, CC0")
+        writer.add(stored, mesh, (f"geometry {k}", "picture"))
     writer.add_surface(SurfaceTexture("oak", "floor", Texture(picture(2).image, (0.4, 0.3)), "Oak: Bob"))
     writer.write(path)
     return path
@@ -98,15 +98,21 @@ def test_a_cache_returns_what_was_stored(tmp_path):
     path = written(tmp_path / "deep" / "f.rlf")
     cache = Cache(path)
     stored = cache.models()
-    assert [one.model.id for one in stored] == ["m0", "m1", "m2"]
-    one = stored[1].model
+    assert [entry.model.id for entry in stored] == ["m0", "m1", "m2"]
+    table_lamp = stored[1].model
     assert stored[1].shared == ("geometry 1", "picture")
-    assert (one.name, one.role, one.width_m, one.height_m, one.depth_m) == ("Lamp", "table_lamp", 1.0, 1.2, 0.4)
-    assert (one.elevation_m, one.top_m, one.attribution) == (0.5, 0.7, "Ann, CC0")
+    assert (table_lamp.name, table_lamp.role, table_lamp.width_m, table_lamp.height_m, table_lamp.depth_m) == (
+        "Lamp",
+        "table_lamp",
+        1.0,
+        1.2,
+        0.4,
+    )
+    assert (table_lamp.elevation_m, table_lamp.top_m, table_lamp.attribution) == (0.5, 0.7, "Ann, CC0")
     assert stored[0].model.top_m is None
-    np.testing.assert_allclose(one.lights[0].position, [0.1, 0.5, 1])
-    assert one.lights[0].colour == (1.0, 0.5, 0.25)
-    np.testing.assert_allclose(one.mesh.bounds(), lamp(picture()).bounds(), atol=2e-5)
+    np.testing.assert_allclose(table_lamp.lights[0].position, [0.1, 0.5, 1])
+    assert table_lamp.lights[0].colour == (1.0, 0.5, 0.25)
+    np.testing.assert_allclose(table_lamp.mesh.bounds(), lamp(picture()).bounds(), atol=2e-5)
     (surface,) = cache.surfaces()
     assert (surface.id, surface.kind, surface.texture.size_m, surface.attribution) == (
         "oak",
@@ -120,8 +126,8 @@ def test_a_cache_returns_what_was_stored(tmp_path):
 
 
 def test_textures_are_stored_once_and_shared(tmp_path):
-    one, two, _ = Cache(written(tmp_path / "f.rlf")).models()
-    textures = [next(m.texture for m in x.model.mesh.materials if m.texture) for x in (one, two)]
+    first, second, _ = Cache(written(tmp_path / "f.rlf")).models()
+    textures = [next(m.texture for m in x.model.mesh.materials if m.texture) for x in (first, second)]
     assert textures[0] is textures[1]
     few, many = (written(tmp_path / f"{n}.rlf", n).stat().st_size for n in (1, 2))
     assert many < 2 * few
@@ -170,7 +176,7 @@ def test_a_flipped_byte_in_a_blob_is_detected_on_reading(tmp_path):
         data[place] ^= 1
     path.write_bytes(data)
     with pytest.raises(FurnitureError, match=r"f\.rlf: blob \d+ of the furniture cache is damaged"):
-        _ = [one.model.load() for one in cache.models()] + cache.surfaces()
+        _ = [entry.model.load() for entry in cache.models()] + cache.surfaces()
     path.unlink()
     with pytest.raises(FurnitureError, match="cannot be read"):
         cache.models()[0].model.load()

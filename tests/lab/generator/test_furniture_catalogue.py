@@ -50,8 +50,8 @@ def test_splits_share_no_digest_and_cover_every_role(counts, links):
     roles = {f"{role}-{k}": f"r{role}" for role, count in enumerate(counts) for k in range(count)}
     names = sorted(roles)
     shared: dict[str, list[str]] = {name: [f"own {name}"] for name in names}
-    for number, (one, two) in enumerate(links):
-        for place in (one, two):
+    for number, (first, second) in enumerate(links):
+        for place in (first, second):
             shared[names[place % len(names)]].append(f"link {number}")
     splits = assign_splits(roles, shared)
     assert splits == assign_splits(dict(reversed(roles.items())), shared)
@@ -122,8 +122,8 @@ def test_library_folder_and_cache_give_the_same_catalogue(tmp_path):
     assert done == [(k, 6) for k in range(1, 7)]
     catalogues = [load_catalogue(where, warn=refuse) for where in (path, folder, out)]
     for catalogue in catalogues:
-        found = {(model.id, model.split, model.width_m, model.top_m) for model in catalogue.library}
-        assert found == {(model.id, model.split, model.width_m, model.top_m) for model in catalogues[0].library}
+        models = {(model.id, model.split, model.width_m, model.top_m) for model in catalogue.library}
+        assert models == {(model.id, model.split, model.width_m, model.top_m) for model in catalogues[0].library}
         assert {model.role for model in catalogue.library} == {"chair"}
         assert catalogue.attributions == ["Chair: Ann Onymous, CC-BY 3.0"]
         assert catalogue.surfaces("wall", "train") == []

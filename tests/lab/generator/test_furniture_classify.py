@@ -18,7 +18,7 @@ def entry(name, size=(0.6, 0.6, 0.8), *, tags=(), category="Living room", identi
 
 
 @pytest.mark.parametrize(
-    ("one", "role"),
+    ("library_entry", "role"),
     [
         (entry("Sofa 2 seats", (1.8, 0.9, 0.8)), "sofa"),
         (entry("Bar stool"), "stool"),
@@ -48,8 +48,8 @@ def entry(name, size=(0.6, 0.6, 0.8), *, tags=(), category="Living room", identi
         (entry("Whatsit"), None),
     ],
 )
-def test_keywords_and_sizes_determine_the_role(one, role):
-    assert role_of(one) == role
+def test_keywords_and_sizes_determine_the_role(library_entry, role):
+    assert role_of(library_entry) == role
 
 
 def test_exceptions_come_first_and_name_known_roles():
@@ -93,8 +93,8 @@ def test_colours_are_decoded_and_clamped_to_real_albedos():
 
 @pytest.mark.parametrize("level", [0.0, 0.2, 0.4, 0.6, 0.8])
 def test_lighter_colours_stay_lighter(level):
-    one, two = (material("x", diffuse=(v, v, v)).albedo[0] for v in (level, level + 0.2))
-    assert one < two
+    darker, lighter = (material("x", diffuse=(v, v, v)).albedo[0] for v in (level, level + 0.2))
+    assert darker < lighter
 
 
 def test_glass_mirrors_chrome_screens_and_shades():

@@ -18,8 +18,8 @@ from roomlight_generator.rooms.furniture.files.surfaces import read_surfaces
 def load(path, *, role="chair", warn=None):
     warnings = []
     with Archive(path) as archive:
-        (one,) = read_entries(archive, warnings.append)
-        return one, build_mesh(archive, one, role=role, warn=warn or warnings.append)
+        (entry,) = read_entries(archive, warnings.append)
+        return entry, build_mesh(archive, entry, role=role, warn=warn or warnings.append)
 
 
 def library(tmp_path, obj, *, mtl=MTL, files=None, **properties):
@@ -35,12 +35,12 @@ def two_part_obj():
 
 
 def test_models_stand_on_the_floor_in_metres_facing_plus_z(tmp_path):
-    one, mesh = load(library(tmp_path, two_part_obj()))
+    entry, mesh = load(library(tmp_path, two_part_obj()))
     np.testing.assert_allclose(mesh.bounds(), [[-0.25, 0, -0.3], [0.25, 0.9, 0.3]], atol=1e-6)
     high = mesh.vertices[mesh.vertices[:, 1] > 0.5]
     assert high[:, 2].max() < -0.1
-    assert (one.width_m, one.depth_m, one.height_m) == (0.5, 0.6, 0.9)
-    assert one.attribution == "Chair: Ann Onymous, CC-BY 3.0"
+    assert (entry.width_m, entry.depth_m, entry.height_m) == (0.5, 0.6, 0.9)
+    assert entry.attribution == "Chair: Ann Onymous, CC-BY 3.0"
 
 
 def test_the_rotation_is_applied_before_the_size(tmp_path):
@@ -80,8 +80,8 @@ def test_lights_are_in_the_model_frame(tmp_path):
         lightSourceColor="#808080 #ff8000",
         lightSourceDiameter="6 4",
     )
-    one, _ = load(path, role="table_lamp")
-    first, second = one.lights
+    entry, _ = load(path, role="table_lamp")
+    first, second = entry.lights
     # x from the left, y from the front (20 of 60 cm behind it), z from the floor.
     np.testing.assert_allclose(first.position, [-0.15, 0.7, 0.1], atol=1e-6)
     assert first.diameter_m == pytest.approx(0.06)
@@ -97,8 +97,8 @@ def test_lights_around_a_lamp_merge_into_one_inside(tmp_path):
         "lightSourceZ": "40 40",
         "lightSourceColor": "#fff #fff",
     }
-    one, _ = load(library(tmp_path, box_obj(), **sides))
-    (light,) = one.lights
+    entry, _ = load(library(tmp_path, box_obj(), **sides))
+    (light,) = entry.lights
     np.testing.assert_allclose(light.position, [0, 0.4, 0], atol=1e-6)
 
 
@@ -176,7 +176,7 @@ def test_a_malformed_model_is_left_out_and_named(tmp_path, properties, said):
     warnings = []
     with Archive(path) as archive:
         entries = read_entries(archive, warnings.append)
-    assert [one.id for one in entries] == ["a"]
+    assert [kept.id for kept in entries] == ["a"]
     (warning,) = warnings
     assert str(path) in warning
     assert re.search(said, warning), warning
@@ -257,7 +257,7 @@ def test_surface_textures_have_their_physical_size(tmp_path):
     warnings = []
     with Archive(path) as archive:
         surfaces = read_surfaces(archive, warnings.append)
-    assert [(one.id, one.kind, one.texture.size_m) for one in surfaces] == [
+    assert [(surface.id, surface.kind, surface.texture.size_m) for surface in surfaces] == [
         ("t1", "floor", (0.4, 0.3)),
         ("t2", "wall", (0.6, 0.3)),
     ]

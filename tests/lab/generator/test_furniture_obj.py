@@ -78,14 +78,14 @@ def test_materials_are_read_and_malformed_lines_skipped():
     text = (
         "newmtl red paint\nKd 1 0 0\nKs 0.5\nNs 96\nTr 0.25\nmap_Kd -s 1 1 1 my wood.png\nKd x y z\nnewmtl b\nd 0.4\n\n"
     )
-    found = parse_mtl(text.encode())
-    red = found["red paint"]
+    materials = parse_mtl(text.encode())
+    red = materials["red paint"]
     assert red.diffuse == (1, 0, 0)
     assert red.specular == (0.5, 0.5, 0.5)
     assert red.shininess == 96
     assert red.opacity == 0.75
     assert red.texture == "my wood.png"
-    assert found["b"].opacity == 0.4
+    assert materials["b"].opacity == 0.4
 
 
 def test_java_properties_are_parsed():

@@ -59,13 +59,13 @@ def lit(built):
 
 def first_views(lit_room, views=6):
     """Return white (kcd/m2) of frames from this many walks, and the luminance around their first probes."""
-    found = []
+    measured = []
     for number in range(views):
         path = plan_camera_path(lit_room, np.random.default_rng(number), frames=1)
         frame = lit_room.light.frame(path.intrinsics.resized(48, 36), path.poses[0], seed=0).radiance @ LUMINANCE
         around = lit_room.light.panorama(path.probes[0], height=48, seed=0) @ LUMINANCE
-        found.append((float(np.percentile(frame, PERCENTILE)) / BRIGHT_LEVEL, around))
-    return found
+        measured.append((float(np.percentile(frame, PERCENTILE)) / BRIGHT_LEVEL, around))
+    return measured
 
 
 def test_the_shares_of_all_kinds_are_one():
@@ -75,11 +75,11 @@ def test_the_shares_of_all_kinds_are_one():
 @pytest.mark.parametrize("rooms", [25, pytest.param(160, marks=[pytest.mark.slow, pytest.mark.statistical])])
 def test_each_kind_has_about_its_share(rooms):
     """A kind that a room has no place for becomes mixed: the others have half of their share at least."""
-    found = Counter(room(index).facts["light"]["kind"] for index in range(rooms))
+    counts = Counter(room(index).facts["light"]["kind"] for index in range(rooms))
     for kind, share in LIGHT_KINDS.items():
         noise = 2.6 * np.sqrt(share * (1 - share) / rooms)
         least, most = (share - noise, 1) if kind == "mixed" else (0.5 * share - noise, share + noise)
-        assert least <= found[kind] / rooms <= most, kind
+        assert least <= counts[kind] / rooms <= most, kind
 
 
 def test_halls_and_classrooms_are_one_room_in_eight():
@@ -117,24 +117,24 @@ def test_sunbeams_reach_into_the_room():
 
 def test_bare_bulbs_have_no_shade_and_are_glaring():
     """Of the bulbs of all such rooms, half are brighter than 2 kcd/m2; frosted bulbs of 60 W have 30 to 50."""
-    found = [room(index) for index in range(25) if room(index).facts["light"]["kind"] == "bare bulbs"]
+    bulb_rooms = [room(index) for index in range(25) if room(index).facts["light"]["kind"] == "bare bulbs"]
     glare = [
         float(np.dot(material.emission, LUMINANCE))
-        for built in found
+        for built in bulb_rooms
         for item in built.scene.items
         for material in item.mesh.materials
         if material.name in ("bulb", "shade")
     ]
-    assert len(glare) >= len(found) > 0
+    assert len(glare) >= len(bulb_rooms) > 0
     assert np.median([value for value in glare if value > 0]) > 2
 
 
 def test_spots_are_small_and_bright_in_rows():
     """Of the spots of all such rooms, half are brighter than 10 kcd/m2; there are at most 24 in a room."""
-    found = [room(index) for index in range(25) if room(index).facts["light"]["kind"] == "spots"]
-    assert found
+    spot_rooms = [room(index) for index in range(25) if room(index).facts["light"]["kind"] == "spots"]
+    assert spot_rooms
     glare = []
-    for built in found:
+    for built in spot_rooms:
         spots = [item for item in built.scene.items if item.name == "spot"]
         assert 1 <= len(spots) <= 24  # a single one in a very small room
         for spot in spots:
@@ -144,7 +144,7 @@ def test_spots_are_small_and_bright_in_rows():
             assert 0 < built.shell.ceiling_at(float(x), float(z)) - high[1] < 0.03
             glare.append(float(np.dot(spot.mesh.materials[0].emission, LUMINANCE)))
     assert np.median(glare) > 10
-    assert len(glare) > 2 * len(found)
+    assert len(glare) > 2 * len(spot_rooms)
 
 
 @pytest.mark.slow

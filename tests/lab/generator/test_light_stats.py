@@ -67,9 +67,9 @@ def test_panoramas_of_any_size_have_the_same_measures():
     rng = np.random.default_rng(0)
     small = rng.random((120, 240, 3)).astype(np.float32) ** 6 * 9
     large = small.repeat(3, axis=0).repeat(3, axis=1)
-    one, other = (measure_light(even(0.3), NOTHING, panorama) for panorama in (small, large))
-    for name in one.keys() - {"clipped pixels' radiance"}:
-        assert one[name] == pytest.approx(other[name], rel=1e-5)
+    of_small, of_large = (measure_light(even(0.3), NOTHING, panorama) for panorama in (small, large))
+    for name in of_small.keys() - {"clipped pixels' radiance"}:
+        assert of_small[name] == pytest.approx(of_large[name], rel=1e-5)
 
 
 def test_views_are_exposed_by_their_80th_percentile():

@@ -54,13 +54,13 @@ def test_irradiance_is_the_panoramas_integral(shape):
     room = PanoramaRoom(shell, image, np.zeros(image.shape[:2], np.uint8))
     places = np.array([[0.0, 0.0, 0.0], [0.5, 0.0, -0.4], [-0.6, 0.0, 0.3]])
     up = np.tile([0.0, 1.0, 0.0], (3, 1))
-    found, without = light._irradiance(light._sources, places, up)
-    np.testing.assert_allclose(found, without, rtol=1e-6)
+    irradiance, without = light._irradiance(light._sources, places, up)
+    np.testing.assert_allclose(irradiance, without, rtol=1e-6)
     cosine = np.maximum(panorama_directions(128)[..., 1], 0)[..., None] * panorama_solid_angles(128)[..., None]
     expected = [
         (room.panorama(place + np.array([0, 0.002, 0]), height=128, seed=0) * cosine).sum((0, 1)) for place in places
     ]
-    np.testing.assert_allclose(found, expected, rtol=0.08)  # 96 light samples and 64 rays
+    np.testing.assert_allclose(irradiance, expected, rtol=0.08)  # 96 light samples and 64 rays
 
 
 def test_an_even_room_lights_every_side_alike():
@@ -179,7 +179,7 @@ def test_the_share_of_rooms_with_furniture_is_kept(tmp_path, monkeypatch):
 
 def test_mirrors_become_matt_and_keep_their_mesh():
     mesh = shapes.with_material(shapes.block(1, 1, 0.1), Material("m", mirror=0.9))
-    model = next(one for one in fallback_models("train") if one.role == "chair")
+    model = next(candidate for candidate in fallback_models("train") if candidate.role == "chair")
     item = furniture_module._item(model, mesh)
     assert all(material.mirror == 0 for material in item.mesh.materials)
     np.testing.assert_array_equal(item.mesh.faces, mesh.faces)

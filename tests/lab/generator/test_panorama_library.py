@@ -73,12 +73,12 @@ def test_a_folder_without_panoramas_is_an_error(tmp_path):
 
 
 def test_the_digest_is_of_names_and_content(tmp_path):
-    one, other = folder_of(tmp_path / "a", ["x", "y"], height=16), folder_of(tmp_path / "b", ["x", "y"], height=16)
-    assert digest(one) == digest(other)
-    (other / "y.exr").rename(other / "z.exr")
-    assert digest(one) != digest(other)
-    write_exr(one / "x.exr", 2 * panorama(height=16))
-    assert digest(one) != digest(folder_of(tmp_path / "c", ["x", "y"], height=16))
+    first, second = folder_of(tmp_path / "a", ["x", "y"], height=16), folder_of(tmp_path / "b", ["x", "y"], height=16)
+    assert digest(first) == digest(second)
+    (second / "y.exr").rename(second / "z.exr")
+    assert digest(first) != digest(second)
+    write_exr(first / "x.exr", 2 * panorama(height=16))
+    assert digest(first) != digest(folder_of(tmp_path / "c", ["x", "y"], height=16))
 
 
 def test_radiance_hdr_files_are_read(tmp_path):

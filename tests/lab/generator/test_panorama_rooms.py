@@ -25,12 +25,12 @@ from roomlight_generator.sequences.walk import phone_intrinsics
 
 def shells():
     """One shell of each shape."""
-    found = {}
+    by_shape = {}
     for seed in range(60):
         shell = draw_shell(np.random.default_rng(seed))
-        found.setdefault((shell.facts["shape"], shell.facts["hall"]), shell)
-    assert {shape for shape, _ in found} == {"box", "corner", "slope", "gable"}
-    return list(found.values())
+        by_shape.setdefault((shell.facts["shape"], shell.facts["hall"]), shell)
+    assert {shape for shape, _ in by_shape} == {"box", "corner", "slope", "gable"}
+    return list(by_shape.values())
 
 
 SHELLS = shells()
@@ -119,9 +119,9 @@ def test_bright_areas_are_lights_windows_glass_floors_ordinary():
     image[26:38, 10:40] = 50  # a window
     image[5:7, 60:62] = 50  # a lamp
     image[55:60, 80:120] = 50  # sun on the floor
-    found = [surface_kinds(image, np.random.default_rng(seed)) for seed in range(40)]
-    assert {int(kinds[30, 20]) for kinds in found} == {GLASS, LIGHT}
-    for kinds in found:
+    kinds_by_seed = [surface_kinds(image, np.random.default_rng(seed)) for seed in range(40)]
+    assert {int(kinds[30, 20]) for kinds in kinds_by_seed} == {GLASS, LIGHT}
+    for kinds in kinds_by_seed:
         assert (kinds[26:38, 10:40] == kinds[30, 20]).all()
         assert kinds[5, 60] == LIGHT
         assert kinds[57, 100] == kinds[0, 0] == ORDINARY
@@ -195,7 +195,7 @@ def test_panoramas_of_the_other_split_are_not_used(dataset, folder):
 
 def test_clipped_pixels_have_their_true_radiance(dataset):
     data = Dataset(dataset)
-    found = 0
+    bright = 0
     for number in range(len(data)):
         assert data.read(number).clipped_radiance is None  # not requested
         recording = data.read(number, clipped=True)
@@ -205,8 +205,8 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
         assert (shown[stored > 0] >= CLIPPED_SRGB8 - 12).all()  # JPEG moves some below the limit
         assert (stored[shown == 255] > 0).mean() > 0.95 if (shown == 255).sum() > 50 else True
         assert np.median(stored[stored > 0]) > 0.9 if (stored > 0).any() else True
-        found += int((stored > 3).sum())
-    assert found > 5
+        bright += int((stored > 3).sum())
+    assert bright > 5
 
 
 @pytest.mark.usefixtures("small_views")
@@ -214,11 +214,11 @@ def test_clipped_pixels_have_their_true_radiance(dataset):
 def test_the_same_room_gives_the_same_recording(folder, share, monkeypatch):
     monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
     options = {"seed": 1, "split": "train", "furniture": None, "count": 1, "frames": 2, "furniture_share": share}
-    one, other = (next(render.render_room(0, panoramas=folder, **options)) for _ in range(2))
+    first, second = (next(render.render_room(0, panoramas=folder, **options)) for _ in range(2))
     for name in ("colour", "depth_mm", "surface", "probe_panoramas", "clipped_radiance"):
-        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
-    assert one.facts == other.facts
-    assert (len(one.facts["furniture"]) > 0) == (share > 0)
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    assert first.facts == second.facts
+    assert (len(first.facts["furniture"]) > 0) == (share > 0)
 
 
 def test_a_dataset_continues_with_the_same_panoramas_only(dataset, folder, tmp_path):

@@ -13,7 +13,6 @@ from planner_rooms import BoxCatalogue, random_shell, shell
 from roomlight_generator.rooms.plan import Gap, Placement, Shell
 from roomlight_generator.rooms.planner import ROOM_TYPES, RoomType, free_floor, furnish
 from roomlight_generator.rooms.planner.body import Body
-from roomlight_generator.rooms.planner.groups.tables import MAX_TUCK_M
 from roomlight_generator.rooms.planner.shell_bodies import shell_bodies
 from roomlight_generator.rooms.roles import CEILING_ROLES, ROLES, TOP_ROLES, WALL_ROLES
 from roomlight_generator.rooms.scene import Item
@@ -22,6 +21,7 @@ from roomlight_generator.rooms.shapes import box
 SEATS = {"chair", "office_chair", "stool"}
 TABLES = {"dining_table", "desk", "side_table"}
 NAMES = sorted(ROOM_TYPES)
+MAX_TUCK_M = 0.15  # a seat is lower than its table's top, so their boxes may overlap
 
 
 def make(name: str, seed: int, catalogue: BoxCatalogue | None = None) -> tuple[Shell, tuple[Placement, ...]]:
@@ -51,10 +51,10 @@ def corners(placement: Placement) -> np.ndarray:
     return turned + np.array([placement.x, placement.z])
 
 
-def depth_of_overlap(one: Placement, other: Placement) -> float:
+def depth_of_overlap(first: Placement, second: Placement) -> float:
     """Return the penetration depth of two boxes in metres; 0 if they do not overlap."""
-    depth = min(one.y + one.model.height_m, other.y + other.model.height_m) - max(one.y, other.y)
-    a, b = corners(one), corners(other)
+    depth = min(first.y + first.model.height_m, second.y + second.model.height_m) - max(first.y, second.y)
+    a, b = corners(first), corners(second)
     for shape in (a, b):
         for edge in (shape[1] - shape[0], shape[2] - shape[1]):
             axis = edge / np.linalg.norm(edge)
@@ -72,29 +72,38 @@ def in_second_room(empty: Shell, placement: Placement) -> bool:
 
 
 def test_room_types_are_valid_and_two_are_for_the_test_split() -> None:
-    assert {name for name, one in ROOM_TYPES.items() if one.split == "test"} == {"library", "cafe"}
-    for name, one in ROOM_TYPES.items():
-        assert one.name == name
-        for low, high in (one.area_m2, one.aspect, one.height_m, one.windows, one.doors, one.clutter):
+    assert {name for name, room_type in ROOM_TYPES.items() if room_type.split == "test"} == {"library", "cafe"}
+    for name, room_type in ROOM_TYPES.items():
+        assert room_type.name == name
+        for low, high in (
+            room_type.area_m2,
+            room_type.aspect,
+            room_type.height_m,
+            room_type.windows,
+            room_type.doors,
+            room_type.clutter,
+        ):
             assert 0 <= low <= high
-        assert {role for role, _ in one.wall_items} <= set(WALL_ROLES)
+        assert {role for role, _ in room_type.wall_items} <= set(WALL_ROLES)
 
 
 @pytest.mark.parametrize("name", NAMES)
 def test_bodies_do_not_overlap(name: str) -> None:
     for _, placements in rooms(name):
-        solid = [one for one in placements if one.model.role != "rug"]
-        reaches = [math.hypot(one.model.width_m, one.model.depth_m) / 2 for one in solid]
-        for (one, reach), (other, across) in combinations(zip(solid, reaches, strict=True), 2):
-            if math.hypot(one.x - other.x, one.z - other.z) > reach + across:
+        solid = [placement for placement in placements if placement.model.role != "rug"]
+        reaches = [math.hypot(placement.model.width_m, placement.model.depth_m) / 2 for placement in solid]
+        for (placement, reach), (other, across) in combinations(zip(solid, reaches, strict=True), 2):
+            if math.hypot(placement.x - other.x, placement.z - other.z) > reach + across:
                 continue
-            if stands_on(one, other) or stands_on(other, one):
+            if stands_on(placement, other) or stands_on(other, placement):
                 continue
-            roles = {one.model.role, other.model.role}
+            roles = {placement.model.role, other.model.role}
             allowed = MAX_TUCK_M + 1e-6 if roles & SEATS and roles & TABLES else 0.0011
-            assert depth_of_overlap(one, other) <= allowed, (one, other)
-        for one, other in combinations([one for one in placements if one.model.role == "rug"], 2):
-            assert depth_of_overlap(one, other) <= 0.0011
+            assert depth_of_overlap(placement, other) <= allowed, (placement, other)
+        for placement, other in combinations(
+            [placement for placement in placements if placement.model.role == "rug"], 2
+        ):
+            assert depth_of_overlap(placement, other) <= 0.0011
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -145,12 +154,12 @@ def test_doors_and_windows_stay_clear(name: str) -> None:
 
 @pytest.mark.parametrize("name", NAMES)
 def test_objects_on_top_stand_inside_their_support(name: str) -> None:
-    found = 0
+    on_top = 0
     for _, placements in rooms(name):
         for thing in placements:
             if thing.model.role not in TOP_ROLES:
                 continue
-            found += 1
+            on_top += 1
             inside = False
             for support in placements:
                 if stands_on(thing, support):
@@ -160,7 +169,7 @@ def test_objects_on_top_stand_inside_their_support(name: str) -> None:
                         for x, z in local
                     )
             assert inside, thing
-    assert found > 3
+    assert on_top > 3
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -181,8 +190,8 @@ def test_people_can_walk(name: str) -> None:
 def test_sofas_face_televisions() -> None:
     pairs = 0
     for _, placements in rooms("living_room", "studio"):
-        screens = [one for one in placements if one.model.role in ("television", "wall_television")]
-        sofas = [one for one in placements if one.model.role == "sofa"]
+        screens = [placement for placement in placements if placement.model.role in ("television", "wall_television")]
+        sofas = [placement for placement in placements if placement.model.role == "sofa"]
         if not screens or not sofas:
             continue
         pairs += 1
@@ -201,41 +210,44 @@ def test_sofas_face_televisions() -> None:
 def test_chairs_face_the_tables_they_stand_at() -> None:
     chairs = 0
     for _, placements in rooms("dining_room", "cafe", "home_office", "open_office"):
-        for one in placements:
-            if one.model.role not in ("chair", "office_chair"):
+        for placement in placements:
+            if placement.model.role not in ("chair", "office_chair"):
                 continue
-            turn = math.radians(one.degrees)
-            reach = one.model.depth_m / 2 + 0.42
-            x, z = one.x + reach * math.sin(turn), one.z + reach * math.cos(turn)
+            turn = math.radians(placement.degrees)
+            reach = placement.model.depth_m / 2 + 0.42
+            x, z = placement.x + reach * math.sin(turn), placement.z + reach * math.cos(turn)
             tables = [Body.placed(table) for table in placements if table.model.role in TABLES]
             local = [(table, table.to_local(x, z)) for table in tables]
             at_table = any(abs(a) < t.half_width and abs(b) < t.half_depth for t, (a, b) in local)
             chairs += 1
-            assert at_table or not tables or one.model.role == "chair", one
+            assert at_table or not tables or placement.model.role == "chair", placement
     assert chairs > 30
 
 
 def test_beds_and_storage_have_their_backs_to_a_wall() -> None:
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for empty, placements in rooms("bedroom", "living_room", "children_room", "attic_room", seeds=7):
-        for one in placements:
-            if one.model.role not in ("bed", "child_bed", "wardrobe", "sideboard", "tv_stand"):
+        for placement in placements:
+            if placement.model.role not in ("bed", "child_bed", "wardrobe", "sideboard", "tv_stand"):
                 continue
-            if in_second_room(empty, one):
+            if in_second_room(empty, placement):
                 continue
-            found[one.model.role] += 1
-            turn = math.radians(one.degrees)
+            counts[placement.model.role] += 1
+            turn = math.radians(placement.degrees)
             back = np.array(
-                [one.x - math.sin(turn) * one.model.depth_m / 2, one.z - math.cos(turn) * one.model.depth_m / 2]
+                [
+                    placement.x - math.sin(turn) * placement.model.depth_m / 2,
+                    placement.z - math.cos(turn) * placement.model.depth_m / 2,
+                ]
             )
             gaps = [
                 float((back - wall.start) @ wall.inward)
                 for wall in empty.walls
-                if abs((one.degrees - wall.facing_degrees() + 180) % 360 - 180) < 3
+                if abs((placement.degrees - wall.facing_degrees() + 180) % 360 - 180) < 3
             ]
-            low = one.model.height_m > min(wall.height_m for wall in empty.walls)
-            assert min(abs(gap) for gap in gaps) < (0.68 if low else 0.08), one
-    assert min(found[role] for role in ("bed", "wardrobe", "sideboard", "tv_stand")) >= 3
+            low = placement.model.height_m > min(wall.height_m for wall in empty.walls)
+            assert min(abs(gap) for gap in gaps) < (0.68 if low else 0.08), placement
+    assert min(counts[role] for role in ("bed", "wardrobe", "sideboard", "tv_stand")) >= 3
 
 
 def test_rooms_hold_the_furniture_of_their_type() -> None:
@@ -246,37 +258,41 @@ def test_rooms_hold_the_furniture_of_their_type() -> None:
         "cafe": {"dining_table", "chair"}, "living_room": {"sofa"}, "studio": {"bed", "kitchen_unit"},
     }  # fmt: skip
     for name, roles in needed.items():
-        having = sum(bool(roles & {one.model.role for one in placements}) for _, placements in rooms(name))
+        having = sum(bool(roles & {placement.model.role for placement in placements}) for _, placements in rooms(name))
         assert having >= 3, name
 
 
 def test_lamps_hang_from_the_ceiling() -> None:
     lamps = 0
     for empty, placements in rooms():
-        for one in placements:
-            if one.model.role in CEILING_ROLES:
+        for placement in placements:
+            if placement.model.role in CEILING_ROLES:
                 lamps += 1
-                lowest = min(empty.ceiling_at(float(x), float(z)) for x, z in corners(one))
-                assert 0 <= lowest - one.y - one.model.height_m < 0.02
-                over = [Body.placed(table).to_local(one.x, one.z) for table in placements if table.model.role in TABLES]
-                assert one.y >= 1.9 or any(abs(x) < 1.2 and abs(z) < 0.7 for x, z in over), one
+                lowest = min(empty.ceiling_at(float(x), float(z)) for x, z in corners(placement))
+                assert 0 <= lowest - placement.y - placement.model.height_m < 0.02
+                over = [
+                    Body.placed(table).to_local(placement.x, placement.z)
+                    for table in placements
+                    if table.model.role in TABLES
+                ]
+                assert placement.y >= 1.9 or any(abs(x) < 1.2 and abs(z) < 0.7 for x, z in over), placement
     assert lamps > 50
 
 
 def test_the_same_generator_gives_the_same_room() -> None:
     for name in ("living_room", "attic_room"):
         first, second = (
-            [(one.model.id, one.x, one.y, one.z, one.degrees) for one in make(name, 3)[1]] for _ in range(2)
+            [(item.model.id, item.x, item.y, item.z, item.degrees) for item in make(name, 3)[1]] for _ in range(2)
         )
         assert first == second
-        assert first != [(one.model.id, one.x, one.y, one.z, one.degrees) for one in make(name, 4)[1]]
+        assert first != [(item.model.id, item.x, item.y, item.z, item.degrees) for item in make(name, 4)[1]]
 
 
 def test_models_follow_the_split_and_types_are_reserved() -> None:
     rng = np.random.default_rng(0)
     empty = random_shell(rng, 20.0, 1.3)
     placements = furnish(empty, ROOM_TYPES["living_room"], BoxCatalogue(), rng, split="test")
-    assert {one.model.split for one in placements} == {"test"}
+    assert {placement.model.split for placement in placements} == {"test"}
     with pytest.raises(ValueError, match="library is reserved for the test split"):
         furnish(empty, ROOM_TYPES["library"], BoxCatalogue(), rng, split="train")
 
@@ -290,7 +306,7 @@ def test_roles_that_the_catalogue_lacks_are_left_out(lacking: set[str]) -> None:
     catalogue = BoxCatalogue(lacking=frozenset(lacking))
     for name in ("living_room", "kitchen", "home_office", "bathroom", "library"):
         _, placements = make(name, 1, catalogue)
-        assert not lacking & {one.model.role for one in placements}
+        assert not lacking & {placement.model.role for placement in placements}
 
 
 @pytest.mark.parametrize("seeds", [2, pytest.param(5, marks=pytest.mark.slow)])
@@ -302,7 +318,7 @@ def test_clutter_scales_the_number_of_small_objects(seeds: int) -> None:
         for seed in range(seeds):
             rng = np.random.default_rng(seed)
             placements = furnish(random_shell(rng, 24.0, 1.3), room_type, BoxCatalogue(), rng, split="train")
-            total += sum(one.model.role in TOP_ROLES for one in placements)
+            total += sum(placement.model.role in TOP_ROLES for placement in placements)
         counts[clutter] = total / seeds
     assert counts[1.0] > counts[0.0] + 5
 
@@ -313,16 +329,16 @@ def test_radiators_stand_below_sills() -> None:
         [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)], {0: (window,), 2: (Gap("door", 1.0, 1.9, 0.0, 2.0, 0.9),)}
     )
     room_type = RoomType("bare", (), radiators=1.0)
-    found = 0
+    radiators = 0
     for seed in range(6):
         placements = furnish(empty, room_type, BoxCatalogue(), np.random.default_rng(seed), split="train")
-        for one in placements:
-            if one.model.role == "radiator":
-                found += 1
-                assert one.y + one.model.height_m < 0.9
-                assert 1.2 < one.x < 2.2
-                assert one.z < 0.15
-    assert found >= 3
+        for placement in placements:
+            if placement.model.role == "radiator":
+                radiators += 1
+                assert placement.y + placement.model.height_m < 0.9
+                assert 1.2 < placement.x < 2.2
+                assert placement.z < 0.15
+    assert radiators >= 3
 
 
 def test_pieces_stand_on_the_spots_of_the_second_room() -> None:
@@ -330,13 +346,13 @@ def test_pieces_stand_on_the_spots_of_the_second_room() -> None:
     outside = 0
     for seed in range(6):
         placements = furnish(empty, ROOM_TYPES["bedroom"], BoxCatalogue(), np.random.default_rng(seed), split="train")
-        for one in placements:
-            if in_second_room(empty, one):
+        for placement in placements:
+            if in_second_room(empty, placement):
                 outside += 1
-                radius = 0.5 if abs(one.z - 2.0) < 0.01 else 0.3
-                assert math.hypot(one.model.width_m, one.model.depth_m) / 2 <= radius + 0.001
+                radius = 0.5 if abs(placement.z - 2.0) < 0.01 else 0.3
+                assert math.hypot(placement.model.width_m, placement.model.depth_m) / 2 <= radius + 0.001
             else:
-                assert empty.contains(one.x, one.z)
+                assert empty.contains(placement.x, placement.z)
     assert outside >= 4
 
 
@@ -359,9 +375,9 @@ def test_furniture_avoids_curtains_beams_and_open_doors() -> None:
         placements = furnish(
             empty, ROOM_TYPES["living_room"], BoxCatalogue(), np.random.default_rng(seed), split="train"
         )
-        for one in placements:
-            assert not any(Body.placed(one).overlaps(body) for body in bodies), one
-            lamps += one.model.role in CEILING_ROLES
+        for placement in placements:
+            assert not any(Body.placed(placement).overlaps(body) for body in bodies), placement
+            lamps += placement.model.role in CEILING_ROLES
     assert lamps >= 1
 
 

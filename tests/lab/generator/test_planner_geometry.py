@@ -25,19 +25,19 @@ turn = st.floats(-360, 360)
 def test_overlap_agrees_with_sampling(
     x: float, z: float, degrees: float, width: float, depth: float, own: float, own_width: float, own_depth: float
 ) -> None:
-    one = Body.of(0.0, 0.0, own, width=own_width, depth=own_depth, high=1.0)
+    body = Body.of(0.0, 0.0, own, width=own_width, depth=own_depth, high=1.0)
     other = Body.of(x, z, degrees, width=width, depth=depth, high=1.0)
     grid = np.linspace(-0.999, 0.999, 17)
     hit = False
     for a in grid:
         for b in grid:
-            right, front = other.to_local(*one.to_plan(float(a) * one.half_width, float(b) * one.half_depth))
+            right, front = other.to_local(*body.to_plan(float(a) * body.half_width, float(b) * body.half_depth))
             hit |= abs(right) < other.half_width and abs(front) < other.half_depth
-    assert one.overlaps(other) == other.overlaps(one)
-    if hit and not one.overlaps(other):
+    assert body.overlaps(other) == other.overlaps(body)
+    if hit and not body.overlaps(other):
         # Samples may lie within the slack of one millimetre.
-        assert not one.overlaps(other, slack_m=0.0) or one.overlaps(other, slack_m=-0.002)
-    if not one.overlaps(other, slack_m=0.0):
+        assert not body.overlaps(other, slack_m=0.0) or body.overlaps(other, slack_m=-0.002)
+    if not body.overlaps(other, slack_m=0.0):
         assert not hit
 
 
@@ -111,14 +111,14 @@ def test_floor_under_low_slopes_is_not_free() -> None:
 def test_free_wall_spans_exclude_gaps_and_furniture() -> None:
     gaps = {0: (Gap("window", 1.0, 2.0, 0.9, 2.0),)}
     arrangement = Arrangement(shell(SQUARE, gaps), BoxCatalogue(), np.random.default_rng(0), "train")
-    assert [(one.start_m, one.end_m) for one in free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))] == [
-        (0.0, 4.0)
-    ]
+    assert [
+        (span.start_m, span.end_m) for span in free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))
+    ] == [(0.0, 4.0)]
     tall = free_wall_spans(arrangement, 0.4, low=0.0, high=1.8, walls=(0,))
-    assert [(one.start_m, one.end_m) for one in tall] == [(0.0, 1.0), (2.0, 4.0)]
+    assert [(span.start_m, span.end_m) for span in tall] == [(0.0, 1.0), (2.0, 4.0)]
     arrangement.place(model("dresser", (0.5, 0.8, 0.4)), 3.0, 0.22, 0.0)
     low = free_wall_spans(arrangement, 0.4, low=0.0, high=0.8, walls=(0,))
-    assert [(one.start_m, one.end_m) for one in low] == [(0.0, pytest.approx(2.75)), (pytest.approx(3.25), 4.0)]
+    assert [(span.start_m, span.end_m) for span in low] == [(0.0, pytest.approx(2.75)), (pytest.approx(3.25), 4.0)]
 
 
 def test_depth_at_wall_finds_the_opposite_wall() -> None:

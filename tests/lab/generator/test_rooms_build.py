@@ -45,10 +45,10 @@ def lamp(mesh, lights=()):
 def test_the_same_arguments_give_the_same_room():
     first, again = room(0), build_room(0, seed=0, split="train", catalogue=catalogue())
     assert first.facts == again.facts
-    for one, other in zip(first.scene.items, again.scene.items, strict=True):
-        assert one.name == other.name
-        np.testing.assert_array_equal(one.mesh.vertices, other.mesh.vertices)
-        assert [m.emission for m in one.mesh.materials] == [m.emission for m in other.mesh.materials]
+    for item, same in zip(first.scene.items, again.scene.items, strict=True):
+        assert item.name == same.name
+        np.testing.assert_array_equal(item.mesh.vertices, same.mesh.vertices)
+        assert [m.emission for m in item.mesh.materials] == [m.emission for m in same.mesh.materials]
     np.testing.assert_array_equal(first.scene.sky.panorama, again.scene.sky.panorama)
 
 
@@ -57,8 +57,8 @@ def test_the_same_arguments_give_the_same_room():
 )
 def test_rooms_have_independent_random_streams(change):
     given = {"index": 0, "seed": 0, "split": "train", "purpose": 0}
-    one = room_generator(**given).random(4)
-    assert not np.array_equal(one, room_generator(**(given | change)).random(4))
+    numbers = room_generator(**given).random(4)
+    assert not np.array_equal(numbers, room_generator(**(given | change)).random(4))
 
 
 @pytest.mark.parametrize("count", [1, pytest.param(12, marks=pytest.mark.slow)])
@@ -67,9 +67,9 @@ def test_the_test_split_has_its_own_models_and_room_types(count):
     assert len(reserved) == 2
     train = [room(index) for index in range(count)]
     test = [room(index, split="test") for index in range(count)]
-    assert not {one.room_type for one in train} & reserved
-    assert {one.room_type for one in test} & reserved
-    models = [{name for one in rooms for name in one.facts["models"]} for rooms in (train, test)]
+    assert not {built.room_type for built in train} & reserved
+    assert {built.room_type for built in test} & reserved
+    models = [{name for built in rooms for name in built.facts["models"]} for rooms in (train, test)]
     assert not models[0] & models[1]
 
 

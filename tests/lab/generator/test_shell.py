@@ -191,9 +191,9 @@ def test_spots_are_free_and_outside_the_room(name: str, seed: int) -> None:
 
 def test_the_same_seed_gives_the_same_shell() -> None:
     for seed in range(2):
-        one, other = (build_shell(EVERYTHING, finishes(), np.random.default_rng(seed)) for _ in range(2))
-        assert [item.name for item in one.items] == [item.name for item in other.items]
-        for a, b in zip(one.items, other.items, strict=True):
+        first, second = (build_shell(EVERYTHING, finishes(), np.random.default_rng(seed)) for _ in range(2))
+        assert [item.name for item in first.items] == [item.name for item in second.items]
+        for a, b in zip(first.items, second.items, strict=True):
             assert a.mesh.vertices.tobytes() == b.mesh.vertices.tobytes()
             assert a.mesh.uvs.tobytes() == b.mesh.uvs.tobytes()
 
@@ -243,9 +243,9 @@ def test_daylight_comes_in_through_the_second_rooms_window() -> None:
     """The opening lies beyond the second room, and a ray from outside reaches the second room's floor through it."""
     style = ShellStyle(windows=(0, 0), open_door=0.0, passage=1.0, second_window=1.0, slanted=0.0, skylights=0.0)
     shells = [build_shell(style, finishes(), np.random.default_rng(seed)) for seed in range(8)]
-    found = [(shell, opening) for shell in shells for opening in shell.openings]
-    assert len(found) >= 4
-    for shell, opening in found:
+    daylit = [(shell, opening) for shell in shells for opening in shell.openings]
+    assert len(daylit) >= 4
+    for shell, opening in daylit:
         centre = opening.corner + (opening.edge_u + opening.edge_v) / 2
         assert not shell.contains(float(centre[0]), float(centre[2]))
         second = np.concatenate([item.mesh.vertices for item in shell.items if item.role == "second_room"])

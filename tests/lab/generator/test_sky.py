@@ -9,12 +9,10 @@ from roomlight.conventions import panorama_directions
 from roomlight_generator.rooms.colour import (
     LUMINANCE,
     blackbody_rgb,
-    from_srgb,
     linear_to_oklab,
     luminance,
     oklab_to_linear,
     paint,
-    to_srgb,
 )
 from roomlight_generator.rooms.scene import Sky, Sun
 from roomlight_generator.rooms.sky import HEIGHT, SKY_KINDS, horizontal_irradiance, make_sky, vertical_irradiance
@@ -90,7 +88,6 @@ def test_paints_have_their_hue_and_oklab_round_trips():
     lab = linear_to_oklab(colours)
     np.testing.assert_allclose(lab[3], (1, 0, 0), atol=1e-3)
     np.testing.assert_allclose(oklab_to_linear(lab), colours, atol=1e-9)
-    np.testing.assert_allclose(from_srgb(to_srgb(red)), red, rtol=1e-4)
 
 
 @pytest.mark.parametrize("kind", SKY_KINDS)
@@ -148,8 +145,8 @@ def test_only_clear_skies_are_blue_overhead():
 
 
 def test_the_same_state_gives_the_same_sky():
-    one, two = (make_sky("partly_cloudy", np.random.default_rng(3)) for _ in range(2))
-    assert one.panorama.tobytes() == two.panorama.tobytes()
+    first, second = (make_sky("partly_cloudy", np.random.default_rng(3)) for _ in range(2))
+    assert first.panorama.tobytes() == second.panorama.tobytes()
 
 
 def test_unknown_skies_are_refused():

@@ -120,8 +120,8 @@ def test_an_even_sky_in_a_window_is_a_lamp_of_its_shape():
     distance = np.linalg.norm(away, axis=-1)
     inner = away[..., 1] / distance * -away[..., 2] / distance / distance**2
     expected = 3.0 * inner.mean() * 1.6
-    found = light.irradiance(point[None], np.array([[0.0, 1.0, 0.0]]))
-    np.testing.assert_allclose(found[0], expected, rtol=0.03)
+    irradiance = light.irradiance(point[None], np.array([[0.0, 1.0, 0.0]]))
+    np.testing.assert_allclose(irradiance[0], expected, rtol=0.03)
 
 
 def test_a_sunlit_patch_has_the_suns_irradiance_and_its_outline():
@@ -134,9 +134,9 @@ def test_a_sunlit_patch_has_the_suns_irradiance_and_its_outline():
     lit = through - toward * (1.4 / toward[1])  # where the ray through the window's middle meets the floor
     beside = lit + np.array([1.4, 0, 0])
     up = np.tile([0.0, 1.0, 0.0], (2, 1))
-    found = light.irradiance(np.stack([lit, beside]), up)
-    np.testing.assert_allclose(found[0], np.array([60.0, 50.0, 40.0]) * toward[1], rtol=0.02)
-    assert found[1].max() < 0.01
+    received = light.irradiance(np.stack([lit, beside]), up)
+    np.testing.assert_allclose(received[0], np.array([60.0, 50.0, 40.0]) * toward[1], rtol=0.02)
+    assert received[1].max() < 0.01
 
 
 def test_a_mirror_shows_its_surroundings_and_ends_depth():
@@ -206,11 +206,11 @@ def test_bounces_between_walls_follow_radiosity():
             normals.append(normal)
     points, normals = np.concatenate(points), np.concatenate(normals)
     under = (np.abs(points[:, 0]) < 0.31) & (np.abs(points[:, 2]) < 0.31) & (points[:, 1] > 2.4)
-    found = light.irradiance(points[~under], normals[~under])[:, 1].mean()
+    mean_irradiance = light.irradiance(points[~under], normals[~under])[:, 1].mean()
     area = 2 * (w * h + h * d + w * d)
     flux = np.pi * 8.0 * 0.36
     # the lamp's two sides both emit (the upper onto the ceiling right above) and both absorb what falls on them
-    assert found == pytest.approx(flux / (area * 0.5), rel=0.12)
+    assert mean_irradiance == pytest.approx(flux / (area * 0.5), rel=0.12)
 
 
 def test_vertices_that_are_not_finite_are_refused():
@@ -255,9 +255,9 @@ def test_a_coat_reflects_the_sun_about_the_mirrored_direction():
         out = away / distance
         radiance = 60 * ggx(np.array([0.0, 1.0, 0.0]), out, toward, 0.25)
         expected.append((radiance * out[..., 1] * -(out @ normal) / distance[..., 0] ** 2).mean() * 1.6 * 4 / 3)
-    found = light.irradiance(points, np.tile(normal, (3, 1)))[:, 1]
+    received = light.irradiance(points, np.tile(normal, (3, 1)))[:, 1]
     # 3,072 spots and a wall's 512 candidates: 3 % were measured. Spread over all directions, the first would get 0.4.
-    np.testing.assert_allclose(found, expected, rtol=0.05)
+    np.testing.assert_allclose(received, expected, rtol=0.05)
 
 
 def test_a_closed_lamps_inside_does_not_leak_through_a_bulb():

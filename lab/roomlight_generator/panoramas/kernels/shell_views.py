@@ -90,7 +90,7 @@ def ray(camera, row, column):
 @njit(**JIT)
 def nearest(shell, ox, oy, oz, dx, dy, dz):
     """Return the distance to the nearest triangle along a ray, and its number (-1: none)."""
-    best, found = 1e30, -1
+    best, triangle = 1e30, -1
     for t in range(len(shell.face)):
         n = shell.normal[t]
         facing = n[0] * dx + n[1] * dy + n[2] * dz
@@ -112,8 +112,8 @@ def nearest(shell, ox, oy, oz, dx, dy, dz):
         a, b = bb * pa - ab * pb, aa * pb - ab * pa
         slack = 1e-9 * determinant  # rays through shared edges meet both triangles
         if a >= -slack and b >= -slack and a + b <= determinant + slack:
-            best, found = distance, t
-    return best, found
+            best, triangle = distance, t
+    return best, triangle
 
 
 @njit(**JIT)
@@ -191,17 +191,17 @@ def trace_corners(shell, panorama, camera, triangle, corner):
             dx, dy, dz = ray(camera, float(i), float(j))
             t, triangle[i, j] = nearest(shell, ox, oy, oz, dx, dy, dz)
             x, y, z = ox + t * dx, oy + t * dy, oz + t * dz
-            one = corner[i, j]
-            one[0], one[1], one[2], one[3], one[4], one[5] = dx, dy, dz, x, y, z
-            one[6], one[7] = place(panorama, x, y, z)
+            record = corner[i, j]
+            record[0], record[1], record[2], record[3], record[4], record[5] = dx, dy, dz, x, y, z
+            record[6], record[7] = place(panorama, x, y, z)
 
 
 @njit(**JIT)
-def apart(one, other, size):
+def apart(corner, other, size):
     """Return how many of the panorama's pixels (size: height, width) lie between two corners of a pixel."""
-    across = abs(one[6] - other[6])
-    across = min(across, size[1] - across) * math.sin(0.5 * (one[7] + other[7]) / size[0] * math.pi)
-    return max(across, abs(one[7] - other[7]))
+    across = abs(corner[6] - other[6])
+    across = min(across, size[1] - across) * math.sin(0.5 * (corner[7] + other[7]) / size[0] * math.pi)
+    return max(across, abs(corner[7] - other[7]))
 
 
 @njit(**JIT)

@@ -107,15 +107,15 @@ def _load_materials(
     kinds = KIND_OF.get(entry.id, {})
     for k, name in enumerate(obj.material_names):
         mtl = mtl_materials.get(name, replace(_UNNAMED, name=name))
-        found = None
+        loaded = None
         if mtl.texture is not None:
             if mtl.texture not in textures:
                 textures[mtl.texture] = _load_texture(archive, entry, mtl.texture, side, warn)
-            found = textures[mtl.texture]
-        if found is not None and found[0].coverage is not None:
-            coverages[k] = found[0].coverage
+            loaded = textures[mtl.texture]
+        if loaded is not None and loaded[0].coverage is not None:
+            coverages[k] = loaded[0].coverage
         kind = kinds.get(name) or ("shade" if _is_shade(name, entry, role) else None)
-        texture = found[1] if found is not None else None
+        texture = loaded[1] if loaded is not None else None
         materials.append(make_material(mtl, texture, role=role, identity=entry.id, kind=kind))
     if all(material.glass for material in materials):
         # Rays pass straight through glass, so a model made only of glass would be invisible.

@@ -45,13 +45,13 @@ def build_cache(
     known: set[str] = set()
     for source in sources:
         with Archive(source) as archive:
-            found = read_surfaces(archive, warn)
-            for surface in found:
+            library_surfaces = read_surfaces(archive, warn)
+            for surface in library_surfaces:
                 if surface.id not in surfaces:
                     writer.add_surface(surface)
                     surfaces.add(surface.id)
             if archive.find(CATALOGUE_FILE) is None:
-                if not found:
+                if not library_surfaces:
                     raise FurnitureError(
                         f"{source}: holds neither furniture ({CATALOGUE_FILE}) nor wall or floor textures"
                     )

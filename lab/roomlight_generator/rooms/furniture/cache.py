@@ -214,13 +214,13 @@ class Cache:
         Raises:
             FurnitureError: the file is damaged.
         """
-        found = self._textures.get(blob)
-        if found is None:
+        texture = self._textures.get(blob)
+        if texture is None:
             pixels = cv2.imdecode(np.frombuffer(self._read(blob), np.uint8), cv2.IMREAD_COLOR)
             if pixels is None:
                 raise FurnitureError(f"{self.path}: blob {blob} is not an image; delete the cache to rebuild it")
-            found = self._textures[blob] = Texture(np.ascontiguousarray(np.asarray(pixels, np.uint8)[..., ::-1]))
-        return found
+            texture = self._textures[blob] = Texture(np.ascontiguousarray(np.asarray(pixels, np.uint8)[..., ::-1]))
+        return texture
 
     def __getstate__(self) -> Mapping[str, Any]:
         """Return the state without textures: another process reads them again."""

@@ -78,9 +78,9 @@ class Catalogue:
     @property
     def attributions(self) -> list[str]:
         """Sorted, distinct attributions of the models and the surfaces."""
-        found = {model.attribution for model in (*self.library, *self.fallbacks)}
-        found |= {surface.attribution for surface, _ in self.library_surfaces}
-        return sorted(text for text in found if text)
+        texts = {model.attribution for model in (*self.library, *self.fallbacks)}
+        texts |= {surface.attribution for surface, _ in self.library_surfaces}
+        return sorted(text for text in texts if text)
 
 
 def load_catalogue(
@@ -113,12 +113,12 @@ def catalogue_from_cache(cache: Cache) -> Catalogue:
     """Return all models of a cache, divided into splits."""
     stored = cache.models()
     splits = assign_splits(
-        {one.model.id: one.model.role for one in stored}, {one.model.id: one.shared for one in stored}
+        {entry.model.id: entry.model.role for entry in stored}, {entry.model.id: entry.shared for entry in stored}
     )
     surfaces = cache.surfaces()
     by_id = assign_splits({surface.id: surface.kind for surface in surfaces}, {})
     return Catalogue(
-        library=tuple(replace(one.model, split=splits[one.model.id]) for one in stored),
+        library=tuple(replace(entry.model, split=splits[entry.model.id]) for entry in stored),
         library_surfaces=tuple((surface, by_id[surface.id]) for surface in surfaces),
     )
 
@@ -130,10 +130,10 @@ def library_files(path: Path) -> list[Path]:
         FurnitureError: the path does not exist, or the folder has no libraries.
     """
     if path.is_dir():
-        found = sorted(one for one in path.iterdir() if one.suffix.lower() in SUFFIXES)
-        if not found:
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in SUFFIXES)
+        if not files:
             raise FurnitureError(f"{path}: has no furniture library in it ({', '.join(SUFFIXES)})")
-        return found
+        return files
     if not path.exists():
         raise FurnitureError(f"{path}: no such file or folder")
     return [path]
@@ -148,9 +148,9 @@ def named_library() -> Path | None:
 def installed_libraries(root: Path | None = None) -> list[Path]:
     """Return the libraries of Debian's packages, and Sweet Home 3D's own textures if they are installed too."""
     root = root or INSTALLED_FOLDER
-    found = sorted((root / "furniture").glob("*.sh3f"))
+    files = sorted((root / "furniture").glob("*.sh3f"))
     jar = root / "sweethome3d.jar"
-    return [*found, jar] if found and jar.exists() else found
+    return [*files, jar] if files and jar.exists() else files
 
 
 def _open_or_build_cache(sources: Sequence[Path], warn: WarningCallback, progress: ProgressCallback | None) -> Cache:

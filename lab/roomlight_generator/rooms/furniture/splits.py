@@ -29,13 +29,13 @@ def assign_splits(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]])
         reserved.update(roles[identity] for identity in group)
 
     def overshoot(group: Sequence[str]) -> int:
-        held = Counter(roles[identity] for identity in group)
-        return sum(max(reserved[role] + count - wanted[role], 0) for role, count in held.items())
+        counts = Counter(roles[identity] for identity in group)
+        return sum(max(reserved[role] + count - wanted[role], 0) for role, count in counts.items())
 
     for group in groups:
-        held = Counter(roles[identity] for identity in group)
-        useful = sum(min(count, max(wanted[role] - reserved[role], 0)) for role, count in held.items())
-        spares = all(reserved[role] + count <= max(wanted[role], total[role] // 3) for role, count in held.items())
+        counts = Counter(roles[identity] for identity in group)
+        useful = sum(min(count, max(wanted[role] - reserved[role], 0)) for role, count in counts.items())
+        spares = all(reserved[role] + count <= max(wanted[role], total[role] // 3) for role, count in counts.items())
         if 2 * useful > len(group) and spares:
             reserve(group)
     for role in sorted(total):
@@ -45,8 +45,8 @@ def assign_splits(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]])
                 for group in groups
                 if any(roles[identity] == role for identity in group)
                 and all(
-                    reserved[held] + count < total[held]
-                    for held, count in Counter(roles[identity] for identity in group).items()
+                    reserved[shared_role] + count < total[shared_role]
+                    for shared_role, count in Counter(roles[identity] for identity in group).items()
                 )
             ]
             if fitting:

@@ -32,8 +32,8 @@ def measure_top_m(mesh: Mesh, *, listed_m: float | None) -> float | None:
     x, z = np.meshgrid(low[0] + along * (high[0] - low[0]), low[2] + along * (high[2] - low[2]))
     origins = np.stack([x.ravel(), np.full(x.size, high[1] + 0.1), z.ravel()], 1).astype(np.float32)
     down = np.broadcast_to(np.array([0, -1, 0], np.float32), origins.shape).copy()
-    found = RayTree(mesh.vertices, mesh.faces).trace(origins, down)
-    heights = np.where(found.face >= 0, high[1] + 0.1 - found.distance_m, -1.0)
+    hits = RayTree(mesh.vertices, mesh.faces).trace(origins, down)
+    heights = np.where(hits.face >= 0, high[1] + 0.1 - hits.distance_m, -1.0)
     common = max(heights, key=lambda height: float((abs(heights - height) < _LEVEL_M).mean()))
     for level, least in ((listed_m, _LISTED_FLAT), (float(common), _FLAT)):
         if level is None or level < _LOW_M:

@@ -192,7 +192,7 @@ class Arrangement:
         for zone in self.zones:
             if layer in zone.excluded_layers and body.overlaps(zone.body):
                 return False
-        skip = {id(one) for one in ignore}
+        skip = {id(other) for other in ignore}
         for piece in self.pieces:
             if (
                 (piece.layer == "flat") == (layer == "flat")
@@ -200,7 +200,7 @@ class Arrangement:
                 and body.overlaps(piece.body)
             ):
                 return False
-        return not any(body.overlaps(one) for one in self.fixed) and self.inside(body)
+        return not any(body.overlaps(other) for other in self.fixed) and self.inside(body)
 
     def place(
         self,
@@ -231,7 +231,7 @@ class Arrangement:
 
     def reserve(self, body: Body, excluded_layers: frozenset[Layer] = FLOOR_LAYER) -> bool:
         """Reserve a space from the named layers; return False if a piece or a wall is already in it."""
-        if body.crosses(self.outline) or any(one.overlaps(body) for one in self.fixed):
+        if body.crosses(self.outline) or any(other.overlaps(body) for other in self.fixed):
             return False
         if any(piece.layer in excluded_layers and piece.body.overlaps(body) for piece in self.pieces):
             return False

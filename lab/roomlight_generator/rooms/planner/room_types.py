@@ -475,5 +475,5 @@ def _types() -> list[RoomType]:
     ]  # fmt: skip
 
 
-ROOM_TYPES: Final[dict[str, RoomType]] = {one.name: one for one in _types()}
+ROOM_TYPES: Final[dict[str, RoomType]] = {room_type.name: room_type for room_type in _types()}
 """Room types by name."""

@@ -88,7 +88,7 @@ def _slices(points: Float[np.ndarray, "n 3"]) -> list[Float[np.ndarray, "m 3"]]:
     if not 0.15 < abs(float(axes[0, 1])) < 0.97:
         return [points]
     place = np.floor((points - middle) @ axes[0] / SLICE_M).astype(int)
-    return [points[place == one] for one in np.unique(place)]
+    return [points[place == slice_index] for slice_index in np.unique(place)]
 
 
 def _box(own: Float[np.ndarray, "n 3"]) -> Body:

@@ -47,7 +47,7 @@ def free_wall_spans(
     Rotated neighbours count with their bounding box in the wall's frame, so that a span is free over its whole depth.
     Walls that end below `high` under a slanted ceiling count only with lower_walls.
     """
-    found: list[WallSpan] = []
+    spans: list[WallSpan] = []
     everything = [
         *arrangement.fixed,
         *(piece.body for piece in arrangement.pieces if piece.layer != "flat"),
@@ -74,11 +74,11 @@ def free_wall_spans(
         at = 0.0
         for first, last in sorted(taken):
             if first - at > 0.05:
-                found.append(WallSpan(index, at, min(first, length)))
+                spans.append(WallSpan(index, at, min(first, length)))
             at = max(at, last)
         if length - at > 0.05:
-            found.append(WallSpan(index, at, length))
-    return [one for one in found if one.length_m > 0.05]
+            spans.append(WallSpan(index, at, length))
+    return [span for span in spans if span.length_m > 0.05]
 
 
 def slope_inset_m(arrangement: Arrangement, wall: Wall, height: float) -> float | None:
@@ -106,29 +106,29 @@ def wall_point(wall: Wall, along: float, depth: float, away: float) -> tuple[flo
 
 
 def wall_positions(
-    arrangement: Arrangement, found: Sequence[WallSpan], width: float, where: WallPreference = "any"
+    arrangement: Arrangement, spans: Sequence[WallSpan], width: float, where: WallPreference = "any"
 ) -> list[tuple[int, float]]:
     """Return candidate positions (wall, along) for an object of that width in those spans, in the order to try them."""
-    room = [one for one in found if one.length_m >= width + 0.01]
+    room = [span for span in spans if span.length_m >= width + 0.01]
     corners: list[tuple[int, float]] = []
     others: list[tuple[int, float]] = []
-    for one in room:
-        length = arrangement.shell.walls[one.wall].length_m
-        slack = one.length_m - width
+    for span in room:
+        length = arrangement.shell.walls[span.wall].length_m
+        slack = span.length_m - width
         gap = min(arrangement.uniform(0.01, CORNER_M + 0.03), slack / 2)
-        left, right = one.start_m + gap + width / 2, one.end_m - gap - width / 2
-        (corners if one.start_m < 0.01 else others).append((one.wall, left))
-        (corners if one.end_m > length - 0.01 else others).append((one.wall, right))
-        others.append((one.wall, arrangement.uniform(left, right)))
+        left, right = span.start_m + gap + width / 2, span.end_m - gap - width / 2
+        (corners if span.start_m < 0.01 else others).append((span.wall, left))
+        (corners if span.end_m > length - 0.01 else others).append((span.wall, right))
+        others.append((span.wall, arrangement.uniform(left, right)))
         if where != "corner":
-            middle = [(one.wall, (left + right) / 2)] * 2
+            middle = [(span.wall, (left + right) / 2)] * 2
             others.extend(middle)
     if where == "corner":
         return arrangement.shuffled(corners) + arrangement.shuffled(others)
     if where == "middle":
-        central = [(one.wall, (one.start_m + one.end_m) / 2) for one in room]
+        central = [(span.wall, (span.start_m + span.end_m) / 2) for span in room]
         # Long free walls come first, with random variation.
-        keys = [one.length_m * arrangement.uniform(0.5, 1.5) for one in room]
+        keys = [span.length_m * arrangement.uniform(0.5, 1.5) for span in room]
         order = sorted(range(len(room)), key=lambda place: -keys[place])
         return [central[place] for place in order] + arrangement.shuffled(others)
     return arrangement.shuffled(corners + others)
@@ -152,9 +152,9 @@ def place_at_wall(
     lower = arrangement.chance(0.7)
     depth = model.depth_m + away
     lowest, highest = float(model.elevation_m), float(model.elevation_m + model.height_m)
-    found = free_wall_spans(arrangement, depth, low=0.0, high=highest, walls=walls, lower_walls=lower)
+    spans = free_wall_spans(arrangement, depth, low=0.0, high=highest, walls=walls, lower_walls=lower)
     tried = 0
-    for index, along in wall_positions(arrangement, found, model.width_m, where):
+    for index, along in wall_positions(arrangement, spans, model.width_m, where):
         if accept is not None and not accept(index, along):
             continue
         tried += 1

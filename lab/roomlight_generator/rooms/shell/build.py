@@ -13,7 +13,7 @@ from roomlight_generator.rooms.shell.floor_plan import FloorPlan, choose_floor_p
 from roomlight_generator.rooms.shell.holes import AnyHole, Door, Niche, Passage, Window
 from roomlight_generator.rooms.shell.mesh_builder import Plane
 from roomlight_generator.rooms.shell.outline import Envelope, choose_envelope
-from roomlight_generator.rooms.shell.polygons import Outline, area
+from roomlight_generator.rooms.shell.polygons import Outline
 from roomlight_generator.rooms.shell.style import ShellStyle, uniform
 from roomlight_generator.rooms.shell.surfaces import (
     Trim,
@@ -126,11 +126,11 @@ def _room_items(
 
 def _holes_and_cuts(side_holes: Sequence[AnyHole], side: int, cuts: dict[int, list[Outline]] | None) -> list[AnyHole]:
     """Return the holes at which trim stops; a cut counts as a plain doorway with an architrave's margin."""
-    found = list(side_holes)
+    holes = list(side_holes)
     for cut in (cuts or {}).get(side, []):
         s, h = [p[0] for p in cut], [p[1] for p in cut]
-        found.append(Passage(side, (min(s), max(s), min(h), max(h)), 0.1, 0.0, lined=True))
-    return found
+        holes.append(Passage(side, (min(s), max(s), min(h), max(h)), 0.1, 0.0, lined=True))
+    return holes
 
 
 def _accent_side(room: Envelope, holes: Sequence[AnyHole]) -> int | None:
@@ -205,15 +205,15 @@ def _spots(room: Envelope, floor_plan: FloorPlan, rng: np.random.Generator) -> l
     taken = [(hole.rect[0] - 0.1, hole.rect[1] + 0.1) for hole in floor_plan.second_holes if isinstance(hole, Door)]
     places = [along + float(rng.uniform(-0.3, 0.3))]
     places += [places[0] + step for step in (-2.1 * radius, 2.1 * radius)]
-    found: list[tuple[float, float, float]] = []
+    spots: list[tuple[float, float, float]] = []
     for place in places:
         place = float(np.clip(place, radius + 0.03, far.length_m - radius - 0.03))
         if any(low - radius < place < high + radius for low, high in taken):
             continue
         x, _, z = far.plane.at(place, 0.0, -(radius + 0.03))
-        if all(np.hypot(x - a, z - b) > radius + r for a, b, r in found):
-            found.append((float(x), float(z), radius))
-    return found[:2]
+        if all(np.hypot(x - a, z - b) > radius + r for a, b, r in spots):
+            spots.append((float(x), float(z), radius))
+    return spots[:2]
 
 
 def _walls(room: Envelope, holes: Sequence[AnyHole]) -> tuple[Wall, ...]:
@@ -234,8 +234,3 @@ def _walls(room: Envelope, holes: Sequence[AnyHole]) -> tuple[Wall, ...]:
             )
         )
     return tuple(walls)
-
-
-def floor_area_m2(shell: Shell) -> float:
-    """Return the floor area of the main room."""
-    return area([(float(x), float(z)) for x, z in shell.polygon])

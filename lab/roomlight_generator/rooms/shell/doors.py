@@ -137,15 +137,15 @@ def _panel_rectangles(width: float, height: float, design: DoorDesign) -> list[t
     # Upper panels are taller, except for the low top row of six-panel doors.
     shares = {1: [1.0], 2: [0.38, 0.62], 3: [0.42, 0.4, 0.18]}.get(rows, [1 / rows] * rows)
     free = height - foot - rail - (rows - 1) * rail
-    found: list[tuple[float, float, float, float]] = []
+    rectangles: list[tuple[float, float, float, float]] = []
     low = foot
     for share in shares:
         height_m = share * free
         for column in range(columns):
             left = stile + column * (cell + rail)
-            found.append((left, left + cell, low, low + height_m))
+            rectangles.append((left, left + cell, low, low + height_m))
         low += height_m + rail
-    return found
+    return rectangles
 
 
 def _panel(face: Plane, field: tuple[float, float, float, float], material: Material, builder: MeshBuilder) -> None:

@@ -330,7 +330,7 @@ def _choose_skylights(
     room: Envelope, style: ShellStyle, window_style: WindowStyle, count: int, rng: np.random.Generator
 ) -> list[Window]:
     """Place up to two skylights in each slope, side by side at one height."""
-    found: list[Window] = []
+    skylights: list[Window] = []
     for k, slope in enumerate(room.slopes):
         wanted = int(rng.integers(1, 3))
         width_m, height_m = uniform(rng, (0.55, 1.1)), min(uniform(rng, (0.8, 1.4)), slope.rise_m - 0.35)
@@ -342,8 +342,8 @@ def _choose_skylights(
             start = n * cell + uniform(rng, (0.2, max(cell - width_m - 0.2, 0.21)))
             window = window_style.skylight(k, (start, start + width_m, low, low + height_m), max(style.wall_m[0], 0.16))
             if start + width_m < slope.length_m - 0.15 and _on_slope(room, k, window):
-                found.append(window)
-    return found[: max(count, 1)] if style.windows[1] else []
+                skylights.append(window)
+    return skylights[: max(count, 1)] if style.windows[1] else []
 
 
 def _on_slope(room: Envelope, k: int, window: Window) -> bool:

@@ -131,20 +131,22 @@ def _choose_features(
     wants: dict[str, bool], width: float, depth: float, rng: np.random.Generator
 ) -> list[_OutlineFeature]:
     """Choose at most one feature on the first side, and a cut corner at its end."""
-    found: list[_OutlineFeature] = []
+    features: list[_OutlineFeature] = []
     place = float(rng.random())
     if wants["bay"] and width > 3.0 and depth > 2.6:
-        found.append(_OutlineFeature("bay", uniform(rng, (1.9, min(3.0, width - 0.9))), uniform(rng, (0.5, 0.9)), 0.5))
+        features.append(
+            _OutlineFeature("bay", uniform(rng, (1.9, min(3.0, width - 0.9))), uniform(rng, (0.5, 0.9)), 0.5)
+        )
     elif wants["chimney_breast"] and width > 3.0 and depth > 2.8:
-        found.append(_OutlineFeature("chimney_breast", uniform(rng, (1.1, 1.6)), uniform(rng, (0.25, 0.5)), place))
+        features.append(_OutlineFeature("chimney_breast", uniform(rng, (1.1, 1.6)), uniform(rng, (0.25, 0.5)), place))
     elif wants["alcove"] and width > 2.0:
-        found.append(
+        features.append(
             _OutlineFeature("alcove", uniform(rng, (0.8, min(2.4, 0.62 * width))), uniform(rng, (0.35, 0.9)), place)
         )
     elif wants["chamfer"] and min(width, depth) > 2.4:
         size = uniform(rng, (0.7, 1.2))
-        found.append(_OutlineFeature("chamfer", size, size, 1.0))
-    return found
+        features.append(_OutlineFeature("chamfer", size, size, 1.0))
+    return features
 
 
 def _with_features(corners: list[Point], features: list[_OutlineFeature], width: float) -> list[Point]:
@@ -279,14 +281,14 @@ def _slope_over(
 def offset_outline(corners: tuple[Point, ...], by_m: float) -> list[Point]:
     """Move every side of the outline outward."""
     points = np.array(corners)
-    found: list[Point] = []
+    moved_points: list[Point] = []
     for i, corner in enumerate(points):
         a, b = corner - points[i - 1], points[(i + 1) % len(points)] - corner
         a, b = a / np.linalg.norm(a), b / np.linalg.norm(b)
         out_a, out_b = np.array([a[1], -a[0]]), np.array([b[1], -b[0]])
         moved = corner + by_m * (out_a + out_b) / (1 + float(out_a @ out_b))
-        found.append((float(moved[0]), float(moved[1])))
-    return found
+        moved_points.append((float(moved[0]), float(moved[1])))
+    return moved_points
 
 
 OUTER_MARGIN_M: Final = 2 * OVERLAP

@@ -37,11 +37,11 @@ def clip_half_plane(outline: Outline, a: float, b: float, c: float) -> list[Poin
 
 def intersection(outline: Outline, other: Outline) -> list[Point]:
     """Return the intersection of two convex outlines."""
-    found = list(outline)
+    polygon = list(outline)
     for (s0, h0), (s1, h1) in zip(other, [*other[1:], other[0]], strict=True):
         a, b = h1 - h0, s0 - s1
-        found = clip_half_plane(found, a, b, a * s0 + b * h0) if found else found
-    return found
+        polygon = clip_half_plane(polygon, a, b, a * s0 + b * h0) if polygon else polygon
+    return polygon
 
 
 def difference(pieces: Iterable[Outline], hole: Outline) -> list[list[Point]]:
@@ -81,19 +81,19 @@ def triangles(outline: Outline) -> list[list[Point]]:
         ValueError: the outline crosses itself or runs clockwise.
     """
     left = list(outline)
-    found: list[list[Point]] = []
+    corners: list[list[Point]] = []
     while len(left) > 3:
         for i in range(len(left)):
             a, b, c = left[i - 1], left[i], left[(i + 1) % len(left)]
             turn = (b[0] - a[0]) * (c[1] - b[1]) - (b[1] - a[1]) * (c[0] - b[0])
             if turn > 1e-12 and not any(_inside(p, (a, b, c)) for p in left if p not in (a, b, c)):
-                found.append([a, b, c])
+                corners.append([a, b, c])
                 del left[i]
                 break
         else:
             raise ValueError(f"the outline {list(outline)} crosses itself or runs clockwise: it cannot be triangulated")
-    found.append(left)
-    return found
+    corners.append(left)
+    return corners
 
 
 def _inside(point: Point, triangle: tuple[Point, Point, Point]) -> bool:

@@ -120,7 +120,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
     owner, origin, direction, reach, weight, _, _ = shadow
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    each, running, drawn, _ = scratch
+    estimate, running, drawn, _ = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
@@ -138,7 +138,9 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
         shift3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = cumulate_estimates(lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), each, running)
+            total = cumulate_estimates(
+                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimate, running
+            )
         totals[i] = total
         if total > 0:
             which, live = 0, 0
@@ -220,8 +222,8 @@ def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, s
         f = face[at]
         slot, d = -1, np.float64(distance[at])
         if f < 0:
-            found, slot, _ = crossings(outdoors.hole, outdoors.parts, (px, py, pz), (dx, dy, dz))
-            if found == 0:
+            openings, slot, _ = crossings(outdoors.hole, outdoors.parts, (px, py, pz), (dx, dy, dz))
+            if openings == 0:
                 continue
         else:
             cuts = lights.face_cuts[f]

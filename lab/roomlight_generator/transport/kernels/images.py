@@ -151,10 +151,10 @@ def borrow(grid, received, lobe, rays, out):
     """Copy to extra rays (`ExtraRays`) what both images hold at the nearest of 3 x 3 pixels of the same surface."""
     kind, position, normal, foot = grid
     pixel_y, pixel_x, kinds, positions, normals = rays
-    received_out, lobe_out, found = out
+    received_out, lobe_out, was_borrowed = out
     height, width = kind.shape
     for r in range(len(kinds)):
-        found[r] = False
+        was_borrowed[r] = False
         if kinds[r] < 0:
             continue
         best = 1e30
@@ -173,7 +173,7 @@ def borrow(grid, received, lobe, rays, out):
                 d_sq = dx * dx + dy * dy + dz * dz
                 if d_sq < best:
                     best = d_sq
-                    found[r] = True
+                    was_borrowed[r] = True
                     for c in range(3):
                         received_out[r, c] = received[j, i, c]
                         lobe_out[r, c] = lobe[j, i, c]

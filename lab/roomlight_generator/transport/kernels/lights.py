@@ -53,7 +53,7 @@ def crossings(hole, parts, point, direction):
     """
     px, py, pz = point
     dx, dy, dz = direction
-    found, slot, near = 0, -1, 0.0
+    count, slot, near = 0, -1, 0.0
     for o in range(len(hole)):
         h = hole[o]
         slope = dx * h[9] + dy * h[10] + dz * h[11]
@@ -68,12 +68,12 @@ def crossings(hole, parts, point, direction):
         det = h[12] * h[14] - h[13] * h[13]
         s, t = (au * h[14] - av * h[13]) / det, (av * h[12] - au * h[13]) / det
         if 0 <= s <= 1 and 0 <= t <= 1:
-            found += 1
+            count += 1
             nu, nv = parts[o, 1], parts[o, 2]
             i, j = min(np.int64(s * nu), nu - 1), min(np.int64(t * nv), nv - 1)
             slot = parts[o, 0] + i * nv + j
             near += left_to_gathering(d * d, math.sqrt(det) / (nu * nv))
-    return found, slot, near / max(found, 1)
+    return count, slot, near / max(count, 1)
 
 
 @njit(**JIT)
@@ -90,8 +90,8 @@ def crossing_counts(hole, parts, position, direction, out):
 def sun_may_reach(hole, parts, point, direction):
     """Return 1 if the ray to the sun passes an opening, 2 if it starts outside of one (a sill, a reveal), else 0."""
     px, py, pz = point
-    found, _, _ = crossings(hole, parts, point, direction)
-    if found > 0:
+    openings, _, _ = crossings(hole, parts, point, direction)
+    if openings > 0:
         return 1
     for o in range(len(hole)):
         h = hole[o]
@@ -168,14 +168,14 @@ def add_lobes(lights, clusters, visibility, row, point, normal, out):
 
 
 @njit(**JIT)
-def cumulate_estimates(lights, clusters, visibility, row, point, normal, each, running):
+def cumulate_estimates(lights, clusters, visibility, row, point, normal, estimate, running):
     """Write the first clusters' estimates times their visibility, and their running sum; returns the total."""
-    estimates(lights, clusters, visibility, row, LEAST_SEEN, point, normal, each)
+    estimates(lights, clusters, visibility, row, LEAST_SEEN, point, normal, estimate)
     if clusters > lights.real:
-        add_lobes(lights, clusters, visibility, row, point, normal, each)
+        add_lobes(lights, clusters, visibility, row, point, normal, estimate)
     total = 0.0
     for which in range(clusters):
-        total += each[which]
+        total += estimate[which]
         running[which] = total
     return total
 
@@ -222,8 +222,8 @@ def point_on(surfaces, piece, r1, r2, point):
     if what == 1:
         red, green, blue = sky_radiance(panorama, dx, dy, dz)
         if len(hole) > 1:
-            found, _, _ = crossings(hole, parts, (px, py, pz), (dx, dy, dz))
-            share = 1.0 / max(found, 1)
+            openings, _, _ = crossings(hole, parts, (px, py, pz), (dx, dy, dz))
+            share = 1.0 / max(openings, 1)
             red, green, blue = red * share, green * share, blue * share
         return dx, dy, dz, FAR, red, green, blue, cosine / d_sq, near
     red, green, blue = np.float64(c[15]), np.float64(c[16]), np.float64(c[17])
@@ -293,7 +293,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
     owner, origin, direction, reach, weight, passed, cluster = rays
     hole, parts = outdoors.hole, outdoors.parts
     clusters = len(lights.start)
-    each, running, drawn, light = scratch
+    estimate, running, drawn, light = scratch
     sun = outdoors.sun_irradiance[0] + outdoors.sun_irradiance[1] + outdoors.sun_irradiance[2] > 0
     sx, sy, sz = outdoors.sun_direction[0], outdoors.sun_direction[1], outdoors.sun_direction[2]
     tax, tay, taz, tbx, tby, tbz = tangents(sx, sy, sz)
@@ -310,7 +310,9 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
         shift3 = unit(state)
         total = 0.0
         if clusters > 0:
-            total = cumulate_estimates(lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), each, running)
+            total = cumulate_estimates(
+                lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimate, running
+            )
         if total > 0:
             which, live = 0, 0
             for k in range(candidates):

@@ -189,10 +189,10 @@ def arriving(scene, sources, ends, paths, radiance):
         if face[i] < 0:
             dx, dy, dz = direction[i, 0], direction[i, 1], direction[i, 2]
             if not mirrored[i]:
-                found, _, near = crossings(
+                openings, _, near = crossings(
                     outdoors.hole, outdoors.parts, (origin[i, 0], origin[i, 1], origin[i, 2]), (dx, dy, dz)
                 )
-                if found > 0:
+                if openings > 0:
                     share *= near
             r, g, b = sky_radiance(outdoors.panorama, dx, dy, dz)
         elif lights.near_area[face[i]] > 0:
@@ -286,31 +286,31 @@ def outgoing(albedo, alpha, coat, received, sent):
 
 
 @njit(**JIT)
-def count_visible(rays, seen, count, row, tried, found):
+def count_visible(rays, seen, count, row, tried, visible):
     """Count by light each patch's first `count` shadow rays (`ShadowRays`) and the visible ones; row is its patch."""
     owner, cluster = rays.owner, rays.cluster
     for k in range(count):
         if cluster[k] >= 0:
             tried[row[owner[k]], cluster[k]] += 1
             if seen[k]:
-                found[row[owner[k]], cluster[k]] += 1
+                visible[row[owner[k]], cluster[k]] += 1
 
 
 @njit(**JIT)
-def add_counts(tried, found, owner, tried_sum, found_sum):
+def add_counts(tried, visible, owner, tried_sum, visible_sum):
     """Sum the patches' counts over each owner."""
     for p in range(len(owner)):
         for k in range(tried.shape[1]):
             tried_sum[owner[p], k] += tried[p, k]
-            found_sum[owner[p], k] += found[p, k]
+            visible_sum[owner[p], k] += visible[p, k]
 
 
 @njit(**JIT)
-def shares(tried, found, owner, around, prior, out):
+def shares(tried, visible, owner, around, prior, out):
     """Write the share of each light that patches see, in 255ths; their owner's share counts as `prior` rays."""
     for p in range(len(owner)):
         for k in range(tried.shape[1]):
-            share = (found[p, k] + prior * around[owner[p], k]) / (tried[p, k] + prior)
+            share = (visible[p, k] + prior * around[owner[p], k]) / (tried[p, k] + prior)
             out[p, k] = np.uint8(255 * min(share, np.float32(1.0)) + np.float32(0.5))
 
 

@@ -72,7 +72,7 @@ class LightScratch(NamedTuple):
     Allocated by the caller: a kernel that allocates counts references to its arrays at each call of another.
     """
 
-    each: Float32[np.ndarray, " l"]
+    estimate: Float32[np.ndarray, " l"]
     running: Float64[np.ndarray, " l"]
     drawn: Float64[np.ndarray, "c 9"]
     cluster: Int32[np.ndarray, " c"]
@@ -91,7 +91,7 @@ class LightScratch(NamedTuple):
 class ConeScratch(NamedTuple):
     """Work space of `gather_rays`: clusters' estimates; cones' directions, cosines and densities; their shares."""
 
-    each: Float32[np.ndarray, " l"]
+    estimate: Float32[np.ndarray, " l"]
     cones: Float32[np.ndarray, "5 l"]
     chance: Float64[np.ndarray, " l"]
 
@@ -373,4 +373,4 @@ class Borrowed(NamedTuple):
 
     received: Float32[np.ndarray, "n 3"]
     lobe: Float32[np.ndarray, "n 3"]
-    found: Bool[np.ndarray, " n"]
+    was_borrowed: Bool[np.ndarray, " n"]

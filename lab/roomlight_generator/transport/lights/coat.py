@@ -91,8 +91,8 @@ def coat_table() -> CoatTable:
     inner = (nodes + 1) / 2
     reflected, through = np.empty((_ALPHAS, _COSINES)), np.empty((_ALPHAS, _COSINES))
     scale = np.empty(_ALPHAS)
-    for row, each in enumerate(np.linspace(0, ROUGHEST, _ALPHAS)):
-        alpha = max(float(each), 1e-3)
+    for row, roughness in enumerate(np.linspace(0, ROUGHEST, _ALPHAS)):
+        alpha = max(float(roughness), 1e-3)
         reflected[row], through[row] = boundary(alpha, cosines, INDEX)
         internal = float((boundary(alpha, inner, 1 / INDEX)[0] * inner * weights).sum())
         scale[row] = 1 / ((1 - internal) * INDEX**2)

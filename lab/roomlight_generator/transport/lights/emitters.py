@@ -154,9 +154,9 @@ def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], I
     face_cuts[faces] = cuts
     face_first[faces] = np.cumsum(2 * cuts**2) - 2 * cuts**2
     parts: list[tuple[np.ndarray, ...]] = [(np.zeros((0, 3, 2)), np.zeros(0, np.int64), np.zeros(0, np.int64))]
-    for each in np.unique(cuts):
-        some = faces[cuts == each]
-        grid, slot = _subdivision(int(each))
+    for cut in np.unique(cuts):
+        some = faces[cuts == cut]
+        grid, slot = _subdivision(int(cut))
         slots = (face_first[some][:, None] + slot[None]).ravel()
         parts.append((np.tile(grid, (len(some), 1, 1)), np.repeat(some, len(grid)), slots))
     grid, face, slot = (np.concatenate(column) for column in zip(*parts, strict=True))
@@ -203,12 +203,14 @@ def _opening_pieces(
     halves = _sky_halves(panorama)
     parts: list[tuple[int, int, int]] = []
     rows: list[np.ndarray] = []
-    for one in openings:
-        u, v = np.asarray(one.edge_u, np.float64), np.asarray(one.edge_v, np.float64)
+    for opening in openings:
+        u, v = np.asarray(opening.edge_u, np.float64), np.asarray(opening.edge_v, np.float64)
         nu, nv = (max(1, int(np.ceil(np.linalg.norm(side) / PIECE_M))) for side in (u, v))
         parts.append((first_slot + len(rows), nu, nv))
         rows += [
-            np.concatenate([one.corner + u * i / nu + v * j / nv, u / nu, v / nv]) for i in range(nu) for j in range(nv)
+            np.concatenate([opening.corner + u * i / nu + v * j / nv, u / nu, v / nv])
+            for i in range(nu)
+            for j in range(nv)
         ]
     count = len(rows)
     shape = np.array(rows, np.float64).reshape(-1, 9)
@@ -267,7 +269,7 @@ def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
     count = len(pieces.area)
     kind = pieces.kind
     own = np.zeros(count, np.int64)
-    found = 0
+    clusters = 0
     for spots in (False, True):
         some = np.flatnonzero((kind == SPOT) == spots)
         size = PIECE_M
@@ -279,8 +281,8 @@ def _grouped(pieces: _Pieces) -> Int[np.ndarray, " p"]:
             keys = np.concatenate([cell, side[:, None], alone[:, None]], 1)
             place = np.unique(keys, axis=0, return_inverse=True)[1].reshape(-1)
             if place.max() < (MOST_SPOT_CLUSTERS if spots else MOST_CLUSTERS):
-                own[some] = place + found
-                found += int(place.max()) + 1
+                own[some] = place + clusters
+                clusters += int(place.max()) + 1
                 break
             size *= 1.3
     return own

@@ -43,7 +43,7 @@ def build_outdoors(tracer: Tracer, parts: Int32[np.ndarray, "o 3"]) -> Outdoors:
 
 def _holes(tracer: Tracer, openings: tuple[Opening, ...]) -> Float32[np.ndarray, "o 15"]:
     corner, u, v = (
-        np.array([getattr(one, name) for one in openings], np.float64).reshape(-1, 3)
+        np.array([getattr(opening, name) for opening in openings], np.float64).reshape(-1, 3)
         for name in ("corner", "edge_u", "edge_v")
     )
     outward = np.cross(u, v)

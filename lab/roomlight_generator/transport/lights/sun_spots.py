@@ -53,18 +53,18 @@ def sun_spots(tracer: Tracer, outdoors: Outdoors) -> Spots:
         return Spots(nothing, nothing, nothing, nothing, none, nothing, nothing, none)
     rng = np.random.default_rng(7)
     sun = outdoors.sun_direction.astype(np.float64)
-    across = [abs(float(np.cross(one.edge_u, one.edge_v) @ sun)) for one in openings]
+    across = [abs(float(np.cross(opening.edge_u, opening.edge_v) @ sun)) for opening in openings]
     starts: list[np.ndarray] = []
-    each: list[np.ndarray] = []
-    for one, area in zip(openings, across, strict=True):
-        ratio = float(np.linalg.norm(one.edge_u) / max(float(np.linalg.norm(one.edge_v)), 1e-9))
+    areas: list[np.ndarray] = []
+    for opening, area in zip(openings, across, strict=True):
+        ratio = float(np.linalg.norm(opening.edge_u) / max(float(np.linalg.norm(opening.edge_v)), 1e-9))
         count = SPOTS * area / max(sum(across), 1e-12)
         nu, nv = max(1, round(np.sqrt(count * ratio))), max(1, round(np.sqrt(count / ratio)))
         i, j = (part.ravel() for part in np.meshgrid(np.arange(nu), np.arange(nv)))
         s, t = (i + rng.random(nu * nv)) / nu, (j + rng.random(nu * nv)) / nv
-        starts.append(one.corner + s[:, None] * one.edge_u + t[:, None] * one.edge_v)
-        each.append(np.full(nu * nv, area / (nu * nv)))
-    start, area = np.concatenate(starts).astype(np.float32), np.concatenate(each)
+        starts.append(opening.corner + s[:, None] * opening.edge_u + t[:, None] * opening.edge_v)
+        areas.append(np.full(nu * nv, area / (nu * nv)))
+    start, area = np.concatenate(starts).astype(np.float32), np.concatenate(areas)
     along = np.broadcast_to(outdoors.sun_direction, start.shape).copy()
     outside = tracer.visible(start + np.float32(1e-3) * along, along, np.full(len(start), FAR_M, np.float32))
     start, area, along = start[outside], area[outside], -along[outside]

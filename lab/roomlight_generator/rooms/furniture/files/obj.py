@@ -102,14 +102,14 @@ def parse_obj(data: bytes, name: str) -> Obj:
 def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
     """Parse the materials of an MTL file by name. Malformed lines are skipped: a model
     with a wrong colour is still usable."""
-    found: dict[str, dict[str, object]] = {}
+    materials: dict[str, dict[str, object]] = {}
     current: dict[str, object] = {}
     for line in data.decode("utf-8", "replace").splitlines():
         key, *others = line.split(maxsplit=1)[:2] or [""]
         rest = others[0] if others else ""
         words = rest.split()
         if key == "newmtl":
-            current = found.setdefault(rest.strip(), {})
+            current = materials.setdefault(rest.strip(), {})
         elif key == "map_Kd" and words:
             current["texture"] = _texture_name(rest)
         elif key in ("Kd", "Ks", "Ns", "d", "Tr"):
@@ -124,7 +124,7 @@ def parse_mtl(data: bytes) -> dict[str, MtlMaterial]:
                 current["shininess"] = max(float(numbers[0] or 0.0), 0.0)
             else:
                 current["opacity"] = values[0] if key == "d" else 1 - values[0]
-    return {name: MtlMaterial(name, **values) for name, values in found.items()}  # pyright: ignore[reportArgumentType]
+    return {name: MtlMaterial(name, **values) for name, values in materials.items()}  # pyright: ignore[reportArgumentType]
 
 
 def _texture_name(rest: str) -> str:
@@ -232,9 +232,9 @@ def _quads(
     one)."""
     index = starts[:, None] + np.arange(4)
     p = points[corners[index]]
-    one = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-    two = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])
-    opposed = (one * two).sum(1) < 0
+    first = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    second = np.cross(p[:, 2] - p[:, 0], p[:, 3] - p[:, 0])
+    opposed = (first * second).sum(1) < 0
     cut = np.where(opposed[:, None, None], [[1, 2, 3], [1, 3, 0]], [[0, 1, 2], [0, 2, 3]])
     return starts[:, None, None] + cut
 
@@ -246,15 +246,15 @@ def _clip_ears(polygon: Float[np.ndarray, "n 3"]) -> Int[np.ndarray, "f 3"]:
     drop = int(np.argmax(np.abs(normal)))
     flat = np.delete(polygon, drop, axis=1) * [1.0, 1.0 if (normal[drop] > 0) == (drop != 1) else -1.0]
     left = list(range(len(flat)))
-    found: list[tuple[int, int, int]] = []
+    triangles: list[tuple[int, int, int]] = []
     while 3 < len(left) <= _MAX_CLIPPED_CORNERS:
         ear = next((k for strict in (False, True) for k in range(len(left)) if _is_ear(flat, left, k, strict)), None)
         if ear is None:
             break
-        found.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
+        triangles.append((left[ear - 1], left[ear], left[(ear + 1) % len(left)]))
         left.pop(ear)
-    found += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
-    return np.array(found)
+    triangles += [(left[0], left[k], left[k + 1]) for k in range(1, len(left) - 1)]
+    return np.array(triangles)
 
 
 def _is_ear(flat: Float[np.ndarray, "n 2"], left: list[int], k: int, strict: bool) -> bool:

@@ -11,12 +11,12 @@ _NUMBERED: Final = re.compile(r"(.+)#(\d{1,6})")
 
 def parse_properties(data: bytes) -> dict[str, str]:
     """Parse all keys and values; a later key wins. Never fails: any bytes are latin-1 text."""
-    found: dict[str, str] = {}
+    properties: dict[str, str] = {}
     for line in _logical_lines(data.decode("latin-1")):
         match = _KEY.fullmatch(line)
         if match is not None:
-            found[_unescaped(match[1])] = _unescaped(match[2]).strip()
-    return found
+            properties[_unescaped(match[1])] = _unescaped(match[2]).strip()
+    return properties
 
 
 def numbered_entries(properties: dict[str, str]) -> tuple[dict[str, str], dict[int, dict[str, str]]]:
@@ -51,8 +51,8 @@ def _logical_lines(text: str) -> list[str]:
 
 
 def _unescaped(text: str) -> str:
-    def one(match: re.Match[str]) -> str:
+    def character(match: re.Match[str]) -> str:
         what = match[1]
         return chr(int(what[1:], 16)) if len(what) == 5 else _ESCAPES.get(what, what)
 
-    return _ESCAPE.sub(one, text)
+    return _ESCAPE.sub(character, text)

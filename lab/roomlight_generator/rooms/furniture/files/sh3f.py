@@ -68,15 +68,15 @@ def read_entries(archive: Archive, warn: WarningCallback) -> list[LibraryEntry]:
     member = archive.find(CATALOGUE_FILE)
     if member is None:
         raise FurnitureError(f"{archive.path}: has no {CATALOGUE_FILE} in it; it is not a furniture library")
-    general, found = numbered_entries(parse_properties(archive.read(member, limit=32 << 20)))
+    general, models = numbered_entries(parse_properties(archive.read(member, limit=32 << 20)))
     entries: list[LibraryEntry] = []
-    for number, properties in found.items():
+    for number, properties in models.items():
         try:
             entries.append(_entry(archive, number, properties, general))
         except FurnitureError as error:
             warn(f"{error}; left out")
     if not entries:
-        raise FurnitureError(f"{archive.path}: none of the {len(found)} models of its catalogue can be used")
+        raise FurnitureError(f"{archive.path}: none of the {len(models)} models of its catalogue can be used")
     return entries
 
 

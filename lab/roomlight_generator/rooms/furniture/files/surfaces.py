@@ -36,7 +36,7 @@ class SurfaceTexture:
 
 def read_surfaces(archive: Archive, warn: WarningCallback) -> list[SurfaceTexture]:
     """Read the indoor textures of an archive; empty if it has no texture catalogue."""
-    member = next((found for name in CATALOGUES if (found := archive.find(name)) is not None), None)
+    member = next((catalogue for name in CATALOGUES if (catalogue := archive.find(name)) is not None), None)
     if member is None:
         return []
     general, entries = numbered_entries(parse_properties(archive.read(member, limit=8 << 20)))

@@ -22,11 +22,11 @@ def bed(arrangement: Arrangement, *, role: str = "bed", widest: float = 2.3, rug
             continue
         double = model.width_m >= DOUBLE_M
         away = arrangement.uniform(0.01, 0.04)
-        found = free_wall_spans(arrangement, model.depth_m + away, low=0.0, high=model.height_m, lower_walls=True)
+        spans = free_wall_spans(arrangement, model.depth_m + away, low=0.0, high=model.height_m, lower_walls=True)
         # A double bed has its head in the middle of a wall; a single bed stands in a corner.
         width = model.width_m + (0.9 if double else 0.02)
-        options = wall_positions(arrangement, found, width, "middle" if double else "corner")
-        options += wall_positions(arrangement, found, model.width_m + 0.02, "any")
+        options = wall_positions(arrangement, spans, width, "middle" if double else "corner")
+        options += wall_positions(arrangement, spans, model.width_m + 0.02, "any")
         for index, along in options[:10]:
             wall = arrangement.shell.walls[index]
             inset = slope_inset_m(arrangement, wall, model.height_m)

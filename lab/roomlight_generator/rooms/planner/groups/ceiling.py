@@ -82,7 +82,9 @@ def _hang_lamp(
     # Under a beam it hangs from the beam.
     lamp = Body.of(x, z, degrees, width=model.width_m, depth=model.depth_m, low=top - 0.01, high=top)
     beams = [
-        one.low - UNDER_CEILING_M for one in arrangement.fixed if one.low > HEADROOM_M and one.overlaps(lamp, -0.01)
+        obstacle.low - UNDER_CEILING_M
+        for obstacle in arrangement.fixed
+        if obstacle.low > HEADROOM_M and obstacle.overlaps(lamp, -0.01)
     ]
     y = min([top, *beams]) - model.height_m
     return arrangement.place(model, x, z, degrees, y=y, layer="ceiling") if y >= lowest else None
@@ -155,7 +157,7 @@ def _hang_grid(arrangement: Arrangement, model: FurnitureModel | None, spacing: 
     """Hang copies of a lamp in rows and columns along the longest wall."""
     if model is None:
         return
-    wall = max(arrangement.shell.walls, key=lambda one: one.length_m)
+    wall = max(arrangement.shell.walls, key=lambda side: side.length_m)
     polygon = arrangement.shell.polygon
     along = (polygon - wall.start) @ (wall.end - wall.start) / wall.length_m
     away = (polygon - wall.start) @ wall.inward

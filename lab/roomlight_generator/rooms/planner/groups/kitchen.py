@@ -53,9 +53,10 @@ def kitchen(
     )
     if unit is None:
         return []
-    found = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
+    spans = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
     ranked = sorted(
-        (one for one in found if one.length_m >= 0.7), key=lambda one: -one.length_m * arrangement.uniform(0.75, 1.25)
+        (span for span in spans if span.length_m >= 0.7),
+        key=lambda span: -span.length_m * arrangement.uniform(0.75, 1.25),
     )
     for span in ranked[:4]:
         snapshot = arrangement.snapshot()
@@ -138,8 +139,8 @@ def _place_run(
 def _place_opposite_run(arrangement: Arrangement, first: list[Piece], unit: FurnitureModel) -> list[Piece]:
     """If the first run is short, place a second, plain run along another wall."""
     roles = {piece.role for piece in first}
-    found = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
-    for span in sorted(found, key=lambda one: -one.length_m)[:3]:
+    spans = free_wall_spans(arrangement, 0.66, low=0.0, high=COUNTER_M[1] - 0.06)
+    for span in sorted(spans, key=lambda span: -span.length_m)[:3]:
         length = min(span.length_m - 0.02, 3.0)
         fridge = arrangement.pick("fridge", width=(0.4, 1.0), depth=(0.4, 0.85), height=(0.7, 2.2))
         line = [fridge] if fridge is not None and "fridge" not in roles else []

@@ -169,7 +169,9 @@ def furnish_second_room(arrangement: Arrangement) -> list[Placement]:
             ("bookcase", "plant", "floor_lamp", "sideboard", "side_table", "armchair", "dresser")
         )[0]
         model = arrangement.pick(
-            role, height=(0.2, 2.05), also=lambda one, r=radius: math.hypot(one.width_m, one.depth_m) / 2 <= r
+            role,
+            height=(0.2, 2.05),
+            also=lambda candidate, r=radius: math.hypot(candidate.width_m, candidate.depth_m) / 2 <= r,
         ) or arrangement.pick("plant", height=(0.2, 2.05), width=(0.0, 1.3 * radius), depth=(0.0, 1.3 * radius))
         if model is None:
             continue

@@ -22,8 +22,8 @@ def row_along(
     model = arrangement.pick(role, width=(0.3, 2.0), depth=(0.1, 0.7), height=height)
     if model is None:
         return []
-    found = free_wall_spans(arrangement, model.depth_m + 0.04, low=0.0, high=model.height_m)
-    best = sorted(found, key=lambda one: -one.length_m * arrangement.uniform(0.6, 1.4))
+    spans = free_wall_spans(arrangement, model.depth_m + 0.04, low=0.0, high=model.height_m)
+    best = sorted(spans, key=lambda span: -span.length_m * arrangement.uniform(0.6, 1.4))
     away = arrangement.uniform(0.012, 0.04)
     for span in best[:3]:
         wall = arrangement.shell.walls[span.wall]
@@ -55,8 +55,8 @@ def double_rows(arrangement: Arrangement) -> int:
     length, depth = per_row * (model.width_m + 0.003), 2 * model.depth_m + 0.02
     count = 0
     for _ in range(int(arrangement.area_m2 / 12)):
-        found = free_wall_spans(arrangement, length + 0.3, low=0.0, high=model.height_m)
-        for index, along in wall_positions(arrangement, found, depth + 1.5)[:3]:
+        spans = free_wall_spans(arrangement, length + 0.3, low=0.0, high=model.height_m)
+        for index, along in wall_positions(arrangement, spans, depth + 1.5)[:3]:
             wall = arrangement.shell.walls[index]
             done = 0
             for k in range(per_row):

@@ -67,8 +67,8 @@ def _place_facing(
     top = 1.2 if stand is None else (stand.height_m if on_wall else (stand.top_m or 0.0) + television.height_m)
     width = max(bulk.width_m, television.width_m)
     low = 0.9 if stand is None else 0.0
-    found = free_wall_spans(arrangement, bulk.depth_m + 0.05, low=low, high=top)
-    for index, along in wall_positions(arrangement, found, width, "any")[:14]:
+    spans = free_wall_spans(arrangement, bulk.depth_m + 0.05, low=low, high=top)
+    for index, along in wall_positions(arrangement, spans, width, "any")[:14]:
         wall = arrangement.shell.walls[index]
         depth, parallel = depth_at_wall(arrangement, wall, along)
         away = arrangement.uniform(0.015, 0.05)
@@ -251,8 +251,8 @@ def reading_corner(arrangement: Arrangement) -> Piece | None:
     if model is None:
         return None
     half = (model.width_m**2 + model.depth_m**2) ** 0.5 / 2
-    found = free_wall_spans(arrangement, 2 * half, low=0.0, high=model.height_m)
-    for index, along in wall_positions(arrangement, found, 2 * half, "corner")[:8]:
+    spans = free_wall_spans(arrangement, 2 * half, low=0.0, high=model.height_m)
+    for index, along in wall_positions(arrangement, spans, 2 * half, "corner")[:8]:
         wall = arrangement.shell.walls[index]
         x, z = (float(part) for part in wall.at(along, half + 0.02))
         middle = arrangement.shell.polygon.mean(0)

@@ -7,9 +7,6 @@ from roomlight_generator.rooms.planner.arrangement import Arrangement, Piece
 from roomlight_generator.rooms.planner.body import Body, contains_point
 from roomlight_generator.rooms.planner.wall_space import free_wall_spans, slope_inset_m, wall_point, wall_positions
 
-MAX_TUCK_M: Final = 0.15
-"""Maximum overlap of a chair's box with its table's: its seat is lower than the table's top."""
-
 SEAT_SPACING_M: Final = 0.62
 """Length of a table's side for each chair."""
 
@@ -116,7 +113,7 @@ def place_table(
         if arrangement.fits(envelope, "floor"):
             space = _clearance_m(arrangement, x, z)
             ranked.append((-space if prefer == "middle" else space + arrangement.uniform(0.0, 0.4), envelope, degrees))
-    for _, envelope, degrees in sorted(ranked, key=lambda one: one[0])[:6]:
+    for _, envelope, degrees in sorted(ranked, key=lambda entry: entry[0])[:6]:
         placed = arrangement.place(table, envelope.x, envelope.z, degrees)
         if placed is not None:
             return placed
@@ -153,8 +150,8 @@ def desk(arrangement: Arrangement, *, seat: str = "office_chair", facing_room: f
             if faces_room
             else arrangement.uniform(0.01, 0.05)
         )
-        found = free_wall_spans(arrangement, model.depth_m + away, low=0.0, high=model.height_m, lower_walls=True)
-        for index, along in wall_positions(arrangement, found, model.width_m)[:8]:
+        spans = free_wall_spans(arrangement, model.depth_m + away, low=0.0, high=model.height_m, lower_walls=True)
+        for index, along in wall_positions(arrangement, spans, model.width_m)[:8]:
             wall = arrangement.shell.walls[index]
             inset = slope_inset_m(arrangement, wall, model.height_m)
             if inset is None:

@@ -81,9 +81,9 @@ def _hang_on_free_wall(arrangement: Arrangement, role: str) -> Piece | None:
     y = _choose_bottom_m(arrangement, model, arrangement.shell.height_m)
     if y is None:
         return None
-    found = free_wall_spans(arrangement, CLEAR_DEPTH_M, low=y, high=y + model.height_m, layer="wall")
+    spans = free_wall_spans(arrangement, CLEAR_DEPTH_M, low=y, high=y + model.height_m, layer="wall")
     where = "middle" if arrangement.chance(0.5) else "any"
-    for index, along in wall_positions(arrangement, found, model.width_m + 0.12, where)[:5]:
+    for index, along in wall_positions(arrangement, spans, model.width_m + 0.12, where)[:5]:
         piece = _hang(arrangement, model, index, along, y)
         if piece is not None:
             return piece
@@ -136,10 +136,10 @@ def _hang_row(arrangement: Arrangement, number: int) -> int:
     width = sum(model.width_m for model in pictures) + gap * (len(pictures) - 1)
     middle = arrangement.uniform(1.45, 1.65)
     tallest = max(model.height_m for model in pictures)
-    found = free_wall_spans(
+    spans = free_wall_spans(
         arrangement, CLEAR_DEPTH_M, low=middle - tallest / 2, high=middle + tallest / 2, layer="wall"
     )
-    for index, along in wall_positions(arrangement, found, width + 0.2, "middle")[:2]:
+    for index, along in wall_positions(arrangement, spans, width + 0.2, "middle")[:2]:
         cursor, done = along - width / 2, 0
         for model in pictures:
             y = middle - model.height_m / 2
