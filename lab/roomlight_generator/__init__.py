@@ -1,6 +1,14 @@
 """Generator of training data: furnished rooms, their light, and recordings of camera walks through them.
 
-Start at `generate.generate`, which assigns shards to worker processes (`worker`). A worker builds a room
-(`rooms`), solves its light (`transport`) and records walks through it (`sequences`). `verification` compares the light
-with Mitsuba's, `stats` measures a finished dataset. Files are written by `roomlight.dataset`; see `docs/dataset.md`.
+Start at `generate.generate`, which assigns shards to worker processes.
+
+- `worker`, `worker_pool`: the processes that make shards, and the pool that starts and replaces them.
+- `rooms`: shells, finishes, furniture, placement and lamps; `rooms.build.build_room` makes a room from a seed.
+- `transport`: the renderer. `transport.RoomLight` solves a room's light once, then renders frames and panoramas.
+- `sequences`: camera walks, probe positions, the phone's exposure and sensor; renders the recordings.
+- `panoramas`: a second renderer, for rooms lit by real HDR panoramas.
+- `verification`: compares the renderer with Mitsuba.
+- `stats`, `light_stats`: measure a finished dataset; `sample` makes the capture that RoomLight ships.
+
+`roomlight.dataset` writes the files; `docs/dataset.md` describes them.
 """

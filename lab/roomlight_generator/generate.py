@@ -92,9 +92,15 @@ class GenerateOptions:
 
 @dataclass(frozen=True)
 class GenerationProgress:
-    """The state of a run: sequences wanted, finished (in earlier runs too) and made (in this run), bytes of all.
+    """The state of a run.
 
-    core_s is the processor time of those made; note is a message to show, if any.
+    Attributes:
+        wanted: Sequences that the folder has in the end.
+        finished: Sequences finished, in earlier runs too.
+        made: Sequences made in this run.
+        bytes: Bytes of all finished sequences.
+        core_s: Processor time of the sequences made.
+        note: A message to show, if any.
     """
 
     wanted: int
@@ -121,9 +127,13 @@ ProgressCallback = Callable[[GenerationProgress], None]
 
 @dataclass(frozen=True)
 class GenerateReport:
-    """A finished run: sequences in the split, those made in this run, bytes of all.
+    """A finished run.
 
-    core_s is the processor time of each sequence made, in the order in which they were finished.
+    Attributes:
+        sequences: Sequences in the split.
+        made: Sequences made in this run.
+        bytes: Bytes of all sequences.
+        core_s: Processor time of each sequence made, in the order in which they were finished.
     """
 
     sequences: int
@@ -140,9 +150,15 @@ def generate(
     workers: int | None = None,
     progress: ProgressCallback | None = None,
 ) -> GenerateReport:
-    """Make a dataset in the folder `out`, or continue the one there; `workers` None is a process a core.
+    """Make a dataset in the folder `out`, or continue the dataset there.
 
     However the call ends, finished sequences stay, and the same call continues.
+
+    Args:
+        out: Folder of the dataset.
+        options: What to generate.
+        workers: Worker processes; None is a process a core.
+        progress: Called when a sequence is finished, and with messages.
 
     Raises:
         OutputError: if the folder holds other files, is locked by another process or cannot be written.

@@ -1,8 +1,8 @@
 """Statistics of light: what a first frame shows, and the light around it; generated rooms beside real panoramas.
 
 Values are luminance (Rec. 709) in units of the first frame's white: 1.0 is what the frame shows as white; of clipped
-pixels it is the brightest channel, the one that clips first. Shares of the sphere and means over it are weighted by
-solid angle. Panoramas are compared at the same height, `HEIGHT` rows.
+pixels it is the brightest channel, which clips first. Shares of the sphere and means over it are weighted by solid
+angle. Panoramas are compared at the same height, `HEIGHT` rows.
 World frame: y up.
 """
 
@@ -26,7 +26,7 @@ from roomlight_generator.panoramas.library import panorama_files
 from roomlight_generator.sequences.walk import FIELD_OF_VIEW_DEGREES
 
 HEIGHT: Final = 120
-"""Rows of the panoramas that are measured, as those of a dataset's probes; higher ones are averaged down."""
+"""Rows of the measured panoramas, as of a dataset's probes; higher panoramas are averaged down."""
 VIEWS: Final = 8
 """Views cropped from each real panorama."""
 WHITE_PERCENTILE: Final = 80

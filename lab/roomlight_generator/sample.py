@@ -1,6 +1,6 @@
 """The sample capture that RoomLight ships: one sequence of the generator, with the plain fallback models alone.
 
-Without the furniture library, so that anyone makes the same files, and no furniture author must be credited.
+It does not use the furniture library: anyone makes the same files, and no furniture author must be credited.
 """
 
 from dataclasses import replace

@@ -1,4 +1,4 @@
-"""Statistics of a dataset: motion, dynamic range, exposure, coverage, and what its rooms hold.
+"""Statistics of a dataset: motion, dynamic range, exposure, coverage, and the contents of its rooms.
 
 Luminance is Rec. 709 in units of the first frame's white; steps are from frame to frame; coverage is the share of a
 probe's sphere in which some frame saw a surface. World frame: y up, metres.
@@ -22,7 +22,7 @@ from roomlight.frame import CLIPPED_SRGB8
 
 _LUMA: Final = np.array([0.2126, 0.7152, 0.0722], np.float32)
 _DARK: Final = 1e-4
-"""Least median luminance: darker ones count as this, 13 stops below white, where 8 bits resolve nothing."""
+"""Least median luminance: darker frames count as this, 13 stops below white, where 8 bits resolve nothing."""
 _CELLS: Final = 30
 """Rows of cells, 6 degrees each, in which coverage is counted."""
 _STRIDE: Final = 4

@@ -45,9 +45,12 @@ class RenderRoom(Protocol):
 
 @dataclass(frozen=True)
 class ShardTask:
-    """A shard to make or to continue: sequences `first` to `last` - 1 of a split, written to `tar`.
+    """A shard to make or to continue.
 
-    panoramas and furniture_share are given for rooms lit by panoramas only.
+    Attributes:
+        tar: File of the shard.
+        first, last: The shard's sequences are `first` to `last` - 1 of the split.
+        panoramas, furniture_share: Given for rooms lit by panoramas only.
     """
 
     tar: str
@@ -91,9 +94,9 @@ def make_shard(task: ShardTask, render: RenderRoom, emit: Emit) -> None:
 def _room(task: ShardTask, room: int, missing: set[int], render: RenderRoom, emit: Emit) -> Iterator[tuple[int, bytes]]:
     """Yield the missing walks of a room, packed, in order.
 
-    If a room fails at some walk, the next attempt's room provides that walk and the following: which attempt a sequence
-    comes from depends on the room alone, not on what the shard held already. Attempts after the first have a seed drawn
-    from the seed and the attempt's number.
+    If a room fails at some walk, the next attempt's room provides that walk and the following. Which attempt a sequence
+    comes from depends on the room alone, not on the sequences that the shard contains. Attempts after the first have a
+    seed drawn from the seed and the attempt's number.
     """
     furniture = None if task.furniture is None else Path(task.furniture)
     done = 0

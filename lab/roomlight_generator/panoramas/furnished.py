@@ -56,7 +56,14 @@ class FurnishedLight:
 
     def __init__(self, shell: Shell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"],
                  furniture: Furniture) -> None:  # fmt: skip
-        """Solve the light of the shell; image is the panorama's radiance, bright its parts that are sampled."""
+        """Solve the light of the shell.
+
+        Args:
+            shell: The shell.
+            image: Radiance of the panorama.
+            bright: Parts of the panorama that are sampled.
+            furniture: What stands in the shell.
+        """
         self.shell = shell
         width = bright.shape[1]
         empty = Sky(np.zeros((2, 4, 3), np.float32))

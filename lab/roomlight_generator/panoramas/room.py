@@ -128,11 +128,10 @@ class PanoramaRoom:
 
 
 def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w"]:
-    """Return the kinds of surface in a panorama: bright areas are lights, and large ones at windows' height glass.
+    """Return the kinds of surface in a panorama.
 
-    Sunny floors are ordinary surfaces.
-
-    Three of four large ones are glass: phones see through some panes, and measure others.
+    Bright areas are lights. Three of four large bright areas at the height of windows are glass, because phones see
+    through some panes and measure others. Sunny floors are ordinary surfaces.
     """
     bright = bright_parts(image)
     count, labels, _, middles = cv2.connectedComponentsWithStats(bright.astype(np.uint8))

@@ -31,9 +31,11 @@ from roomlight_generator.rooms.scene import Material, Rgb, Texture
 class RoomFinishes:
     """The large surfaces of one room.
 
-    `accent_wall`, if given, is for one wall (the shell chooses the longest one without a window); None: all walls
-    alike. `lower_wall`, if given, is the finish of the lower part of walls where the shell's style has one (bathroom
-    tiles, a kitchen's backsplash, wainscot); None: walls have no separate lower part.
+    Attributes:
+        accent_wall: Finish of a single wall; the shell chooses the longest wall without a window. None: all walls are
+            alike.
+        lower_wall: Finish of the lower part of walls where the shell's style has one (bathroom tiles, a kitchen's
+            backsplash, wainscot). None: walls have no separate lower part.
     """
 
     wall: Material
@@ -48,13 +50,17 @@ class RoomFinishes:
 class Finishes:
     """All materials that `build_shell` applies.
 
-    `room` is the main room, `second` the room or corridor visible through an open door or a passage. `frame` is for
-    window frames, sills and mullions; `door` for leaves, `door_frame` for their linings and architraves; `handle` for
-    door and window handles and curtain rods (metal); `moulding` for crown mouldings and picture rails.
-
-    `curtain` and `blind` are the opaque ones (open at the sides, or drawn). `sheer` and `translucent_blind` cover a
-    window and glow by day; the shell applies them under the names "daylit-curtain" and "daylit-blind", with a separate
-    material object for each window, so that the lighting can give each its own emission.
+    Attributes:
+        room: The main room.
+        second: The room or corridor visible through an open door or a passage.
+        frame: Window frames, sills and mullions.
+        door, door_frame: Leaves; their linings and architraves.
+        handle: Door and window handles and curtain rods (metal).
+        moulding: Crown mouldings and picture rails.
+        curtain, blind: Opaque cloth and slats, open at the sides or drawn.
+        sheer, translucent_blind: Cloth that covers a window and glows by day. The shell applies it under the names
+            "daylit-curtain" and "daylit-blind", with a material object for each window, so that the lighting can set
+            the emission of each window.
     """
 
     room: RoomFinishes

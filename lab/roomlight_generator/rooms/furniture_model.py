@@ -28,9 +28,11 @@ class LightSource:
 class FurnitureModel:
     """A furniture model with the properties that the planner needs. Its mesh is loaded on first access.
 
-    width_m (x), height_m (y) and depth_m (z) are its bounding box. elevation_m is the height of its bottom over the
-    floor if it hangs on a wall. top_m is the height, over its own bottom, of a surface that can support other objects
-    (None: no such surface). split says which rooms may use it: "train" and "test" share no model.
+    Attributes:
+        split: Which rooms may use it: "train" and "test" share no model.
+        width_m, height_m, depth_m: Bounding box along x, y and z.
+        elevation_m: Height of its bottom over the floor if it hangs on a wall.
+        top_m: Height, over its own bottom, of a surface that can support other objects; None: no such surface.
     """
 
     id: str

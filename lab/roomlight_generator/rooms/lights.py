@@ -74,7 +74,7 @@ _FLUX_WEIGHTS: Final[dict[str, float]] = {"ceiling_lamp": 2.0, "ceiling_fan": 1.
 """A lamp's weight in the room's total flux (wall lamps and the rest: 0.5)."""
 
 _BRIGHT_SECOND_ROOM: Final = 0.4
-"""Probability that a lit second room is a bright one: 300 to 3,000 lux on about 8 m2, half of it lost."""
+"""Probability that a lit second room is bright: 300 to 3,000 lux on about 8 m2, half of it lost."""
 _SECOND_ROOM_KLM: Final = ((0.1, 0.8), (5.0, 50.0))
 """Flux of the lamp in a dim and in a bright second room."""
 
@@ -104,12 +104,17 @@ def light_room(
     *,
     wanted: LightKind = "mixed",
 ) -> Lighting:
-    """Choose a time of day and switch lamps on; `items` holds the placements' items in the same order.
-
-    `wanted` is the kind of light if the room has a place for it; `facts` names the kind that it has.
+    """Choose a time of day and switch lamps on.
 
     Every room has light: at dusk and at night at least one lamp is on, and a room without lamps gets a ceiling panel.
     Lamps together give a mean illuminance between 30 and 900 lux (log-uniform, dimmer at night).
+
+    Args:
+        shell: The room.
+        placements: What stands in the room.
+        items: The placements' items, in the same order.
+        rng: Random numbers.
+        wanted: Kind of light, if the room has a place for it. `facts` names the kind that the room has.
     """
     kind = _possible_kind(wanted, shell)
     windows = _has_windows(shell)

@@ -17,9 +17,11 @@ from roomlight_generator.rooms.scene import Item, Opening
 class Gap:
     """An opening in a wall: from start_m to end_m along the wall, bottom_m to top_m above the floor.
 
-    keep_clear_m is the depth of floor in front of it that must stay free (a door's swing, a walkway). covered: curtains
-    or blinds hang in front of it, so nothing may hang or lean there. A window with a sill has bottom_m > 0: low
-    furniture may stand below it.
+    A window with a sill has bottom_m > 0: low furniture may stand below it.
+
+    Attributes:
+        keep_clear_m: Depth of floor in front of it that must stay free (a door's swing, a walkway).
+        covered: Curtains or blinds hang in front of it, so nothing may hang or lean there.
     """
 
     kind: Literal["window", "door", "passage", "niche"]
@@ -62,13 +64,16 @@ class Wall:
 
 @dataclass(frozen=True, eq=False)
 class Shell:
-    """A room without furniture: its items (walls, floor, ceiling, frames, doors, curtains, part of a second room), its
-    outdoor openings, and its plan.
+    """A room without furniture.
 
-    polygon is the floor outline of the main room, clockwise seen from above (x to the right and z down the page); walls
-    come in the same order, one for each side. height_m is the height of the flat ceiling, `ceiling_at` the height at
-    any point. spots (x, z, free radius) are free plan points in a second room or corridor visible through an open door,
-    each with space for one piece of furniture.
+    Attributes:
+        items: Walls, floor, ceiling, frames, doors, curtains, part of a second room.
+        openings: Outdoor openings.
+        polygon: Floor outline of the main room, clockwise seen from above (x to the right, z down the page).
+        walls: A wall for each side of the polygon, in the same order.
+        height_m: Height of the flat ceiling; `ceiling_at` gives the height at any point.
+        spots: Free plan points (x, z, free radius) in a second room or corridor visible through an open door, each with
+            space for one piece of furniture.
     """
 
     items: tuple[Item, ...]

@@ -31,11 +31,13 @@ class Texture:
 class Material:
     """Reflection and emission of a surface. Every surface is two-sided and reflects alike on both sides.
 
-    albedo (linear, 0 to 0.95) multiplies the texture. `roughness` (GGX alpha, 0.03 to 0.6) puts a clear dielectric coat
-    of index 1.5 over the diffuse base (Mitsuba's `roughplastic`, nonlinear = false); None is plain Lambertian. `mirror`
-    > 0 makes it a perfect mirror of that reflectance (albedo and roughness are then ignored). `glass` is a thin clear
-    pane: rays pass straight through, shadow rays too. `emission` is radiance, the same in every direction on both
-    sides.
+    Attributes:
+        albedo: Linear, 0 to 0.95; multiplies the texture.
+        roughness: GGX alpha, 0.03 to 0.6, of a clear dielectric coat of index 1.5 over the diffuse base (Mitsuba's
+            `roughplastic`, nonlinear = false); None is plain Lambertian.
+        mirror: Reflectance of a perfect mirror; above 0, albedo and roughness are ignored.
+        glass: A thin clear pane: rays pass straight through, shadow rays too.
+        emission: Radiance, the same in every direction on both sides.
     """
 
     name: str = ""

@@ -76,8 +76,13 @@ def make_sky(
 ) -> Sky:
     """Make a sky of one of `SKY_KINDS`, with its skyline and ground.
 
-    `toward` (world), a direction out of a window for example, is the sun's azimuth, +- spread_degrees; None: any
-    azimuth. The sun is always above the skyline; behind a cloud (`partly_cloudy`, one in four) it is left out.
+    The sun is always above the skyline. Behind a cloud (in a quarter of `partly_cloudy` skies) it is left out.
+
+    Args:
+        kind: Kind of sky.
+        rng: Random numbers.
+        toward: World direction toward the sun's azimuth, a direction out of a window for example; None: any azimuth.
+        spread_degrees: Largest difference of the sun's azimuth from `toward`.
 
     Raises:
         ValueError: `kind` is not in `SKY_KINDS`.
@@ -127,10 +132,12 @@ def horizontal_irradiance(sky: Sky) -> Float[np.ndarray, "3"]:
 def vertical_irradiance(
     sky: Sky, outward: Float[np.ndarray, "3"], *, sun_share: float | int = 0.5
 ) -> Float[np.ndarray, "3"]:
-    """Return the linear RGB irradiance in klx of a vertical surface that faces `outward` (world; its y is ignored).
+    """Return the linear RGB irradiance in klx of a vertical surface, ground and skyline included.
 
-    Ground and skyline are included; the sun's part is multiplied by `sun_share`: the reveal of a window shades the
-    rest.
+    Args:
+        sky: The sky.
+        outward: World direction in which the surface faces; its y is ignored.
+        sun_share: Factor on the sun's part: the reveal of a window shades the rest.
     """
     normal = np.array([outward[0], 0.0, outward[2]], np.float64)
     normal /= max(float(np.linalg.norm(normal)), 1e-9)

@@ -44,11 +44,21 @@ def place_probes(
     depth_m: Float[np.ndarray, "h w"],
     count: int = 3,
 ) -> Float[np.ndarray, "{count} 3"] | None:
-    """Choose points in the first frame's view, clear of surfaces and seen by its camera; None if there are too few.
+    """Choose points in the first frame's view, clear of surfaces and seen by its camera.
 
-    depth_m is the first frame's exact depth (0: nothing hit), at any size of the same view. Most points are above
-    visible level surfaces, the rest in mid-air in front of visible surfaces. They are spread over distance and over the
-    picture.
+    Most points are above visible level surfaces, the rest in mid-air in front of visible surfaces. They are spread over
+    distance and over the picture.
+
+    Args:
+        free: Where a camera can be, and the distances to surfaces.
+        rng: Random numbers.
+        intrinsics: The first frame's camera.
+        camera_to_world: The first frame's pose.
+        depth_m: The first frame's exact depth (0: nothing hit), at any size of the same view.
+        count: Number of points.
+
+    Returns:
+        The points (world, metres), or None if there are too few.
     """
     camera = intrinsics.resized(depth_m.shape[1], depth_m.shape[0])
     candidates = _candidates(rng, camera, camera_to_world, depth_m)

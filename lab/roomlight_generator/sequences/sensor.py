@@ -35,11 +35,14 @@ _READ_NOISE: Final = 6.0
 
 @dataclass(frozen=True)
 class Sensor:
-    """One phone's camera.
+    """A phone's camera.
 
-    noise scales the noise of the model, grain_px and blur_px are the standard deviations of its grain and of the lens,
-    vignetting is the loss in the corners, sharpening the strength of an unsharp mask. response is (gamma, contrast)
-    about sRGB's curve; (1, 0) is sRGB itself.
+    Attributes:
+        noise: Scale of the model's noise.
+        grain_px, blur_px: Standard deviations of the noise's grain and of the lens.
+        vignetting: Loss in the corners.
+        sharpening: Strength of an unsharp mask.
+        response: (gamma, contrast) about sRGB's curve; (1, 0) is sRGB itself.
     """
 
     noise: float = 1.0
@@ -113,8 +116,13 @@ def clipped_radiance(
 ) -> Float16[np.ndarray, "h w 3"]:
     """Return the radiance of the picture's clipped pixels in units of its own white, 0 elsewhere.
 
-    radiance (kcd/m2) is what `develop` made the picture of: without lens, vignetting and noise. Pixels that exceed a
-    half float are dimmed without changing their hue.
+    Pixels that exceed a half float are dimmed without changing their hue.
+
+    Args:
+        radiance: Radiance (kcd/m2) from which `develop` made the picture: without lens, vignetting and noise.
+        picture: The picture.
+        multiplier: Exposure of the picture.
+        gains: White balance of the picture.
     """
     scaled = np.asarray(radiance, np.float32) * (gains * multiplier).astype(np.float32)
     scaled *= np.minimum(1, np.float32(HALF_MAX) / np.maximum(scaled.max(axis=2, keepdims=True), 1))

@@ -20,7 +20,7 @@ from roomlight.camera import Intrinsics
 FRAME_INTERVAL_S: Final = 1 / 3
 """Every tenth frame of a 30 Hz recording; the paper samples 30 of some ten seconds."""
 HEIGHT_M: Final = (0.9, 1.75)
-"""Lowest and highest camera: held before a sitting person and before a tall standing one."""
+"""Lowest and highest camera: before a sitting person and before a tall standing person."""
 CLEARANCE_M: Final = 0.25
 """Least distance of the camera to any surface."""
 FIELD_OF_VIEW_DEGREES: Final = (55.0, 72.0)
@@ -56,9 +56,12 @@ a frame in 720 walks through 90 furnished rooms.
 class FreeSpace:
     """Where a camera can be: the walkable floor, and the distances to surfaces.
 
-    walkable[row, column] is a square of cell_m metres around origin + cell_m (column, row), where origin is (x, z): the
-    planner's free floor, best for a body of radius CLEARANCE_M. distances(origins [n, 3], unit directions [n, 3],
-    float32) returns metres to the first surface, inf for none.
+    Attributes:
+        walkable: [row, column] is a square of cell_m metres around origin + cell_m (column, row): the planner's free
+            floor, best for a body of radius CLEARANCE_M.
+        origin: (x, z), world.
+        distances: Takes origins [n, 3] and unit directions [n, 3] (float32); returns metres to the first surface, inf
+            for none.
     """
 
     walkable: Bool[np.ndarray, "nz nx"]
@@ -100,10 +103,12 @@ class Motion:
 
 @dataclass(frozen=True)
 class _WalkParameters:
-    """What a walk aims at: motion a frame, the bodies' drag, and how the camera is held.
+    """What a walk aims at: motion a frame, the bodies' drag, and how the camera is carried.
 
-    follow is the share of the camera's velocity that the target takes over, leash_m the target's distance, tremor_m and
-    tremor_degrees the hand's deviations.
+    Attributes:
+        follow: Share of the camera's velocity that the target takes over.
+        leash_m: Distance of the target.
+        tremor_m, tremor_degrees: Deviations of the hand.
     """
 
     step_m: float

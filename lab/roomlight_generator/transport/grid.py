@@ -18,7 +18,7 @@ SHARP: Final = 0.1
 OUTSHINES: Final = 3.0
 """Largest ratio of the brightness of a pixel's reflection to that of its surroundings.
 
-A brighter one is an outlier that smoothing would spread to a white dot. Highlights are wider than the compared pixels.
+A brighter pixel is an outlier that smoothing would spread to a white dot. Highlights are wider than these pixels.
 """
 
 RECEIVES: Final = 1.7

@@ -50,7 +50,7 @@ REACH_PIXELS: Final = (18.0, 8.0, 3.5)
 """Reach of the records of each round: the later rounds add records in corners."""
 
 ROUND_SHARE: Final = (8, 4, 2)
-"""Each round considers one in this many new cells, so that the first round's records are far apart."""
+"""Each round considers every n-th new cell, so that the first round's records are far apart."""
 
 SMALLEST_PIXELS: Final = 3.0
 FARTHEST_M: Final = 0.35
@@ -109,10 +109,15 @@ class IrradianceCache:
         *,
         foot_m: Float32[np.ndarray, " n"],
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, "n 3"]]:
-        """Return the irradiance at surface points (as in `Points`) as let through by their coats, and the sun's part.
+        """Return the irradiance at surface points as let through by their coats, and the sun's part of it.
 
-        foot_m is the width of a pixel there, across the ray. The second array is the part of the first that comes
-        straight from the sun.
+        Args:
+            position, normal, geometric_normal: The points, as in `Points`.
+            face: Face of each point.
+            foot_m: Width of a pixel at each point, across the ray.
+
+        Returns:
+            The irradiance, and the part of it that comes straight from the sun.
         """
         count = len(face)
         material = self.tracer.geometry.material[face]
@@ -199,9 +204,13 @@ class IrradianceCache:
     def gathered(
         self, points: Points, *, rays: int, first: int, streams: Int64[np.ndarray, " n"] | None = None
     ) -> tuple[Float32[np.ndarray, "n 3"], Float32[np.ndarray, " n"]]:
-        """Compute indirect irradiance by `rays` rays from each point, and the harmonic mean of their lengths.
+        """Compute indirect irradiance by rays from each point, and the harmonic mean of their lengths.
 
-        The points seed their random streams by `first`, `first` + 1 and so on, or by `streams`.
+        Args:
+            points: The points.
+            rays: Rays of a point.
+            first: The points seed their random streams by `first`, `first` + 1 and so on.
+            streams: Seeds of the points' random streams instead.
         """
         count = len(points.position)
         irradiance, clear = np.empty((count, 3), np.float32), np.empty(count, np.float32)

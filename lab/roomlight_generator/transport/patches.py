@@ -34,7 +34,7 @@ from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 GATHER_RAYS: Final = 32
 MOST_BOUNCES: Final = 60
 SETTLED: Final = 2e-3
-"""Bounces stop when one adds less than this share of all light: after 8 in a room of albedo 0.5, 25 in a white one."""
+"""A bounce that adds less than this share of all light is the last: the 8th at albedo 0.5, the 25th in a white room."""
 
 FINE_WITHIN_M: Final = ((1, 0.3), (2, 0.15), (3, 0.08))
 """(Halvings, distance): patches this near to lamps are halved that many times, 3 means one per face; openings: 1."""
@@ -161,11 +161,16 @@ class _PatchSet:
 class RoomCache:
     """What patches send out and receive.
 
-    Rows: patches, then wider surroundings, then whole materials, then a row of zeros (the last, so that index -1 finds
-    it). base is the radiance of the diffuse part (before a coat lets it out), lobe the mean radiance that a coat
-    reflects; sun_base and sun_lobe are the parts of both due to the sun's direct light, which spots represent; indirect
-    and indirect_coated are the irradiance that comes from neither lights nor spots. enclosed patches cannot be seen
-    from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside, whose light is unknown.
+    The rows are the patches, then wider surroundings, then whole materials, then a row of zeros. The zeros come last,
+    so that index -1 leads to them.
+
+    Attributes:
+        base: Radiance of the diffuse part, before a coat lets it out.
+        lobe: Mean radiance that a coat reflects.
+        sun_base, sun_lobe: The parts of both due to the sun's direct light, which spots represent.
+        indirect, indirect_coated: Irradiance that comes neither from lights nor from spots.
+        enclosed: Patches that cannot be seen from beyond `ENCLOSED_M`: a ray from there meets a part of theirs outside,
+            whose light is unknown.
     """
 
     table: PatchTable
@@ -184,7 +189,10 @@ class RoomCache:
 
 
 def solve_room(tracer: Tracer, light: DirectLight, *, seed: int) -> RoomCache:
-    """Find the patches, light them and let the light bounce; sets `light.visibility` to a row for each of the cache."""
+    """Find the patches, light them and let the light bounce.
+
+    Sets `light.visibility`, which then has a row for each row of the cache.
+    """
     fineness = _fineness(tracer, light)
     lit = _PatchSet(tracer, fineness)
     lit.visit(_seed_rays(tracer, light, seed))
@@ -271,7 +279,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
         low, high = (getattr(tracer.geometry.corners, name)((0, 1)) for name in ("min", "max"))
         begin = rng.uniform(low, high, (SEED_RAYS, 3)).astype(np.float32)
     else:
-        # Evenly over clusters and over each one's pieces: weak lamps in corners reach places that windows do not.
+        # Evenly over clusters and over a cluster's pieces: weak lamps in corners reach places that windows do not.
         cluster = rng.integers(len(lights.start), size=SEED_RAYS)
         piece = lights.start[cluster] + (rng.random(SEED_RAYS) * lights.pieces[cluster]).astype(np.int64)
         a, b = rng.random((2, SEED_RAYS, 1))
@@ -322,8 +330,12 @@ def _gather(
 
 
 def _linked(patches: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
-    """Return for each ray the target patch, cosine there, mirrors' factor, length and share passed here; and of each
-    patch the irradiance that comes from no patch, plain and as let through by its coat."""
+    """Return the columns of the links between patches.
+
+    Returns:
+        For each ray: target patch, cosine there, mirrors' factor, length and share passed here. For each patch: the
+        irradiance that comes from no patch, plain and as let through by its coat.
+    """
     ends = rays.ends
     target, cosine = patches.visit(ends)
     radiance = ends.radiance.reshape(-1, rays.per_patch, 3)

@@ -25,9 +25,11 @@ PANES: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class Surfaces:
-    """Surface points on which rays ended, and the rays' indices.
+    """Surface points on which rays ended, and the rays' indices. Positions and normals are as in `Points`.
 
-    view is the unit direction back along the ray, foot_m the ray's width there. Positions and normals as in `Points`.
+    Attributes:
+        view: Unit direction back along the ray.
+        foot_m: Width of the ray there.
     """
 
     ray: Int32[np.ndarray, " m"]
@@ -48,9 +50,13 @@ class Surfaces:
 class Paths:
     """Rays followed to their ends, in the order in which they were given.
 
-    share is what panes and mirrors leave; distance_m leads to the first surface of any kind (inf without), `surface` is
-    its class; face is the last hit (-1: the sky along `direction`). The panes' columns are reflections still to be
-    traced: index of the ray, origin, direction, share, distance so far.
+    The panes' columns are reflections still to be traced: index of the ray, origin, direction, share, distance so far.
+
+    Attributes:
+        share: Share of the light that panes and mirrors leave.
+        distance_m: Distance to the first surface of any kind, inf without.
+        surface: Class of that surface.
+        face: Last hit (-1: the sky along `direction`).
     """
 
     share: Float32[np.ndarray, " n"]

@@ -69,8 +69,12 @@ class Reflections:
     ) -> Float32[np.ndarray, "n 3"]:
         """Return the radiance along reflected rays.
 
-        The rays are `width_m` wide where they start and widen by `widening` a metre. shares gives the shares of each
-        ray that are kept of light straight from lights and the sky, and of the sun's direct light on surfaces.
+        Args:
+            origins, directions: The rays.
+            width_m: Width of each ray where it starts.
+            widening: Growth of the width a metre.
+            shares: Gives the shares of each ray that are kept of light straight from lights and the sky, and of the
+                sun's direct light on surfaces.
         """
         paths = follow_view(self.tracer, origins, directions)
         width = (width_m + paths.length_m * widening).astype(np.float32)

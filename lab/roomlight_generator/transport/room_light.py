@@ -64,7 +64,7 @@ class RoomLight:
     """
 
     def __init__(self, viewer: Viewer) -> None:
-        """Take what renders a solved room; use `solve` to make one."""
+        """Take the renderer of a solved room; `solve` makes it."""
         self.tracer, self.light, self.irradiance_cache = viewer.tracer, viewer.light, viewer.irradiance_cache
         self._viewer = viewer
 
@@ -72,9 +72,12 @@ class RoomLight:
     def solve(cls, tracer: Tracer, rng_seed: int, *, precise: bool = False) -> "RoomLight":
         """Solve the room's interreflection; the same arguments give the same bytes.
 
-        precise: views have no blotches and little noise, at several times the cost: every cell of a surface that they
-            show gathers its own light, and reflections are the mean of `PRECISE_LOBES` passes. Views of nearly the
-            same room share their random numbers.
+        Args:
+            tracer: The room.
+            rng_seed: Seed of the random numbers.
+            precise: Views have no blotches and little noise, at several times the cost: every cell of a surface that
+                they show gathers its own light, and reflections are the mean of `PRECISE_LOBES` passes. Views of nearly
+                the same room share their random numbers.
         """
         light = DirectLight(tracer)
         room = solve_room(tracer, light, seed=rng_seed)

@@ -32,9 +32,15 @@ RaysAt = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float32[np
 
 @dataclass(frozen=True, eq=False)
 class Camera:
-    """A picture's viewpoint: its origin (world, metres), rays, shape (height, width), and a pixel's width in radians.
+    """A picture's viewpoint.
 
-    dark_faces are shown without their emission (but not in mirrors); the sun's disc is shown if show_sun.
+    Attributes:
+        origin: World, metres.
+        rays_at: The rays.
+        shape: Height and width.
+        pixel_angle: Width of a pixel in radians.
+        dark_faces: Faces shown without their emission, except in mirrors.
+        show_sun: Whether the sun's disc is shown.
     """
 
     origin: Float[np.ndarray, "3"]

@@ -89,8 +89,11 @@ class SurfaceDeviation:
 class ProbeDeviation:
     """Errors of irradiance at 26 normals, and of the panorama.
 
-    irradiance is the mean relative error of luminance, noise the reference's own, bias the relative difference of the
-    sums. log_l2 is of the panorama, in units in which the frame's geometric mean is 0.18.
+    Attributes:
+        irradiance: Mean relative error of luminance.
+        noise: The reference's own mean relative error.
+        bias: Relative difference of the sums.
+        log_l2: Error of the panorama, in units in which the frame's geometric mean is 0.18.
     """
 
     irradiance: float
@@ -103,8 +106,10 @@ class ProbeDeviation:
 class RoomCheck:
     """One room's figures and pictures.
 
-    diffuse and coated are None if too little of such surfaces is in view. paths is how many each of the points took,
-    points_s the seconds for them.
+    Attributes:
+        diffuse, coated: None if too little of such surfaces is in view.
+        paths: Paths of each point.
+        points_s: Seconds for the points.
     """
 
     name: str
@@ -158,10 +163,19 @@ def check_rooms(
     paths: int = PATHS,
     done: Callable[[RoomCheck], None] | None = None,
 ) -> CheckReport:
-    """Check `rooms` rooms from index `first` on, one by one; `done` is called after each.
+    """Compare both renderers in a number of rooms.
 
-    samples are a pixel's paths in pictures, paths the most for a room's points. A room without a place for a camera is
-    left out and the next one taken.
+    A room without a place for a camera is left out, and the next room is taken.
+
+    Args:
+        rooms: Number of rooms.
+        seed: Seed of the rooms.
+        split: Split of the rooms.
+        furniture: Furniture library; default: the installed libraries.
+        first: Index of the first room.
+        samples: Paths of a pixel in pictures.
+        paths: Most paths for the points of a room.
+        done: Called after each room.
 
     Raises:
         ImportError: if Mitsuba is not installed.
@@ -294,7 +308,7 @@ def _compared(
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """A picture's rays from one point (world frame), and the two vectors that span each one's pixel."""
+    """A picture's rays from one point (world frame), and the two vectors that span the pixel of each ray."""
 
     origin: Float[np.ndarray, "3"]
     directions: Float[np.ndarray, "h w 3"]

@@ -118,9 +118,13 @@ class Reference:
         seed: int,
         spread: Float[np.ndarray, "n 2 3"] | None = None,
     ) -> Float[np.ndarray, "n 3"]:
-        """Compute the mean radiance (kcd/m2) along each ray over `samples` paths.
+        """Compute the mean radiance (kcd/m2) along each ray.
 
-        spread, if given, holds the two vectors that span a pixel about its ray: directions are jittered over it.
+        Args:
+            origins, directions: The rays.
+            samples: Paths of a ray.
+            seed: Seed of the paths.
+            spread: The two vectors that span a pixel about each ray: directions are jittered over it. None: no jitter.
         """
         count = len(origins)
         total = np.zeros((count, 3), np.float64)

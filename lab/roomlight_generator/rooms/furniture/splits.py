@@ -12,11 +12,14 @@ _SHARE: Final = 0.2
 
 
 def assign_splits(roles: Mapping[str, str], shared: Mapping[str, Sequence[str]]) -> dict[str, Split]:
-    """Return the split of every model id, from its role and from what it shares with other models.
+    """Return the split of every model.
 
-    `shared` maps an id to digests of its geometry and its textures: ids with one in common stay together. A role with
-    three models or more has one in each split, unless all its models belong together. The order of the arguments does
-    not matter.
+    A role with three models or more has a model in each split, unless all its models belong together. The order of the
+    arguments does not matter.
+
+    Args:
+        roles: Role of each model id.
+        shared: Digests of the geometry and the textures of each id: ids that share a digest stay together.
     """
     groups = _groups(roles, shared)
     total = Counter(roles.values())

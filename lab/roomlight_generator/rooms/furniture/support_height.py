@@ -16,7 +16,7 @@ _LISTED_FLAT: Final = 0.45
 """Minimum share of the footprint that lies at one height, if measured and if listed in the catalogue file."""
 
 _ABOVE: Final = 0.1
-"""Maximum share of the footprint that may rise above it: objects are placed anywhere and must not intersect a
+"""Maximum share of the footprint that may rise above that height: objects are placed anywhere and must not intersect a
 mirror."""
 
 _LOW_M: Final = 0.15

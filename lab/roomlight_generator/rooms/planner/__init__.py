@@ -1,4 +1,8 @@
-"""Plausible furniture placement: room types, and furnishing of a shell for one. Plan coordinates in metres."""
+"""Furniture placement: room types, and the furnishing of a shell for a room type. Plan coordinates (x, z) in metres.
+
+Start at `furnish.furnish`. `room_types` lists what stands in which room, `groups` places what stands together,
+`arrangement` tests each placement; `wall_space` and `free_floor` find the places.
+"""
 
 from roomlight_generator.rooms.planner.chooser import Chooser
 from roomlight_generator.rooms.planner.free_floor import FreeFloor, free_floor

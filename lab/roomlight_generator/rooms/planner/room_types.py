@@ -53,13 +53,20 @@ class Step:
 
 @dataclass(frozen=True)
 class RoomType:
-    """A type of room. split "test" reserves it for the test split; types of "train" are used in both.
+    """A type of room. Ranges are (least, most).
 
-    Ranges are (least, most): area_m2 of the main room, aspect long to short side, height_m, windows, doors. The p_...
-    are the probabilities of a room without any window, of slanted ceilings, of an L-shaped plan, of an open door or
-    passage to a second room or corridor. `wall_items` are mean numbers by role, `ceiling` probabilities of kinds of
-    ceiling light, `clutter` the range from bare (0) to crowded (1), `people` and `pets` probabilities, `radiators` the
-    probability of one below a window. `public` marks rooms other than homes: larger surfaces, other finishes.
+    Attributes:
+        split: "test" reserves the type for the test split; types of "train" are used in both.
+        area_m2: Floor area of the main room.
+        aspect: Long to short side.
+        p_windowless, p_attic, p_l_shape, p_second_room: Probabilities of a room without any window, of slanted
+            ceilings, of an L-shaped plan, of an open door or passage to a second room or corridor.
+        wall_items: Mean numbers by role.
+        ceiling: Probabilities of kinds of ceiling light.
+        clutter: Range, from bare (0) to crowded (1).
+        people, pets: Probabilities.
+        radiators: Probability of a radiator below a window.
+        public: Rooms other than homes: larger surfaces, other finishes.
     """
 
     name: str

@@ -84,7 +84,7 @@ def free_wall_spans(
 def slope_inset_m(arrangement: Arrangement, wall: Wall, height: float) -> float | None:
     """Return the distance from the wall at which the ceiling is high enough, 0 at a high wall; None if it is too far.
 
-    Low objects stand up to 0.6 m from the wall, high ones 0.3 m: more would leave a usable space behind them.
+    Low objects stand up to 0.6 m from the wall, high objects 0.3 m: more would leave a usable space behind them.
     """
     if wall.height_m >= height:
         return 0.0

@@ -318,7 +318,7 @@ def _place_window_row(
 
 
 def _longest_free_stretch(occupancy: _Occupancy, i: int) -> tuple[float, float]:
-    """Return the longest stretch of a side without holes."""
+    """Return the longest part of a side without holes."""
     side = occupancy.room.sides[i]
     taken = sorted(edge_m(hole) for hole in occupancy.holes if hole.side == i)
     stops = [0.0, *(stop for span in taken for stop in span), side.length_m]

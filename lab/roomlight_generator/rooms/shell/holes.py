@@ -24,9 +24,13 @@ CURTAINS: Final[tuple[CoverKind, ...]] = (
 class Cover:
     """A window covering: curtains or a blind.
 
-    spread_m is how far curtains reach beyond the hole at each side, lift_m how far their rod is above it, bottom_m the
-    height of their hem. share is how much of the width (half curtains) or of the height (blinds) is covered. tilt is
-    the angle of slats in degrees, 0 level; pitch_m their spacing or the width of a fold.
+    Attributes:
+        spread_m: How far curtains reach beyond the hole at each side.
+        lift_m: How far their rod is above the hole.
+        bottom_m: Height of their hem.
+        share: Covered share of the width (half curtains) or of the height (blinds).
+        tilt_degrees: Angle of slats, 0 level.
+        pitch_m: Spacing of slats, or width of a fold.
     """
 
     kind: CoverKind
@@ -51,9 +55,12 @@ class Cover:
 
 @dataclass(frozen=True)
 class WindowDesign:
-    """A window's design: sashes side by side, glazing bars in each (rows, columns), bar sizes, and depth in the wall.
+    """A window's design: sashes side by side, glazing bars in each sash (rows, columns), bar sizes, and depth in the
+    wall.
 
-    inset is the share of the wall's thickness in front of the frame. sill_m is how far the sill protrudes (0: none).
+    Attributes:
+        inset: Share of the wall's thickness in front of the frame.
+        sill_m: How far the sill protrudes (0: none).
     """
 
     kind: WindowKind
@@ -106,8 +113,13 @@ class Window(Hole):
 
 @dataclass(frozen=True)
 class DoorDesign:
-    """A door's design. hinge_right as seen from the main room; open_degrees 0 is closed; swings_in: into the main
-    room."""
+    """A door's design.
+
+    Attributes:
+        hinge_right: As seen from the main room.
+        open_degrees: 0 is closed.
+        swings_in: Into the main room.
+    """
 
     leaf: Literal["flush", "panels"]
     panels: tuple[int, int] = (1, 1)

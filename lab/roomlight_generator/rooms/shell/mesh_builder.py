@@ -134,9 +134,14 @@ class MeshBuilder:
         *,
         others: dict[int, Material] | None = None,
     ) -> None:
-        """Add the sides of a hole through the plane, facing its middle, between two depths (pass depths with overlaps).
+        """Add the sides of a hole through the plane, facing its middle.
 
-        `others` gives the materials of single edges of the outline (the sill's, a threshold's) that differ.
+        Args:
+            plane: The plane.
+            hole: Outline of the hole.
+            depths: The two depths between which the sides lie, overlaps included.
+            material: Material of the sides.
+            others: Materials of single edges of the outline that differ: a sill, a threshold.
         """
         near, far = depths
         for i, (a, b) in enumerate(zip(hole, [*hole[1:], hole[0]], strict=True)):
@@ -187,10 +192,15 @@ class MeshBuilder:
         mitres: tuple[float | None, float | None],
         material: Material,
     ) -> None:
-        """Sweep a profile of (distance from the wall, h), bottom to top, along the wall from span[0] to span[1].
+        """Sweep a profile along the wall.
 
-        A mitre is how far an end moves inward for each metre off the wall: 1 in a right-angled corner of the room, -1
-        around an outer one; None is a free end, closed by a cap.
+        Args:
+            plane: The wall.
+            profile: Points (distance from the wall, h), bottom to top.
+            span: Start and end along the wall.
+            mitres: How far each end moves inward for each metre off the wall: 1 in a right-angled corner of the room,
+                -1 around an outer corner; None is a free end, closed by a cap.
+            material: Material of the profile.
         """
         away = np.array([point[0] for point in profile])
         start = span[0] + (mitres[0] or 0.0) * away

@@ -36,7 +36,7 @@ class Slope:
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """A straight stretch of the outline as a wall plane: s from its start, h over the floor."""
+    """A straight side of the outline as a wall plane: s from its start, h over the floor."""
 
     plane: Plane
     length_m: float

@@ -46,16 +46,22 @@ _COVERS: Final[tuple[tuple[CoverKind, float], ...]] = (
 
 @dataclass(frozen=True)
 class ShellStyle:
-    """Ranges are (least, most), probabilities 0 to 1, weights any positive numbers.
+    """Parameters of a shell. Ranges are (least, most), probabilities 0 to 1, weights any positive numbers.
 
-    area_m2 is the main room's floor area; aspect the long over the short side of its main rectangle. windows and doors
-    (closed ones) are counts, both ends included; fewer are built if no wall has space for them. A room gets at most one
-    second room: behind an open door (`open_door`), else behind a doorway without one (`passage`); a room with no door
-    of any kind gets one closed door. The second room has a wide window with probability `second_window`. Slopes cut
-    `slanted` rooms, on two sides by `two_slopes`, with windows in them by `skylights` (never if windows are (0, 0)).
-    lower_wall is the finish of the walls' lower part, with probability `lower_wall_chance`: tiles or wainscot all round
-    up to lower_wall_m, a backsplash as a band on the wall with the most space for units. An accent wall is painted with
-    probability `accent_wall`, if the finishes have one.
+    A room gets at most one second room. A room with no door of any kind gets a closed door.
+
+    Attributes:
+        area_m2: Floor area of the main room.
+        aspect: Long over short side of the main rectangle.
+        slanted, two_slopes, skylights: Probability of slopes, of slopes on two sides, of windows in them (never if
+            windows are (0, 0)).
+        windows, doors: Counts, both ends included; doors are closed. Fewer are built if no wall has space for them.
+        open_door, passage: Probability of a second room behind an open door; else behind a doorway without a door.
+        second_window: Probability of a wide window in the second room.
+        accent_wall: Probability of an accent wall, if the finishes have its material.
+        lower_wall: Kind of finish of the walls' lower part: tiles or wainscot all round up to lower_wall_m, or a
+            backsplash as a band on the wall with the most space for units.
+        lower_wall_chance: Probability of that finish.
     """
 
     area_m2: Range = (12.0, 30.0)

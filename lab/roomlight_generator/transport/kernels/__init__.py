@@ -1,1 +1,1 @@
-"""Compiled kernels of the light transport."""
+"""Compiled kernels of the light transport; `structs` lists their arguments with shapes."""

@@ -32,7 +32,17 @@ def _within(cone, cones, x, y, z):
 
 @njit(**JIT)
 def gather_rays(lights, visibility, points, through, sampling, scratch, out):
-    """Write the rays (`GatherRays`) of each point (`Points`); through is the coat's table."""
+    """Write the rays of indirect light that each point sends.
+
+    Args:
+        lights: Clusters of lights (`Lights`).
+        visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
+        points: The points (`Points`).
+        through: The coat's table: the share of light let through, by roughness and cosine.
+        sampling: Numbers of rays and the seed (`GatherSampling`).
+        scratch: Work space (`ConeScratch`).
+        out: The rays (`GatherRays`), [n * (cosine_rays + cone_rays)].
+    """
     position, normal, geometric_normal, alpha, row, stream = points
     cosine_rays, cone_rays, seed = sampling
     origin, direction, weight, passed = out
@@ -43,6 +53,7 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
+        # 1. Make a cone about each cluster that may shine on the point, with a chance in proportion to its estimate.
         cones, total = 0, 0.0
         estimates(lights, clusters, visibility, row[i], LEAST_SEEN, (px, py, pz), (nx, ny, nz), estimate)
         for which in range(clusters):
@@ -59,6 +70,7 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
             cone[0, cones], cone[1, cones], cone[2, cones], cone[3, cones] = x / d, y / d, z / d, 1 - width
             cone[4, cones] = share / (2 * math.pi * width)
             cones += 1
+        # 2. Share the rays between cosine and cones. The cones' shares become densities over solid angle.
         guided = cone_rays if cones > 0 else 0
         for k in range(cones):
             cone[4, k] /= total
@@ -72,6 +84,7 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
         if cones > 0:
             running = chance[0]
         for k in range(rays):
+            # 3. Draw a direction, by cosine first and then by cones.
             at = i * rays + k
             r1, r2 = fraction(shift1 + PHI1 * k), fraction(shift2 + PHI2 * k)
             if k < plain:
@@ -93,6 +106,7 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
             if under < 0 and k < plain:
                 # The shading normal leans so far that the ray starts into its own surface: mirror it out.
                 x, y, z = x - 2 * under * gx, y - 2 * under * gy, z - 2 * under * gz
+            # 4. Weight the ray by the balance heuristic of both densities; a ray into the surface has weight 0.
             cosine = x * nx + y * ny + z * nz
             for c in range(3):
                 origin[at, c] = position[i, c]
@@ -108,7 +122,17 @@ def gather_rays(lights, visibility, points, through, sampling, scratch, out):
 
 @njit(**JIT)
 def gather_sum(sent, radiance, face, distance, rays, irradiance, clear):
-    """Sum each point's irradiance over its `rays` rays (`sent`); clear is the harmonic mean of their lengths."""
+    """Sum each point's irradiance over its rays.
+
+    Args:
+        sent: The rays (`GatherRays`), `rays` in a row for each point.
+        radiance: Radiance along each ray, [n * rays, 3].
+        face: Face that each ray met (-1: none), [n * rays].
+        distance: Length of each ray in metres, [n * rays].
+        rays: Rays of a point.
+        irradiance: Receives the sums, [n, 3].
+        clear: Receives the harmonic mean of the rays' lengths, [n].
+    """
     weight, passed = sent.weight, sent.passed
     for p in range(len(clear)):
         red, green, blue, near, total = 0.0, 0.0, 0.0, 0.0, 0.0

@@ -48,7 +48,7 @@ def spot_share(alpha, distance):
 
 @njit(**JIT)
 def spot_shares(alpha, distance, rays, out):
-    """Write `spot_share` for `rays` rays of each point, by the length of each."""
+    """Write `spot_share` of each ray by its length; each point (by alpha) has `rays` rays in a row."""
     for k in range(len(distance)):
         out[k] = spot_share(alpha[k // rays], distance[k])
 
@@ -109,9 +109,16 @@ def lobe_rays(points, rays, seed, out):
 
 @njit(**JIT)
 def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
-    """Write the lobe's shadow rays (`ShadowRays`, but for passed and cluster) of all points; returns how many.
+    """Write the shadow rays by which the lobe of each point samples the lights; returns how many.
 
-    totals gets each point's sum of estimates, for `lobe_share`.
+    Args:
+        sources: Lights, outdoors and surfaces of lights (`LightSources`, `LightSurfaces`).
+        points: Coated points (`LobePoints`).
+        visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
+        sampling: Numbers of reflected rays, candidates and picks, and the seed (`LobeSampling`).
+        scratch: Work space (`LightScratch`).
+        shadow: The rays (`ShadowRays`); passed and cluster are not written.
+        totals: Receives each point's sum of estimates, for `lobe_share`, [n].
     """
     lights, outdoors, surfaces = sources
     kind = surfaces.kind
@@ -130,12 +137,14 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
         vx, vy, vz = view[i, 0], view[i, 1], view[i, 2]
+        # 1. Seed the point's random numbers.
         state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed) + np.uint64(1)))
         shift1 = unit(state)
         state = mixed(state)
         shift2 = unit(state)
         state = mixed(state)
         shift3 = unit(state)
+        # 2. Estimate the clusters' contributions.
         total = 0.0
         if clusters > 0:
             total = cumulate_estimates(
@@ -143,6 +152,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
             )
         totals[i] = total
         if total > 0:
+            # 3. Draw candidates on the lights, weighted by the lobe.
             which, live = 0, 0
             for k in range(candidates):
                 which, piece, density = candidate(lights, running, total, (k + shift3) / candidates * total, which)
@@ -169,6 +179,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
                     q,
                 )
                 live += 1
+            # 4. Pick some of the candidates and write their rays.
             resample(drawn, 7, live, picks, unit(mixed(state)))
             for k in range(live):
                 if drawn[k, 7] == 0:
@@ -180,6 +191,7 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
                     weight[written, c] = drawn[k, 4 + c] * drawn[k, 7]
                 reach[written] = drawn[k, 3]
                 written += 1
+        # 5. Write a ray to the sun's disc if it leaves through an opening.
         if sun and gx * sx + gy * sy + gz * sz > 0:
             radius, angle = outdoors.sun_radius * math.sqrt(shift1), 2 * math.pi * shift2
             s, t = radius * math.cos(angle), radius * math.sin(angle)
@@ -205,7 +217,15 @@ def lobe_lights(sources, points, visibility, sampling, scratch, shadow, totals):
 def lobe_share(sources, points, visibility, totals, sampling, reflected, ends, share):
     """Write the share of emitted light that each reflected ray keeps, given that the lights are sampled too.
 
-    reflected are the rays (`LobeRays`), ends where they ended (`LobeEnds`); after a mirror the share is 1.
+    Args:
+        sources: Lights and outdoors.
+        points: Coated points (`LobePoints`).
+        visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
+        totals: Each point's sum of estimates, from `lobe_lights`, [n].
+        sampling: As in `lobe_lights`.
+        reflected: The rays (`LobeRays`).
+        ends: Where the rays ended (`LobeEnds`).
+        share: Receives the shares, 1 after a mirror, [n * rays].
     """
     lights, outdoors, _ = sources
     position, normal, row = points.position, points.normal, points.row
@@ -329,7 +349,7 @@ def splat_rays(sources, shown, samples, point, seed, rays):
 
 @njit(**JIT)
 def add_sky(panorama, direction, share, out):
-    """Add the sky's radiance along rays, times each one's share."""
+    """Add the sky's radiance along rays, each multiplied by its share."""
     for i in range(len(share)):
         r, g, b = sky_radiance(panorama, direction[i, 0], direction[i, 1], direction[i, 2])
         out[i, 0] += r * share[i]

@@ -12,16 +12,24 @@ from numba import njit
 from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
 
 REACH = 4  # pixels to each side that decide whether one is an outlier: 80, of which a quarter are known in rough coats
-FEW = 8  # an outlier has fewer similar pixels around it than one in this many
+FEW = 8  # a pixel is an outlier if fewer than a share 1 / FEW of the pixels around it are similar
 ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise is smoothed, a shadow's edge is kept
 
 
 @njit(**ALLOCATING)
 def smooth(grid, image, known, spread, step, out):
-    """Write a bilateral mean over 5 x 5 pixels that lie `step` apart.
+    """Write a bilateral mean over 5 x 5 pixels.
 
-    Pixels count that are known, of the same kind, in one plane, of one direction and alike in brightness (within the
-    pixel's spread times `ALIKE`). known is set where out then has a value. Pixels of kind -1 are copied.
+    The mean is over known pixels of the same kind, in one plane, of one direction and alike in brightness. Pixels of
+    kind -1 are copied.
+
+    Args:
+        grid: The surfaces that the pixels show.
+        image: The pixels, [h, w, 3].
+        known: Which pixels have a value, [h, w]; set where `out` then has a value.
+        spread: Factor of each pixel on the tolerance of brightness, `ALIKE`, [h, w].
+        step: Distance of the 5 x 5 pixels from each other.
+        out: Receives the means, [h, w, 3].
     """
     kind, position, normal, foot = grid
     had = known.copy()
@@ -148,7 +156,15 @@ def edges(grid, image, out):
 
 @njit(**JIT)
 def borrow(grid, received, lobe, rays, out):
-    """Copy to extra rays (`ExtraRays`) what both images hold at the nearest of 3 x 3 pixels of the same surface."""
+    """Copy to extra rays what both images hold at the nearest of 3 x 3 pixels of the same surface.
+
+    Args:
+        grid: The surfaces that the pixels show.
+        received: Irradiance of the pixels, [h, w, 3].
+        lobe: Reflections of the pixels, [h, w, 3].
+        rays: The surfaces that the extra rays met (`ExtraRays`).
+        out: Receives both, and whether such a pixel exists (`Borrowed`).
+    """
     kind, position, normal, foot = grid
     pixel_y, pixel_x, kinds, positions, normals = rays
     received_out, lobe_out, was_borrowed = out
@@ -181,7 +197,7 @@ def borrow(grid, received, lobe, rays, out):
 
 @njit(**JIT)
 def add_rays(image, weight, pixel, radiance):
-    """Add the rays' radiance to their pixels, and count the rays of each."""
+    """Add the rays' radiance to their pixels, and count the rays of each pixel."""
     for r in range(len(pixel)):
         weight[pixel[r]] += 1
         for c in range(3):

@@ -42,9 +42,14 @@ def cell_key(point, normal, alpha, foot):
 
 @njit(**JIT)
 def claim(points, table, known, cell, fresh):
-    """Write each point's cell; new cells get the numbers from `known` on. Returns how many are new.
+    """Write the cell of each point and claim new cells; returns the number of new cells.
 
-    fresh gets the first point (`CachePoints`) in each new cell.
+    Args:
+        points: The points (`CachePoints`), n of them.
+        table: Keys and cells.
+        known: Number of cells so far: the number of the first new cell.
+        cell: Receives each point's cell, [n].
+        fresh: Receives the first point in each new cell.
     """
     position, normal, alpha, foot = points
     keys, values = table
@@ -96,8 +101,8 @@ def insert(records, lists, which, entries):
 def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
     """Weigh the records about a point by distance and normal.
 
-    Returns the sum of the weights within their reach, the sum within `BLEND` times their reach, and red, green and blue
-    irradiance weighted by the latter.
+    Returns the sum of the weights within the records' reach, the sum within `BLEND` times their reach, and the red,
+    green and blue irradiance weighted by the latter.
     """
     position, normal, coat, clear, reach, irradiance = records
     keys, heads, entry_record, entry_next, levels = lists
@@ -148,10 +153,18 @@ def weigh_records(records, lists, smallest, point, point_normal, bucket, foot):
 
 @njit(**JIT)
 def choose_records(points, spacing, records, lists, known, entries, fresh):
-    """Add a record at each point (`CachePoints`) that the records so far do not cover, one after the other.
+    """Add a record at each point that the records so far do not cover; returns the numbers of records and of entries.
 
-    New records count at their full reach. Returns how many records and list entries there are; fresh gets the index of
-    each new record's point.
+    The points are considered one after the other, and new records count at their full reach.
+
+    Args:
+        points: The points (`CachePoints`).
+        spacing: How densely records are placed.
+        records: The records, `known` of them filled.
+        lists: Which records reach into a grid cell.
+        known: Number of records so far.
+        entries: Number of list entries so far.
+        fresh: Receives the index of each new record's point.
     """
     position, normal, alpha, foot = points
     reach_pixels, every, smallest, farthest = spacing
@@ -197,8 +210,8 @@ def interpolate(points, smallest, records, lists, fallback, out):
 def add_cached(hits, coat, cached, area, radiance):
     """Add the cached radiance of the surfaces that rays hit (`CacheHits`) to what the rays bring.
 
-    Of sunlit spots only the share is added that `left_to_gathering` leaves to rays; after a mirror, where factor is not
-    1, all of it.
+    Sunlit spots count only by the share that `left_to_gathering` leaves to rays, but in full after a mirror (where
+    factor is not 1).
     """
     row, cosine, alpha, distance, factor = hits
     base, lobe, sun_base, sun_lobe = cached
@@ -218,7 +231,7 @@ def add_cached(hits, coat, cached, area, radiance):
 
 @njit(**JIT)
 def subtract_spots(light, sun, distance, area):
-    """Subtract from irradiance the sunlight beyond the share that `left_to_gathering` leaves to rays that long."""
+    """Subtract the sunlight that rays of that length should not bring: all but the share of `left_to_gathering`."""
     for i in range(len(distance)):
         away = 1 - left_to_gathering(distance[i] * distance[i], area)
         for c in range(3):

@@ -48,8 +48,8 @@ def left_to_gathering(distance_sq, area):
 def crossings(hole, parts, point, direction):
     """Count the openings that a ray passes.
 
-    Also returns the slot of the last one's piece (-1: none) and the share of the sky seen through them that is left to
-    gather rays.
+    Also returns the slot of the piece in the last opening (-1: no opening), and the mean share of the sky seen through
+    the openings that is left to gather rays.
     """
     px, py, pz = point
     dx, dy, dz = direction
@@ -281,11 +281,18 @@ def resample(drawn, column, live, picks, shift):
 
 @njit(**JIT)
 def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
-    """Write the shadow rays (`ShadowRays`) of all points (`Points`); returns how many.
+    """Write the shadow rays of all points; returns how many.
 
-    through is the coat's table. weight is radiance times cosine over density (so that its sum over visible rays is
-    irradiance), passed the share that a coat lets through from there (1 without), cluster the light (-1: the sun
-    through an opening, -2: the sun outside).
+    Args:
+        sources: Lights, outdoors and surfaces of lights (`LightSources`, `LightSurfaces`).
+        through: The coat's table: the share of light let through, by roughness and cosine.
+        points: The points (`Points`).
+        visibility: Share of each cluster that each row sees, in 255ths, [rows, l].
+        sampling: Numbers of candidates, picks and sun rays, and the seed (`ShadowSampling`).
+        scratch: Work space (`LightScratch`).
+        rays: The rays (`ShadowRays`). weight is radiance times cosine over density, so that its sum over visible rays
+            is irradiance; passed is the share that a coat lets through from there (1 without); cluster is the light
+            (-1: the sun through an opening, -2: the sun outside).
     """
     lights, outdoors, surfaces = sources
     position, normal, geometric_normal, alpha, row, stream = points
@@ -302,18 +309,21 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
         px, py, pz = position[i, 0], position[i, 1], position[i, 2]
         nx, ny, nz = normal[i, 0], normal[i, 1], normal[i, 2]
         gx, gy, gz = geometric_normal[i, 0], geometric_normal[i, 1], geometric_normal[i, 2]
+        # 1. Seed the point's random numbers.
         state = mixed(np.uint64(stream[i]) ^ mixed(np.uint64(seed)))
         shift1 = unit(state)
         state = mixed(state)
         shift2 = unit(state)
         state = mixed(state)
         shift3 = unit(state)
+        # 2. Estimate the clusters' contributions.
         total = 0.0
         if clusters > 0:
             total = cumulate_estimates(
                 lights, clusters, visibility, row[i], (px, py, pz), (nx, ny, nz), estimate, running
             )
         if total > 0:
+            # 3. Draw candidates on the lights, each weighted by its unshadowed contribution.
             which, live = 0, 0
             for k in range(candidates):
                 which, piece, density = candidate(lights, running, total, (k + shift3) / candidates * total, which)
@@ -334,6 +344,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
                 drawn[live, 7], drawn[live, 8] = q, cosine
                 light[live] = which
                 live += 1
+            # 4. Pick some of the candidates and write their rays.
             resample(drawn, 7, live, picks, unit(mixed(state)))
             for k in range(live):
                 if drawn[k, 7] == 0:
@@ -347,6 +358,7 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
                 passed[written] = in_table(through, alpha[i], drawn[k, 8]) if alpha[i] > 0 else 1.0
                 cluster[written] = light[k]
                 written += 1
+        # 5. Write rays to points of the sun's disc.
         if sun and nx * sx + ny * sy + nz * sz > 0 and gx * sx + gy * sy + gz * sz > 0:
             for k in range(sun_picks):
                 radius = outdoors.sun_radius * math.sqrt(fraction(shift2 + PHI1 * k))
@@ -373,9 +385,9 @@ def shadow_rays(sources, through, points, visibility, sampling, scratch, rays):
 
 @njit(**JIT)
 def add_visible(rays, seen, count, outside, out):
-    """Add the first `count` shadow rays, where visible, to their points' light (`Received`).
+    """Add the first `count` shadow rays, where visible, to the light of their points (`Received`).
 
-    Light straight from the sun through an opening is added to the sun's part; if `outside`, light that passed none too.
+    Sunlight through an opening is added to the sun's part too. If `outside`, so is sunlight that passed no opening.
     """
     owner, _, _, _, weight, passed, cluster = rays
     irradiance, coated, sun, sun_coated = out

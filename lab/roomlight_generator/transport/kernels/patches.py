@@ -70,9 +70,17 @@ def coarse_key(x, y, z, material):
 
 @njit(**JIT)
 def visit(scene, fine, ends, table, patches, known, patch, cosine):
-    """Write each hit's patch (-1 without a face) and the cosine at which its ray leaves the surface.
+    """Write the patch of each hit, and append new patches; returns the number of patches.
 
-    New patches (`PatchColumns`, keys in `table`) are appended after the `known` ones. Returns how many there are now.
+    Args:
+        scene: Geometry, materials and textures (`SceneArrays`).
+        fine: How often patches are halved.
+        ends: Where the rays ended, n of them.
+        table: Keys and rows of the patches.
+        patches: The patches (`PatchColumns`).
+        known: Number of patches so far.
+        patch: Receives the patch of each hit, -1 without a face, [n].
+        cosine: Receives the cosine at which each ray leaves its surface, [n].
     """
     geometry, materials = scene.geometry, scene.materials
     face, u, v, directions = ends
@@ -124,10 +132,16 @@ def visit(scene, fine, ends, table, patches, known, patch, cosine):
 
 @njit(**JIT)
 def patch_rays(points, through, rays, seed, out):
-    """Write `rays` cosine-weighted rays (`PatchRays`) from each patch (`PatchPoints`), spread over its points.
+    """Write cosine-weighted rays from each patch, spread over its points.
 
-    through is the coat's table. A shading normal may lean so far that a ray starts into its own surface: such a ray is
-    mirrored out of the surface.
+    A shading normal may lean so far that a ray starts into its own surface: such a ray is mirrored out of the surface.
+
+    Args:
+        points: The patches' points (`PatchPoints`).
+        through: The coat's table: the share of light let through, by roughness and cosine.
+        rays: Rays of a patch.
+        seed: Seed of the random numbers.
+        out: The rays (`PatchRays`), [p * rays].
     """
     position, normal, geometric_normal, used, alpha, stream = points
     origin, direction, passed = out
@@ -177,9 +191,16 @@ def mirror_rays(geometry, materials, ends, origin, factor):
 
 @njit(**JIT)
 def arriving(scene, sources, ends, paths, radiance):
-    """Write the emitted light that gather rays (`GatherPaths`) bring because shadow rays do not.
+    """Write the emitted light that gather rays bring, which shadow rays do not bring.
 
-    These are the sky past no opening, lights seen in a mirror, and a share of very near lights.
+    This is the sky where no opening leads to it, lights seen in a mirror, and a share of very near lights.
+
+    Args:
+        scene: Geometry, materials and textures (`SceneArrays`).
+        sources: Lights, outdoors and surfaces of lights.
+        ends: Where the rays ended, n of them.
+        paths: How the rays came there (`GatherPaths`).
+        radiance: Receives the radiance, [n, 3].
     """
     lights, outdoors, _ = sources
     face, _, _, direction = ends
@@ -205,9 +226,13 @@ def arriving(scene, sources, ends, paths, radiance):
 
 @njit(**JIT)
 def link_shares(links, cosine, alpha, coat):
-    """Write the shares of its target's base and lobe that each ray (`PatchLinks`) sees.
+    """Write the shares of the target's base and lobe that each ray sees.
 
-    cosine is each ray's at its target, alpha each patch's roughness.
+    Args:
+        links: The rays between patches (`PatchLinks`).
+        cosine: Cosine of each ray at its target, [n].
+        alpha: Roughness of each patch, [p].
+        coat: The coat's tables.
     """
     target, base, lobe, _, _, factor = links
     for i in range(len(target)):
@@ -247,7 +272,14 @@ def spots_gathered(links, sun, area, rays, out):
 
 @njit(**JIT)
 def bounce(links, sent, rays, out):
-    """Write the irradiance (`ReceivedLight`) of each patch from its rays, `rays` each: one bounce."""
+    """Write the irradiance that each patch receives along its rays: one bounce.
+
+    Args:
+        links: The rays between patches (`PatchLinks`), `rays` in a row for each patch.
+        sent: Radiance that patches send out (`SentLight`).
+        rays: Rays of a patch.
+        out: Receives the irradiance (`ReceivedLight`).
+    """
     target, base, lobe, passed, _, _ = links
     base_radiance, lobe_radiance = sent
     irradiance, coated = out
@@ -287,7 +319,16 @@ def outgoing(albedo, alpha, coat, received, sent):
 
 @njit(**JIT)
 def count_visible(rays, seen, count, row, tried, visible):
-    """Count by light each patch's first `count` shadow rays (`ShadowRays`) and the visible ones; row is its patch."""
+    """Count, for each patch and light, the shadow rays and the visible shadow rays.
+
+    Args:
+        rays: The shadow rays (`ShadowRays`), of which the first `count` are counted.
+        seen: Whether each ray is visible.
+        count: Number of rays.
+        row: Patch of each point.
+        tried: Counts of the rays, [p, l]; added to.
+        visible: Counts of the visible rays, [p, l]; added to.
+    """
     owner, cluster = rays.owner, rays.cluster
     for k in range(count):
         if cluster[k] >= 0:
@@ -307,7 +348,16 @@ def add_counts(tried, visible, owner, tried_sum, visible_sum):
 
 @njit(**JIT)
 def shares(tried, visible, owner, around, prior, out):
-    """Write the share of each light that patches see, in 255ths; their owner's share counts as `prior` rays."""
+    """Write the share of each light that each patch sees, in 255ths.
+
+    Args:
+        tried: Counts of shadow rays, [p, l].
+        visible: Counts of visible shadow rays, [p, l].
+        owner: The surroundings of each patch, [p].
+        around: Share of each light that the surroundings see, 0 to 1.
+        prior: Number of rays for which the surroundings' share counts.
+        out: Receives the shares, [p, l].
+    """
     for p in range(len(owner)):
         for k in range(tried.shape[1]):
             share = (visible[p, k] + prior * around[owner[p], k]) / (tried[p, k] + prior)
@@ -333,8 +383,8 @@ def fill_coarse(position, used, material, table, owner):
 def look_up(table, point, geometric_normal, material, face):
     """Find the row (`PatchTable`) of the patch at a place.
 
-    Without a patch, return the row of the surroundings with that material, else the row of the material's mean. Inside
-    lamps, where neighbours are no guide, return -1.
+    Without a patch, the row is that of the surroundings with that material; without surroundings, that of the
+    material's mean. Inside lamps neighbours are no guide: the row is -1.
     """
     fine, keys, values, coarse_keys, coarse_values, first_coarse, first_material = table
     x, y, z = point

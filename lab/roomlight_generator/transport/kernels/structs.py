@@ -111,8 +111,12 @@ class GatherSampling(NamedTuple):
 
 
 class GatherRays(NamedTuple):
-    """Gather rays, as many in a row for each point. weight turns radiance into irradiance (summed over a point's rays);
-    passed is the share that the point's coat lets through."""
+    """Gather rays, with the same number in a row for each point.
+
+    Attributes:
+        weight: Turns radiance into irradiance when summed over a point's rays.
+        passed: Share that the point's coat lets through.
+    """
 
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
@@ -133,8 +137,11 @@ class GatherRays(NamedTuple):
 class LobePoints(NamedTuple):
     """Coated surface points whose specular lobe is sampled.
 
-    view is the unit direction toward the viewer, alpha the coat's roughness, row the row of the visibility table (-1:
-    unknown), stream the number that seeds a point's random numbers.
+    Attributes:
+        view: Unit direction toward the viewer.
+        alpha: Roughness of the coat.
+        row: Row of the visibility table (-1: unknown).
+        stream: Number that seeds a point's random numbers.
     """
 
     position: Float32[np.ndarray, "n 3"]
@@ -203,7 +210,13 @@ class CachePoints(NamedTuple):
 
 
 class RecordColumns(NamedTuple):
-    """Records of indirect light. coat is the coat's bucket, clear the distance by clearance, reach the farthest one."""
+    """Records of indirect light.
+
+    Attributes:
+        coat: Bucket of the coat's roughness.
+        clear: Reach by clearance: a share of the harmonic mean distance to the surfaces that the record sees.
+        reach: Largest reach.
+    """
 
     position: Float32[np.ndarray, "r 3"]
     normal: Float32[np.ndarray, "r 3"]
@@ -266,7 +279,7 @@ class Fineness(NamedTuple):
 
 
 class PatchColumns(NamedTuple):
-    """Patches while they are found: up to k points of each, how many are used, how many hits there were."""
+    """Patches during their search: up to k points of each patch, how many are used, and the number of hits."""
 
     position: Float32[np.ndarray, "p k 3"]
     normal: Float32[np.ndarray, "p k 3"]
@@ -289,7 +302,7 @@ class PatchPoints(NamedTuple):
 
 
 class PatchRays(NamedTuple):
-    """Cosine-weighted rays of patches, and the share of each that a coat would let through."""
+    """Cosine-weighted rays of patches, and the share of each ray that a coat would let through."""
 
     origin: Float32[np.ndarray, "n 3"]
     direction: Float32[np.ndarray, "n 3"]
@@ -369,7 +382,7 @@ class ExtraRays(NamedTuple):
 
 
 class Borrowed(NamedTuple):
-    """Light of extra rays' surfaces taken from neighbouring pixels, and whether such a pixel was found."""
+    """Light of extra rays' surfaces taken from neighbouring pixels, and whether there was such a pixel."""
 
     received: Float32[np.ndarray, "n 3"]
     lobe: Float32[np.ndarray, "n 3"]

@@ -22,9 +22,13 @@ _RAYS_AT_ONCE: Final = 1 << 16
 class Points(NamedTuple):
     """Surface points to be lit.
 
-    Positions stand off the surface; normal is the shading normal, geometric_normal the triangle's, both on the side
-    that is lit. alpha is the coat's roughness (0: none), row the row of the visibility table (-1: unknown), stream the
-    number that seeds a point's random numbers.
+    Attributes:
+        position: Positions, off the surface on the side that is lit.
+        normal: Shading normals, on that side.
+        geometric_normal: The triangles' normals, on that side.
+        alpha: Roughness of the coat (0: none).
+        row: Row of the visibility table (-1: unknown).
+        stream: Number that seeds a point's random numbers.
     """
 
     position: Float32[np.ndarray, "n 3"]
@@ -53,8 +57,7 @@ class Received(NamedTuple):
 
 
 class ShadowRays(NamedTuple):
-    """Rays toward lights, as the kernels write them: the point that each belongs to, and the light that it carries if
-    nothing stands between."""
+    """Rays toward lights: the point of each ray, and the light that it carries if nothing stands between."""
 
     owner: Int32[np.ndarray, " n"]
     origin: Float32[np.ndarray, "n 3"]
@@ -113,8 +116,14 @@ class DirectLight:
     ) -> Received:
         """Compute each point's irradiance from the lights, sunlit spots among them.
 
-        candidates, picks and sun_picks are rays a point (`ShadowSampling`). sun_outside counts sunlight that passed no
-        opening (on a sill) with the sun's. on_rays is called with each batch of shadow rays.
+        Args:
+            points: The points.
+            candidates: Candidates on the lights for each point.
+            picks: Shadow rays of a point, picked from the candidates.
+            sun_picks: Rays of a point toward the sun's disc.
+            seed: Seed of the random numbers.
+            sun_outside: Count sunlight that passed no opening (on a sill) as part of the sun's light.
+            on_rays: Called with each batch of shadow rays.
         """
         count = len(points.position)
         out = Received(*(np.zeros((count, 3), np.float32) for _ in range(4)))

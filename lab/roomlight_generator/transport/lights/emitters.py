@@ -37,21 +37,24 @@ SPOT: Final = 2
 
 
 class Lights(NamedTuple):
-    """Pieces in the order of their clusters, then the clusters (those of sun spots last, from `real` on).
+    """Pieces in the order of their clusters, then the clusters; clusters of sun spots come last, from `real` on.
 
-    Columns of `piece`: 0 to 8 a triangle's corners, an opening's corner and two sides, or a spot's position and its
-    geometric and shading normals; 9 to 12 a spot's roughness (0: no coat) and the sun's irradiance that its lobe
-    reflects; 15 to 17 radiance (a spot's base's mean); 18 the area for
-    `left_to_gathering`; 19 the share of the cluster's samples for each square metre; 20 the cumulative share. kind: one
-    of TRIANGLE, OPENING and SPOT.
+    The piece at (u, v) of a face cut in n is piece_at[face_first + 2 (i n + j) + upper].
 
-    A cluster's power is area times luminance, for openings toward the sky's upper and lower half; coherence is 1 where
-    all pieces face along `axis` and 0 where they enclose a volume; thickness is half its extent along the axis.
-    lobe_power is area times the sun's irradiance on coats, lobe_alpha their roughness; sun is the direction toward the
-    sun, coat_share what a coat lets out at a cosine over its mean (rows and columns of the coat's table).
-
-    The piece at (u, v) of a face cut in n is piece_at[face_first + 2 (i n + j) + upper]; near_area is column 18 of a
-    face's pieces, 0 where it does not emit.
+    Attributes:
+        piece: Columns 0 to 8: a triangle's corners, an opening's corner and two sides, or a spot's position and its
+            geometric and shading normals. 9 to 12: a spot's roughness (0: no coat) and the sun's irradiance that its
+            lobe reflects. 15 to 17: radiance (of a spot, its base's mean). 18: the area for `left_to_gathering`. 19:
+            the share of the cluster's samples for each square metre. 20: the cumulative share.
+        kind: TRIANGLE, OPENING or SPOT.
+        power_up, power_down: Area times luminance; of openings, toward the sky's upper and lower half.
+        coherence: 1 where all pieces face along `axis`, 0 where they enclose a volume.
+        thickness: Half of the cluster's extent along the axis.
+        lobe_power, lobe_alpha: Area times the sun's irradiance on coats, and their roughness.
+        sun: Direction toward the sun.
+        coat_share: What a coat lets out at a cosine over its mean; rows and columns of the coat's table.
+        near_area: Column 18 of a face's pieces, 0 where the face does not emit.
+        real: Number of clusters that are not spots.
     """
 
     piece: Float32[np.ndarray, "p 21"]

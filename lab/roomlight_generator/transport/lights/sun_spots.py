@@ -24,15 +24,21 @@ NEAR_SPOT_M2: Final = 0.06
 """The spots' area for `left_to_gathering`: gather rays bring most of their light within 0.2 m."""
 
 LEAST_ALPHA: Final = 0.06
-"""Least roughness of the spots' lobes: too few spots would meet a sharper one. It blurs reflections by 3 degrees."""
+"""Least roughness of the spots' lobes: too few spots would meet a sharper lobe. It blurs reflections by 3 degrees."""
 
 
 class Spots(NamedTuple):
     """Points off sunlit surfaces, and what they send out of the sun's direct light.
 
-    normal is the geometric normal on the lit side, `facing` the shading normal. radiance is the base's, under a coat
-    its mean over directions; alpha is the roughness of the coat's lobe about `facing` (0: no coat), `lobe` the sun's
-    irradiance that it reflects, lobe_mean the lobe's mean radiance; area is the lit area that a spot stands for.
+    Attributes:
+        position: Positions, off the surface.
+        normal: Geometric normal on the lit side.
+        facing: Shading normal.
+        radiance: Radiance of the base; under a coat, its mean over directions.
+        alpha: Roughness of the coat's lobe about `facing` (0: no coat).
+        lobe: The sun's irradiance that the lobe reflects.
+        lobe_mean: Mean radiance of the lobe.
+        area: Lit area for which the spot stands.
     """
 
     position: Float32[np.ndarray, "n 3"]

@@ -12,7 +12,7 @@ from jaxtyping import Bool, Float32, Int64
 from roomlight_generator.transport.lights.direct import ShadowRays
 
 _FEW: Final = 0.5
-"""A point is credited with the light of this many rays, so that one whose rays all failed does not count as dark."""
+"""A point is credited with the light of this many rays: a point whose rays all failed does not count as dark."""
 
 
 class VisibilityVariance:
@@ -40,7 +40,9 @@ class VisibilityVariance:
     def select(self, rest: Float32[np.ndarray, " n"], share: float) -> Int64[np.ndarray, " m"]:
         """Select the points whose standard deviation exceeds a share of all their light.
 
-        rest is each point's irradiance (mean over the channels) from elsewhere.
+        Args:
+            rest: Irradiance of each point from elsewhere, mean over the channels.
+            share: Largest accepted standard deviation, as a share of the point's light.
         """
         arrived = self._seen + _FEW * self._sent / np.maximum(self._rays, 1)
         p = np.clip(arrived / np.maximum(self._sent, 1e-30), 0, 1)

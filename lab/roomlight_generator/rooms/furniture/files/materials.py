@@ -52,10 +52,16 @@ def make_material(
     identity: str,
     kind: str | None = None,
 ) -> Material:
-    """Make the material of one part of a model. `kind` overrides its keywords: mirror, glass, chrome, matte, glossy,
-    screen, shade.
+    """Make the material of a part of a model.
 
     A texture replaces the diffuse colour, as it does in Sweet Home 3D.
+
+    Args:
+        mtl: The part's material in the MTL file.
+        texture: Its texture, if any.
+        role: Role of the model.
+        identity: Id of the model.
+        kind: Overrides the keywords: mirror, glass, chrome, matte, glossy, screen, shade.
     """
     words = mtl.name.lower()
     kind = kind or _kind(words, mtl, texture, role)

@@ -30,10 +30,12 @@ _SIZES_M: Final = (0.0005, 60.0)
 
 @dataclass(frozen=True, eq=False)
 class LibraryEntry:
-    """One model as described in the library's catalogue file; metres, lights in the model frame.
+    """A model as described in the library's catalogue file; metres, lights in the model frame.
 
-    rotation is applied to the OBJ's coordinates first. drop_top_m is the height, over its bottom, at which objects may
-    be placed on it; None if nowhere. glowing holds the names of materials marked as emitting by the model's author.
+    Attributes:
+        rotation: Applied to the OBJ's coordinates first.
+        drop_top_m: Height, over its bottom, at which objects may be placed on it; None: nothing may be.
+        glowing: Names of materials that the model's author marked as emitting.
     """
 
     id: str

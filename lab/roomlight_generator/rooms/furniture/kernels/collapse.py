@@ -156,10 +156,17 @@ def _may_collapse(points, faces, wedges, starts, around, u, v, strict):
 
 @njit(cache=True, nogil=True)
 def collapse_round(points, faces, wedges, quadric, target, strict):
-    """Collapse the cheapest edges that do not touch each other. Changes faces, wedges and quadric in place.
+    """Collapse the cheapest edges that do not touch each other; returns the mask of remaining faces.
 
-    Not strict, it also collapses across seams, with slight texture distortion. Returns the mask of remaining faces.
+    Args:
+        points: Vertex positions, [v, 3].
+        faces: Vertices of the faces, [f, 3]; changed in place.
+        wedges: Texture coordinates of the faces' corners, [f, 3]; changed in place.
+        quadric: Quadric of each vertex (`quadrics`), [v, 10]; changed in place.
+        target: Number of faces to reach.
+        strict: False: edges across seams collapse too, with slight texture distortion.
     """
+    # 1. Compute the cost of each edge, in its cheaper direction.
     count = len(faces)
     starts, around = incidence(faces, len(points))
     edges = np.empty((3 * count, 2), np.int64)
@@ -176,6 +183,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
             else:
                 edges[row, 0], edges[row, 1] = v, u
             costs[row] = max(min(forward, backward), 0.0) + 1e-9 * length
+    # 2. Collapse edges in the order of their costs.
     order = np.argsort(costs)
     keep = np.ones(count, np.bool_)
     locked = np.zeros(len(points), np.bool_)
@@ -194,6 +202,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
                 break
             if not _may_collapse(points, faces, wedges, starts, around, u, v, strict):
                 continue
+            # 3. Lock the neighbours of both vertices: their costs and triangles change.
             for k in range(starts[u], starts[u + 1]):
                 for place in range(3):
                     locked[faces[around[k], place]] = True
@@ -201,6 +210,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
                 for place in range(3):
                     locked[faces[around[k], place]] = True
             quadric[v] += quadric[u]
+            # 4. Find the texture coordinates that u's corners get at v.
             moved = np.empty(starts[u + 1] - starts[u], np.int64)
             for k in range(starts[u], starts[u + 1]):
                 moved[k - starts[u]] = -1
@@ -210,6 +220,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
                         wedge = _wedge_of_target(faces, wedges, starts, around, u, v, wedges[face, place])
                         # Across a seam the corner keeps its own coordinates.
                         moved[k - starts[u]] = wedges[face, place] if wedge == -2 else wedge
+            # 5. Remove the triangles between u and v; attach the others to v.
             for k in range(starts[u], starts[u + 1]):
                 face = around[k]
                 vanishes = False

@@ -1,1 +1,1 @@
-"""Groups of furniture, one module for each kind: what stands together and where."""
+"""Groups of furniture that are placed together, one module for each kind of group."""
