@@ -7,7 +7,7 @@ from roomlight.errors import DatasetError
 from roomlight_generator.rooms.furniture.catalogue import installed_libraries, named_library
 
 
-def digest(furniture: Path | None) -> str | None:
+def furniture_digest(furniture: Path | None) -> str | None:
     """Return the SHA-256 of the furniture: of a file, or of all files of a folder with their names.
 
     Without a path, of the library that `rooms.furniture.load_catalogue` would load, or None if there is none.

@@ -27,9 +27,8 @@ from roomlight.dataset.recording import Split
 from roomlight.dataset.shards import is_finished, read_index, shard_path
 from roomlight.errors import DatasetError
 from roomlight.rules import check_options
-from roomlight_generator.furniture_digest import digest
-from roomlight_generator.panoramas.library import digest as panoramas_digest
-from roomlight_generator.panoramas.library import split_files
+from roomlight_generator.furniture_digest import furniture_digest
+from roomlight_generator.panoramas.library import panoramas_digest, split_files
 from roomlight_generator.worker import ShardTask
 from roomlight_generator.worker_pool import Message, WorkerPool
 
@@ -173,7 +172,7 @@ def generate(
         shard_size=options.shard_size,
         sequences_per_room=options.sequences_per_room,
         frames=options.frames,
-        furniture=digest(options.furniture) if options.furnished else None,
+        furniture=furniture_digest(options.furniture) if options.furnished else None,
         renderer=options.renderer_name,
         panoramas=None if options.panoramas is None else panoramas_digest(options.panoramas),
         furniture_share=None if options.panoramas is None else options.furniture_share,

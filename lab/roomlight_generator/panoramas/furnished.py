@@ -20,7 +20,7 @@ from roomlight_generator.panoramas.furniture import Furniture
 from roomlight_generator.panoramas.kernels import gather
 from roomlight_generator.panoramas.kernels.gather import LightSamples, Rays
 from roomlight_generator.panoramas.kernels.shell_views import PanoramaArrays
-from roomlight_generator.panoramas.shell import Shell
+from roomlight_generator.panoramas.shell import PanoramaShell
 from roomlight_generator.rooms.scene import Scene, Sky
 from roomlight_generator.transport.kernels.irradiance_cache import diffuse_light
 from roomlight_generator.transport.lights.coat import coat_table
@@ -54,7 +54,7 @@ class _Sources:
 class FurnishedLight:
     """Furniture in a shell, and the light that it receives and takes."""
 
-    def __init__(self, shell: Shell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"],
+    def __init__(self, shell: PanoramaShell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"],
                  furniture: Furniture) -> None:  # fmt: skip
         """Solve the light of the shell.
 
@@ -188,7 +188,7 @@ def padded(image: Float32[np.ndarray, "h w 3"]) -> Float32[np.ndarray, "h w2 3"]
     return np.ascontiguousarray(np.concatenate([image[:, -1:], image, image[:, :1]], axis=1), np.float32)
 
 
-def _lights(shell: Shell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"]) -> LightSamples:
+def _lights(shell: PanoramaShell, image: Float32[np.ndarray, "h w 3"], bright: Bool[np.ndarray, "h w"]) -> LightSamples:
     """Sample the bright parts in proportion to their power, at equal steps of it along a curve."""
     solid = np.broadcast_to(panorama_solid_angles(len(image)), bright.shape)
     power = np.where(bright, (image @ LUMINANCE) * solid, 0).astype(np.float64)
@@ -227,7 +227,7 @@ def _rays(count: int) -> Rays:
     return Rays(np.empty((count, 3), np.float32), np.empty((count, 3), np.float32), np.empty(count, np.float32))
 
 
-def _smoothed(shell: Shell, ratio: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
+def _smoothed(shell: PanoramaShell, ratio: Float32[np.ndarray, "n 3"]) -> Float32[np.ndarray, "n 3"]:
     """Smooth each face's light map over its next nodes: the rest of the noise of the gather rays."""
     out = np.empty_like(ratio)
     for (rows, columns), start in zip(shell.arrays.shape.tolist(), shell.arrays.start.tolist(), strict=True):

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from roomlight.dataset.recording import Split
-from roomlight_generator.panoramas.shell import Shell, inside_plan
+from roomlight_generator.panoramas.shell import PanoramaShell, inside_plan
 from roomlight_generator.rooms.furniture import Catalogue
 from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.scene import Item, Mesh
@@ -87,7 +87,7 @@ class Furniture:
         return sorted({item.attribution for item in self.items if item.attribution})
 
 
-def furnish(shell: Shell, catalogue: Catalogue, rng: np.random.Generator, *, split: Split) -> Furniture:
+def furnish_shell(shell: PanoramaShell, catalogue: Catalogue, rng: np.random.Generator, *, split: Split) -> Furniture:
     """Draw furniture for a shell; the camera keeps room to walk."""
     items: list[Item] = []
     footprints: list[Footprint] = []
@@ -121,7 +121,7 @@ def still_free(
     return free
 
 
-def _at_wall(shell: Shell, model: FurnitureModel, rng: np.random.Generator) -> Footprint:
+def _at_wall(shell: PanoramaShell, model: FurnitureModel, rng: np.random.Generator) -> Footprint:
     """Draw a place with the model's back at a wall, longer walls more often."""
     following = np.roll(shell.plan, -1, axis=0)
     lengths = np.linalg.norm(following - shell.plan, axis=1)
@@ -135,14 +135,14 @@ def _at_wall(shell: Shell, model: FurnitureModel, rng: np.random.Generator) -> F
     return Footprint(at + (half[1] + _GAP_M + rng.exponential(0.04)) * inward, half, np.array([inward[1], -inward[0]]))
 
 
-def _anywhere(shell: Shell, model: FurnitureModel, rng: np.random.Generator) -> Footprint:
+def _anywhere(shell: PanoramaShell, model: FurnitureModel, rng: np.random.Generator) -> Footprint:
     angle = rng.uniform(0, 2 * np.pi) if rng.random() < 0.5 else rng.integers(4) * np.pi / 2
     place = rng.uniform(shell.plan.min(axis=0), shell.plan.max(axis=0))
     half = np.array([model.width_m, model.depth_m]) / 2
     return Footprint(place, half, np.array([np.cos(angle), np.sin(angle)]))
 
 
-def _fits(shell: Shell, footprint: Footprint, others: list[Footprint]) -> bool:
+def _fits(shell: PanoramaShell, footprint: Footprint, others: list[Footprint]) -> bool:
     grid = footprint.grid()
     if not inside_plan(grid, shell.plan, 0.8 * _GAP_M).all():
         return False

@@ -73,7 +73,7 @@ def split_files(folder: Path, split: Split) -> list[Path]:
     return chosen
 
 
-def digest(folder: Path) -> str:
+def panoramas_digest(folder: Path) -> str:
     """Return the SHA-256 of a folder's panoramas and their names.
 
     Raises:

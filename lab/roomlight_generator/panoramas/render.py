@@ -13,9 +13,9 @@ from jaxtyping import Float, Float32
 
 from roomlight.conventions import LUMINANCE
 from roomlight.dataset.recording import Recording, Split
-from roomlight_generator.panoramas.furniture import furnish
+from roomlight_generator.panoramas.furniture import furnish_shell
 from roomlight_generator.panoramas.library import building, load_panorama, split_files
-from roomlight_generator.panoramas.room import PanoramaRoom, describe, percentile, surface_kinds
+from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, describe, percentile
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.rooms.build import room_generator
 from roomlight_generator.sequences.exposure import Exposure, MeterSettings, settle
@@ -54,12 +54,12 @@ def render_room(
     path = _choose(split_files(panoramas, split), room_index, seed)
     rng = room_generator(room_index, seed=seed, split=split)
     image, facts = _varied(load_panorama(path), rng)
-    kinds = surface_kinds(image, rng)
+    kinds = classify_surfaces(image, rng)
     facts |= {"panorama": path.name, "building": building(path), **describe(kinds)}
     shell = draw_shell(rng)
     pieces = None
     if room_generator(room_index, seed=seed, split=split, purpose=_FURNITURE).random() < furniture_share:
-        pieces = furnish(shell, catalogue_for(furniture), rng, split=split)
+        pieces = furnish_shell(shell, catalogue_for(furniture), rng, split=split)
     room = PanoramaRoom(shell, image, kinds, pieces)
     facts |= shell.facts
     room_facts = {

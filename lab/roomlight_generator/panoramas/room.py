@@ -17,7 +17,7 @@ from roomlight_generator.panoramas.furnished import FurnishedLight, padded
 from roomlight_generator.panoramas.furniture import Footprint, Furniture, still_free
 from roomlight_generator.panoramas.kernels import shell_views
 from roomlight_generator.panoramas.kernels.shell_views import CameraArrays, PanoramaArrays
-from roomlight_generator.panoramas.shell import CELL_M, Shell
+from roomlight_generator.panoramas.shell import CELL_M, PanoramaShell
 from roomlight_generator.sequences.walk import FreeSpace
 from roomlight_generator.transport import FrameView
 
@@ -39,7 +39,7 @@ class PanoramaRoom:
 
     def __init__(
         self,
-        shell: Shell,
+        shell: PanoramaShell,
         image: Float32[np.ndarray, "h w 3"],
         kinds: UInt8[np.ndarray, "h w"],
         furniture: Furniture | None = None,
@@ -127,7 +127,7 @@ class PanoramaRoom:
         return image
 
 
-def surface_kinds(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w"]:
+def classify_surfaces(image: Float32[np.ndarray, "h w 3"], rng: np.random.Generator) -> UInt8[np.ndarray, "h w"]:
     """Return the kinds of surface in a panorama.
 
     Bright areas are lights. Three of four large bright areas at the height of windows are glass, because phones see

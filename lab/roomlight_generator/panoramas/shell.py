@@ -36,7 +36,7 @@ _WALL_M: Final = 0.32
 
 
 @dataclass(frozen=True, eq=False)
-class Shell:
+class PanoramaShell:
     """A shell: its triangles, the panorama's centre, its plan and what it is.
 
     Attributes:
@@ -79,7 +79,7 @@ class Shell:
         return inside_plan(points, self.plan, _WALL_M) & near, points
 
 
-def draw_shell(rng: np.random.Generator) -> Shell:
+def draw_shell(rng: np.random.Generator) -> PanoramaShell:
     """Draw a shell at random: a box, one with a corner cut out, or one with a sloped ceiling or a gable."""
     hall = rng.random() < HALL_SHARE
     size = 2.0 if hall else 1.0
@@ -110,7 +110,7 @@ def draw_shell(rng: np.random.Generator) -> Shell:
         "size_m": [round(value, 2) for value in (west + east, top, north + south)],
     }
     centre = np.array([0.0, height, 0.0])
-    return Shell(_arrays(polygons, centre), centre, plan, lowest, 1.1 * size, facts)
+    return PanoramaShell(_arrays(polygons, centre), centre, plan, lowest, 1.1 * size, facts)
 
 
 def _flat_room(plan: Float[np.ndarray, "n 2"], top_m: float) -> list[Float[np.ndarray, "_ 3"]]:

@@ -294,7 +294,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
     return follow(tracer, light, begin + np.float32(OFFSET_M) * along, along)
 
 
-class _Rays(NamedTuple):
+class _TracedRays(NamedTuple):
     """Where gather rays ended, the share that the patch's coat lets through, and each patch's number of rays."""
 
     ends: Arrivals
@@ -312,7 +312,7 @@ def _gather(
     seed: int,
     *,
     some: Int32[np.ndarray, " c"] | None = None,
-) -> _Rays:
+) -> _TracedRays:
     """Trace cosine-weighted rays of the patches from `start` to before `stop`, or of `some`."""
     streams = np.arange(start, stop, dtype=np.int64) if some is None else some.astype(np.int64)
     rows = slice(start, stop) if some is None else some
@@ -326,10 +326,10 @@ def _gather(
     )
     sent = PatchRays.empty(len(streams) * rays)
     kernels.patch_rays(points, light.coat.through, rays, seed, sent)
-    return _Rays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
+    return _TracedRays(follow(tracer, light, sent.origin, sent.direction), sent.passed, rays)
 
 
-def _linked(patches: _PatchSet, rays: _Rays) -> tuple[np.ndarray, ...]:
+def _linked(patches: _PatchSet, rays: _TracedRays) -> tuple[np.ndarray, ...]:
     """Return the columns of the links between patches.
 
     Returns:

@@ -257,13 +257,13 @@ def _compared(
     begin = time.perf_counter()
     frame = light.frame(camera, camera_to_world, seed=seed).radiance
     frame_s = time.perf_counter() - begin
-    eye = _Rays.through_pixels(camera, camera_to_world)
+    eye = _PictureRays.through_pixels(camera, camera_to_world)
     frames = _rendered(reference, frame, frame_s, eye, samples=samples, seeds=seeds[:2])
 
     begin = time.perf_counter()
     panorama = light.panorama(probe, height=probe_height, seed=seed)
     panorama_s = time.perf_counter() - begin
-    around = _Rays.around(probe, probe_height)
+    around = _PictureRays.around(probe, probe_height)
     panoramas = _rendered(reference, panorama, panorama_s, around, samples=samples, seeds=seeds[2:4])
     _add_sun(panoramas.halves, reference, scene, probe)
 
@@ -307,7 +307,7 @@ def _compared(
 
 
 @dataclass(frozen=True, eq=False)
-class _Rays:
+class _PictureRays:
     """A picture's rays from one point (world frame), and the two vectors that span the pixel of each ray."""
 
     origin: Float[np.ndarray, "3"]
@@ -315,14 +315,14 @@ class _Rays:
     spread: Float[np.ndarray, "h w 2 3"]
 
     @classmethod
-    def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "_Rays":
+    def through_pixels(cls, camera: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"]) -> "_PictureRays":
         rotation = camera_to_world[:3, :3]
         across = np.array([[1 / camera.fx, 0, 0], [0, -1 / camera.fy, 0]]) @ rotation.T
         spread = np.tile(across, (camera.height, camera.width, 1, 1))
         return cls(camera_to_world[:3, 3], camera.rays().astype(np.float64) @ rotation.T, spread)
 
     @classmethod
-    def around(cls, position: Float[np.ndarray, "3"], height: int) -> "_Rays":
+    def around(cls, position: Float[np.ndarray, "3"], height: int) -> "_PictureRays":
         directions = panorama_directions(height).astype(np.float64)
         x, y, z = np.moveaxis(directions, -1, 0)
         ring = np.sqrt(x**2 + z**2)
@@ -335,7 +335,7 @@ def _rendered(
     reference: Reference,
     ours: Float[np.ndarray, "h w 3"],
     ours_s: float,
-    rays: _Rays,
+    rays: _PictureRays,
     *,
     samples: int,
     seeds: list[int],
@@ -378,7 +378,7 @@ def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[n
 
 
 def _points(
-    reference: Reference, rays: _Rays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
+    reference: Reference, rays: _PictureRays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
 ) -> tuple[Float[np.ndarray, "2 n 3"], int]:
     """Compute the reference's halves over squares of pixels, given their upper left ones; also the paths of each."""
     count = len(at)

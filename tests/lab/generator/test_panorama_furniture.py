@@ -10,7 +10,7 @@ from roomlight.dataset.recording import ORDINARY
 from roomlight_generator.panoramas import furnished, render
 from roomlight_generator.panoramas import furniture as furniture_module
 from roomlight_generator.panoramas.furnished import FurnishedLight
-from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish
+from roomlight_generator.panoramas.furniture import Footprint, Furniture, furnish_shell
 from roomlight_generator.panoramas.kernels import gather
 from roomlight_generator.panoramas.room import PanoramaRoom, bright_parts
 from roomlight_generator.panoramas.shell import draw_shell, inside_plan
@@ -136,7 +136,7 @@ def test_frames_and_probes_show_the_furniture():
 def test_furniture_stands_in_the_room_and_leaves_a_way(seed):
     rng = np.random.default_rng(seed)
     shell = draw_shell(rng)
-    furniture = furnish(shell, CATALOGUE, rng, split="train")
+    furniture = furnish_shell(shell, CATALOGUE, rng, split="train")
     assert len(furniture.footprints) <= 8
     for item in furniture.items:
         low, high = item.mesh.bounds()
@@ -162,7 +162,7 @@ def test_the_share_of_rooms_with_furniture_is_kept(tmp_path, monkeypatch):
         raise StopError
 
     monkeypatch.setattr(render, "PanoramaRoom", stop)
-    monkeypatch.setattr(render, "furnish", lambda *_, **__: only())
+    monkeypatch.setattr(render, "furnish_shell", lambda *_, **__: only())
     monkeypatch.setattr(render, "catalogue_for", lambda _: CATALOGUE)
     for share, low, high in ((0.0, 0, 0), (0.7, 30, 54), (1.0, 60, 60)):
         asked.clear()

@@ -12,9 +12,9 @@ from roomlight.images import write_exr
 from roomlight_generator.panoramas import library
 from roomlight_generator.panoramas.library import (
     building,
-    digest,
     load_panorama,
     panorama_files,
+    panoramas_digest,
     split_files,
     split_of,
 )
@@ -74,11 +74,11 @@ def test_a_folder_without_panoramas_is_an_error(tmp_path):
 
 def test_the_digest_is_of_names_and_content(tmp_path):
     first, second = folder_of(tmp_path / "a", ["x", "y"], height=16), folder_of(tmp_path / "b", ["x", "y"], height=16)
-    assert digest(first) == digest(second)
+    assert panoramas_digest(first) == panoramas_digest(second)
     (second / "y.exr").rename(second / "z.exr")
-    assert digest(first) != digest(second)
+    assert panoramas_digest(first) != panoramas_digest(second)
     write_exr(first / "x.exr", 2 * panorama(height=16))
-    assert digest(first) != digest(folder_of(tmp_path / "c", ["x", "y"], height=16))
+    assert panoramas_digest(first) != panoramas_digest(folder_of(tmp_path / "c", ["x", "y"], height=16))
 
 
 def test_radiance_hdr_files_are_read(tmp_path):

@@ -17,7 +17,7 @@ from roomlight.frame import CLIPPED_SRGB8
 from roomlight_generator.generate import GenerateOptions, generate
 from roomlight_generator.panoramas import render
 from roomlight_generator.panoramas.library import split_of
-from roomlight_generator.panoramas.room import PanoramaRoom, percentile, surface_kinds
+from roomlight_generator.panoramas.room import PanoramaRoom, classify_surfaces, percentile
 from roomlight_generator.panoramas.shell import draw_shell
 from roomlight_generator.sequences import render as sequences
 from roomlight_generator.sequences.walk import phone_intrinsics
@@ -119,7 +119,7 @@ def test_bright_areas_are_lights_windows_glass_floors_ordinary():
     image[26:38, 10:40] = 50  # a window
     image[5:7, 60:62] = 50  # a lamp
     image[55:60, 80:120] = 50  # sun on the floor
-    kinds_by_seed = [surface_kinds(image, np.random.default_rng(seed)) for seed in range(40)]
+    kinds_by_seed = [classify_surfaces(image, np.random.default_rng(seed)) for seed in range(40)]
     assert {int(kinds[30, 20]) for kinds in kinds_by_seed} == {GLASS, LIGHT}
     for kinds in kinds_by_seed:
         assert (kinds[26:38, 10:40] == kinds[30, 20]).all()

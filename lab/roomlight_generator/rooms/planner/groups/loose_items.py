@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from roomlight_generator.rooms.furniture_model import FurnitureModel
 from roomlight_generator.rooms.plan import Placement
 from roomlight_generator.rooms.planner.arrangement import Arrangement, Piece, yaw_toward
 from roomlight_generator.rooms.planner.body import Body
@@ -109,21 +110,22 @@ def place_person(arrangement: Arrangement, probability: float) -> Piece | None:
     if not arrangement.chance(probability):
         return None
     model = arrangement.pick("person", height=(1.35, 2.05), width=(0.0, 1.1), depth=(0.0, 1.1))
-    for x, z in free_points(arrangement, 8):
-        placed = arrangement.place(model, x, z, arrangement.uniform(0, 360))
-        if placed is not None:
-            return placed
-    return None
+    return _place_on_free_floor(arrangement, model, 8)
 
 
 def place_pet(arrangement: Arrangement, probability: float) -> Piece | None:
     """Place an animal on the floor with the given probability."""
-    if arrangement.chance(probability):
-        model = arrangement.pick("pet", width=(0.0, 1.2), depth=(0.0, 1.2), height=(0.0, 0.9))
-        for x, z in free_points(arrangement, 6):
-            placed = arrangement.place(model, x, z, arrangement.uniform(0, 360))
-            if placed is not None:
-                return placed
+    if not arrangement.chance(probability):
+        return None
+    model = arrangement.pick("pet", width=(0.0, 1.2), depth=(0.0, 1.2), height=(0.0, 0.9))
+    return _place_on_free_floor(arrangement, model, 6)
+
+
+def _place_on_free_floor(arrangement: Arrangement, model: FurnitureModel | None, tries: int) -> Piece | None:
+    for x, z in free_points(arrangement, tries):
+        placed = arrangement.place(model, x, z, arrangement.uniform(0, 360))
+        if placed is not None:
+            return placed
     return None
 
 
