@@ -1,4 +1,4 @@
-"""Generate a dataset with a process a core: assign shards to workers, count what they finish, replace those that die.
+"""Generate a dataset with a process a core: assign shards to workers, count sequences, replace workers that die.
 
 The bytes of a dataset depend on its settings alone: not on how many workers there were, how often they were killed,
 or in how many runs it grew. Each worker writes its shard itself; only counts pass through this process.
@@ -38,7 +38,7 @@ PANORAMA_RENDERER: Final = "roomlight_generator.panoramas.render:render_room"
 
 @dataclass(frozen=True)
 class GenerateOptions:
-    """What to generate.
+    """Options of a dataset.
 
     To continue a dataset, `sequences` may grow; the other options must be those that it was made with.
 

@@ -1,4 +1,4 @@
-"""Statistics of light: what a first frame shows, and the light around it; generated rooms beside real panoramas.
+"""Statistics of the light in a first frame and around it; generated rooms beside real panoramas.
 
 Values are luminance (Rec. 709) in units of the first frame's white: 1.0 is what the frame shows as white; of clipped
 pixels it is the brightest channel, which clips first. Shares of the sphere and means over it are weighted by solid
@@ -224,7 +224,7 @@ def _at_height(panorama: Float[np.ndarray, "h w 3"]) -> Float[np.ndarray, "ph pw
 
 
 def _crop(panorama: Float[np.ndarray, "h w 3"], rng: np.random.Generator) -> Float[np.ndarray, "vh vw 3"]:
-    """Return what a phone shows of a panorama in a random direction, not exposed."""
+    """Return a phone's view of a panorama in a random direction, not exposed."""
     width, height = _VIEW_SIZE
     focal = width / 2 / np.tan(np.radians(rng.uniform(*FIELD_OF_VIEW_DEGREES)) / 2)
     yaw, pitch = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(*PITCH_DEGREES))

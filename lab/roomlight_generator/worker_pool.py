@@ -28,7 +28,7 @@ _ONE_THREAD: Final = dict.fromkeys(
 """A process a core, so a thread a process."""
 
 _GRACE_S: Final = 20.0
-"""How long a worker that closed its output may take to exit before it is killed."""
+"""Time that a worker that closed its output has to exit before it is killed."""
 
 Message = dict[str, Any]
 

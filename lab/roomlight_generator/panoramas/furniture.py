@@ -43,7 +43,7 @@ _LEAST_CELLS: Final = 25
 _TRIES: Final = 12
 """Places tried for each piece."""
 _MIRROR_ALBEDO: Final = (0.25, 0.25, 0.25)
-"""What mirrors are replaced by: this renderer does not follow reflections."""
+"""Albedo that replaces mirrors: this renderer does not follow reflections."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +70,7 @@ class Footprint:
 
 @dataclass(frozen=True, eq=False)
 class Furniture:
-    """What stands in a room: its items, their rectangles on the floor, and how many there are of each role."""
+    """Furniture of a room: its items, their rectangles on the floor, and the number of items of each role."""
 
     items: tuple[Item, ...]
     footprints: tuple[Footprint, ...]

@@ -1,4 +1,4 @@
-"""From a room's index to its sequences: choose a panorama, project it onto a shell, render several walks.
+"""Sequences of a room, given its index: choose a panorama, project it onto a shell, render several walks.
 
 World frame: y up, metres; poses camera-to-world, OpenGL axes; radiance in kcd/m2.
 """

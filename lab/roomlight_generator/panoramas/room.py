@@ -1,4 +1,4 @@
-"""A room whose surfaces and lights are a panorama projected onto its shell: what cameras and probes in it see.
+"""A room whose surfaces and lights are a panorama projected onto its shell: renders frames and probes' panoramas.
 
 World frame: y up, metres; radiance in kcd/m2; panoramas world-aligned (`roomlight.conventions`).
 """
@@ -146,7 +146,7 @@ def classify_surfaces(image: Float32[np.ndarray, "h w 3"], rng: np.random.Genera
 
 
 def bright_parts(image: Float32[np.ndarray, "h w 3"]) -> Bool[np.ndarray, "h w"]:
-    """Return where a panorama shows sources of light, or what they shine on from near."""
+    """Return the mask of a panorama's bright parts: sources of light, and surfaces that they light from near."""
     luminance = image @ LUMINANCE
     return luminance > _BRIGHT * max(percentile(luminance, 80.0), 1e-9)
 

@@ -37,7 +37,7 @@ _WALL_M: Final = 0.32
 
 @dataclass(frozen=True, eq=False)
 class PanoramaShell:
-    """A shell: its triangles, the panorama's centre, its plan and what it is.
+    """A shell: its triangles, the panorama's centre, its plan and facts.
 
     Attributes:
         arrays: as the kernels take them.

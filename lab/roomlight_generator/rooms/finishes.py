@@ -101,7 +101,7 @@ _FLOORS: Final[dict[str, tuple[float, float, float, float]]] = {
     "utility": (0.1, 0.3, 0.05, 0.55),
 }
 _FLOOR_COATS: Final = ((0.6, 0.1, 0.35), (0.75, 0.08, 0.32), (0.0, 0.1, 0.1), (0.6, 0.08, 0.35))
-"""Probability of a coat on each of them, and the range of its roughness."""
+"""Probability of a coat on each kind of floor, and the range of its roughness."""
 
 _KINDS: Final = (
     ("bath", ("bath", "shower", "toilet", "wc", "spa")),

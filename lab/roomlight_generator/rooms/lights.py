@@ -21,7 +21,7 @@ from roomlight_generator.rooms.sky import make_sky, vertical_irradiance
 Scenario = Literal["sunny", "bright", "overcast", "golden", "dusk", "night"]
 
 LightKind = Literal["mixed", "windows alone", "sunbeams", "open to bright", "bare bulbs", "spots"]
-"""What lights a room.
+"""Kinds of light in a room.
 
 mixed: daylight, lamps or both, as `_LAMPS_ON_PROBABILITY` says; windows alone: daylight without lamps; sunbeams: the
 same with the sun before a window; open to bright: no light of its own, only that of a second room; bare bulbs: at dusk
@@ -344,7 +344,7 @@ def _ceiling_spots(shell: Shell, rng: np.random.Generator) -> list[Item]:
 def _accessory_lamps(
     shell: Shell, placements: Sequence[Placement], rng: np.random.Generator, *, night: bool, only_second: bool
 ) -> list[tuple[Item, str, tuple[float, float]]]:
-    """Return light strips below wall units and a lamp in the second room, with the range of each one's flux in klm.
+    """Return light strips below wall units and a lamp in the second room, with the range of each lamp's flux in klm.
 
     A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or
     a conservatory. `only_second`: the second room has the only light, and it is bright.

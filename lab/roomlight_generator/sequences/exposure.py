@@ -24,7 +24,7 @@ BRIGHT_LEVEL: Final = 0.43
 recordings, whose mean is 0.26 to 0.34 and whose median is 0.21 to 0.35."""
 _HIGHLIGHT_PERCENTILE: Final = 96
 _HIGHLIGHT_LEVEL: Final = 1.5
-"""What a meter that exposes for highlights alone makes of the brightest channel's 96th percentile, white = 1."""
+"""Exposed level of the brightest channel's 96th percentile if the meter exposes for highlights alone; white is 1."""
 _FLOOR: Final = 1e-5
 """kcd/m2 of the night sky: darker pixels count as this dark, which keeps logarithms finite."""
 _METER_SIZE: Final = (40, 30)
@@ -35,7 +35,7 @@ _DEAD_BAND: Final = 0.15
 
 @dataclass(frozen=True)
 class MeterSettings:
-    """How one phone and its app meter.
+    """Metering of a phone and its app.
 
     Attributes:
         bias, first_error: exposure offset of the sequence, and error of its first frame, in stops.

@@ -25,7 +25,7 @@ _CANDIDATES: Final = 160
 _RESTING_SHARE: Final = 0.75
 """Share of the candidates that are lifted from level surfaces."""
 _RESTING_WEIGHT: Final = 4.0
-"""How much likelier a point close above a surface is chosen than one in mid-air."""
+"""Weight of a point close above a surface; a point in mid-air has 1."""
 _DOWN: Final = np.array([[0.0, -1.0, 0.0]], np.float32)
 _MARGIN: Final = 0.06
 """Share of the image's width and height that is left free at its edges."""

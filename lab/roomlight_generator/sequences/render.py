@@ -1,4 +1,4 @@
-"""From a room's index to its sequences: build the room, solve its light once, render several walks through it.
+"""Sequences of a room, given its index: build the room, solve its light once, render several walks through it.
 
 World frame: y up, metres; poses camera-to-world, OpenGL axes; radiance in kcd/m2.
 """
@@ -44,7 +44,7 @@ _HALF_MAX: Final = 60_000.0
 
 @runtime_checkable  # so that annotations can be checked in the test run
 class Views(Protocol):
-    """What cameras and probes see of a room; `transport.RoomLight` is one. Radiance in kcd/m2."""
+    """A renderer of a room's frames and panoramas, such as `transport.RoomLight`. Radiance in kcd/m2."""
 
     def frame(self, intrinsics: Intrinsics, camera_to_world: Float[np.ndarray, "4 4"], *, seed: int) -> FrameView:
         """Render what a pinhole camera sees."""

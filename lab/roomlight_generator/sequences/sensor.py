@@ -1,4 +1,4 @@
-"""From light to the 8-bit picture of a phone: lens, noise, clipping, sRGB.
+"""A phone's camera: turns radiance into an 8-bit picture by lens, noise, clipping and sRGB.
 
 The response is sRGB's, because every client linearises by it; in some sequences (`Sensor.response`) it deviates a
 little, as phones' do.

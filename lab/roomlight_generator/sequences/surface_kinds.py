@@ -1,4 +1,4 @@
-"""Which pixels of a view show which kind of surface, so that errors are measured by kind; scenes without their panes.
+"""Kinds of surface by pixel, so that errors are measured by kind; scenes without their panes.
 
 Frames: world, y up, metres; poses camera-to-world, OpenGL axes.
 """

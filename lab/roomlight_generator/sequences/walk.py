@@ -1,4 +1,4 @@
-"""How a phone is carried through a room: two bodies under random forces, the camera and the point it looks at.
+"""Camera walks: two bodies under random forces, the camera and the point at which it looks.
 
 The paper's two-body motion (section "Dataset creation", after McCormac et al. 2017 and Li et al. 2018): both bodies
 are pushed at random, slowed by drag and kept from walls. Here the camera stays at the height of a hand and over the
@@ -54,7 +54,7 @@ a frame in 720 walks through 90 furnished rooms.
 
 @dataclass(frozen=True, eq=False)
 class FreeSpace:
-    """Where a camera can be: the walkable floor, and the distances to surfaces.
+    """Space for a camera: the walkable floor, and the distances to surfaces.
 
     Attributes:
         walkable: [row, column] is a square of cell_m metres around origin + cell_m (column, row): the planner's free
@@ -95,7 +95,7 @@ class FreeSpace:
 
 @dataclass(frozen=True, eq=False)
 class Motion:
-    """How far the camera moves (metres) and rotates (degrees) from each frame to the next."""
+    """Camera motion from each frame to the next: translation (metres) and rotation (degrees)."""
 
     translation_m: Float[np.ndarray, " steps"]
     rotation_degrees: Float[np.ndarray, " steps"]
@@ -103,7 +103,7 @@ class Motion:
 
 @dataclass(frozen=True)
 class _WalkParameters:
-    """What a walk aims at: motion a frame, the bodies' drag, and how the camera is carried.
+    """Parameters of a walk: mean motion a frame, the bodies' drag, and the hand that carries the camera.
 
     Attributes:
         follow: Share of the camera's velocity that the target takes over.
@@ -164,7 +164,7 @@ def sphere_directions(count: int) -> Float[np.ndarray, "{count} 3"]:
 def camera_walk(
     free: FreeSpace, rng: np.random.Generator, *, intrinsics: Intrinsics, frames: int = 31
 ) -> Float[np.ndarray, "{frames} 4 4"] | None:
-    """Draw camera-to-world poses of a hand-held walk; None if the room has no place for one.
+    """Draw camera-to-world poses of a hand-held walk; None if the room has no place for a walk.
 
     The walk's speed and rotation are drawn first, from nearly still to sweeping. Walks are then simulated from random
     places; of the acceptable ones (each pose keeps `CLEARANCE_M`, views show the room) the one nearest to the drawn
@@ -175,7 +175,7 @@ def camera_walk(
         return None
     step_m, turn_degrees = _draw_motion(rng)
     for attempt in range(_ROUNDS):
-        if attempt == _ROUNDS // 2:  # no place for this motion: try a slower one
+        if attempt == _ROUNDS // 2:  # no place for this motion: try a slower motion
             step_m, turn_degrees = 0.3 * step_m, min(turn_degrees, 4.0)
         parameters = _draw_parameters(rng, step_m, turn_degrees)
         position, target = _simulate(free, field, parameters, rng, frames)

@@ -39,7 +39,7 @@ class RestingPlace:
 
 @dataclass(frozen=True, eq=False)
 class ObjectView:
-    """What a camera sees of a room with the object.
+    """A view of a room with the object.
 
     Attributes:
         view: radiance, depth and surfaces.

@@ -1,4 +1,4 @@
-"""Surface points laid out as a picture: smoothing within surfaces, edges, and what extra rays borrow from pixels.
+"""Surface points laid out as a picture: smoothing within surfaces, edges, and light that extra rays borrow from pixels.
 
 Frames: world, y up, metres; radiance in kcd/m2.
 """
@@ -59,7 +59,7 @@ class Grid:
     def smooth_lobes(
         self, lobe: Float32[np.ndarray, "m 3"], known: Bool[np.ndarray, " m"]
     ) -> tuple[Float32[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
-        """Spread the known points' reflections over their surfaces; return them, and which points then have one."""
+        """Spread the known points' reflections over their surfaces; return them and the mask of such points."""
         laid = np.zeros(self._shape, bool)
         laid.reshape(-1)[self._ray] = known
         image = self._laid_out(lobe)

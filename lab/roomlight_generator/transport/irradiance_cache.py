@@ -97,7 +97,7 @@ class IrradianceCache:
 
     @property
     def count(self) -> int:
-        """How many cells are filled."""
+        """Number of filled cells."""
         return self._count
 
     def irradiance(

@@ -159,7 +159,7 @@ class _PatchSet:
 
 @dataclass(frozen=True, eq=False)
 class RoomCache:
-    """What patches send out and receive.
+    """Light that patches send out and receive.
 
     The rows are the patches, then wider surroundings, then whole materials, then a row of zeros. The zeros come last,
     so that index -1 leads to them.
@@ -295,7 +295,7 @@ def _seed_rays(tracer: Tracer, light: DirectLight, seed: int) -> Arrivals:
 
 
 class _TracedRays(NamedTuple):
-    """Where gather rays ended, the share that the patch's coat lets through, and each patch's number of rays."""
+    """Hits of gather rays, the share that the patch's coat lets through, and the number of rays of a patch."""
 
     ends: Arrivals
     passed: Float32[np.ndarray, " n"]

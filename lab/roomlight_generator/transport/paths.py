@@ -1,4 +1,4 @@
-"""Where a view's rays end: through panes, over mirrors, on a surface, a light or the sky.
+"""Paths of a view's rays: through panes and over mirrors to a surface, a light or the sky.
 
 Frames: world, y up, metres; radiance in kcd/m2.
 """
@@ -17,7 +17,7 @@ from roomlight_generator.transport.kernels.surfaces import surface_points
 from roomlight_generator.transport.tracer import OFFSET_M, Tracer
 
 MIRRORS: Final = 3
-"""Mirrors that a path follows; what the last one shows is black."""
+"""Mirrors that a path follows; the last mirror shows black."""
 
 PANES: Final = 4
 """Panes that a path passes."""

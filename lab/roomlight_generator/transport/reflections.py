@@ -1,4 +1,4 @@
-"""What reflections show: the coats' specular lobes and panes.
+"""Reflections: the coats' specular lobes and panes.
 
 Frames: world, y up, metres; radiance in kcd/m2. A lobe is sampled by the lights and by reflected rays, joined by the
 balance heuristic. Surfaces that a ray meets are lit from the irradiance cache, as if their own coats' lobes were even.
@@ -35,7 +35,7 @@ Shares = Callable[[Paths], tuple[Float32[np.ndarray, " n"], Float32[np.ndarray, 
 
 
 class Reflections:
-    """Renders what the surfaces of one room reflect."""
+    """Renders the reflections of a room's surfaces."""
 
     def __init__(self, tracer: Tracer, light: DirectLight, irradiance_cache: IrradianceCache) -> None:
         """Take a solved room."""

@@ -1,4 +1,4 @@
-"""The light of a room, solved once, and what cameras and probes in it see.
+"""The light of a room, solved once, and the frames and panoramas rendered from it.
 
 Frames: world, y up, metres; camera x right, y up, z backward; panoramas world-aligned (`roomlight.conventions`).
 Radiance is linear RGB in kcd/m2.
@@ -45,7 +45,7 @@ TEST_RAYS: Final = 1024
 
 @dataclass(frozen=True, eq=False)
 class FrameView:
-    """What a camera sees: radiance, exact depth, and the surface's class (`roomlight.dataset.recording`).
+    """A rendered frame: radiance, exact depth, and the surface's class (`roomlight.dataset.recording`).
 
     Radiance is the mean over each pixel; depth is z-depth at the pixel centres in metres (0: nothing), to the nearest
     surface, panes, mirrors and lamps included.
@@ -166,7 +166,7 @@ class RoomLight:
     def irradiance(
         self, points: Float[np.ndarray, "n 3"], normals: Float[np.ndarray, "n 3"]
     ) -> Float32[np.ndarray, "n 3"]:
-        """Compute irradiance (kcd/m2 times steradians) on small planes in space or on surfaces, by many rays each."""
+        """Compute irradiance (kcd/m2 times steradians) on small planes in space or on surfaces by many rays a plane."""
         count = len(points)
         normal = unit_rows(normals)
         position = (points + OFFSET_M * normal).astype(np.float32)

@@ -54,7 +54,7 @@ class SceneArrays(NamedTuple):
 
 
 class Hits(NamedTuple):
-    """Where rays ended: face (-1: nowhere), barycentric u and v, distance."""
+    """Hits of rays: face (-1: no hit), barycentric u and v, distance."""
 
     face: Int32[np.ndarray, " n"]
     u: Float32[np.ndarray, " n"]

@@ -24,7 +24,7 @@ EXTRA_RAYS: Final = 3
 """Rays added in pixels on edges."""
 
 _EXTRA_PLACES: Final = np.array([[-0.33, 0.1], [0.1, -0.33], [0.27, 0.27]])
-"""Where in the pixel (row, column, from its middle): with the middle, nearly one in each row and column of thirds."""
+"""Places in the pixel (row, column, from its middle). With the middle they cover its rows and columns of thirds."""
 
 RaysAt = Callable[[Float[np.ndarray, " n"], Float[np.ndarray, " n"]], Float32[np.ndarray, "n 3"]]
 """Returns unit world directions through places (row, column) of a picture; pixel centres are at half integers."""

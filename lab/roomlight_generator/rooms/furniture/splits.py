@@ -1,4 +1,4 @@
-"""Assignment of models to splits: a fifth of every role is reserved for test rooms, chosen by a hash of ids. Models
+"""Assignment of models to splits: a hash of ids reserves a fifth of every role for test rooms. Models
 that share a shape or a texture stay in one split."""
 
 import hashlib

@@ -9,7 +9,7 @@ from roomlight_generator.rooms.scene import Mesh
 
 _GRID: Final = 11
 _LEVEL_M: Final = 0.012
-"""Heights that differ by less than twice this are one surface."""
+"""Heights that differ by less than twice this value are one surface."""
 
 _FLAT: Final = 0.6
 _LISTED_FLAT: Final = 0.45

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""What every kernel uses: random numbers of hashes, keys of directions, the coat's lobe and its tables.
+"""Functions of all kernels: random numbers from hashes, keys of directions, the coat's lobe and its tables.
 
 Directions and points that are passed on their own are tuples (x, y, z) in world axes, y up, metres.
 """

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""Kernels over pixel grids: smoothing within surfaces, edges that need more rays, what such rays take from pixels.
+"""Kernels over pixel grids: smoothing within surfaces, edges that need more rays, light that those rays take over.
 
 A pixel's kind is a number that is equal for pixels of one surface, or -1 where the pixel shows none.
 """
@@ -11,7 +11,7 @@ from numba import njit
 
 from roomlight_generator.transport.kernels.common import ALLOCATING, JIT
 
-REACH = 4  # pixels to each side that decide whether one is an outlier: 80, of which a quarter are known in rough coats
+REACH = 4  # pixels to each side that decide about an outlier: 80 in all; in rough coats a quarter of them are known
 FEW = 8  # a pixel is an outlier if fewer than a share 1 / FEW of the pixels around it are similar
 ALIKE = 0.4  # natural logarithm of brightness over which smoothing fades: noise is smoothed, a shadow's edge is kept
 
@@ -110,7 +110,7 @@ def tame(image, kind, known, most):
                             bright += 1
                         else:
                             dim += total[j, i]
-            # A cell is two or three pixels wide: one that a rare ray hit is a block of 4 to 9 pixels out of 81.
+            # A cell is two or three pixels wide: a cell that a rare ray hit is a block of 4 to 9 pixels out of 81.
             if count < 6 or bright * FEW > count + FEW:
                 continue
             limit = most * dim / (count - bright)

@@ -144,7 +144,7 @@ def estimates(lights, clusters, visibility, row, least, point, normal, out):
 
 @njit(**JIT)
 def add_lobes(lights, clusters, visibility, row, point, normal, out):
-    """Add to the estimates what sunlit coats reflect toward a point."""
+    """Add the light that sunlit coats reflect toward a point to the estimates."""
     px, py, pz = point
     nx, ny, nz = normal
     sx, sy, sz = lights.sun[0], lights.sun[1], lights.sun[2]

@@ -19,7 +19,7 @@ class HashTable(NamedTuple):
 
 
 class RayEnds(NamedTuple):
-    """Where rays ended: face (-1: nowhere), barycentric u and v, and the unit direction in which they arrived."""
+    """Hits of rays: face (-1: no hit), barycentric u and v, and the unit direction in which the ray arrived."""
 
     face: Int32[np.ndarray, " n"]
     u: Float32[np.ndarray, " n"]
@@ -171,7 +171,7 @@ class LobeRays(NamedTuple):
 
 
 class LobeEnds(NamedTuple):
-    """Where reflected rays ended, and whether they met a mirror on the way."""
+    """Hits of reflected rays, and whether the rays met a mirror on the way."""
 
     face: Int32[np.ndarray, " n"]
     u: Float32[np.ndarray, " n"]
@@ -181,7 +181,7 @@ class LobeEnds(NamedTuple):
 
 
 class PaneRays(NamedTuple):
-    """Rays that met a thin pane: where the reflected one starts and goes, where the straight one goes on, and the
+    """Rays that met a thin pane: where the reflected ray starts and goes, where the straight ray goes on, and the
     reflected share."""
 
     reflected: Float32[np.ndarray, "n 3"]
@@ -227,7 +227,7 @@ class RecordColumns(NamedTuple):
 
 
 class RecordLists(NamedTuple):
-    """Which records reach into a grid cell: a table of list heads, the lists' entries, and which levels are in use."""
+    """Lists of the records that reach into a grid cell: a table of list heads, the entries, and the levels in use."""
 
     keys: Int64[np.ndarray, " t"]
     heads: Int32[np.ndarray, " t"]
@@ -267,7 +267,7 @@ class CachedRadiance(NamedTuple):
 
 
 class Fineness(NamedTuple):
-    """How often patches are halved: level[i, j, k] in cells of cell_m from the corner `low` on, 0 outside.
+    """Number of halvings of patches: level[i, j, k] in cells of cell_m from the corner `low` on, 0 outside.
 
     A lampshade is bright inside and dark outside, a window frame in the sun likewise, and both have faces of one
     direction and material a few centimetres apart: patches of the usual size would leak.

@@ -1,5 +1,5 @@
 # pyright: reportMissingParameterType=false
-"""What rays hit: position, normals, reflectance and emission there, textures averaged over the ray's footprint.
+"""Surface points at rays' hits: position, normals, reflectance, emission; textures averaged over the footprint.
 
 Frames: world, y up, metres; emission in kcd/m2.
 """

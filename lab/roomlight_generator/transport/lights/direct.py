@@ -83,11 +83,11 @@ class ShadowRays(NamedTuple):
 
 
 OnRays = Callable[[int, ShadowRays, Bool[np.ndarray, " n"], int], None]
-"""Called with the first point's index, the rays, which of them are visible, and how many there are."""
+"""Called with the first point's index, the rays, their visibility, and the number of rays."""
 
 
 class DirectLight:
-    """The lights of a scene, and which of them each part of the room sees (visibility, in 255ths)."""
+    """The lights of a scene, and their visibility from each part of the room, in 255ths."""
 
     lights: Lights
     outdoors: Outdoors

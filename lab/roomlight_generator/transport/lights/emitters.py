@@ -24,7 +24,7 @@ PIECE_M: Final = 0.3
 """Longest side of a piece. Half of it doubles the clusters; twice of it leaves spots on ceilings beside panels."""
 
 MOST_CLUSTERS: Final = 128
-"""With more, clusters are made larger: each shading point evaluates every one of them."""
+"""With more, clusters are made larger: each shading point evaluates every cluster."""
 
 MOST_SPOT_CLUSTERS: Final = 40
 
@@ -121,7 +121,7 @@ def build_lights(tracer: Tracer) -> tuple[Lights, Outdoors]:
 
 
 def light_sources(lights: Lights, outdoors: Outdoors) -> LightSources:
-    """Join lights and outdoors into what the kernels take."""
+    """Join lights and outdoors into the kernels' arguments."""
     surfaces = LightSurfaces(
         lights.piece,
         lights.kind,
@@ -187,7 +187,7 @@ def _glowing_pieces(tracer: Tracer) -> tuple[_Pieces, Int32[np.ndarray, " f"], I
 
 
 def _subdivision(cuts: int) -> tuple[Float[np.ndarray, "p 3 2"], Int[np.ndarray, " p"]]:
-    """Return barycentric (u, v) of the corners of cuts^2 equal parts, and each one's slot: 2 (i cuts + j) + upper."""
+    """Return barycentric (u, v) of the corners of cuts^2 equal parts, and each part's slot: 2 (i cuts + j) + upper."""
     grid: list[list[tuple[float, float]]] = []
     slot: list[int] = []
     for i in range(cuts):

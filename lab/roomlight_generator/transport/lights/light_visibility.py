@@ -1,4 +1,4 @@
-"""Which lights each part of a room sees, learned from the shadow rays that its patches cast."""
+"""Visibility of the lights from each part of a room, learned from the shadow rays of its patches."""
 
 from typing import Final
 
@@ -14,7 +14,7 @@ PRIOR_RAYS: Final = 4.0
 
 
 class LightVisibility:
-    """How often each patch tried each light with shadow rays, and saw it.
+    """Counts of the shadow rays of each patch toward each light, and of the visible rays.
 
     There are more lights than a patch has rays. If it tried a light too seldom, its surroundings decide; if these did
     too, the whole room decides.

@@ -28,7 +28,7 @@ LEAST_ALPHA: Final = 0.06
 
 
 class Spots(NamedTuple):
-    """Points off sunlit surfaces, and what they send out of the sun's direct light.
+    """Points off sunlit surfaces, and the sunlight that they reflect.
 
     Attributes:
         position: Positions, off the surface.

@@ -1,4 +1,4 @@
-"""Which points' direct light is uncertain: some of their shadow rays met a light and others did not.
+"""Variance of points' direct light: large where some shadow rays met a light and others did not.
 
 A point's light is a sum of its rays' weights, each of which arrives or not. If a share p of the weight arrives, the
 sum's variance is about p (1 - p) times the sum of squared weights (the rays taken as independent).

@@ -188,7 +188,7 @@ def collapse_round(points, faces, wedges, quadric, target, strict):
     keep = np.ones(count, np.bool_)
     locked = np.zeros(len(points), np.bool_)
     left = count
-    # Edges much costlier than the last one needed wait for the next round, which may have cheaper ones.
+    # Edges much costlier than the last needed edge wait for the next round, which may have cheaper edges.
     needed = min(3 * (count - target), len(order) - 1)
     limit = 1.5 * costs[order[needed]] + 1e-12
     for row in order:

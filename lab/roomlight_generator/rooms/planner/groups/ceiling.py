@@ -1,4 +1,4 @@
-"""Ceiling lamps: one in the middle, several in a grid, one over each table."""
+"""Ceiling lamps: in the middle, in a grid, over tables."""
 
 import math
 from typing import Final, Literal
@@ -25,7 +25,7 @@ TABLE_CLEARANCE_M: Final = 0.6
 
 
 def light_ceiling(arrangement: Arrangement, kinds: tuple[tuple[CeilingLight, float], ...]) -> None:
-    """Hang lamps over tables, then one of the kinds with its probability."""
+    """Hang lamps over tables, then a kind of ceiling light by its probability."""
     lamps_over_tables = _hang_over_tables(arrangement)
     shares = np.array([share for _, share in kinds])
     kind = kinds[int(arrangement.rng.choice(len(kinds), p=shares / shares.sum()))][0]
@@ -91,7 +91,7 @@ def _hang_lamp(
 
 
 def _hang_over_tables(arrangement: Arrangement) -> int:
-    """Hang pendants over the tables with seats; return the number of tables that have one."""
+    """Hang pendants over the tables with seats; return the number of tables that have a pendant."""
     if not arrangement.tables or arrangement.chance(0.2):
         return 0
     lowest = max(piece.model.height_m for piece in arrangement.tables) + TABLE_CLEARANCE_M

@@ -155,7 +155,7 @@ def place_rug(
 
 
 def _blocks_rug(piece: Piece, carpet: Piece) -> bool:
-    """Return whether a heavy piece stands on part of the rug, in which case the rug cannot lie there."""
+    """Return whether a heavy piece stands on part of the rug: the rug cannot lie there."""
     return piece.layer == "floor" and piece.role not in _LIGHT_ROLES and piece.body.overlaps(carpet.body)
 
 
