@@ -59,7 +59,7 @@ class Grid:
     def smooth_lobes(
         self, lobe: Float32[np.ndarray, "m 3"], known: Bool[np.ndarray, " m"]
     ) -> tuple[Float32[np.ndarray, "m 3"], Bool[np.ndarray, " m"]]:
-        """Spread the known points' reflections over their surfaces; return them and the mask of such points."""
+        """Spread the known points' reflections over their surfaces; return them and the mask of the known points."""
         laid = np.zeros(self._shape, bool)
         laid.reshape(-1)[self._ray] = known
         image = self._laid_out(lobe)
