@@ -8,7 +8,8 @@ Start at `generate.generate`, which assigns shards to worker processes.
 - `sequences`: camera walks, probe positions, the phone's exposure and sensor; renders the recordings.
 - `panoramas`: a second renderer, for rooms lit by real HDR panoramas.
 - `verification`: compares the renderer with Mitsuba.
-- `stats`, `light_stats`: measure a finished dataset; `sample` makes the capture that RoomLight ships.
+- `stats`, `light_stats`: measure a finished dataset; `reports` shows datasets as contact sheets and tables.
+- `sample`: makes the capture that RoomLight ships.
 
 `roomlight.dataset` writes the files; `docs/dataset.md` describes them.
 """

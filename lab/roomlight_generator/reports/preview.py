@@ -76,7 +76,7 @@ def write_previews(
 def compose_preview(recordings: Sequence[Recording]) -> UInt8[np.ndarray, "h w 3"]:
     """Return the sheet of some sequences as 8-bit sRGB."""
     row_height = LABEL_ROWS + _TILE[1] + 2 * _GAP
-    times = min(TIMES, max((len(one.colour) for one in recordings), default=1))
+    times = min(TIMES, max((len(recording.colour) for recording in recordings), default=1))
     width = 2 * _MARGIN + (times + 2) * (_TILE[0] + _GAP) + _PROBES * (_PROBE[0] + _GAP) - _GAP
     canvas = Canvas(width, 2 * _MARGIN + _LEGEND_ROWS + len(recordings) * row_height)
     canvas.text((_MARGIN, _MARGIN), _LEGEND, width=width - 2 * _MARGIN)

@@ -23,8 +23,11 @@ training."""
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """A furnished, lit room whose light transport is not yet solved. `facts` holds the metadata that statistics
-    report."""
+    """A furnished, lit room whose light transport is not yet solved.
+
+    Attributes:
+        facts: Metadata that statistics report.
+    """
 
     name: str
     scene: Scene

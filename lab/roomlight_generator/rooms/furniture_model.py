@@ -17,7 +17,12 @@ from roomlight_generator.rooms.scene import Mesh, Rgb
 
 @dataclass(frozen=True, eq=False)
 class LightSource:
-    """A lamp's bulb: position in the model frame, metres; colour is relative linear RGB (brightest channel 1)."""
+    """A lamp's bulb.
+
+    Attributes:
+        position: Model frame, metres.
+        colour: Relative linear RGB, brightest channel 1.
+    """
 
     position: Float[np.ndarray, "3"]
     diameter_m: float

@@ -346,8 +346,15 @@ def _accessory_lamps(
 ) -> list[tuple[Item, str, tuple[float, float]]]:
     """Return light strips below wall units and a lamp in the second room, with the range of each lamp's flux in klm.
 
-    A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or
-    a conservatory. `only_second`: the second room has the only light, and it is bright.
+    A bright second room has a panel below its ceiling instead of a globe: from a dim room it looks like a lit hall or a
+    conservatory.
+
+    Args:
+        shell: The room.
+        placements: What stands in the room.
+        rng: Random numbers.
+        night: Strips are more frequent at night.
+        only_second: The second room has the only light, and it is bright.
     """
     lamps: list[tuple[Item, str, tuple[float, float]]] = []
     units = [placement for placement in placements if placement.model.role == "wall_unit"]

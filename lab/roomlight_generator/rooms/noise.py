@@ -15,8 +15,15 @@ def fbm(
     octaves: int = 4,
     gain: float = 0.55,
 ) -> Float[np.ndarray, "h w"]:
-    """Return smooth tileable fractal noise of variance about 0.15 and mean about 0; `cells` are the coarsest rows
-    and columns."""
+    """Return smooth tileable fractal noise of variance about 0.15 and mean about 0.
+
+    Args:
+        shape: Rows and columns.
+        rng: Random numbers.
+        cells: Rows and columns of the coarsest octave.
+        octaves: Octaves at most.
+        gain: Factor on the amplitude from octave to octave.
+    """
     total = np.zeros(shape, np.float32)
     for octave in range(octaves):
         rows, columns = _nearest_divisor(cells[0] << octave, shape[0]), _nearest_divisor(cells[1] << octave, shape[1])

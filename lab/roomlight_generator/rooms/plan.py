@@ -35,10 +35,14 @@ class Gap:
 
 @dataclass(frozen=True, eq=False)
 class Wall:
-    """A straight inner wall, from start to end in plan; `inward` is the unit normal into the room.
+    """A straight inner wall.
 
     Seen from inside, start is at the left and end at the right: (end - start) / length = (inward_z, -inward_x).
-    height_m is the minimum height along it (slanted ceilings make it lower than the room's).
+
+    Attributes:
+        start, end: Its ends in plan.
+        inward: Unit normal into the room.
+        height_m: Minimum height along it; slanted ceilings make it lower than the room's.
     """
 
     start: Float[np.ndarray, "2"]

@@ -17,10 +17,14 @@ Rgb = tuple[float, float, float]
 
 @dataclass(frozen=True, eq=False)
 class Texture:
-    """A repeating image of reflectance (or of emission), sRGB-encoded, row 0 at the top.
+    """A repeating image of reflectance (or of emission).
 
-    Texture coordinates are in repeats: u to the right, v **down** the image's rows, wrapped. `size_m` is the width and
-    height of one repeat if the texture has a physical size (walls and floors), for the code that makes the coordinates.
+    Texture coordinates are in repeats: u to the right, v **down** the image's rows, wrapped.
+
+    Attributes:
+        image: sRGB-encoded, row 0 at the top.
+        size_m: Width and height of a repeat if the texture has a physical size (walls and floors), for the code that
+            makes the coordinates.
     """
 
     image: UInt8[np.ndarray, "h w 3"]
@@ -122,10 +126,12 @@ class Mesh:
 
 @dataclass(frozen=True, eq=False)
 class Item:
-    """One object in the room, in world coordinates: a sofa, a wall, a lamp.
+    """An object in the room, in world coordinates: a sofa, a wall, a lamp.
 
-    `role` is a furniture role (`roomlight_generator.rooms.roles`) or a part of the shell (`wall`, `floor`, `ceiling`,
-    `frame`, `door_leaf`, `curtain`, ...). `attribution` names the model's creator and licence if known.
+    Attributes:
+        role: A furniture role (`roomlight_generator.rooms.roles`) or a part of the shell (`wall`, `floor`, `ceiling`,
+            `frame`, `door_leaf`, `curtain`, ...).
+        attribution: The model's creator and licence, if known.
     """
 
     name: str

@@ -36,7 +36,7 @@ class Geometry(NamedTuple):
 
 
 class Materials(NamedTuple):
-    """One row a material: roughness 0 is Lambertian, texture -1 is none, mirror is the reflectance."""
+    """A row for each material: roughness 0 is Lambertian, texture -1 is none, mirror is the reflectance."""
 
     albedo: Float32[np.ndarray, "m 3"]
     emission: Float32[np.ndarray, "m 3"]

@@ -24,8 +24,10 @@ _LEAST_SHARE: Final = 0.02
 class Deviation:
     """Relative errors over a number of points.
 
-    mean and median are of the error, noise is the mean error that the reference's noise alone would give, rms the root
-    mean square of our error after the reference's two halves have removed that noise.
+    Attributes:
+        mean, median: Of the error.
+        noise: Mean error that the reference's noise alone would give.
+        rms: Root mean square of our error, after the reference's two halves have removed that noise.
     """
 
     points: int

@@ -56,7 +56,13 @@ class CacheWriter:
     _surfaces: list[dict[str, Any]] = field(default_factory=list[dict[str, Any]])
 
     def add(self, model: FurnitureModel, mesh: Mesh, shared: tuple[str, ...]) -> None:
-        """Add a model; `shared` holds digests of its geometry and textures (`splits.assign_splits`)."""
+        """Add a model.
+
+        Args:
+            model: The model.
+            mesh: Its mesh.
+            shared: Digests of its geometry and textures (`splits.assign_splits`).
+        """
         self._models.append(
             {
                 "id": model.id,

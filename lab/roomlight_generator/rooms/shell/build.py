@@ -103,7 +103,7 @@ def _room_items(
     band: int | None = None,
     cuts: dict[int, list[Outline]] | None = None,
 ) -> tuple[list[Item], list[Opening]]:
-    """Build walls, the windows and doors in them and the trim along them. `cuts` are further holes, lined elsewhere."""
+    """Build walls, the windows and doors in them and the trim along them, and further holes (`cuts`)."""
     items: list[Item] = []
     openings: list[Opening] = []
     accent = _accent_side(room, holes) if room_finishes.accent_wall is not None and trim.accent else None

@@ -29,7 +29,11 @@ _UP: Final = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True)
 class Trim:
-    """Trim along the walls. lower_m is the lower wall's band (from, to), None for none; heights in metres."""
+    """Trim along the walls; heights in metres.
+
+    Attributes:
+        lower_m: Band of the lower wall (from, to); None: walls have no lower part.
+    """
 
     lower_m: tuple[float, float] | None = None
     lower_sides: frozenset[int] = frozenset()

@@ -39,7 +39,8 @@ def left_to_gathering(distance_sq, area):
     """Return the share of a light's contribution that gather rays bring, not shadow rays.
 
     Division by the squared distance makes a rare sample close to a surface outshine all others. A share that depends on
-    the geometry alone splits the light between the two estimators without bias. area is that of the light's cluster.
+    the geometry alone splits the light between the two estimators without bias. The area is that of the light's
+    cluster.
     """
     return area / (area + 2 * distance_sq)
 
@@ -259,8 +260,8 @@ def candidate(lights, running, total, at, which):
 def resample(drawn, column, live, picks, shift):
     """Replace a column of the candidates, their contributions, by the factors on their weights.
 
-    Up to `picks` candidates are all kept (factor 1). Of more, `picks` are selected in proportion (systematic, with a
-    shift in [0, 1)); the others' factor is 0.
+    At most `picks` candidates are all kept (factor 1). Of more candidates, `picks` are selected in proportion
+    (systematic, with a shift in [0, 1)); the factor of the others is 0.
     """
     total = 0.0
     for k in range(live):

@@ -91,8 +91,12 @@ class LightSources(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Pieces:
-    """Pieces to be gathered into clusters. halves scales the power toward the sky's halves; slot is the index in
-    `piece_at`."""
+    """Pieces to be gathered into clusters.
+
+    Attributes:
+        halves: Factors on the power toward the sky's halves.
+        slot: Index in `piece_at`.
+    """
 
     shape: Float[np.ndarray, "p 9"]
     coat: Float[np.ndarray, "p 6"]

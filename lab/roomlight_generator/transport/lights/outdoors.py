@@ -15,8 +15,9 @@ from roomlight_generator.transport.tracer import Tracer
 class Outdoors(NamedTuple):
     """Openings, the sky's panorama and the sun.
 
-    Columns of `hole`: corner, sides u and v, the unit normal away from the room, then u.u, u.v, v.v. parts: each
-    opening's first slot in `Lights.piece_at`, and into how many parts its sides are cut.
+    Attributes:
+        hole: Columns: corner, sides u and v, the unit normal away from the room, then u.u, u.v, v.v.
+        parts: First slot of each opening in `Lights.piece_at`, and the numbers of parts into which its sides are cut.
     """
 
     hole: Float32[np.ndarray, "o 15"]

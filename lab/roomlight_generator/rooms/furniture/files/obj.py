@@ -22,7 +22,11 @@ _MAX_CLIPPED_CORNERS: Final = 256
 
 @dataclass(frozen=True, eq=False)
 class Obj:
-    """A parsed OBJ file. uv_faces is -1 for corners without texture coordinates; v points up."""
+    """A parsed OBJ file; v points up.
+
+    Attributes:
+        uv_faces: Texture coordinates of the faces' corners, -1 for corners without.
+    """
 
     positions: Float[np.ndarray, "v 3"]
     uvs: Float[np.ndarray, "t 2"]

@@ -30,7 +30,7 @@ GAP_ABOVE_M: Final = 0.12
 
 
 def hang_wall_items(arrangement: Arrangement, wanted: Iterable[tuple[str, float]]) -> None:
-    """Hang items of each role; `wanted` holds mean numbers."""
+    """Hang items of each role, about the mean number that `wanted` gives for the role."""
     for role, mean in wanted:
         number = arrangement.poisson(mean * (0.5 + arrangement.clutter))
         if role == "mirror":
