@@ -80,7 +80,7 @@ class PanoramaShell:
 
 
 def draw_shell(rng: np.random.Generator) -> PanoramaShell:
-    """Draw a shell at random: a box, one with a corner cut out, or one with a sloped ceiling or a gable."""
+    """Draw a shell at random: a box, a box without a corner, or a room with a sloped ceiling or a gable."""
     hall = rng.random() < HALL_SHARE
     size = 2.0 if hall else 1.0
     west, east, north, south = (size * rng.uniform(*SIDE_M, 4)).tolist()

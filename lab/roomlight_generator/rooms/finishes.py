@@ -1,4 +1,4 @@
-"""Materials of a room's shell, one for each of its surfaces: flat colours with or without a coat.
+"""Materials of a room's surfaces: flat colours with or without a coat.
 
 About 64 % of the walls are white, grey or beige, the rest clearly coloured.
 """

@@ -105,7 +105,7 @@ def meter(frame: Float[np.ndarray, "h w 3"], settings: MeterSettings) -> float:
     """Return log2 of the multiplier by which one frame would be exposed.
 
     The 80th percentile of luminance goes to `BRIGHT_LEVEL`. Where the highlights' 96th percentile would then be above
-    `_HIGHLIGHT_LEVEL`, the exposure goes the share `highlights` of the way (in stops) to the one that brings it there:
+    `_HIGHLIGHT_LEVEL`, the exposure goes the share `highlights` of the way (in stops) to the exposure that prevents it:
     phones let lamps and windows clip rather than show the room dark.
     """
     level = float(np.percentile(frame @ LUMINANCE, PERCENTILE))

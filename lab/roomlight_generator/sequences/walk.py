@@ -167,7 +167,7 @@ def camera_walk(
     """Draw camera-to-world poses of a hand-held walk; None if the room has no place for a walk.
 
     The walk's speed and rotation are drawn first, from nearly still to sweeping. Walks are then simulated from random
-    places; of the acceptable ones (each pose keeps `CLEARANCE_M`, views show the room) the one nearest to the drawn
+    places; of the acceptable walks (each pose keeps `CLEARANCE_M`, views show the room) the nearest to the drawn
     motion is taken. So narrow rooms and rejected walks do not make the data slower than intended.
     """
     field = _EdgeDistance(free)

@@ -234,7 +234,7 @@ class IrradianceCache:
     def _seen(
         self, origin: Float32[np.ndarray, "n 3"], direction: Float32[np.ndarray, "n 3"], first: int
     ) -> tuple[Int32[np.ndarray, " n"], Float32[np.ndarray, " n"], Float32[np.ndarray, "n 3"]]:
-        """Trace gather rays: face, distance and radiance of each; of emitted light the share that shadow rays leave.
+        """Trace gather rays to face, distance and radiance; of emitted light the share that shadow rays leave.
 
         The rays seed their random streams by `first`, `first` + 1 and so on.
         """

@@ -119,7 +119,7 @@ class Viewer:
         camera: Camera,
         seed: int,
     ) -> Float32[np.ndarray, "h w 3"]:
-        """Add rays to the picture at jittered places in some pixels, each of which is listed `EXTRA_RAYS` times."""
+        """Add rays to the picture at jittered places in some pixels; a pixel is listed `EXTRA_RAYS` times."""
         height, width = camera.shape
         row, column = np.divmod(pixel, width)
         rng = np.random.default_rng([seed, 5])

@@ -380,7 +380,7 @@ def _blocks_of(kind: Bool[np.ndarray, "h w"], rng: np.random.Generator) -> Int[n
 def _points(
     reference: Reference, rays: _PictureRays, at: Int[np.ndarray, "n 2"], *, size: int, paths: int, seed: int
 ) -> tuple[Float[np.ndarray, "2 n 3"], int]:
-    """Compute the reference's halves over squares of pixels, given their upper left ones; also the paths of each."""
+    """Compute the reference's halves over squares of pixels, given by their upper left pixels; also the paths used."""
     count = len(at)
     halves = np.zeros((2, count, 3), np.float32)
     if not count:

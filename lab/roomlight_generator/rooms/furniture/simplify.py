@@ -36,7 +36,7 @@ class TriangleSoup:
 
 
 def welded(soup: TriangleSoup) -> TriangleSoup:
-    """Weld vertices, remove degenerate triangles, and of coincident triangles keep the one that faces outward."""
+    """Weld vertices, remove degenerate triangles, and of coincident triangles keep the triangle that faces outward."""
     size = float(np.ptp(soup.points[np.unique(soup.faces)], axis=0).max())
     places = np.rint(soup.points / max(size * _WELD, 1e-12)).astype(np.int64)
     _, first, index = np.unique(places, axis=0, return_index=True, return_inverse=True)

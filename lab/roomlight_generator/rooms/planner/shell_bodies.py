@@ -32,7 +32,7 @@ CELL_M: Final = 0.15
 
 
 def shell_bodies(shell: Shell) -> list[Body]:
-    """Return boxes around the parts of the shell that stand in the room, one for each connected part of an item."""
+    """Return boxes around the parts of the shell that stand in the room: a box for each connected part of an item."""
     bodies: list[Body] = []
     for item in shell.items:
         if item.role in ENCLOSING_ROLES:

@@ -1,6 +1,6 @@
 """Variance of points' direct light: large where some shadow rays met a light and others did not.
 
-A point's light is a sum of its rays' weights, each of which arrives or not. If a share p of the weight arrives, the
+A point's light is the sum of the weights of its visible rays. If a share p of all weight arrives, the
 sum's variance is about p (1 - p) times the sum of squared weights (the rays taken as independent).
 """
 

@@ -105,7 +105,7 @@ def _wall_behind(arrangement: Arrangement, piece: Piece) -> tuple[int, float] | 
 
 
 def _hang_above(arrangement: Arrangement, role: str, below: tuple[str, ...]) -> int:
-    """Hang one item above each of some of the given pieces; return their number."""
+    """Hang an item above some of the given pieces; return the number of items."""
     done = 0
     for piece in arrangement.shuffled(arrangement.with_roles(*below))[:2]:
         place = _wall_behind(arrangement, piece)
