@@ -83,6 +83,7 @@ def test_half_rounding_leaves_the_original_alone():
     assert not torch.equal(weight, before)
 
 
+@pytest.mark.slow
 def test_rgb_alpha_exports_and_prints_nothing(tmp_path, capfd):
     config = ModelConfig(SGConfig(volume_shape=(8, 8, 8), channels=4, full_channels=2, spherical_gaussians=False))
     torch.manual_seed(1)
