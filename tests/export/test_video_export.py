@@ -54,6 +54,7 @@ def walk():
     return WalkExample(example, example.truth[None], np.zeros(FRAMES, np.int64))
 
 
+@pytest.mark.slow
 def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
     checkpoint, folder = trained
     model = load_exported(folder).model  # weights rounded to half precision, as in the graphs
@@ -83,6 +84,7 @@ def test_the_engine_shows_the_panoramas_of_the_training_forward(trained):
     assert checkpoint.exists()
 
 
+@pytest.mark.slow
 def test_training_reaches_the_exported_graphs(trained):
     checkpoint, folder = trained
     graphs = load_graphs(folder, provider="cpu")
@@ -97,6 +99,7 @@ def test_training_reaches_the_exported_graphs(trained):
         torch.testing.assert_close(value, kept[name], rtol=1e-3, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_encoder_and_decoder_take_the_unit(trained):
     _, folder = trained
     graphs = load_graphs(folder, provider="cpu").graphs

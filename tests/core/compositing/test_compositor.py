@@ -245,6 +245,7 @@ def test_encoding_agrees_with_the_reference():
     assert (encode_srgb8(srgb8_to_linear(codes)) == codes).all()
 
 
+@pytest.mark.slow
 def test_paths_are_limited_for_objects_that_cover_many_pixels(session):
     near = SceneObject("near", cube(0.8), AtPosition((0.2, 0.6, 0.4)))
     made = Compositor(session, [near], max_paths=400_000).composite(view())

@@ -38,18 +38,21 @@ def drawn(monkeypatch, paths):
     monkeypatch.setattr(room_sequences, "draw_camera_path", lambda *_, **__: next(tried))
 
 
+@pytest.mark.slow
 def test_walks_without_places_for_probes_are_drawn_again(coarse_room, monkeypatch):
     path, later = (plan_camera_path(coarse_room, np.random.default_rng(number), frames=1) for number in range(2))
     drawn(monkeypatch, [None, None, path, later])
     assert plan_camera_path(coarse_room, np.random.default_rng(0), frames=1) is path
 
 
+@pytest.mark.slow
 def test_a_room_without_any_walk_is_named(coarse_room, monkeypatch):
     drawn(monkeypatch, [None] * 12)
     with pytest.raises(ValueError, match=f"{coarse_room.room.name}: 12 walks .* no place for 3 probes"):
         plan_camera_path(coarse_room, np.random.default_rng(0), frames=1)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("small_views")
 def test_a_single_view_is_a_sequence_of_one_frame(coarse_room):
     views = list(render_walks(coarse_room, 1, seed=21, split="train", count=2, frames=1))

@@ -49,7 +49,10 @@ def block(material, centre=(0, 0.2, 0)):
     return object_mesh(mesh.vertices, mesh.normals, mesh.faces, material)
 
 
-@pytest.mark.parametrize("material", [Material("matte", (0.1, 0.1, 0.1)), pytest.param(Material("mirror", mirror=1.0), marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    "material",
+    [Material("matte", (0.1, 0.1, 0.1)), pytest.param(Material("mirror", mirror=1.0), marks=pytest.mark.slow)],
+)
 def test_an_object_covers_pixels_and_shades_the_floor(material):
     scene = room()
     made = render_with_object(scene, block(material), CAMERA, looking_down(), seed=0)
